@@ -1,0 +1,21 @@
+"""Settings shared by all tests."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+# The same examples on every machine and every run: a red test is red for everybody.
+settings.register_profile(
+    "uavaou",
+    deadline=None,
+    derandomize=True,
+    print_blob=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+settings.load_profile("uavaou")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the markers."""
+    config.addinivalue_line("markers", "slow: takes more than a few seconds; deselect with -m 'not slow'")

@@ -1,0 +1,42 @@
+"""uavaou: teams of UAVs that keep IoT data fresh, trained, planned, evaluated and explained.
+
+The public names load on first use, so that ``import uavaou`` is quick and needs no torch.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from uavaou.algorithms.mappo import IPPO as IPPO
+    from uavaou.algorithms.mappo import MAPPO as MAPPO
+    from uavaou.envs import uavaou_v0 as uavaou_v0
+    from uavaou.envs.flatten import flatten as flatten
+    from uavaou.errors import InputError as InputError
+    from uavaou.scenario import Scenario as Scenario
+    from uavaou.world import World as World
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Scenario": "uavaou.scenario",
+    "World": "uavaou.world",
+    "flatten": "uavaou.envs.flatten",
+    "MAPPO": "uavaou.algorithms.mappo",
+    "IPPO": "uavaou.algorithms.mappo",
+    "InputError": "uavaou.errors",
+}
+__all__ = [*_HOMES, "uavaou_v0"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "uavaou_v0":
+        return import_module("uavaou.envs.uavaou_v0")
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'uavaou' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

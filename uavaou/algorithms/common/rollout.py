@@ -1,0 +1,122 @@
+"""A rollout of whole slots: a slot's UAVs stay together, and what they share is stored once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+from stable_baselines3.common.buffers import RolloutBuffer
+
+from uavaou.world.views import RowLayout
+
+
+@dataclass(frozen=True)
+class SlotBatch:
+    """A minibatch of B slots."""
+
+    local: th.Tensor  # (B * U, local)
+    critic_rows: th.Tensor  # (B * V, global or local)
+    actions: th.Tensor  # (B * U, 1 + I)
+    old_log_prob: th.Tensor  # (B * U,)
+    advantages: th.Tensor  # (B * U,)
+    returns: th.Tensor  # (B * V,)
+
+
+class SlotRolloutBuffer(RolloutBuffer):
+    """Holds T slots of N missions with U UAVs; V is 1 with a shared critic and U with individual ones.
+
+    SB3's buffer stores the global state, the value, the reward and the advantage of a slot U times.
+    """
+
+    def __init__(self, *args: Any, row_layout: RowLayout, shared_critic: bool, **kwargs: Any) -> None:
+        self.row_layout = row_layout
+        self.shared_critic = shared_critic
+        super().__init__(*args, **kwargs)
+
+    def reset(self) -> None:
+        """Forget the rollout; the memory is taken once."""
+        self.pos = 0
+        self.full = False
+        if hasattr(self, "local"):
+            return
+        layout, steps = self.row_layout, self.buffer_size
+        missions, uavs = self.n_envs // layout.uavs, layout.uavs
+        critics = 1 if self.shared_critic else uavs
+        bits = layout.devices if layout.selects else 0
+        self.local: NDArray[np.float32] = np.zeros((steps, missions, uavs, layout.local_size), np.float32)
+        self.state: NDArray[np.float32] = np.zeros((steps, missions, layout.global_size), np.float32)
+        self.actions = np.zeros((steps, missions, uavs, 1 + bits), np.float32)
+        self.log_probs = np.zeros((steps, missions, uavs), np.float32)
+        self.values = np.zeros((steps, missions, critics), np.float32)
+        self.rewards = np.zeros((steps, missions, 1), np.float32)
+        self.episode_starts = np.zeros((steps, missions, 1), np.float32)
+        self.advantages = np.zeros((steps, missions, critics), np.float32)
+        self.returns = np.zeros((steps, missions, critics), np.float32)
+
+    def add(  # type: ignore[override]
+        self,
+        obs: NDArray[np.float32],
+        action: NDArray[Any],
+        reward: NDArray[np.float32],
+        episode_start: NDArray[Any],
+        value: th.Tensor,
+        log_prob: th.Tensor,
+    ) -> None:
+        """Store one slot of all missions, given as N * U mission-major rows."""
+        uavs, local_size = self.row_layout.uavs, self.row_layout.local_size
+        rows = obs.reshape(-1, uavs, obs.shape[-1])  # (N, U, local + global)
+        at = self.pos
+        self.local[at] = rows[:, :, :local_size]
+        self.state[at] = rows[:, 0, local_size:]
+        self.actions[at] = action.reshape(self.actions.shape[1:])
+        self.log_probs[at] = log_prob.cpu().numpy().reshape(-1, uavs)
+        self.values[at] = self._per_critic(value.cpu().numpy())
+        self.rewards[at, :, 0] = reward.reshape(-1, uavs)[:, 0]
+        self.episode_starts[at, :, 0] = episode_start.reshape(-1, uavs)[:, 0]
+        self.pos += 1
+        self.full = self.pos == self.buffer_size
+
+    def _per_critic(self, per_row: NDArray[Any]) -> NDArray[Any]:
+        per_uav = per_row.reshape(-1, self.row_layout.uavs)  # (N, U)
+        return per_uav[:, :1] if self.shared_critic else per_uav
+
+    def compute_returns_and_advantage(self, last_values: th.Tensor, dones: NDArray[Any]) -> None:
+        """GAE(lambda) (Schulman et al. 2016), for each mission and critic."""
+        following = self._per_critic(last_values.cpu().numpy())  # (N, V)
+        goes_on = 1.0 - dones.reshape(-1, self.row_layout.uavs)[:, :1].astype(np.float32)  # (N, 1)
+        running = np.zeros_like(following)
+        for step in reversed(range(self.buffer_size)):
+            delta = self.rewards[step] + self.gamma * following * goes_on - self.values[step]
+            running = delta + self.gamma * self.gae_lambda * goes_on * running
+            self.advantages[step] = running
+            following = self.values[step]
+            goes_on = 1.0 - self.episode_starts[step]
+        np.add(self.advantages, self.values, out=self.returns)
+
+    def slot_batches(self, slots_in_batch: int, order: NDArray[np.int64] | None = None) -> Iterator[SlotBatch]:
+        """Yield minibatches of whole slots in random order; the last one may be smaller."""
+        total = self.buffer_size * self.state.shape[1]
+        order = np.random.permutation(total) if order is None else order
+        local, critic_rows = self._flat(self.local), self._flat(self.state if self.shared_critic else self.local)
+        actions, log_probs = self._flat(self.actions), self._flat(self.log_probs)
+        advantages, returns = self._flat(self.advantages), self._flat(self.returns)
+        uavs = self.row_layout.uavs
+        for start in range(0, total, slots_in_batch):
+            index = th.from_numpy(order[start : start + slots_in_batch]).to(self.device)
+            picked = advantages[index]  # (B, V)
+            yield SlotBatch(
+                local=local[index].flatten(0, 1),
+                critic_rows=critic_rows[index].reshape(-1, critic_rows.shape[-1]),
+                actions=actions[index].flatten(0, 1),
+                old_log_prob=log_probs[index].flatten(),
+                advantages=picked.expand(-1, uavs).flatten(),
+                returns=returns[index].flatten(),
+            )
+
+    def _flat(self, array: NDArray[np.float32]) -> th.Tensor:
+        """(T, N, ...) as (T * N, ...) on the learner's device."""
+        return th.from_numpy(array.reshape(-1, *array.shape[2:])).to(self.device)

@@ -1,0 +1,153 @@
+"""MAPPO-AoU: SB3's PPO with a centralised critic, whole slots in a minibatch, and value normalisation."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.utils import explained_variance
+from torch.nn import functional as F
+
+from uavaou.algorithms.common.policy import CentralizedValuePolicy
+from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
+
+ADVANTAGES = ("none", "rollout", "batch")
+
+
+class MAPPO(PPO):
+    """Multi-agent PPO with parameters shared by all UAVs (Yu et al. 2022, arXiv 2103.01955).
+
+    The actor reads a UAV's local observation, the critic the global state, once a slot. Arguments not
+    listed are SB3's PPO's.
+
+    Args:
+        policy: ``"CentralizedValuePolicy"``.
+        env: what :func:`uavaou.flatten` returns.
+        n_steps: slots a mission in one rollout.
+        batch_size: rows (agent steps) in a minibatch; whole slots, all UAVs of a slot together.
+        advantage_normalization: over the ``batch``, over the whole ``rollout``, or ``none``.
+        critic_learning_rate: as a multiple of ``learning_rate``.
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"CentralizedValuePolicy": CentralizedValuePolicy}
+    critic_input: ClassVar[str] = "global"
+    policy: CentralizedValuePolicy
+    rollout_buffer: SlotRolloutBuffer
+
+    def __init__(
+        self,
+        policy: str | type[CentralizedValuePolicy] = "CentralizedValuePolicy",
+        env: Any = None,
+        learning_rate: Any = 5e-4,
+        n_steps: int = 125,
+        batch_size: int = 3000,
+        n_epochs: int = 5,
+        gamma: float = 0.98,
+        gae_lambda: float = 0.95,
+        clip_range: Any = 0.2,
+        ent_coef: float = 0.003,
+        vf_coef: float = 0.5,
+        max_grad_norm: float = 5.0,
+        advantage_normalization: str = "batch",
+        critic_learning_rate: float = 1.0,
+        policy_kwargs: dict[str, Any] | None = None,
+        **kwargs: Any,
+    ) -> None:
+        if advantage_normalization not in ADVANTAGES:
+            from uavaou.errors import unknown
+
+            raise unknown("advantage_normalization", advantage_normalization, ADVANTAGES)
+        self.advantage_normalization = advantage_normalization
+        self.critic_learning_rate = critic_learning_rate
+        policy_kwargs = dict(policy_kwargs or {})
+        if env is not None:
+            policy_kwargs.setdefault("row_layout", env.row_layout)
+        policy_kwargs.setdefault("critic_input", self.critic_input)
+        buffer_kwargs = {
+            "row_layout": policy_kwargs.get("row_layout"),
+            "shared_critic": policy_kwargs["critic_input"] == "global",
+        }
+        kwargs.setdefault("rollout_buffer_class", SlotRolloutBuffer)
+        kwargs.setdefault("rollout_buffer_kwargs", buffer_kwargs)
+        super().__init__(
+            policy, env, learning_rate=learning_rate, n_steps=n_steps, batch_size=batch_size, n_epochs=n_epochs,
+            gamma=gamma, gae_lambda=gae_lambda, clip_range=clip_range, ent_coef=ent_coef, vf_coef=vf_coef,
+            max_grad_norm=max_grad_norm, policy_kwargs=policy_kwargs, **kwargs,
+        )  # fmt: skip
+
+    def train(self) -> None:
+        """Update actor and critic from the rollout just collected."""
+        self.policy.set_training_mode(True)
+        self._set_learning_rates()
+        clip_range = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
+        buffer = self.rollout_buffer
+        explained = explained_variance(buffer.values.flatten(), buffer.returns.flatten())
+        self.policy.value_net.update(th.from_numpy(buffer.returns).to(self.device))
+        mean, std = self._advantage_statistics(buffer.advantages)
+        slots = max(self.batch_size // buffer.row_layout.uavs, 1)
+        figures: list[tuple[float, ...]] = []
+        for _ in range(self.n_epochs):
+            for batch in buffer.slot_batches(slots):
+                figures.append(self._update(batch, clip_range, mean, std))
+            self._n_updates += 1
+            if self.target_kl is not None and figures[-1][4] > 1.5 * self.target_kl:
+                break
+        self._log_training(np.array(figures), explained, clip_range)
+
+    def _update(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> tuple[float, ...]:
+        """One optimizer step; returns the figures to log."""
+        policy = self.policy
+        distribution = policy.action_distribution(batch.local)
+        log_prob = distribution.log_prob(batch.actions)
+        entropy = distribution.entropy().mean()
+        advantages = batch.advantages
+        if self.advantage_normalization == "batch":
+            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        else:
+            advantages = (advantages - mean) / std
+        log_ratio = log_prob - batch.old_log_prob
+        ratio = th.exp(log_ratio)
+        clipped = th.clamp(ratio, 1 - clip_range, 1 + clip_range)
+        policy_loss = -th.min(advantages * ratio, advantages * clipped).mean()
+        value_loss = F.mse_loss(policy.normalised_values(batch.critic_rows), policy.value_net.normalise(batch.returns))
+        loss = policy_loss - self.ent_coef * entropy + self.vf_coef * value_loss
+        policy.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        # Separately: the critic's gradient, large at first, must not shrink the actor's.
+        th.nn.utils.clip_grad_norm_(policy.actor_parameters(), self.max_grad_norm)
+        th.nn.utils.clip_grad_norm_(policy.critic_parameters(), self.max_grad_norm)
+        policy.optimizer.step()
+        with th.no_grad():
+            kl = (ratio - 1 - log_ratio).mean()
+            outside = ((ratio - 1).abs() > clip_range).float().mean()
+        return policy_loss.item(), value_loss.item(), entropy.item(), loss.item(), kl.item(), outside.item()
+
+    def _advantage_statistics(self, advantages: NDArray[np.float32]) -> tuple[float, float]:
+        if self.advantage_normalization == "rollout":
+            return float(advantages.mean()), float(advantages.std()) + 1e-8
+        # "none": in units of the normalised value, without which its scale would be the reward's.
+        return 0.0, float(self.policy.value_net.std)
+
+    def _set_learning_rates(self) -> None:
+        rate = self.lr_schedule(self._current_progress_remaining)  # type: ignore[call-arg]
+        self.logger.record("train/learning_rate", rate)
+        actor, critic = self.policy.optimizer.param_groups
+        actor["lr"], critic["lr"] = rate, rate * self.critic_learning_rate
+
+    def _log_training(self, figures: NDArray[np.float64], explained: float, clip_range: float) -> None:
+        names = ("policy_gradient_loss", "value_loss", "entropy", "loss", "approx_kl", "clip_fraction")
+        for name, value in zip(names, figures.mean(axis=0), strict=True):
+            self.logger.record(f"train/{name}", float(value))
+        self.logger.record("train/explained_variance", float(explained))
+        self.logger.record("train/clip_range", clip_range)
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+
+
+class IPPO(MAPPO):
+    """Independent PPO: the same with a critic that reads the local observation."""
+
+    critic_input: ClassVar[str] = "local"

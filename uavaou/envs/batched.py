@@ -1,0 +1,100 @@
+"""Many missions as one vector environment, in the form of SuperSuit's first stage but without its loop.
+
+``supersuit.pettingzoo_env_to_vec_env_v1`` steps missions one by one through Python dicts. This class
+gives the same rows, rewards and ends for a whole World of missions at once.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
+
+from uavaou.envs.actions import action_space, split_actions
+from uavaou.envs.rewards import training_reward
+from uavaou.scenario import Scenario
+from uavaou.world import Views, World
+
+Rows = NDArray[np.float32]
+Step = tuple[Rows, NDArray[np.float32], NDArray[np.uint8], NDArray[np.uint8], list[dict[str, Any]]]
+
+
+class BatchedMissions(VectorEnv[Any, Any, Any]):
+    """N missions x U UAVs as N * U rows ``[local | global]``, mission-major; restarts a mission in its last slot.
+
+    Infos are empty but in the last slot of a mission, where each row holds ``mission`` (its metrics) and
+    ``terminal_observation``. Masks are part of the rows.
+    """
+
+    def __init__(
+        self, scenario: Scenario, missions: int, observation: str, collection: str, reward: str, render_mode: str | None
+    ) -> None:
+        self.scenario = scenario
+        self.missions = missions
+        self.views = Views(scenario, observation, collection)
+        self.reward = reward
+        self.render_mode = render_mode
+        self.metadata = {"render_modes": ["rgb_array"]}
+        self.num_envs = missions * scenario.uavs
+        layout = self.views.layout
+        self.observation_space = spaces.Box(
+            -np.inf, np.inf, (layout.local_size + layout.global_size,), np.float32
+        )
+        self.action_space = action_space(scenario, collection)
+        self.world: World | None = None
+        self._actions: NDArray[Any] | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Rows, list[dict[str, Any]]]:  # type: ignore[override]
+        """Start a mission in every lane; lane j is seeded with ``seed + j``."""
+        if self.world is None:
+            fresh = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
+            self.world = World(self.scenario, self.missions, fresh)
+        else:
+            self.world.reset(seed)
+        return self.views.rows(self.world), [{} for _ in range(self.num_envs)]
+
+    def step(self, actions: NDArray[Any]) -> Step:  # type: ignore[override]
+        """Play one slot in every mission."""
+        assert self.world is not None, "call reset() first"
+        uavs = self.scenario.uavs
+        self.world.step(*split_actions(actions, self.missions, uavs))
+        rewards = np.repeat(training_reward(self.world, self.reward), uavs)  # (N * U,)
+        over = self.world.done
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        rows = self.views.rows(self.world)
+        if over:
+            metrics = self.world.metrics()
+            missions = [metrics.of(mission) for mission in range(self.missions)]
+            infos = [
+                {"mission": missions[row // uavs], "terminal_observation": rows[row]} for row in range(self.num_envs)
+            ]
+            self.world.reset()
+            rows = self.views.rows(self.world)
+        ends = np.full(self.num_envs, over, dtype=np.uint8)
+        return rows, rewards, ends, np.zeros(self.num_envs, dtype=np.uint8), infos
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Keep the actions for :meth:`step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> Step:
+        """Play the slot with the actions kept."""
+        assert self._actions is not None
+        return self.step(self._actions)
+
+    def render(self) -> Any:
+        """A map of the first mission, (H, W, 3)."""
+        if self.render_mode is None or self.world is None:
+            return None
+        from uavaou.envs.map import render_frame  # matplotlib only where a picture is asked for
+
+        return render_frame(self.scenario, self.world.layout(), self.world.snapshot(), self.world.positions)
+
+    def env_is_wrapped(self, wrapper_class: type) -> list[bool]:
+        """No row is wrapped by anything."""
+        return [False] * self.num_envs

@@ -1,0 +1,243 @@
+"""The map of a mission: devices coloured by age, coverage, UAVs with their trails, and one frame as an array.
+
+matplotlib is imported inside the functions, so that an environment which is never rendered starts without it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from uavaou.scenario import Layout, Scenario
+from uavaou.world.coverage import coverage_radius
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import LogNorm
+
+Floats = NDArray[np.float64]
+
+# Okabe and Ito's palette, told apart by colour-blind readers (https://jfly.uni-koeln.de/color/).
+BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILLION, PURPLE = (
+    "#000000",
+    "#E69F00",
+    "#56B4E9",
+    "#009E73",
+    "#F0E442",
+    "#0072B2",
+    "#D55E00",
+    "#CC79A7",
+)
+UAV_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, YELLOW)
+AGE_COLOURS = "magma_r"  # perceptually uniform; fresh is light, stale is dark
+
+FRAME_SHAPE = (576, 640, 3)  # (H, W, 3): multiples of 16, as video encoders like them
+_FRAME_DPI = 100
+_TRAIL_SLOTS = 40  # a frame shows the recent past; older slots would hide the map
+_COVERAGE_GREY = "#555555"
+
+
+def uav_colour(uav: int) -> str:
+    """The colour of a UAV, in every picture alike; beyond eight UAVs colours repeat."""
+    return UAV_COLOURS[uav % len(UAV_COLOURS)]
+
+
+def uav_offset(scenario: Scenario) -> Floats:
+    """How far each UAV is drawn beside its cell, so that UAVs on the same way stay apart; (U, 1) m, on both axes."""
+    apart = min(0.09, 0.4 / scenario.uavs) * scenario.grid_step_m
+    offset: Floats = (np.arange(scenario.uavs)[:, None] - (scenario.uavs - 1) / 2) * apart
+    return offset
+
+
+def age_scale(scenario: Scenario, layout: Layout, ages: ArrayLike | None = None) -> LogNorm:
+    """A logarithmic colour scale for age sums in s; ages below one slot take the colour of one slot.
+
+    Without ``ages`` the scale ends at what a device reaches that is never collected, so that all frames
+    of a mission share it; with ``ages`` it spans them.
+    """
+    from matplotlib.colors import LogNorm
+
+    tau = scenario.slot_length_s
+    if ages is None:
+        # m grows by one every k_i slots and S by m a slot: about K^2 / (2 k_i) slots in the end.
+        low, high = tau, tau * scenario.slots**2 / (2 * float(layout.update_period.min()))
+    else:
+        spanned = np.maximum(np.asarray(ages, dtype=np.float64), tau)
+        low, high = float(spanned.min()), float(spanned.max())
+    return LogNorm(low, max(high, 2 * low), clip=True)
+
+
+def draw_map(
+    axes: Axes,
+    scenario: Scenario,
+    layout: Layout,
+    snapshot: dict[str, Any],
+    trails: Floats | None = None,
+    *,
+    scale: LogNorm | None = None,
+    coverage: bool = True,
+) -> None:
+    """Draw one slot of a mission: area, coverage, devices coloured by age sum, links in use, UAVs and trails.
+
+    Args:
+        axes: where to draw.
+        scenario: the scenario of the mission.
+        layout: its devices.
+        snapshot: as :meth:`uavaou.world.World.snapshot` gives it.
+        trails: positions in slots 1 to T, (T, U, 2) m; those after the snapshot's slot are left out.
+        scale: colours of the ages in s; by default :func:`age_scale` without ages, the same in all slots.
+        coverage: whether to draw each device's range.
+    """
+    positions = np.asarray(snapshot["positions"])  # (U, 2) m
+    draw_ground(axes, scenario)
+    if coverage:
+        draw_coverage(axes, scenario, layout)
+    if trails is not None:
+        draw_trails(axes, scenario, np.asarray(trails)[: max(snapshot["slot"], 1)])
+    _draw_links(axes, scenario, layout, positions, np.asarray(snapshot["collected_by"]))
+    scale = age_scale(scenario, layout) if scale is None else scale
+    draw_devices(axes, layout, snapshot["age_sum"], scale)
+    draw_uavs(axes, scenario, positions)
+
+
+def draw_ground(axes: Axes, scenario: Scenario) -> None:
+    """The area in metres, its grid, and each UAV's CDS as a square in the UAV's colour."""
+    from matplotlib.ticker import MultipleLocator
+
+    step = scenario.grid_step_m
+    margin = 0.6 * step
+    axes.set(
+        xlim=(-margin, scenario.area_x_m + margin),
+        ylim=(-margin, scenario.area_y_m + margin),
+        aspect="equal",
+        xlabel="$x$ (m)",
+        ylabel="$y$ (m)",
+    )
+    every = step * max(1, math.ceil(max(scenario.columns, scenario.rows) / 6))
+    for axis, cells in ((axes.xaxis, scenario.columns), (axes.yaxis, scenario.rows)):
+        axis.set_major_locator(MultipleLocator(every))
+        if cells <= 60:  # a finer grid would be a grey area
+            axis.set_minor_locator(MultipleLocator(step))
+    axes.grid(which="both", color="#E4E4E4", linewidth=0.4)
+    axes.tick_params(which="minor", length=0)
+    axes.set_axisbelow(True)
+    for u, (x, y) in enumerate(scenario.cds_m):
+        # Squares around one another, so that UAVs which share a CDS all show theirs.
+        side = 7.5 + 3.5 * (scenario.cds_m[:u].count((x, y)))
+        axes.plot(x, y, "s", ms=side, mfc="none", mec=uav_colour(u), mew=1.3, zorder=4, clip_on=False)
+
+
+def draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:
+    """Around each device, where the UAV of middle altitude reaches it at R_min without fading."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Circle
+
+    middle = int(np.argsort(scenario.altitudes)[(scenario.uavs - 1) // 2])
+    radius = coverage_radius(scenario, layout)[middle]  # (I,) m
+    # A radius far beyond the area would only slow the drawing: the disc fills the picture all the same.
+    radius = np.minimum(np.nan_to_num(radius), 3 * (scenario.area_x_m + scenario.area_y_m))
+    discs = [Circle((float(x), float(y)), float(r)) for (x, y), r in zip(layout.positions, radius, strict=True) if r > 0]
+    fill = PatchCollection(discs, facecolor=_COVERAGE_GREY, edgecolor="none", alpha=0.04, zorder=1)
+    rim = PatchCollection(discs, facecolor="none", edgecolor=_COVERAGE_GREY, linewidth=0.4, alpha=0.35, zorder=1)
+    axes.add_collection(fill, autolim=False)
+    axes.add_collection(rim, autolim=False)
+
+
+def draw_devices(axes: Axes, layout: Layout, age: ArrayLike, scale: LogNorm, area: ArrayLike = 32.0) -> None:
+    """Devices as discs coloured by ``age`` (I,) s, their ``area`` (I,) in square points."""
+    axes.scatter(
+        layout.positions[:, 0],
+        layout.positions[:, 1],
+        s=area,
+        c=np.asarray(age, dtype=np.float64),
+        norm=scale,
+        cmap=AGE_COLOURS,
+        edgecolors="black",
+        linewidths=0.6,
+        zorder=5,
+    )
+
+
+def add_age_bar(axes: Axes, scale: LogNorm, label: str, **place: Any) -> None:
+    """A colour bar in seconds beside the axes; ``place`` goes to ``Figure.colorbar``."""
+    from matplotlib.cm import ScalarMappable
+
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    place = place if "cax" in place else {"ax": axes, "fraction": 0.046, "pad": 0.02} | place
+    bar = figure.colorbar(ScalarMappable(scale, AGE_COLOURS), label=label, **place)
+    bar.outline.set_linewidth(0.5)  # type: ignore[operator]  # a Spine, whatever the stubs say
+
+
+def draw_trails(axes: Axes, scenario: Scenario, trails: Floats, slots: int | None = None) -> None:
+    """The ways flown, (T, U, 2) m, one colour a UAV, fading into the past; ``slots`` limits how far back."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import to_rgba
+
+    recent = trails if slots is None else trails[-slots:]
+    if len(recent) < 2:
+        return
+    shifted = recent + uav_offset(scenario)  # (T, U, 2) m
+    segments = np.stack([shifted[:-1], shifted[1:]], axis=2)  # (T-1, U, 2 ends, 2) m
+    for u in range(scenario.uavs):
+        colours = np.tile(to_rgba(uav_colour(u)), (len(segments), 1))  # (T-1, 4)
+        colours[:, 3] = np.linspace(0.15, 0.9, len(segments))
+        lines = LineCollection(list(segments[:, u]), colors=colours, linewidths=1.6, capstyle="round", zorder=3)
+        axes.add_collection(lines, autolim=False)
+
+
+def draw_uavs(axes: Axes, scenario: Scenario, positions: Floats) -> None:
+    """The UAVs at ``positions`` (U, 2) m, numbered."""
+    for u, (x, y) in enumerate(positions + uav_offset(scenario)):
+        axes.plot(x, y, "^", ms=11, mfc=uav_colour(u), mec="white", mew=0.9, zorder=7, clip_on=False)
+        ink = "black" if uav_colour(u) in (YELLOW, SKY, ORANGE) else "white"
+        number = axes.annotate(str(u), (x, y), (0, -1.2), textcoords="offset points", color=ink, fontsize=7)
+        number.set(ha="center", va="center", zorder=8, fontweight="bold", annotation_clip=False)
+
+
+def _draw_links(
+    axes: Axes, scenario: Scenario, layout: Layout, positions: Floats, collected_by: NDArray[np.int64]
+) -> None:
+    from matplotlib.collections import LineCollection
+
+    served = np.flatnonzero(collected_by >= 0)
+    by = collected_by[served]
+    start = (positions + uav_offset(scenario))[by]  # (links, 2) m
+    lines = np.stack([start, layout.positions[served]], axis=1)  # (links, 2 ends, 2) m
+    colours = [uav_colour(int(u)) for u in by]
+    axes.add_collection(LineCollection(list(lines), colors=colours, linewidths=1.0, linestyles=":", zorder=4), False)
+
+
+def render_frame(
+    scenario: Scenario, layout: Layout, snapshot: dict[str, Any], trails: Floats | None = None
+) -> NDArray[np.uint8]:
+    """The map of one slot as an RGB array.
+
+    Args:
+        scenario: the scenario of the mission.
+        layout: its devices.
+        snapshot: as :meth:`uavaou.world.World.snapshot` gives it.
+        trails: positions in slots 1 to T, (T, U, 2) m.
+
+    Returns:
+        ``FRAME_SHAPE``, uint8.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height, width, _ = FRAME_SHAPE
+    figure = Figure(figsize=(width / _FRAME_DPI, height / _FRAME_DPI), dpi=_FRAME_DPI, facecolor="white")
+    canvas = FigureCanvasAgg(figure)
+    # Places by hand: laying the figure out by constraints costs more time than drawing it.
+    axes = figure.add_axes((0.11, 0.09, 0.74, 0.83))
+    recent = None if trails is None else np.asarray(trails)[: max(snapshot["slot"], 1)][-_TRAIL_SLOTS:]
+    scale = age_scale(scenario, layout)
+    draw_map(axes, scenario, layout, snapshot, recent, scale=scale)
+    add_age_bar(axes, scale, "age sum of the device (s)", cax=figure.add_axes((0.87, 0.09, 0.025, 0.83)))
+    total = float(np.sum(snapshot["age_sum"]))
+    axes.set_title(f"slot {snapshot['slot']} of {scenario.slots}     age of updates {total:,.0f} s", fontsize=11)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba(), dtype=np.uint8)[..., :3].copy()

@@ -1,0 +1,38 @@
+"""Named transforms of the paper's reward that learners may train on; metrics never use them.
+
+Left alone, a device's age sum grows with the square of the time since its last visit, so the paper's
+r[t] spans five orders of magnitude between an untrained and a trained fleet.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaou.errors import unknown
+from uavaou.world import World
+
+Reward = Literal["aou", "root"]
+REWARDS: tuple[Reward, ...] = ("aou", "root")
+_AOU_SCALE = 20.0  # brings a patrolled device's age sum, in slots, to the order of 1
+_ROOT_SCALE = 5.0
+
+
+def check_reward(name: str) -> None:
+    """Raise :class:`~uavaou.errors.InputError` where ``name`` is no transform."""
+    if name not in REWARDS:
+        raise unknown("reward", name, REWARDS)
+
+
+def training_reward(world: World, name: str) -> NDArray[np.float32]:
+    """The reward of the slot just stepped, (N,), the same for all UAVs of a mission.
+
+    ``aou`` is the paper's -sum_i S_i and ``root`` is -sum_i sqrt(S_i), where S_i = sum_n A_i^n[t] in
+    slots; both are divided by the number of devices and a constant.
+    """
+    ages = world.ages.age_slots  # (N, I) slots
+    value = ages / _AOU_SCALE if name == "aou" else np.sqrt(ages) / _ROOT_SCALE
+    reward: NDArray[np.float32] = (-value.sum(axis=1) / world.scenario.devices).astype(np.float32)
+    return reward

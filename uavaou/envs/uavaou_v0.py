@@ -1,0 +1,162 @@
+"""The PettingZoo environment: one mission, a view on a World of one.
+
+Agents ``uav_0`` ... act at the same time. Observations are the UAV's local observation, a flat float32
+vector; :meth:`UavAouEnv.state` is the global state. Rewards are the paper's r[t] in seconds, the same
+for every UAV. All UAVs live to slot K, which is a real termination. Infos carry ``action_mask`` (flat, int8:
+the five moves, then for each device "leave" and "select"), and in the last slot ``mission``, the
+mission's metrics.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+from pettingzoo.utils import parallel_to_aec
+from pettingzoo.utils.env import AECEnv
+
+from uavaou.envs.actions import action_space, split_actions
+from uavaou.errors import unknown
+from uavaou.scenario import Scenario
+from uavaou.world import Views, World
+
+RENDER_MODES = ("rgb_array",)
+
+
+def parallel_env(
+    scenario: str | Path | Scenario = "paper",
+    observation: str = "local",
+    collection: str = "select",
+    render_mode: str | None = None,
+) -> UavAouEnv:
+    """Make the environment.
+
+    Args:
+        scenario: a preset's name, a YAML path, or a :class:`~uavaou.Scenario`.
+        observation: ``location``, ``local`` or ``shared``.
+        collection: ``select`` (the agent chooses the devices) or ``auto`` (every device in range).
+        render_mode: None or ``rgb_array``.
+
+    Raises:
+        InputError: an argument is none of these.
+    """
+    return UavAouEnv(Scenario.load(scenario), observation, collection, render_mode)
+
+
+def env(**kwargs: Any) -> AECEnv[str, NDArray[np.float32], Any]:
+    """Make the same environment in PettingZoo's turn-based (AEC) form."""
+    return parallel_to_aec(parallel_env(**kwargs))
+
+
+class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
+    """One mission of a scenario; see the module's docstring, and :func:`parallel_env` to make one."""
+
+    metadata = {"name": "uavaou_v0", "render_modes": list(RENDER_MODES), "render_fps": 4, "is_parallelizable": True}
+
+    def __init__(self, scenario: Scenario, observation: str, collection: str, render_mode: str | None) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise unknown("render_mode", render_mode, RENDER_MODES)
+        self.scenario = scenario
+        self.views = Views(scenario, observation, collection)
+        self.render_mode = render_mode
+        self.possible_agents = [f"uav_{u}" for u in range(scenario.uavs)]
+        self.agents: list[str] = []
+        local = spaces.Box(-np.inf, np.inf, (self.views.layout.local_size,), np.float32)
+        self.observation_spaces = dict.fromkeys(self.possible_agents, local)
+        self.action_spaces = {agent: action_space(scenario, collection) for agent in self.possible_agents}
+        self.state_space = spaces.Box(-np.inf, np.inf, (self.views.layout.global_size,), np.float32)
+        self.world: World | None = None
+        self._trail: list[NDArray[np.float64]] = []
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """The same object at every call, as PettingZoo asks."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """The same object at every call, as PettingZoo asks."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
+        """Start a mission: seeded, or the next one of the present stream. Options are ignored."""
+        if self.world is None:
+            fresh = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
+            self.world = World(self.scenario, missions=1, seed=fresh)
+        else:
+            self.world.reset(seed)
+        self.agents = list(self.possible_agents)
+        self._trail = [self.world.positions[0]]
+        return self._observations(self.world), self._infos(self.world)
+
+    def step(
+        self, actions: dict[str, Any]
+    ) -> tuple[
+        dict[str, NDArray[np.float32]], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
+    ]:
+        """Play one slot with an action for every UAV."""
+        if self.world is None or not self.agents:
+            raise RuntimeError("no mission is running: call reset()")
+        stacked = np.stack([np.asarray(actions[agent]) for agent in self.agents])  # (U,) or (U, 1 + I)
+        moves, selections = split_actions(stacked, 1, self.scenario.uavs)
+        reward = float(self.world.step(moves, selections)[0])
+        over = self.world.done
+        agents = self.agents
+        if self.render_mode is not None:
+            self._trail.append(self.world.positions[0])
+        infos = self._infos(self.world)
+        if over:
+            mission = self.world.metrics().of(0)
+            for info in infos.values():
+                info["mission"] = mission
+            self.agents = []
+        observations = self._observations(self.world)
+        return (
+            observations,
+            dict.fromkeys(agents, reward),
+            dict.fromkeys(agents, over),
+            dict.fromkeys(agents, False),
+            infos,
+        )
+
+    def state(self) -> NDArray[np.float32]:
+        """The global state, a flat float32 vector."""
+        return self.views.state(self._running())[0]
+
+    def snapshot(self) -> dict[str, Any]:
+        """Describe the slot just stepped; see :meth:`uavaou.world.World.snapshot`."""
+        return self._running().snapshot()
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A map of devices coloured by age, coverage, and UAVs with their trails, (H, W, 3)."""
+        if self.render_mode is None:
+            return None
+        from uavaou.envs.map import render_frame  # matplotlib only where a picture is asked for
+
+        world = self._running()
+        return render_frame(self.scenario, world.layout(), world.snapshot(), np.stack(self._trail))
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def _running(self) -> World:
+        if self.world is None:
+            raise RuntimeError("no mission is running: call reset()")
+        return self.world
+
+    def _observations(self, world: World) -> dict[str, NDArray[np.float32]]:
+        local = self.views.local(world)[0]  # (U, local)
+        return {agent: local[u] for u, agent in enumerate(self.possible_agents)}
+
+    def _infos(self, world: World) -> dict[str, dict[str, Any]]:
+        allowed = world.allowed_moves[0].astype(np.int8)  # (U, 5)
+        if not self.views.layout.selects:
+            return {agent: {"action_mask": allowed[u]} for u, agent in enumerate(self.possible_agents)}
+        devices = np.ones((self.scenario.uavs, self.scenario.devices, 2), dtype=np.int8)  # leave is always allowed
+        devices[..., 1] = world.in_range[0]
+        masks = np.concatenate([allowed, devices.reshape(self.scenario.uavs, -1)], axis=1)  # (U, 5 + 2 I)
+        return {agent: {"action_mask": masks[u]} for u, agent in enumerate(self.possible_agents)}

@@ -1,0 +1,30 @@
+"""The one error that is the user's to mend: its message is a single line written for a person."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(ValueError):
+    """Bad input: a field, a file or a name that cannot be used as given.
+
+    The command line prints the message as one line and exits with code 2; every other exception is a
+    bug and keeps its traceback.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.split()))
+
+
+def nearest(word: str, allowed: Iterable[str]) -> str:
+    """Return a hint such as ``; did you mean 'slots'?``, or an empty string where nothing is near."""
+    matches = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.5)
+    return f"; did you mean '{matches[0]}'?" if matches else ""
+
+
+def unknown(kind: str, word: str, allowed: Iterable[str]) -> InputError:
+    """Return the error for a name that is not among the ``allowed`` ones, nearest spelling included."""
+    names = list(allowed)
+    listing = ", ".join(names)
+    return InputError(f"unknown {kind} '{word}'{nearest(word, names)} (known: {listing})")

@@ -1,0 +1,177 @@
+"""How every picture looks: sizes, fonts, one colour and marker for each algorithm, reproducible files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from uavaou.envs.map import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
+from uavaou.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLUMN_WIDTH_IN = 3.5  # one column of a two-column paper
+HEIGHT_IN = 2.5
+PNG_DPI = 200
+GREY = "#7F7F7F"
+LIGHT_GREY = "#DDDDDD"
+
+_RC: dict[str, Any] = {
+    "font.family": "DejaVu Sans",  # ships with matplotlib: the same glyphs on every machine
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "legend.title_fontsize": 7,
+    "legend.frameon": False,
+    "legend.handlelength": 2.2,
+    "axes.linewidth": 0.6,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": LIGHT_GREY,
+    "grid.linewidth": 0.4,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "lines.linewidth": 1.3,
+    "lines.markersize": 3.5,
+    "pdf.fonttype": 42,  # TrueType: text stays text, as publishers ask
+}
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one algorithm is drawn, in every picture alike."""
+
+    colour: str
+    marker: str
+    dash: Any  # a matplotlib line style
+    label: str
+
+
+_LOOKS = {
+    "mappo": Look(BLUE, "o", "-", "MAPPO"),
+    "ippo": Look(SKY, "^", "-", "IPPO"),
+    "vdn": Look(ORANGE, "s", "-", "VDN"),
+    "qmix": Look(VERMILLION, "D", "-", "QMIX"),
+    "iql": Look(PURPLE, "v", "-", "IQL"),
+    "random": Look(GREY, "x", (0, (1, 1.5)), "random"),
+    "stay": Look(GREY, "_", (0, (5, 1.5, 1, 1.5)), "stay"),
+    "greedy": Look(BLACK, "*", (0, (4, 1.5)), "greedy"),
+    "tour": Look(GREEN, "P", (0, (5, 1.5, 1, 1.5)), "tour"),
+    "tours": Look(GREEN, "P", (0, (5, 1.5, 1, 1.5)), "tours"),
+    "annealing": Look(GREEN, "h", (0, (4, 1.5)), "annealing"),
+    "exact": Look(BLACK, "+", (0, (1, 1.5)), "exact"),
+    "bound": Look(BLACK, "|", (0, (1, 1.5)), "lower bound"),
+}
+PLANNERS = ("random", "stay", "greedy", "tour", "tours", "annealing", "exact", "bound")
+_SPARE_COLOURS = (GREEN, PURPLE, BLACK, SKY, ORANGE, VERMILLION, BLUE)
+_SPARE_MARKERS = ("X", "p", "<", ">", "d", "8", "1")
+_VARIANT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (5, 1.2, 1, 1.2)), (0, (1.2, 1)))
+
+
+def base_name(name: str) -> str:
+    """The algorithm of a name with overrides: ``mappo`` for ``mappo+gamma=0.9``."""
+    return name.split("+", 1)[0].lower()
+
+
+def is_planner(name: str) -> bool:
+    """Whether a policy is a planner or a fixed rule, i.e. nothing that was trained."""
+    return base_name(name) in PLANNERS
+
+
+def looks(names: Iterable[str]) -> dict[str, Look]:
+    """Give every name a look, the known algorithms always the same one.
+
+    Variants of one algorithm (``mappo+gamma=0.9``) share its colour and differ in their dashes; unknown
+    names take spare colours in alphabetical order.
+    """
+    ordered = sorted(set(names))
+    given: dict[str, Look] = {}
+    variants: dict[str, int] = {}
+    spare = sorted({base_name(name) for name in ordered} - _LOOKS.keys())
+    for name in ordered:
+        base = base_name(name)
+        if base in _LOOKS:
+            look = _LOOKS[base]
+        else:
+            turn = spare.index(base)
+            look = Look(
+                _SPARE_COLOURS[turn % len(_SPARE_COLOURS)],
+                _SPARE_MARKERS[turn % len(_SPARE_MARKERS)],
+                _VARIANT_DASHES[(turn // len(_SPARE_COLOURS)) % len(_VARIANT_DASHES)],
+                base,
+            )
+        turn = variants.get(base, 0)
+        variants[base] = turn + 1
+        if turn:
+            look = replace(look, dash=_VARIANT_DASHES[turn % len(_VARIANT_DASHES)])
+        overrides = name.partition("+")[2]
+        given[name] = replace(look, label=look.label + (f" {overrides}" if overrides else ""))
+    return given
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Apply fonts and line widths to whatever is drawn inside; matplotlib's own settings return afterwards."""
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # a personal matplotlibrc must not change the project's pictures
+        matplotlib.rcParams.update(_RC)
+        yield
+
+
+def new_figure(height_in: float = HEIGHT_IN, width_in: float = COLUMN_WIDTH_IN) -> Figure:
+    """An empty figure on the Agg canvas, laid out by constraints."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def new_axes(height_in: float = HEIGHT_IN) -> tuple[Figure, Axes]:
+    """A figure of a column's width with one set of axes."""
+    figure = new_figure(height_in)
+    return figure, figure.add_subplot()
+
+
+def save(figure: Figure, out_dir: Path, name: str) -> list[Path]:
+    """Write a figure as ``name.png`` and ``name.pdf``, each file whole or not at all.
+
+    Nothing in the files tells the time: the same figure gives the same bytes.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    out_dir = Path(out_dir)
+    written = []
+    try:
+        out_dir.mkdir(parents=True, exist_ok=True)
+        for suffix, metadata in ((".png", {"Software": None}), (".pdf", {"CreationDate": None, "Producer": None})):
+            path = out_dir / f"{name}{suffix}"
+            _write_whole(figure, path, metadata)
+            written.append(path)
+    except OSError as error:
+        raise InputError(f"{out_dir}: figures cannot be written: {error.strerror or error}") from error
+    return written
+
+
+def _write_whole(figure: Figure, path: Path, metadata: dict[str, Any]) -> None:
+    draft = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")  # the suffix tells matplotlib the format
+    try:
+        figure.savefig(draft, dpi=PNG_DPI, metadata=metadata)
+        os.replace(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)

@@ -1,0 +1,419 @@
+"""A scenario: every quantity of the model with its unit, validated, read from and written to YAML.
+
+The field names carry the units a person writes (dBm, mW, metres, seconds); the properties ending in
+``_w`` and the :class:`Layout` give SI units, which is what the simulator reads.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from uavaou.errors import InputError, nearest
+from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
+
+SPEED_OF_LIGHT_M_S = 299_792_458.0
+ZETA_TOLERANCE_S = 1e-6  # flight times are compared with this slack
+DEVICE_COLUMNS = ("bandwidth_hz", "transmit_power_mw", "update_period_slots")
+_GRID_TOLERANCE = 1e-9
+_MAX_CELLS = 4_000_000
+
+
+def _plain_number(value: Any) -> Any:
+    """Refuse what pydantic would quietly turn into a number: booleans and text."""
+    if isinstance(value, bool):
+        raise ValueError("expected a number, not true or false")
+    if isinstance(value, str):
+        hint = " (YAML reads 15e3 as text; write 15000 or 1.5e+4)" if "e" in value.lower() else ""
+        raise ValueError(f"expected a number, not text{hint}")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_plain_number), Field(allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0)]
+NonNegative = Annotated[Number, Field(ge=0)]
+Whole = Annotated[int, BeforeValidator(_plain_number)]
+PositiveWhole = Annotated[Whole, Field(ge=1)]
+Point = tuple[Number, Number]
+
+_N = TypeVar("_N", int, float)
+
+
+class Range(BaseModel):
+    """Values drawn uniformly between two ends for each device: ``{low: 0.2, high: 1}``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    low: NonNegative
+    high: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.low > self.high:
+            raise ValueError(f"low ({self.low:g}) must not exceed high ({self.high:g})")
+        return self
+
+
+class WholeRange(BaseModel):
+    """Whole numbers drawn uniformly between two ends, both included: ``{low: 1, high: 5}``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    low: PositiveWhole
+    high: PositiveWhole
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.low > self.high:
+            raise ValueError(f"low ({self.low}) must not exceed high ({self.high})")
+        return self
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the devices stand and what they are, in SI units."""
+
+    positions: NDArray[np.float64]  # (I, 2) m
+    bandwidth: NDArray[np.float64]  # (I,) Hz, B_i
+    transmit_power: NDArray[np.float64]  # (I,) W, P_i
+    update_period: NDArray[np.int64]  # (I,) slots, k_i
+
+
+class Scenario(BaseModel):
+    """One experiment: area, fleet, devices, channel and mission.
+
+    Load one with :meth:`load`, change it with :meth:`replace`; both validate and raise
+    :class:`~uavaou.errors.InputError` with one readable line.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ignored_types=(cached_property,))
+
+    name: str = "custom"
+    description: str = ""
+    area_x_m: Positive
+    area_y_m: Positive
+    grid_step_m: Positive  # delta
+    uavs: Annotated[PositiveWhole, Field(le=1000)]  # U
+    devices: Annotated[PositiveWhole, Field(le=100_000)]  # I
+    slots: Annotated[Whole, Field(ge=2, le=1_000_000)]  # K
+    slot_length_s: Positive  # tau
+    speed_m_s: Positive  # nu
+    altitudes_m: tuple[Positive, ...]  # H_u
+    cds_m: tuple[Point, ...]  # CDS_u
+    flight_time_budget_s: Positive  # zeta_max
+    carrier_frequency_hz: Positive | None = None  # f_c; beta_0 follows from it
+    reference_gain_db: Number | None = None  # beta_0
+    rician_factor: NonNegative  # Phi, linear
+    fading: Literal["rician", "none"] = "rician"
+    noise_power_dbm: Number  # sigma^2
+    rate_min_bit_s: Positive  # R_min
+    bandwidth_hz: Positive | tuple[Positive, ...] | Range  # B_i
+    transmit_power_mw: Positive | tuple[Positive, ...] | Range  # P_i
+    update_period_slots: PositiveWhole | tuple[PositiveWhole, ...] | WholeRange  # k_i
+    devices_m: tuple[Point, ...] | None = None
+    layout: Literal["fixed", "resample"] = "fixed"
+    layout_seed: Annotated[Whole, Field(ge=0)] = 0
+    flight_time: Literal["enforce", "ignore"] = "enforce"
+
+    # -- reading and writing -------------------------------------------------------------------------
+
+    @classmethod
+    def load(cls, source: str | Path | Scenario) -> Scenario:
+        """Load a preset by name, or a YAML file by path; a :class:`Scenario` is returned as it is.
+
+        A file may name a preset under ``base`` and give only what differs, and a CSV file of devices
+        under ``devices_csv`` (columns ``x_m, y_m`` and, optionally, ``bandwidth_hz``,
+        ``transmit_power_mw``, ``update_period_slots``), its path relative to the YAML file.
+
+        Raises:
+            InputError: the name is unknown, or the file or a value in it cannot be used.
+        """
+        if isinstance(source, Scenario):
+            return source
+        name = str(source)
+        if name in zoo_names("scenarios"):
+            return cls._read(zoo_path("scenarios", name))
+        if isinstance(source, Path) or name.endswith((".yaml", ".yml")) or "/" in name:
+            path = Path(source)
+            if not path.is_file():
+                raise InputError(f"scenario file '{name}' does not exist")
+            return cls._read(path)
+        names = zoo_names("scenarios")
+        raise InputError(
+            f"unknown scenario '{name}'{nearest(name, names)} (presets: {', '.join(names)}; or a path ending in .yaml)"
+        )
+
+    @classmethod
+    def _read(cls, path: Path) -> Scenario:
+        fields = read_yaml_mapping(path)
+        if "base" in fields:
+            base = fields.pop("base")
+            if base not in zoo_names("scenarios"):
+                raise InputError(f"{path}: base = {base!r}: not a preset{nearest(str(base), zoo_names('scenarios'))}")
+            inherited = read_yaml_mapping(zoo_path("scenarios", base))
+            _drop_superseded(inherited, fields)
+            fields = inherited | fields
+        if "devices_csv" in fields:
+            _read_devices_csv(path, fields)
+        fields.setdefault("name", path.stem)
+        return cls.from_dict(fields, source=str(path))
+
+    @classmethod
+    def from_dict(cls, fields: dict[str, Any], source: str = "scenario") -> Scenario:
+        """Validate a mapping of field names to values.
+
+        Raises:
+            InputError: naming the field, its value and what is allowed.
+        """
+        try:
+            return cls.model_validate(fields)
+        except ValidationError as error:
+            raise InputError(f"{source}: {_explain(error, list(cls.model_fields))}") from None
+
+    def replace(self, **changes: Any) -> Scenario:
+        """Return a validated copy with some fields changed.
+
+        Raises:
+            InputError: a field is unknown or its new value cannot be used.
+        """
+        fields = self.to_dict()
+        _drop_superseded(fields, changes)
+        return type(self).from_dict(fields | changes, source=f"scenario '{self.name}'")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as plain values, those left at None apart."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    def to_yaml(self) -> str:
+        """Return the scenario as YAML that :meth:`load` reads back to an equal scenario."""
+        return yaml.safe_dump(self.to_dict(), sort_keys=False)
+
+    # -- derived, in SI units ------------------------------------------------------------------------
+
+    @property
+    def columns(self) -> int:
+        """Number of grid cells along x."""
+        return round(self.area_x_m / self.grid_step_m) + 1
+
+    @property
+    def rows(self) -> int:
+        """Number of grid cells along y."""
+        return round(self.area_y_m / self.grid_step_m) + 1
+
+    @property
+    def noise_power_w(self) -> float:
+        """sigma^2 in W."""
+        return float(10 ** (self.noise_power_dbm / 10) / 1000)
+
+    @property
+    def reference_gain(self) -> float:
+        """beta_0: the channel power gain at 1 m, linear; (c / 4 pi f_c)^2 where a carrier is given."""
+        if self.carrier_frequency_hz is not None:
+            return (SPEED_OF_LIGHT_M_S / (4 * math.pi * self.carrier_frequency_hz)) ** 2
+        assert self.reference_gain_db is not None  # the validator asks for one of the two
+        return float(10 ** (self.reference_gain_db / 10))
+
+    @cached_property
+    def altitudes(self) -> NDArray[np.float64]:
+        """H_u in m, shape (U,)."""
+        return np.asarray(self.altitudes_m, dtype=np.float64)
+
+    @cached_property
+    def cds_cells(self) -> NDArray[np.int64]:
+        """The grid cell (column, row) of each UAV's CDS, shape (U, 2)."""
+        return np.rint(np.asarray(self.cds_m, dtype=np.float64) / self.grid_step_m).astype(np.int64)
+
+    def draw_layout(self, rng: np.random.Generator | None = None) -> Layout:
+        """Draw the devices: from ``layout_seed``, or from ``rng`` (one mission of ``layout: resample``).
+
+        Quantities that the scenario states as values or lists are taken as they stand.
+        """
+        if rng is None:
+            # A spawn key of its own: mission seeds and layout seeds never share a stream.
+            rng = np.random.default_rng(np.random.SeedSequence(self.layout_seed, spawn_key=(1,)))
+        area = np.array([self.area_x_m, self.area_y_m])  # (2,)
+        drawn = rng.random((self.devices, 2)) * area  # (I, 2) m
+        positions = drawn if self.devices_m is None else np.asarray(self.devices_m, dtype=np.float64)
+        return Layout(
+            positions=positions,
+            bandwidth=self._per_device(self.bandwidth_hz, rng),
+            transmit_power=self._per_device(self.transmit_power_mw, rng) / 1000,
+            update_period=self._per_device(self.update_period_slots, rng).astype(np.int64),
+        )
+
+    def _per_device(self, spec: Any, rng: np.random.Generator) -> NDArray[np.float64]:
+        unit = rng.random(self.devices)  # always drawn, so that one field's form does not shift another's values
+        if isinstance(spec, WholeRange):
+            span = spec.high - spec.low + 1
+            return spec.low + np.minimum(np.floor(unit * span), span - 1)
+        if isinstance(spec, Range):
+            return spec.high - unit * (spec.high - spec.low)  # (low, high]: a power of exactly 0 is never drawn
+        return np.broadcast_to(np.asarray(spec, dtype=np.float64), (self.devices,)).copy()
+
+    # -- validation ----------------------------------------------------------------------------------
+
+    @field_validator("name")
+    @classmethod
+    def _name_fits_a_folder(cls, value: str) -> str:
+        if not value or value.startswith(".") or any(c in value for c in "/\\\0"):
+            raise ValueError("must be usable as a folder name: not empty, no slash, no leading dot")
+        return value
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if (self.carrier_frequency_hz is None) == (self.reference_gain_db is None):
+            raise ValueError("give carrier_frequency_hz or reference_gain_db, one of the two")
+        self._check_grid()
+        self._check_fleet()
+        self._check_devices()
+        return self
+
+    def _check_grid(self) -> None:
+        for field, length in (("area_x_m", self.area_x_m), ("area_y_m", self.area_y_m)):
+            steps = length / self.grid_step_m
+            if abs(steps - round(steps)) > _GRID_TOLERANCE * max(1.0, steps) or round(steps) < 1:
+                raise ValueError(
+                    f"grid_step_m = {self.grid_step_m:g}: does not divide {field} = {length:g} into whole steps"
+                )
+        if self.columns * self.rows > _MAX_CELLS:
+            raise ValueError(
+                f"grid_step_m = {self.grid_step_m:g}: gives {self.columns} x {self.rows} cells, "
+                f"at most {_MAX_CELLS:,} are supported"
+            )
+
+    def _check_fleet(self) -> None:
+        for field, values in (("altitudes_m", self.altitudes_m), ("cds_m", self.cds_m)):
+            if len(values) != self.uavs:
+                raise ValueError(f"{field}: has {len(values)} entries, needs one for each of the {self.uavs} uavs")
+        if len(set(self.altitudes_m)) != self.uavs:
+            raise ValueError(f"altitudes_m = {list(self.altitudes_m)}: must all differ, so that UAVs cannot collide")
+        for u, (x, y) in enumerate(self.cds_m):
+            for axis, value, cells in (("x", x, self.columns), ("y", y, self.rows)):
+                steps = value / self.grid_step_m
+                on_grid = abs(steps - round(steps)) <= _GRID_TOLERANCE * max(1.0, abs(steps))
+                if not on_grid or not 0 <= round(steps) < cells:
+                    raise ValueError(
+                        f"cds_m[{u}] = [{x:g}, {y:g}]: {axis} is not on the grid "
+                        f"(0 to {(cells - 1) * self.grid_step_m:g} m in steps of {self.grid_step_m:g} m)"
+                    )
+        if self.flight_time == "enforce":
+            needed = 2 * max(self.altitudes_m) / self.speed_m_s
+            if needed > self.flight_time_budget_s + ZETA_TOLERANCE_S:
+                raise ValueError(
+                    f"flight_time_budget_s = {self.flight_time_budget_s:g}: take-off and landing alone need "
+                    f"2 H / speed = {needed:g} s; raise it, or set flight_time: ignore"
+                )
+
+    def _check_devices(self) -> None:
+        for field in DEVICE_COLUMNS:
+            values = getattr(self, field)
+            if isinstance(values, tuple) and len(values) != self.devices:
+                raise ValueError(f"{field}: has {len(values)} entries, needs one for each of the {self.devices} devices")
+        if self.devices_m is None:
+            return
+        if len(self.devices_m) != self.devices:
+            raise ValueError(f"devices_m: has {len(self.devices_m)} positions, but devices = {self.devices}")
+        first_at: dict[Point, int] = {}
+        for i, (x, y) in enumerate(self.devices_m):
+            if not (0 <= x <= self.area_x_m and 0 <= y <= self.area_y_m):
+                raise ValueError(
+                    f"devices_m[{i}] = [{x:g}, {y:g}]: outside the area of {self.area_x_m:g} m x {self.area_y_m:g} m"
+                )
+            if (x, y) in first_at:
+                raise ValueError(f"devices_m[{i}] = [{x:g}, {y:g}]: the same position as device {first_at[x, y]}")
+            first_at[x, y] = i
+
+
+def _drop_superseded(fields: dict[str, Any], changes: dict[str, Any]) -> None:
+    """Of two ways to state the reference gain, the newer one given replaces the older."""
+    for given, other in (
+        ("carrier_frequency_hz", "reference_gain_db"),
+        ("reference_gain_db", "carrier_frequency_hz"),
+    ):
+        if changes.get(given) is not None and changes.get(other) is None:
+            fields.pop(other, None)
+
+
+def _read_devices_csv(path: Path, fields: dict[str, Any]) -> None:
+    """Replace ``devices_csv`` by the positions and per-device values that the file holds."""
+    named = fields.pop("devices_csv")
+    if not isinstance(named, str):
+        raise InputError(f"{path}: devices_csv = {named!r}: expected the path of a CSV file")
+    if "devices_m" in fields:
+        raise InputError(f"{path}: give devices_m or devices_csv, not both")
+    csv_path = path.parent / named
+    table = _csv_columns(csv_path)
+    fields["devices_m"] = list(zip(table.pop("x_m"), table.pop("y_m"), strict=True))
+    for column, values in table.items():
+        whole = column == "update_period_slots" and all(v == int(v) for v in values)
+        fields[column] = [int(v) for v in values] if whole else values
+    fields["devices"] = len(fields["devices_m"])
+
+
+def _csv_columns(path: Path) -> dict[str, list[float]]:
+    known = ("x_m", "y_m", *DEVICE_COLUMNS)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            header = [name.strip() for name in reader.fieldnames or []]
+            reader.fieldnames = header
+            rows = list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or "it is not a UTF-8 CSV file"
+        raise InputError(f"devices_csv {path}: cannot be read: {reason}") from error
+    for name in header:
+        if name not in known:
+            raise InputError(f"devices_csv {path}: unknown column '{name}'{nearest(name, known)} (known: {', '.join(known)})")
+    for name in ("x_m", "y_m"):
+        if name not in header:
+            raise InputError(f"devices_csv {path}: the column {name} is missing (header: {', '.join(header) or 'none'})")
+    if not rows:
+        raise InputError(f"devices_csv {path}: holds no device")
+    columns: dict[str, list[float]] = {name: [] for name in header}
+    for line, row in enumerate(rows, start=2):
+        for name in header:
+            try:
+                value = float(row[name])
+            except (TypeError, ValueError):
+                raise InputError(f"devices_csv {path}, line {line}: {name} = {row[name]!r}: expected a number") from None
+            if not math.isfinite(value):
+                raise InputError(f"devices_csv {path}, line {line}: {name} = {row[name]!r}: must be finite")
+            columns[name].append(value)
+    return columns
+
+
+def _explain(error: ValidationError, fields: list[str]) -> str:
+    """Turn pydantic's report into one line on the first thing to mend."""
+    details = error.errors(include_url=False)
+    # Of a union's branches, the one that got furthest into the value says most.
+    first = max(details, key=lambda d: (d["loc"][:1] == details[0]["loc"][:1], len(d["loc"]), d["type"] == "value_error"))
+    loc = [str(part) for part in first["loc"]]
+    kind, message = first["type"], first["msg"].removeprefix("Value error, ")
+    if not loc:
+        return message
+    if kind == "extra_forbidden" and len(loc) == 1:
+        return f"unknown field '{loc[0]}'{nearest(loc[0], fields)}"
+    if kind == "missing" and len(loc) == 1:
+        return f"the field {loc[0]} is missing"
+    branches = ("float", "int", "Range", "WholeRange", "constrained", "tuple", "function")
+    path = loc[0] + "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in loc[1:] if not p.startswith(branches))
+    if loc[0] in DEVICE_COLUMNS and len({d["loc"][1:2] for d in details}) > 1 and not isinstance(first["input"], int | float):
+        message = "expected a number, {low: ..., high: ...} or a list with one number a device"
+        bottom = [d for d in details if d["loc"][0] == loc[0] and d["type"] == "value_error"]
+        if bottom:
+            message = str(bottom[0]["msg"]).removeprefix("Value error, ")
+    return f"{path} = {_short(first['input'])}: {message[0].lower() + message[1:]}"
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

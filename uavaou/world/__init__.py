@@ -1,0 +1,6 @@
+"""The physics: NumPy, batched over missions; knows nothing of learning."""
+
+from uavaou.world.views import Views
+from uavaou.world.world import MissionMetrics, World
+
+__all__ = ["MissionMetrics", "Views", "World"]

@@ -1,0 +1,190 @@
+"""What each may see: the UAVs' local observations, their masks, and the global state of the critic.
+
+A learner's row is ``[local | global]``. :class:`RowLayout` names the columns of both parts, so that a
+policy finds its masks in its own observation and needs no side channel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaou.errors import unknown
+from uavaou.scenario import Scenario, WholeRange
+from uavaou.world.world import World
+
+Observation = Literal["location", "local", "shared"]
+Collection = Literal["select", "auto"]
+OBSERVATIONS: tuple[Observation, ...] = ("location", "local", "shared")
+COLLECTIONS: tuple[Collection, ...] = ("select", "auto")
+
+Rows = NDArray[np.float32]
+MOVES = 5
+_RECENT_SLOTS = 20.0  # waiting times are told apart best around this many slots
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A named run of columns in a row."""
+
+    name: str
+    start: int
+    stop: int
+
+    @property
+    def slice(self) -> slice:
+        """The columns as a slice."""
+        return slice(self.start, self.stop)
+
+
+@dataclass(frozen=True)
+class RowLayout:
+    """Which columns of a row hold what; the global part begins at ``local_size``."""
+
+    uavs: int
+    devices: int
+    collection: str
+    local: tuple[Columns, ...]
+    state: tuple[Columns, ...]
+
+    @property
+    def local_size(self) -> int:
+        """Columns of the local observation."""
+        return self.local[-1].stop
+
+    @property
+    def global_size(self) -> int:
+        """Columns of the global state."""
+        return self.state[-1].stop
+
+    @property
+    def selects(self) -> bool:
+        """Whether the action holds a device selection beside the move."""
+        return self.collection == "select"
+
+    def local_columns(self, name: str) -> slice | None:
+        """The columns of a local feature, or None where the observation does not have it."""
+        return next((columns.slice for columns in self.local if columns.name == name), None)
+
+
+def _columns(*sizes: tuple[str, int]) -> tuple[Columns, ...]:
+    ends = np.cumsum([size for _, size in sizes])
+    return tuple(Columns(name, int(end) - size, int(end)) for (name, size), end in zip(sizes, ends, strict=True))
+
+
+class Views:
+    """Writes local observations and global states of a World, scaled to the order of 1, as float32.
+
+    Args:
+        scenario: the scenario of the Worlds to look at.
+        observation: ``location`` (the paper's state: position, and an id that parameter sharing needs),
+            ``local`` (what a UAV can measure or be told before take-off) or ``shared`` (``local``, the
+            other UAVs' positions and every device's true age sum).
+        collection: ``select`` (the agent chooses the subset) or ``auto`` (every device in range).
+    """
+
+    def __init__(self, scenario: Scenario, observation: str = "local", collection: str = "select") -> None:
+        if observation not in OBSERVATIONS:
+            raise unknown("observation", observation, OBSERVATIONS)
+        if collection not in COLLECTIONS:
+            raise unknown("collection", collection, COLLECTIONS)
+        self.scenario = scenario
+        self.observation = observation
+        self.collection = collection
+        uavs, devices = scenario.uavs, scenario.devices
+        local = [("position", 2), ("uav_id", uavs)]
+        if observation != "location":
+            local += [
+                ("to_cds", 2),
+                ("allowed_moves", MOVES),
+                ("slots_left", 1),
+                ("budget_left", 1),
+                ("to_device_x", devices),
+                ("to_device_y", devices),
+                ("update_period", devices),
+                ("in_range", devices),
+                ("since_own_collection", devices),
+            ]
+        if observation == "shared":
+            local += [("other_positions", 2 * (uavs - 1)), ("age_sum", devices)]
+        state = [
+            ("positions", 2 * uavs),
+            ("slots_left", 1),
+            ("age_sum", devices),
+            ("pending", devices),
+            ("since_collection", devices),
+        ]
+        self.layout = RowLayout(uavs, devices, collection, _columns(*local), _columns(*state))
+        self._area = np.array([scenario.area_x_m, scenario.area_y_m])  # (2,) m
+        self._span = max(scenario.area_x_m, scenario.area_y_m)  # m
+        slots = np.arange(scenario.slots + 1)
+        self._waiting: Rows = (slots / (slots + _RECENT_SLOTS)).astype(np.float32)  # (K + 1,), 0 just now, towards 1
+        self._ids: Rows = np.eye(uavs, dtype=np.float32)  # (U, U)
+        self._others = np.array([[v for v in range(uavs) if v != u] for u in range(uavs)], dtype=np.int64)  # (U, U-1)
+
+    def rows(self, world: World) -> Rows:
+        """The rows ``[local | global]`` of every UAV in every mission, mission-major, (N * U, local + global)."""
+        layout, uavs = self.layout, self.scenario.uavs
+        rows: Rows = np.empty((world.missions, uavs, layout.local_size + layout.global_size), dtype=np.float32)
+        self.write_local(world, rows)
+        rows[:, :, layout.local_size :] = self.state(world)[:, None, :]
+        return rows.reshape(world.missions * uavs, -1)
+
+    def local(self, world: World) -> Rows:
+        """The local observations, (N, U, local)."""
+        out: Rows = np.empty((world.missions, self.scenario.uavs, self.layout.local_size), dtype=np.float32)
+        self.write_local(world, out)
+        return out
+
+    def write_local(self, world: World, out: Rows) -> None:
+        """Write the local observations into the first columns of ``out``, (N, U, >= local)."""
+        uavs = self.scenario.uavs
+        at = {columns.name: out[:, :, columns.slice] for columns in self.layout.local}
+        at["position"][...] = world.positions / self._area
+        at["uav_id"][...] = self._ids
+        if self.observation == "location":
+            return
+        at["to_cds"][...] = (world.flight.cds - world.cells) * (self.scenario.grid_step_m / self._span)
+        at["allowed_moves"][...] = world.allowed_moves
+        at["slots_left"][...] = self._slots_left(world)
+        at["budget_left"][..., 0] = (world.flight.budget - world.flown) / self.scenario.slots
+        relative = world.device_positions[:, None] - world.positions[:, :, None]  # (N, U, I, 2) m
+        at["to_device_x"][...] = relative[..., 0] / self._span
+        at["to_device_y"][...] = relative[..., 1] / self._span
+        at["update_period"][...] = (world.update_period / self._longest_period(world))[:, None]
+        at["in_range"][...] = world.in_range
+        at["since_own_collection"][...] = self._waiting[self._slots_since(world, world.last_collection_by)]
+        if self.observation == "shared":
+            scaled = world.positions / self._area  # (N, U, 2)
+            at["other_positions"][...] = scaled[:, self._others].reshape(world.missions, uavs, -1)
+            at["age_sum"][...] = self._age_sum(world)[:, None]
+
+    def state(self, world: World) -> Rows:
+        """The global state, (N, global): positions, slots left, and each device's age sum, pending updates and wait."""
+        out: Rows = np.empty((world.missions, self.layout.global_size), dtype=np.float32)
+        at = {columns.name: out[:, columns.slice] for columns in self.layout.state}
+        at["positions"][...] = (world.positions / self._area).reshape(world.missions, -1)
+        at["slots_left"][...] = self._slots_left(world)
+        at["age_sum"][...] = self._age_sum(world)
+        at["pending"][...] = np.sqrt(world.pending) / 4
+        at["since_collection"][...] = self._waiting[self._slots_since(world, world.last_collection)]
+        return out
+
+    def _slots_left(self, world: World) -> float:
+        return (self.scenario.slots + 1 - world.slot) / self.scenario.slots
+
+    def _slots_since(self, world: World, last: NDArray[np.int64]) -> NDArray[np.int64]:
+        since: NDArray[np.int64] = np.minimum(world.slot - last, self.scenario.slots)
+        return since
+
+    def _age_sum(self, world: World) -> NDArray[np.float64]:
+        # An age sum grows with the square of the wait: its root is linear in it.
+        scaled: NDArray[np.float64] = np.sqrt(world.ages.age_slots) / _RECENT_SLOTS
+        return scaled
+
+    def _longest_period(self, world: World) -> float:
+        spec = self.scenario.update_period_slots
+        return float(spec.high if isinstance(spec, WholeRange) else np.max(spec))

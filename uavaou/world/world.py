@@ -1,0 +1,249 @@
+"""The simulator: N missions of one scenario, stepped together as arrays.
+
+There is no other implementation of the physics: the PettingZoo environment is a World of one mission,
+planners roll Worlds forward, evaluation runs Worlds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaou.scenario import Layout, Scenario
+from uavaou.world.ages import AgeLedger
+from uavaou.world.association import Association, associate
+from uavaou.world.channel import Channel, rate
+from uavaou.world.flight import MOVES, STAY, Flight
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """What happened in the slot just stepped, in N missions."""
+
+    slot: int
+    positions: Floats  # (N, U, 2) m, where the UAVs were in that slot
+    flown: Ints  # (N, U) grid steps up to those positions
+    snr: Floats  # (N, U, I)
+    association: Association
+
+
+@dataclass(frozen=True)
+class MissionMetrics:
+    """The figures of N missions, over the slots played so far."""
+
+    reward: Floats  # (N,) s, sum over slots of r[t]
+    mean_aou_s: Floats  # (N,) s, mean over slots of sum_i sum_n A_i^n[t]
+    communications: Ints  # (N,) transfers that carried at least one update
+    devices_served: Ints  # (N,) devices with at least one communication
+    flight_time_s: Floats  # (N, U) s
+    rejected_rate: Ints  # (N,)
+    rejected_association: Ints  # (N,)
+    device_communications: Ints  # (N, I)
+    device_mean_aou_s: Floats  # (N, I) s
+
+    def of(self, mission: int) -> dict[str, Any]:
+        """One mission's figures as plain numbers and lists, the per-device ones apart."""
+        return {
+            "reward": float(self.reward[mission]),
+            "mean_aou_s": float(self.mean_aou_s[mission]),
+            "communications": int(self.communications[mission]),
+            "devices_served": int(self.devices_served[mission]),
+            "flight_time_s": self.flight_time_s[mission].tolist(),
+            "rejected_rate": int(self.rejected_rate[mission]),
+            "rejected_association": int(self.rejected_association[mission]),
+        }
+
+
+class World:
+    """N missions of one scenario, in lockstep.
+
+    ``reset`` and ``step`` leave the world in front of slot ``world.slot``: its channel is drawn, and
+    ``in_range`` and ``allowed_moves`` say what the UAVs may do in it. After slot K, ``world.done``.
+
+    Mission j draws from a stream of its own, seeded with ``seed + j``: it equals, bit for bit, the
+    mission of a World of one with that seed.
+
+    Args:
+        scenario: what is simulated.
+        missions: N.
+        seed: mission j is seeded with ``seed + j``.
+
+    Example:
+        >>> world = World(Scenario.load("tiny"), missions=2)
+        >>> while not world.done:
+        ...     reward = world.step(np.zeros((2, 2), dtype=np.int64))  # everybody stays, all in range collected
+        >>> world.metrics().devices_served.shape
+        (2,)
+    """
+
+    def __init__(self, scenario: Scenario, missions: int = 1, seed: int = 0) -> None:
+        if missions < 1:
+            raise ValueError(f"missions = {missions}: at least 1")
+        self.scenario = scenario
+        self.missions = missions
+        self.flight = Flight(scenario)
+        self.channel = Channel(scenario, missions)
+        self.ages = AgeLedger(missions, scenario.devices)
+        self._fixed_layout = scenario.layout == "fixed"
+        self.reset(seed)
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start the next mission in every lane; with a seed, restart the lanes' streams from it."""
+        if seed is not None:
+            self._rngs = [np.random.default_rng(seed + lane) for lane in range(self.missions)]
+            if self._fixed_layout:
+                self._place_devices()
+        if not self._fixed_layout:
+            self._place_devices()
+        lanes, uavs, devices = self.missions, self.scenario.uavs, self.scenario.devices
+        self.slot = 1
+        self.cells: Ints = np.broadcast_to(self.flight.cds, (lanes, uavs, 2)).copy()  # (N, U, 2)
+        self.flown: Ints = np.zeros((lanes, uavs), dtype=np.int64)  # (N, U) grid steps
+        self.ages.reset()
+        self.last_collection: Ints = np.zeros((lanes, devices), dtype=np.int64)  # (N, I) slot, 0 for never
+        self.last_collection_by: Ints = np.zeros((lanes, uavs, devices), dtype=np.int64)  # (N, U, I) slot, 0 for never
+        self._age_total: Ints = np.zeros((lanes, devices), dtype=np.int64)  # (N, I) slots, over the slots played
+        self._communications: Ints = np.zeros((lanes, devices), dtype=np.int64)  # (N, I)
+        self._rejected_rate: Ints = np.zeros(lanes, dtype=np.int64)  # (N,)
+        self._rejected_association: Ints = np.zeros(lanes, dtype=np.int64)  # (N,)
+        self.stepped: Stepped | None = None
+        self.channel.start_mission()
+        self._open_slot()
+
+    def step(self, moves: Ints, selections: Bools | None = None) -> Floats:
+        """Play the slot: collect at the present position, age, reward, then move.
+
+        Args:
+            moves: 0 stay, 1 up (+y), 2 down (-y), 3 right (+x), 4 left (-x); (N, U).
+            selections: the devices that each UAV selects, (N, U, I); None selects every device in range.
+
+        Returns:
+            r[t] = -sum_i sum_n A_i^n[t] in s, (N,) (eq. indiv_reward).
+        """
+        if self.done:
+            raise RuntimeError("the mission is over: call reset()")
+        association = associate(self.in_range, self.snr, selections)
+        collected = association.collected_by >= 0  # (N, I)
+        communications = self.ages.advance(self.slot, self.update_period, collected)
+        self._age_total += self.ages.age_slots
+        self._communications += communications
+        self._rejected_rate += association.rejected_rate
+        self._rejected_association += association.rejected_association
+        self.last_collection[collected] = self.slot
+        uav = np.arange(self.scenario.uavs)[:, None]  # (U, 1)
+        self.last_collection_by[association.collected_by[:, None, :] == uav] = self.slot
+        self.stepped = Stepped(self.slot, self.positions, self.flown, self.snr, association)
+        reward: Floats = -self.scenario.slot_length_s * self.ages.age_slots.sum(axis=1)
+        self._move(moves)
+        self.slot += 1
+        if not self.done:
+            self._open_slot()
+        return reward
+
+    @property
+    def done(self) -> bool:
+        """Whether slot K has been played (finite horizon: a termination, not a truncation)."""
+        return self.slot > self.scenario.slots
+
+    @property
+    def pending(self) -> Ints:
+        """Updates waiting at each device, (N, I)."""
+        return self.ages.pending
+
+    @property
+    def age_sum(self) -> Floats:
+        """sum_n A_i^n in s, (N, I)."""
+        return self.ages.age_slots * self.scenario.slot_length_s
+
+    def metrics(self) -> MissionMetrics:
+        """The figures of the missions so far; of whole missions once ``done``."""
+        played = max(self.slot - 1, 1)
+        tau = self.scenario.slot_length_s
+        total = self._age_total.sum(axis=1)  # (N,) slots
+        return MissionMetrics(
+            reward=-tau * total,
+            mean_aou_s=tau * total / played,
+            communications=self._communications.sum(axis=1),
+            devices_served=np.count_nonzero(self._communications, axis=1),
+            flight_time_s=self.flight.flight_time(self.flown),
+            rejected_rate=self._rejected_rate.copy(),
+            rejected_association=self._rejected_association.copy(),
+            device_communications=self._communications.copy(),
+            device_mean_aou_s=tau * self._age_total / played,
+        )
+
+    def snapshot(self, mission: int = 0) -> dict[str, Any]:
+        """Describe the slot just stepped in one mission (slot 0: nothing stepped yet).
+
+        Returns:
+            ``slot`` int; ``positions`` (U, 2) m, where the UAVs were in that slot; ``altitudes`` (U,) m;
+            ``devices`` (I, 2) m; ``age_sum`` (I,) s; ``pending`` (I,); ``update_period`` (I,) slots;
+            ``collected_by`` (I,), -1 for none; ``rate`` (U, I) bit/s; ``flight_time`` (U,) s, zeta_u up to
+            those positions; ``rejected_rate``, ``rejected_association`` int; ``bandwidth`` (I,) Hz;
+            ``transmit_power`` (I,) W. Arrays are float64 or int64, and copies.
+        """
+        devices, last = self.scenario.devices, self.stepped
+        bandwidth = self._of_mission(self.channel.bandwidth, mission)
+        return {
+            "slot": 0 if last is None else last.slot,
+            "positions": (self.positions if last is None else last.positions)[mission].copy(),
+            "altitudes": self.scenario.altitudes.copy(),
+            "devices": self._of_mission(self.device_positions, mission),
+            "age_sum": self.age_sum[mission].copy(),
+            "pending": self.pending[mission].copy(),
+            "update_period": self._of_mission(self.update_period, mission),
+            "collected_by": np.full(devices, -1) if last is None else last.association.collected_by[mission].copy(),
+            "rate": rate(bandwidth, (self.snr if last is None else last.snr)[mission]),
+            "flight_time": self.flight.flight_time((self.flown if last is None else last.flown)[mission]),
+            "rejected_rate": 0 if last is None else int(last.association.rejected_rate[mission]),
+            "rejected_association": 0 if last is None else int(last.association.rejected_association[mission]),
+            "bandwidth": bandwidth,
+            "transmit_power": self._of_mission(self.channel.transmit_power, mission),
+        }
+
+    def layout(self, mission: int = 0) -> Layout:
+        """The devices of one mission."""
+        return Layout(
+            positions=self._of_mission(self.device_positions, mission),
+            bandwidth=self._of_mission(self.channel.bandwidth, mission),
+            transmit_power=self._of_mission(self.channel.transmit_power, mission),
+            update_period=self._of_mission(self.update_period, mission),
+        )
+
+    def _of_mission(self, values: NDArray[Any], mission: int) -> NDArray[Any]:
+        return values[0 if len(values) == 1 else mission].copy()
+
+    def _place_devices(self) -> None:
+        # A fixed layout is held once, (1, I), and broadcast; a resampled one is drawn from each lane's stream.
+        if self._fixed_layout:
+            layouts = [self.scenario.draw_layout()]
+        else:
+            layouts = [self.scenario.draw_layout(rng) for rng in self._rngs]
+        self.device_positions: Floats = np.stack([layout.positions for layout in layouts])  # (L, I, 2) m
+        self.update_period: Ints = np.stack([layout.update_period for layout in layouts])  # (L, I) slots
+        self.channel.set_devices(
+            self.device_positions,
+            np.stack([layout.bandwidth for layout in layouts]),
+            np.stack([layout.transmit_power for layout in layouts]),
+        )
+
+    def _open_slot(self) -> None:
+        """Draw the slot's channel and find what the UAVs may do in it."""
+        self.positions: Floats = self.cells * self.scenario.grid_step_m  # (N, U, 2) m
+        self.snr: Floats = self.channel.draw_snr(self.positions, self._rngs, self.scenario.slots - self.slot + 1)
+        self.in_range: Bools = self.snr >= self.channel.snr_min  # (N, U, I), R_iu >= R_min
+        self.allowed_moves, self._on_grid = self.flight.allowed(self.cells, self.flown, self.slot)  # (N, U, 5)
+
+    def _move(self, moves: Ints) -> None:
+        if self.slot == self.scenario.slots:
+            return  # the move of slot K has no effect
+        made = self.flight.resolve(moves, self.cells, self.allowed_moves, self._on_grid)  # (N, U)
+        self.cells = self.cells + MOVES[made]
+        self.flown = self.flown + (made != STAY)

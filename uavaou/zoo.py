@@ -1,0 +1,60 @@
+"""Where the shipped YAML configurations lie: beside the repository's packages, or inside the wheel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from uavaou.errors import InputError, unknown
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def zoo_folder(kind: str) -> Path:
+    """Return the folder of one kind of configuration (``scenarios``, ``algorithms``, ...)."""
+    installed = _PACKAGE / "zoo_configs"  # a wheel carries the zoo inside the package
+    root = installed if installed.is_dir() else _PACKAGE.parent / "zoo_configs"
+    return root / kind
+
+
+def zoo_names(kind: str) -> list[str]:
+    """Return the names of the shipped configurations of one kind, sorted."""
+    return sorted(path.stem for path in zoo_folder(kind).glob("*.yaml"))
+
+
+def zoo_path(kind: str, name: str) -> Path:
+    """Return the path of a shipped configuration.
+
+    Raises:
+        InputError: no configuration of that kind has that name.
+    """
+    path = zoo_folder(kind) / f"{name}.yaml"
+    if name not in zoo_names(kind):
+        raise unknown(kind.rstrip("s"), name, zoo_names(kind))
+    return path
+
+
+def read_yaml_mapping(path: Path) -> dict[str, Any]:
+    """Read a YAML file that must hold a mapping with string keys.
+
+    Raises:
+        InputError: the file cannot be read, is not YAML, or holds something else.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        raise InputError(f"{path}: cannot be read: {reason}") from error
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" at line {mark.line + 1}" if mark is not None else ""
+        problem = getattr(error, "problem", None) or "unreadable value"
+        raise InputError(f"{path}: not valid YAML{where}: {problem}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: expected a mapping of field names to values, found {type(content).__name__}")
+    for key in content:
+        if not isinstance(key, str):
+            raise InputError(f"{path}: field name {key!r} is not a string")
+    return content
