@@ -27,7 +27,9 @@ def scenarios(draw: st.DrawFn, max_slots: int = 14, max_uavs: int = 3, max_devic
     columns, rows = draw(st.integers(1, 4)), draw(st.integers(1, 4))  # grid steps along x and y
     slots = draw(st.integers(2, max_slots))
     speed = draw(st.sampled_from([15.0, 10.0, 7.3]))
-    altitudes = draw(st.lists(st.sampled_from([60.0, 72.5, 80.0, 90.0, 100.0]), min_size=uavs, max_size=uavs, unique=True))
+    altitudes = draw(
+        st.lists(st.sampled_from([60.0, 72.5, 80.0, 90.0, 100.0]), min_size=uavs, max_size=uavs, unique=True)
+    )
     cells = st.tuples(st.integers(0, columns), st.integers(0, rows))
     fields: dict[str, Any] = {
         "area_x_m": columns * step,

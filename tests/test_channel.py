@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+
 from uavaou.scenario import Scenario
 from uavaou.world.channel import Channel, minimum_snr, rate, rician_power_gain
 from uavaou.world.world import World
@@ -85,7 +86,9 @@ def test_reference_gain_in_db_stands_for_the_carrier() -> None:
     channel = Channel(Scenario.load("paper-table1"), 1)
     channel.set_devices(np.zeros((1, 1, 2)), np.array([[1e9]]), np.array([[1e-3]]))
     # beta_0 = 1: 1 mW over 1e-15 W, straight above at 80, 90 and 100 m
-    assert channel.mean_snr(np.zeros((1, 3, 2)))[0, :, 0] == pytest.approx([1e12 / h**2 for h in (80, 90, 100)], rel=1e-12)
+    assert channel.mean_snr(np.zeros((1, 3, 2)))[0, :, 0] == pytest.approx(
+        [1e12 / h**2 for h in (80, 90, 100)], rel=1e-12
+    )
 
 
 @given(bandwidth=st.floats(1e-3, 1e11), rate_min=st.floats(1e-3, 1e11))

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from strategies import scenarios, seeds
+
 from uavaou.scenario import Scenario
 from uavaou.world.flight import DOWN, LEFT, MOVES, RIGHT, STAY, UP, Flight
 from uavaou.world.world import World

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import csv
 import math
+import reprlib
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -35,15 +35,23 @@ def _plain_number(value: Any) -> Any:
     if isinstance(value, str):
         hint = " (YAML reads 15e3 as text; write 15000 or 1.5e+4)" if "e" in value.lower() else ""
         raise ValueError(f"expected a number, not text{hint}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError("must be a finite number")
     return value
 
 
-Number = Annotated[float, BeforeValidator(_plain_number), Field(allow_inf_nan=False)]
+# Bounds far outside of what anybody means, so that nothing overflows on the way to SI units.
+Number = Annotated[float, BeforeValidator(_plain_number), Field(allow_inf_nan=False, ge=-1e15, le=1e15)]
 Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
+Unbounded = Annotated[float, BeforeValidator(_plain_number), Field(gt=0, allow_inf_nan=False)]
+Length = Annotated[Number, Field(ge=1e-3, le=1e9)]  # m
+Coordinate = Annotated[Number, Field(ge=-1e9, le=1e9)]  # m
+Decibels = Annotated[Number, Field(ge=-300, le=300)]
 Whole = Annotated[int, BeforeValidator(_plain_number)]
-PositiveWhole = Annotated[Whole, Field(ge=1)]
-Point = tuple[Number, Number]
+PositiveWhole = Annotated[Whole, Field(ge=1, le=10**12)]
+Period = Annotated[Whole, Field(ge=1, le=10**6)]  # slots
+Point = tuple[Coordinate, Coordinate]
 
 _N = TypeVar("_N", int, float)
 
@@ -68,8 +76,8 @@ class WholeRange(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    low: PositiveWhole
-    high: PositiveWhole
+    low: Period
+    high: Period
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -95,30 +103,30 @@ class Scenario(BaseModel):
     :class:`~uavaou.errors.InputError` with one readable line.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", ignored_types=(cached_property,))
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = "custom"
     description: str = ""
-    area_x_m: Positive
-    area_y_m: Positive
-    grid_step_m: Positive  # delta
+    area_x_m: Length
+    area_y_m: Length
+    grid_step_m: Length  # delta
     uavs: Annotated[PositiveWhole, Field(le=1000)]  # U
     devices: Annotated[PositiveWhole, Field(le=100_000)]  # I
     slots: Annotated[Whole, Field(ge=2, le=1_000_000)]  # K
     slot_length_s: Positive  # tau
     speed_m_s: Positive  # nu
-    altitudes_m: tuple[Positive, ...]  # H_u
+    altitudes_m: tuple[Length, ...]  # H_u
     cds_m: tuple[Point, ...]  # CDS_u
-    flight_time_budget_s: Positive  # zeta_max
-    carrier_frequency_hz: Positive | None = None  # f_c; beta_0 follows from it
-    reference_gain_db: Number | None = None  # beta_0
+    flight_time_budget_s: Unbounded  # zeta_max
+    carrier_frequency_hz: Annotated[Number, Field(ge=1)] | None = None  # f_c; beta_0 follows from it
+    reference_gain_db: Decibels | None = None  # beta_0
     rician_factor: NonNegative  # Phi, linear
     fading: Literal["rician", "none"] = "rician"
-    noise_power_dbm: Number  # sigma^2
+    noise_power_dbm: Decibels  # sigma^2
     rate_min_bit_s: Positive  # R_min
     bandwidth_hz: Positive | tuple[Positive, ...] | Range  # B_i
     transmit_power_mw: Positive | tuple[Positive, ...] | Range  # P_i
-    update_period_slots: PositiveWhole | tuple[PositiveWhole, ...] | WholeRange  # k_i
+    update_period_slots: Period | tuple[Period, ...] | WholeRange  # k_i
     devices_m: tuple[Point, ...] | None = None
     layout: Literal["fixed", "resample"] = "fixed"
     layout_seed: Annotated[Whole, Field(ge=0)] = 0
@@ -144,7 +152,7 @@ class Scenario(BaseModel):
             return cls._read(zoo_path("scenarios", name))
         if isinstance(source, Path) or name.endswith((".yaml", ".yml")) or "/" in name:
             path = Path(source)
-            if not path.is_file():
+            if not _is_file(path):
                 raise InputError(f"scenario file '{name}' does not exist")
             return cls._read(path)
         names = zoo_names("scenarios")
@@ -155,6 +163,7 @@ class Scenario(BaseModel):
     @classmethod
     def _read(cls, path: Path) -> Scenario:
         fields = read_yaml_mapping(path)
+        stated_devices = fields.get("devices")
         if "base" in fields:
             base = fields.pop("base")
             if base not in zoo_names("scenarios"):
@@ -163,7 +172,7 @@ class Scenario(BaseModel):
             _drop_superseded(inherited, fields)
             fields = inherited | fields
         if "devices_csv" in fields:
-            _read_devices_csv(path, fields)
+            _read_devices_csv(path, fields, stated_devices)
         fields.setdefault("name", path.stem)
         return cls.from_dict(fields, source=str(path))
 
@@ -177,7 +186,7 @@ class Scenario(BaseModel):
         try:
             return cls.model_validate(fields)
         except ValidationError as error:
-            raise InputError(f"{source}: {_explain(error, list(cls.model_fields))}") from None
+            raise InputError(f"{source}: {explain_validation(error, list(cls.model_fields))}") from None
 
     def replace(self, **changes: Any) -> Scenario:
         """Return a validated copy with some fields changed.
@@ -222,12 +231,12 @@ class Scenario(BaseModel):
         assert self.reference_gain_db is not None  # the validator asks for one of the two
         return float(10 ** (self.reference_gain_db / 10))
 
-    @cached_property
+    @property
     def altitudes(self) -> NDArray[np.float64]:
         """H_u in m, shape (U,)."""
         return np.asarray(self.altitudes_m, dtype=np.float64)
 
-    @cached_property
+    @property
     def cds_cells(self) -> NDArray[np.int64]:
         """The grid cell (column, row) of each UAV's CDS, shape (U, 2)."""
         return np.rint(np.asarray(self.cds_m, dtype=np.float64) / self.grid_step_m).astype(np.int64)
@@ -343,7 +352,14 @@ def _drop_superseded(fields: dict[str, Any], changes: dict[str, Any]) -> None:
             fields.pop(other, None)
 
 
-def _read_devices_csv(path: Path, fields: dict[str, Any]) -> None:
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name too long, or one that no file can have
+        return False
+
+
+def _read_devices_csv(path: Path, fields: dict[str, Any], stated_devices: Any) -> None:
     """Replace ``devices_csv`` by the positions and per-device values that the file holds."""
     named = fields.pop("devices_csv")
     if not isinstance(named, str):
@@ -356,7 +372,10 @@ def _read_devices_csv(path: Path, fields: dict[str, Any]) -> None:
     for column, values in table.items():
         whole = column == "update_period_slots" and all(v == int(v) for v in values)
         fields[column] = [int(v) for v in values] if whole else values
-    fields["devices"] = len(fields["devices_m"])
+    found = len(fields["devices_m"])
+    if stated_devices is not None and stated_devices != found:
+        raise InputError(f"{path}: devices = {_short(stated_devices)}: but {csv_path} holds {found}")
+    fields["devices"] = found
 
 
 def _csv_columns(path: Path) -> dict[str, list[float]]:
@@ -366,20 +385,24 @@ def _csv_columns(path: Path) -> dict[str, list[float]]:
             reader = csv.DictReader(file, skipinitialspace=True)
             header = [name.strip() for name in reader.fieldnames or []]
             reader.fieldnames = header
-            rows = list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+            rows = [(reader.line_num, row) for row in reader]
+    except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "it is not a UTF-8 CSV file"
         raise InputError(f"devices_csv {path}: cannot be read: {reason}") from error
     for name in header:
         if name not in known:
             raise InputError(f"devices_csv {path}: unknown column '{name}'{nearest(name, known)} (known: {', '.join(known)})")
+        if header.count(name) > 1:
+            raise InputError(f"devices_csv {path}: the column {name} is there twice")
     for name in ("x_m", "y_m"):
         if name not in header:
             raise InputError(f"devices_csv {path}: the column {name} is missing (header: {', '.join(header) or 'none'})")
     if not rows:
         raise InputError(f"devices_csv {path}: holds no device")
     columns: dict[str, list[float]] = {name: [] for name in header}
-    for line, row in enumerate(rows, start=2):
+    for line, row in rows:
+        if None in row:  # decimal commas do this
+            raise InputError(f"devices_csv {path}, line {line}: has more values than the {len(header)} columns")
         for name in header:
             try:
                 value = float(row[name])
@@ -391,7 +414,7 @@ def _csv_columns(path: Path) -> dict[str, list[float]]:
     return columns
 
 
-def _explain(error: ValidationError, fields: list[str]) -> str:
+def explain_validation(error: ValidationError, fields: list[str]) -> str:
     """Turn pydantic's report into one line on the first thing to mend."""
     details = error.errors(include_url=False)
     # Of a union's branches, the one that got furthest into the value says most.
@@ -404,6 +427,10 @@ def _explain(error: ValidationError, fields: list[str]) -> str:
         return f"unknown field '{loc[0]}'{nearest(loc[0], fields)}"
     if kind == "missing" and len(loc) == 1:
         return f"the field {loc[0]} is missing"
+    misspelt = next((d for d in details if d["type"] == "extra_forbidden" and d["loc"][0] == loc[0]), None)
+    if misspelt is not None and isinstance(_field_input(details, loc[0]), dict):
+        key = str(misspelt["loc"][-1])
+        return f"{loc[0]}: unknown key '{_short_name(key)}'{nearest(key, ('low', 'high'))} (known: low, high)"
     branches = ("float", "int", "Range", "WholeRange", "constrained", "tuple", "function")
     path = loc[0] + "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in loc[1:] if not p.startswith(branches))
     if loc[0] in DEVICE_COLUMNS and len({d["loc"][1:2] for d in details}) > 1 and not isinstance(first["input"], int | float):
@@ -414,6 +441,21 @@ def _explain(error: ValidationError, fields: list[str]) -> str:
     return f"{path} = {_short(first['input'])}: {message[0].lower() + message[1:]}"
 
 
-def _short(value: Any) -> str:
-    text = repr(value)
+def _field_input(details: list[Any], field: str) -> Any:
+    """What was given for a field, as some branch of its union saw it whole."""
+    return next((d["input"] for d in details if d["loc"][0] == field and isinstance(d["input"], dict)), None)
+
+
+def _short_name(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _short(value: Any) -> str:
+    """A value in at most 60 characters, however deep or long it is."""
+    shortener = reprlib.Repr()
+    shortener.maxlevel, shortener.maxstring, shortener.maxlong, shortener.maxother = 3, 40, 40, 57
+    try:
+        text = shortener.repr(value)
+    except (ValueError, RecursionError):  # a number of thousands of digits cannot be printed
+        text = f"<{type(value).__name__}>"
+    return _short_name(text)

@@ -1,0 +1,1 @@
+"""The PettingZoo environment and its flattening; import the modules, not this package."""

@@ -93,7 +93,7 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
             return None
         from uavaou.envs.map import render_frame  # matplotlib only where a picture is asked for
 
-        return render_frame(self.scenario, self.world.layout(), self.world.snapshot(), self.world.positions)
+        return render_frame(self.scenario, self.world.layout(), self.world.snapshot())
 
     def env_is_wrapped(self, wrapper_class: type) -> list[bool]:
         """No row is wrapped by anything."""

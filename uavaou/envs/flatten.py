@@ -28,7 +28,7 @@ from uavaou.envs.rewards import check_reward, training_reward
 from uavaou.envs.uavaou_v0 import UavAouEnv
 from uavaou.errors import InputError, unknown
 from uavaou.scenario import Scenario
-from uavaou.world import Views
+from uavaou.world import Views, World
 from uavaou.world.views import RowLayout
 
 BACKENDS = ("batched", "supersuit")
@@ -72,7 +72,7 @@ def flatten(
         raise InputError(f"missions = {missions}: at least 1")
     if processes < 1 or missions % processes:
         raise InputError(f"processes = {processes}: must divide missions = {missions}")
-    layout = Views(scenario, observation, collection).layout
+    views = Views(scenario, observation, collection)
     if backend == "supersuit":
         one = _CriticInput(UavAouEnv(scenario, observation, collection, render_mode), reward)
         stage = supersuit.pettingzoo_env_to_vec_env_v1(one)
@@ -82,7 +82,7 @@ def flatten(
     else:
         part = BatchedMissions(scenario, missions // processes, observation, collection, reward, render_mode)
         inner = supersuit.concat_vec_envs_v1(part, processes, num_cpus=processes, base_class="gymnasium")
-    return MissionVecEnv(inner, scenario, layout, missions, processes, seed)
+    return MissionVecEnv(inner, scenario, views, missions, processes, seed)
 
 
 class _CriticInput(BaseParallelWrapper[str, NDArray[np.float32], Any]):
@@ -125,15 +125,16 @@ class MissionVecEnv(SB3VecEnvWrapper):  # type: ignore[misc]
     """
 
     def __init__(
-        self, venv: Any, scenario: Scenario, row_layout: RowLayout, missions: int, processes: int, seed: int
+        self, venv: Any, scenario: Scenario, views: Views, missions: int, processes: int, seed: int
     ) -> None:
         super().__init__(venv)
         self.scenario = scenario
-        self.row_layout = row_layout
+        self._views = views
+        self.row_layout: RowLayout = views.layout
         self.missions = missions
         self.processes = processes
-        self.local_size = row_layout.local_size
-        self.global_size = row_layout.global_size
+        self.local_size = self.row_layout.local_size
+        self.global_size = self.row_layout.global_size
         self.reset_infos: list[dict[str, Any]] = []
         self._next_seed: int | None = seed
         # VecEnv's own constructor, which SuperSuit skips, sets these.
@@ -189,6 +190,27 @@ class MissionVecEnv(SB3VecEnvWrapper):  # type: ignore[misc]
                 pipe.recv()
                 pipe.send("terminate")
         self.venv.close()
+
+    def missions_state(self) -> dict[str, NDArray[Any]] | None:
+        """The missions in the air, for :meth:`load_missions_state`; None where other processes hold them."""
+        worlds = self._worlds()
+        if worlds is None:
+            return None
+        return {f"{k}.{name}": array for k, world in enumerate(worlds) for name, array in world.state_dict().items()}
+
+    def load_missions_state(self, arrays: dict[str, NDArray[Any]]) -> NDArray[np.float32]:
+        """Go on with the missions of :meth:`missions_state`; returns the rows that the learner saw last."""
+        self.reset(0)  # makes the Worlds, whose state is then replaced
+        worlds = self._worlds()
+        assert worlds is not None, "the missions were saved in this process and cannot be given to others"
+        for k, world in enumerate(worlds):
+            prefix = f"{k}."
+            world.load_state_dict({n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)})
+        return np.concatenate([self._views.rows(world) for world in worlds])
+
+    def _worlds(self) -> list[World] | None:
+        targets = _distinct(self._targets())
+        return [target.world for target in targets] if targets else None
 
     def _targets(self) -> list[Any]:
         """The environments behind the rows, where they live in this process."""

@@ -6,6 +6,7 @@ matplotlib is imported inside the functions, so that an environment which is nev
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,9 @@ from uavaou.world.coverage import coverage_radius
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colorbar import Colorbar
     from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 
@@ -48,15 +51,15 @@ def uav_colour(uav: int) -> str:
 def uav_offset(scenario: Scenario) -> Floats:
     """How far each UAV is drawn beside its cell, so that UAVs on the same way stay apart; (U, 1) m, on both axes."""
     apart = min(0.09, 0.4 / scenario.uavs) * scenario.grid_step_m
-    offset: Floats = (np.arange(scenario.uavs)[:, None] - (scenario.uavs - 1) / 2) * apart
-    return offset
+    centred: Floats = np.arange(scenario.uavs, dtype=np.float64)[:, None] - (scenario.uavs - 1) / 2  # (U, 1)
+    return centred * apart
 
 
 def age_scale(scenario: Scenario, layout: Layout, ages: ArrayLike | None = None) -> LogNorm:
-    """A logarithmic colour scale for age sums in s; ages below one slot take the colour of one slot.
+    """A logarithmic colour scale for age sums in s; an age of 0 takes the lowest colour.
 
-    Without ``ages`` the scale ends at what a device reaches that is never collected, so that all frames
-    of a mission share it; with ``ages`` it spans them.
+    Without ``ages`` the scale runs from one slot to what a device reaches that is never collected, so that
+    all frames of a mission share it; with ``ages`` it spans them.
     """
     from matplotlib.colors import LogNorm
 
@@ -65,8 +68,9 @@ def age_scale(scenario: Scenario, layout: Layout, ages: ArrayLike | None = None)
         # m grows by one every k_i slots and S by m a slot: about K^2 / (2 k_i) slots in the end.
         low, high = tau, tau * scenario.slots**2 / (2 * float(layout.update_period.min()))
     else:
-        spanned = np.maximum(np.asarray(ages, dtype=np.float64), tau)
-        low, high = float(spanned.min()), float(spanned.max())
+        aged = np.asarray(ages, dtype=np.float64)
+        aged = aged[aged > 0] if np.any(aged > 0) else np.array([tau])
+        low, high = float(aged.min()), float(aged.max())
     return LogNorm(low, max(high, 2 * low), clip=True)
 
 
@@ -91,16 +95,33 @@ def draw_map(
         scale: colours of the ages in s; by default :func:`age_scale` without ages, the same in all slots.
         coverage: whether to draw each device's range.
     """
-    positions = np.asarray(snapshot["positions"])  # (U, 2) m
     draw_ground(axes, scenario)
     if coverage:
         draw_coverage(axes, scenario, layout)
+    _draw_slot(axes, scenario, layout, snapshot, trails, age_scale(scenario, layout) if scale is None else scale)
+
+
+def _draw_slot(
+    axes: Axes,
+    scenario: Scenario,
+    layout: Layout,
+    snapshot: dict[str, Any],
+    trails: Floats | None,
+    scale: LogNorm,
+    trail_slots: int | None = None,
+) -> None:
+    """What changes from slot to slot; ``trail_slots`` limits how far back the trails go."""
+    positions = np.asarray(snapshot["positions"])  # (U, 2) m
     if trails is not None:
-        draw_trails(axes, scenario, np.asarray(trails)[: max(snapshot["slot"], 1)])
+        draw_trails(axes, scenario, np.asarray(trails)[: max(snapshot["slot"], 1)], trail_slots)
     _draw_links(axes, scenario, layout, positions, np.asarray(snapshot["collected_by"]))
-    scale = age_scale(scenario, layout) if scale is None else scale
     draw_devices(axes, layout, snapshot["age_sum"], scale)
     draw_uavs(axes, scenario, positions)
+
+
+def _limits(length: float, scenario: Scenario) -> tuple[float, float]:
+    margin = 0.6 * scenario.grid_step_m
+    return -margin, length + margin
 
 
 def draw_ground(axes: Axes, scenario: Scenario) -> None:
@@ -108,10 +129,9 @@ def draw_ground(axes: Axes, scenario: Scenario) -> None:
     from matplotlib.ticker import MultipleLocator
 
     step = scenario.grid_step_m
-    margin = 0.6 * step
     axes.set(
-        xlim=(-margin, scenario.area_x_m + margin),
-        ylim=(-margin, scenario.area_y_m + margin),
+        xlim=_limits(scenario.area_x_m, scenario),
+        ylim=_limits(scenario.area_y_m, scenario),
         aspect="equal",
         xlabel="$x$ (m)",
         ylabel="$y$ (m)",
@@ -139,9 +159,11 @@ def draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:
     radius = coverage_radius(scenario, layout)[middle]  # (I,) m
     # A radius far beyond the area would only slow the drawing: the disc fills the picture all the same.
     radius = np.minimum(np.nan_to_num(radius), 3 * (scenario.area_x_m + scenario.area_y_m))
-    discs = [Circle((float(x), float(y)), float(r)) for (x, y), r in zip(layout.positions, radius, strict=True) if r > 0]
-    fill = PatchCollection(discs, facecolor=_COVERAGE_GREY, edgecolor="none", alpha=0.04, zorder=1)
-    rim = PatchCollection(discs, facecolor="none", edgecolor=_COVERAGE_GREY, linewidth=0.4, alpha=0.35, zorder=1)
+    discs = [
+        Circle((float(x), float(y)), float(r)) for (x, y), r in zip(layout.positions, radius, strict=True) if r > 0
+    ]
+    fill = PatchCollection(discs, facecolor=_COVERAGE_GREY, edgecolor="none", alpha=0.02, zorder=1)
+    rim = PatchCollection(discs, facecolor="none", edgecolor=_COVERAGE_GREY, linewidth=0.4, alpha=0.28, zorder=1)
     axes.add_collection(fill, autolim=False)
     axes.add_collection(rim, autolim=False)
 
@@ -161,7 +183,7 @@ def draw_devices(axes: Axes, layout: Layout, age: ArrayLike, scale: LogNorm, are
     )
 
 
-def add_age_bar(axes: Axes, scale: LogNorm, label: str, **place: Any) -> None:
+def add_age_bar(axes: Axes, scale: LogNorm, label: str, **place: Any) -> Colorbar:
     """A colour bar in seconds beside the axes; ``place`` goes to ``Figure.colorbar``."""
     from matplotlib.cm import ScalarMappable
 
@@ -169,7 +191,8 @@ def add_age_bar(axes: Axes, scale: LogNorm, label: str, **place: Any) -> None:
     assert figure is not None
     place = place if "cax" in place else {"ax": axes, "fraction": 0.046, "pad": 0.02} | place
     bar = figure.colorbar(ScalarMappable(scale, AGE_COLOURS), label=label, **place)
-    bar.outline.set_linewidth(0.5)  # type: ignore[operator]  # a Spine, whatever the stubs say
+    bar.outline.set_linewidth(0.5)
+    return bar
 
 
 def draw_trails(axes: Axes, scenario: Scenario, trails: Floats, slots: int | None = None) -> None:
@@ -192,9 +215,9 @@ def draw_trails(axes: Axes, scenario: Scenario, trails: Floats, slots: int | Non
 def draw_uavs(axes: Axes, scenario: Scenario, positions: Floats) -> None:
     """The UAVs at ``positions`` (U, 2) m, numbered."""
     for u, (x, y) in enumerate(positions + uav_offset(scenario)):
-        axes.plot(x, y, "^", ms=11, mfc=uav_colour(u), mec="white", mew=0.9, zorder=7, clip_on=False)
+        axes.plot(x, y, "^", ms=15, mfc=uav_colour(u), mec="white", mew=1.0, zorder=7, clip_on=False)
         ink = "black" if uav_colour(u) in (YELLOW, SKY, ORANGE) else "white"
-        number = axes.annotate(str(u), (x, y), (0, -1.2), textcoords="offset points", color=ink, fontsize=7)
+        number = axes.annotate(str(u), (x, y), (0, -2), textcoords="offset points", color=ink, fontsize=7.5)
         number.set(ha="center", va="center", zorder=8, fontweight="bold", annotation_clip=False)
 
 
@@ -220,24 +243,60 @@ def render_frame(
         scenario: the scenario of the mission.
         layout: its devices.
         snapshot: as :meth:`uavaou.world.World.snapshot` gives it.
-        trails: positions in slots 1 to T, (T, U, 2) m.
+        trails: positions in slots 1 to T, (T, U, 2) m; those after the snapshot's slot are left out.
 
     Returns:
         ``FRAME_SHAPE``, uint8.
     """
+    figure, axes = _frame()
+    devices = (layout.positions, layout.bandwidth, layout.transmit_power, layout.update_period)
+    ground = _frame_ground(scenario.model_dump_json(), *(field.tobytes() for field in devices))
+    figure.figimage(ground, zorder=-10)
+    axes.set(xlim=_limits(scenario.area_x_m, scenario), ylim=_limits(scenario.area_y_m, scenario), aspect="equal")
+    axes.set_axis_off()
+    _draw_slot(axes, scenario, layout, snapshot, trails, age_scale(scenario, layout), _TRAIL_SLOTS)
+    total = float(np.sum(snapshot["age_sum"]))
+    axes.set_title(f"slot {snapshot['slot']} of {scenario.slots}     total age {total:,.0f} s", fontsize=11)
+    return _pixels(figure)[..., :3].copy()
+
+
+@lru_cache(maxsize=8)
+def _frame_ground(
+    scenario_json: str, positions: bytes, bandwidth: bytes, transmit_power: bytes, update_period: bytes
+) -> NDArray[np.uint8]:
+    """What all frames of a mission share, (H, W, 4); ticks and labels cost more time than all the rest.
+
+    The arguments are text and bytes because they are the key of the cache.
+    """
+    scenario = Scenario.model_validate_json(scenario_json)
+    layout = Layout(
+        np.frombuffer(positions).reshape(-1, 2),
+        np.frombuffer(bandwidth),
+        np.frombuffer(transmit_power),
+        np.frombuffer(update_period, dtype=np.int64),
+    )
+    figure, axes = _frame()
+    draw_ground(axes, scenario)
+    draw_coverage(axes, scenario, layout)
+    bar = figure.add_axes((0.87, 0.09, 0.025, 0.83))
+    add_age_bar(axes, age_scale(scenario, layout), "age sum of the device (s)", cax=bar)
+    ground = _pixels(figure)
+    ground.flags.writeable = False  # it is shared by all the frames to come
+    return ground
+
+
+def _frame() -> tuple[Figure, Axes]:
+    """An empty frame; places are set by hand, since laying out by constraints would double the time."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     height, width, _ = FRAME_SHAPE
     figure = Figure(figsize=(width / _FRAME_DPI, height / _FRAME_DPI), dpi=_FRAME_DPI, facecolor="white")
-    canvas = FigureCanvasAgg(figure)
-    # Places by hand: laying the figure out by constraints costs more time than drawing it.
-    axes = figure.add_axes((0.11, 0.09, 0.74, 0.83))
-    recent = None if trails is None else np.asarray(trails)[: max(snapshot["slot"], 1)][-_TRAIL_SLOTS:]
-    scale = age_scale(scenario, layout)
-    draw_map(axes, scenario, layout, snapshot, recent, scale=scale)
-    add_age_bar(axes, scale, "age sum of the device (s)", cax=figure.add_axes((0.87, 0.09, 0.025, 0.83)))
-    total = float(np.sum(snapshot["age_sum"]))
-    axes.set_title(f"slot {snapshot['slot']} of {scenario.slots}     age of updates {total:,.0f} s", fontsize=11)
+    FigureCanvasAgg(figure)
+    return figure, figure.add_axes((0.11, 0.09, 0.74, 0.83))
+
+
+def _pixels(figure: Figure) -> NDArray[np.uint8]:
+    canvas: Any = figure.canvas  # the Agg canvas, which carries no types
     canvas.draw()
-    return np.asarray(canvas.buffer_rgba(), dtype=np.uint8)[..., :3].copy()
+    return np.array(canvas.buffer_rgba(), dtype=np.uint8)  # (H, W, 4)

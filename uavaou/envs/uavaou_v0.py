@@ -2,9 +2,9 @@
 
 Agents ``uav_0`` ... act at the same time. Observations are the UAV's local observation, a flat float32
 vector; :meth:`UavAouEnv.state` is the global state. Rewards are the paper's r[t] in seconds, the same
-for every UAV. All UAVs live to slot K, which is a real termination. Infos carry ``action_mask`` (flat, int8:
-the five moves, then for each device "leave" and "select"), and in the last slot ``mission``, the
-mission's metrics.
+for every UAV. All UAVs live to slot K, which is a real termination. Infos carry ``action_mask`` in the form that
+``action_space.sample(mask)`` takes (int8; in ``select`` a tuple: the five moves, then leave and select for each
+device), and in the last slot ``mission``, the mission's metrics.
 """
 
 from __future__ import annotations
@@ -156,7 +156,6 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         allowed = world.allowed_moves[0].astype(np.int8)  # (U, 5)
         if not self.views.layout.selects:
             return {agent: {"action_mask": allowed[u]} for u, agent in enumerate(self.possible_agents)}
-        devices = np.ones((self.scenario.uavs, self.scenario.devices, 2), dtype=np.int8)  # leave is always allowed
+        devices = np.ones((self.scenario.uavs, self.scenario.devices, 2), dtype=np.int8)  # leaving is always allowed
         devices[..., 1] = world.in_range[0]
-        masks = np.concatenate([allowed, devices.reshape(self.scenario.uavs, -1)], axis=1)  # (U, 5 + 2 I)
-        return {agent: {"action_mask": masks[u]} for u, agent in enumerate(self.possible_agents)}
+        return {agent: {"action_mask": (allowed[u], *devices[u])} for u, agent in enumerate(self.possible_agents)}

@@ -1,0 +1,1 @@
+"""Pictures and text: figures, trajectories, audits. Reads data, never trains."""

@@ -7,17 +7,21 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import ArrayLike
 
 from uavaou.envs.map import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from uavaou.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
 COLUMN_WIDTH_IN = 3.5  # one column of a two-column paper
 HEIGHT_IN = 2.5
@@ -25,7 +29,7 @@ PNG_DPI = 200
 GREY = "#7F7F7F"
 LIGHT_GREY = "#DDDDDD"
 
-_RC: dict[str, Any] = {
+_RC: Any = {
     "font.family": "DejaVu Sans",  # ships with matplotlib: the same glyphs on every machine
     "font.size": 8,
     "axes.labelsize": 8,
@@ -36,6 +40,10 @@ _RC: dict[str, Any] = {
     "legend.title_fontsize": 7,
     "legend.frameon": False,
     "legend.handlelength": 2.2,
+    "legend.borderaxespad": 0.2,
+    "legend.borderpad": 0.2,
+    "legend.labelspacing": 0.35,
+    "legend.columnspacing": 1.2,
     "axes.linewidth": 0.6,
     "axes.spines.right": False,
     "axes.spines.top": False,
@@ -134,9 +142,9 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def new_figure(height_in: float = HEIGHT_IN, width_in: float = COLUMN_WIDTH_IN) -> Figure:
-    """An empty figure on the Agg canvas, laid out by constraints."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+def new_figure(height_in: float = HEIGHT_IN, layout: Literal["constrained"] | None = "constrained") -> Figure:
+    """An empty figure of a column's width on the Agg canvas."""
+    figure = Figure(figsize=(COLUMN_WIDTH_IN, height_in), layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
@@ -145,6 +153,13 @@ def new_axes(height_in: float = HEIGHT_IN) -> tuple[Figure, Axes]:
     """A figure of a column's width with one set of axes."""
     figure = new_figure(height_in)
     return figure, figure.add_subplot()
+
+
+def figure_of(axes: Axes) -> Figure:
+    """The figure that the axes belong to."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    return figure
 
 
 def save(figure: Figure, out_dir: Path, name: str) -> list[Path]:
@@ -157,6 +172,8 @@ def save(figure: Figure, out_dir: Path, name: str) -> list[Path]:
     """
     out_dir = Path(out_dir)
     written = []
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # one layout serves both files; finding it costs as much as drawing
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
         for suffix, metadata in ((".png", {"Software": None}), (".pdf", {"CreationDate": None, "Producer": None})):
@@ -175,3 +192,31 @@ def _write_whole(figure: Figure, path: Path, metadata: dict[str, Any]) -> None:
         os.replace(draft, path)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def log_scale_if_wide(axes: Axes, values: ArrayLike, sign: str = "") -> bool:
+    """Make y logarithmic where the values span more than a decade; zeros, which it cannot show, do not count."""
+    shown = np.asarray(values, dtype=np.float64)
+    shown = shown[np.isfinite(shown) & (shown > 0)]
+    wide = len(shown) > 0 and float(shown.max()) > 10 * float(shown.min())
+    if wide:
+        axes.set_yscale("log", nonpositive="mask")
+        label_log_axis(axes.yaxis, float(shown.min()), float(shown.max()), sign)
+    return wide
+
+
+def label_log_axis(axis: Axis, low: float, high: float, sign: str = "") -> None:
+    """Ticks that fit a logarithmic axis from ``low`` to ``high``: powers of ten, or 1-2-5, or every digit."""
+    decades = np.log10(high / low)
+    every_digit = tuple(np.arange(1.0, 10.0))
+    subs = (1.0,) if decades > 2.5 else (1.0, 2.0, 5.0) if decades > 0.7 else every_digit
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: sign + compact(value)))
+    axis.set_minor_locator(LogLocator(subs=every_digit))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def compact(value: float) -> str:
+    """A tick's number in few characters: ``500``, ``2,000``, ``50k``, ``1.5M``."""
+    text = f"{value / 1e6:g}M" if abs(value) >= 1e6 else f"{value / 1e3:g}k" if abs(value) >= 1e4 else f"{value:,.10g}"
+    return text.replace("-", "\N{MINUS SIGN}")

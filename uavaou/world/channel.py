@@ -48,7 +48,9 @@ def minimum_snr(bandwidth: Floats, rate_min: float) -> Floats:
     Comparing SNRs with it decides R >= R_min exactly as the rate formula would, without a logarithm a slot.
     """
     with np.errstate(over="ignore"):
-        high = np.exp2(rate_min / bandwidth)  # R_min is reached here: log2(1 + 2^x) > x
+        high = np.exp2(rate_min / bandwidth)  # log2(1 + 2^x) >= x, but for rounding
+    while np.any(short := rate(bandwidth, high) < rate_min):
+        high = np.where(short, np.nextafter(high, np.inf), high)
     low = np.zeros_like(high)
     # Bisection over float64 values, by their bit patterns, which order as the values do.
     low_bits, high_bits = low.view(np.int64), high.view(np.int64)
@@ -88,6 +90,15 @@ class Channel:
     def start_mission(self) -> None:
         """Forget the fading drawn ahead: the next slot is the first of a mission."""
         self._gains = self._gains[:0]
+        self._next_in_block = 0
+
+    def ahead(self) -> Floats:
+        """The fading gains drawn and not yet used, (slots, N, U, I)."""
+        return self._gains[self._next_in_block :].copy()
+
+    def set_ahead(self, gains: Floats) -> None:
+        """Use these fading gains, as :meth:`ahead` gave them, before any is drawn."""
+        self._gains = gains.copy()
         self._next_in_block = 0
 
     def mean_snr(self, positions: Floats) -> Floats:

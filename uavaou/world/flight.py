@@ -17,6 +17,7 @@ Bools = NDArray[np.bool_]
 
 STAY, UP, DOWN, RIGHT, LEFT = range(5)
 MOVES: Ints = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]])  # (5, 2) cells: stay, +y, -y, +x, -x
+_UNLIMITED = 10**12  # moves; more than any mission has, and far from overflow
 _IS_MOVING: Ints = np.array([0, 1, 1, 1, 1])  # (5,)
 
 
@@ -31,8 +32,8 @@ class Flight:
         self._vertical = 2 * scenario.altitudes  # (U,) m, take-off and landing
         self.cds: Ints = scenario.cds_cells  # (U, 2)
         affordable = (scenario.flight_time_budget_s + ZETA_TOLERANCE_S) * self._speed - self._vertical
-        moves = np.floor(affordable / self._step).astype(np.int64)
-        # Without (Time), more moves than slots: the budget never binds.
+        moves = np.minimum(np.floor(affordable / self._step), _UNLIMITED).astype(np.int64)
+        # Without (Time), as many moves as there are slots: the budget never binds.
         self.budget: Ints = moves if scenario.flight_time == "enforce" else np.full_like(moves, scenario.slots)  # (U,)
 
     def flight_time(self, flown: Ints) -> NDArray[np.float64]:

@@ -150,7 +150,8 @@ class Views:
         at["to_cds"][...] = (world.flight.cds - world.cells) * (self.scenario.grid_step_m / self._span)
         at["allowed_moves"][...] = world.allowed_moves
         at["slots_left"][...] = self._slots_left(world)
-        at["budget_left"][..., 0] = (world.flight.budget - world.flown) / self.scenario.slots
+        slots = self.scenario.slots
+        at["budget_left"][..., 0] = np.minimum(world.flight.budget - world.flown, slots) / slots
         relative = world.device_positions[:, None] - world.positions[:, :, None]  # (N, U, I, 2) m
         at["to_device_x"][...] = relative[..., 0] / self._span
         at["to_device_y"][...] = relative[..., 1] / self._span

@@ -23,6 +23,31 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
+_STATE = (
+    "cells", "flown", "snr", "last_collection", "last_collection_by",
+    "_age_total", "_communications", "_rejected_rate", "_rejected_association",
+)  # fmt: skip
+_WORD = (1 << 64) - 1
+
+
+def _pack_stream(rng: np.random.Generator) -> NDArray[np.uint64]:
+    """The state of a PCG64 generator as six 64-bit words."""
+    state = rng.bit_generator.state
+    words = [state["state"]["state"], state["state"]["inc"]]
+    halves = [half for word in words for half in (word >> 64, word & _WORD)]
+    return np.array([*halves, state["has_uint32"], state["uinteger"]], dtype=np.uint64)
+
+
+def _unpack_stream(rng: np.random.Generator, packed: NDArray[np.uint64]) -> None:
+    words = [int(word) for word in packed]
+    rng.bit_generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": words[0] << 64 | words[1], "inc": words[2] << 64 | words[3]},
+        "has_uint32": words[4],
+        "uinteger": words[5],
+    }
+
+
 @dataclass(frozen=True)
 class Stepped:
     """What happened in the slot just stepped, in N missions."""
@@ -129,6 +154,7 @@ class World:
         """
         if self.done:
             raise RuntimeError("the mission is over: call reset()")
+        self._check_actions(moves, selections)
         association = associate(self.in_range, self.snr, selections)
         collected = association.collected_by >= 0  # (N, I)
         communications = self.ages.advance(self.slot, self.update_period, collected)
@@ -146,6 +172,16 @@ class World:
         if not self.done:
             self._open_slot()
         return reward
+
+    def _check_actions(self, moves: Ints, selections: Bools | None) -> None:
+        pairs = (self.missions, self.scenario.uavs)
+        if moves.shape != pairs or moves.min() < 0 or moves.max() >= len(MOVES):
+            raise ValueError(f"moves: expected whole numbers 0 to {len(MOVES) - 1} of shape {pairs}, got shape {moves.shape}")
+        if selections is not None and (selections.dtype != bool or selections.shape != (*pairs, self.scenario.devices)):
+            raise ValueError(
+                f"selections: expected booleans of shape {(*pairs, self.scenario.devices)}, "
+                f"got {selections.dtype} of shape {selections.shape}"
+            )
 
     @property
     def done(self) -> bool:
@@ -207,6 +243,38 @@ class World:
             "bandwidth": bandwidth,
             "transmit_power": self._of_mission(self.channel.transmit_power, mission),
         }
+
+    def state_dict(self) -> dict[str, NDArray[Any]]:
+        """Everything that the rest of the mission depends on, the lanes' random streams included, as arrays.
+
+        ``stepped`` is not part of it: a snapshot taken right after :meth:`load_state_dict` is that of slot 0.
+        """
+        arrays = {name: getattr(self, name).copy() for name in _STATE}
+        arrays["slot"] = np.array([self.slot])
+        arrays["pending"], arrays["age_slots"] = self.ages.pending.copy(), self.ages.age_slots.copy()
+        arrays["fading_ahead"] = self.channel.ahead()
+        arrays["streams"] = np.stack([_pack_stream(rng) for rng in self._rngs])  # (N, 6)
+        if not self._fixed_layout:
+            arrays["device_positions"], arrays["update_period"] = self.device_positions, self.update_period
+            arrays["bandwidth"], arrays["transmit_power"] = self.channel.bandwidth, self.channel.transmit_power
+        return arrays
+
+    def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Go on exactly where :meth:`state_dict` was taken, in a World of the same scenario and size."""
+        for name in _STATE:
+            setattr(self, name, arrays[name].copy())
+        self.slot = int(arrays["slot"][0])
+        self.ages.pending, self.ages.age_slots = arrays["pending"].copy(), arrays["age_slots"].copy()
+        for rng, packed in zip(self._rngs, arrays["streams"], strict=True):
+            _unpack_stream(rng, packed)
+        if not self._fixed_layout:
+            self.device_positions, self.update_period = arrays["device_positions"], arrays["update_period"]
+            self.channel.set_devices(self.device_positions, arrays["bandwidth"], arrays["transmit_power"])
+        self.channel.set_ahead(arrays["fading_ahead"])
+        self.stepped = None
+        self.positions = self.cells * self.scenario.grid_step_m
+        self.in_range = self.snr >= self.channel.snr_min
+        self.allowed_moves, self._on_grid = self.flight.allowed(self.cells, self.flown, self.slot)
 
     def layout(self, mission: int = 0) -> Layout:
         """The devices of one mission."""

@@ -74,8 +74,8 @@ class MoveSelectionDistribution(Distribution):
         if uniforms is None:
             uniforms = th.rand((batch, MOVES + self.devices), device=self.move_log_probs.device)
         # Gumbel-max: a masked move has log-probability -1e9 and never wins.
-        gumbel = -th.log(-th.log(uniforms[:, :MOVES].clamp_min(1e-12)).clamp_min(1e-12))
-        move = (self.move_log_probs + gumbel).argmax(dim=1)
+        exponential = (-th.log(uniforms[:, :MOVES].clamp_min(1e-12))).clamp_min(1e-12)
+        move = (self.move_log_probs - th.log(exponential)).argmax(dim=1)
         return self._action(move, uniforms[:, MOVES:] < th.sigmoid(self.selection_logits))
 
     def mode(self) -> th.Tensor:

@@ -93,6 +93,12 @@ class CentralizedValuePolicy(ActorCriticPolicy):
         in_range = None if self._in_range is None else local[:, self._in_range]
         return MoveSelectionDistribution(self.action_dist.devices).proba_distribution(logits, allowed, in_range)
 
+    @th.no_grad()
+    def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
+        """Actions (B, 1 + I) for local observations (B, local): the likeliest, or drawn from ``uniforms`` (B, 5 + I)."""
+        distribution = self.action_distribution(local)
+        return distribution.mode() if uniforms is None else distribution.sample(uniforms)
+
     def normalised_values(self, critic_rows: th.Tensor) -> th.Tensor:
         """Normalised values of critic inputs (B, global) or, for IPPO, (B, local); (B,)."""
         values: th.Tensor = self.value_net(self.critic_body(critic_rows))

@@ -14,6 +14,7 @@ from torch.nn import functional as F
 
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
+from uavaou.errors import unknown
 
 ADVANTAGES = ("none", "rollout", "batch")
 
@@ -58,8 +59,6 @@ class MAPPO(PPO):
         **kwargs: Any,
     ) -> None:
         if advantage_normalization not in ADVANTAGES:
-            from uavaou.errors import unknown
-
             raise unknown("advantage_normalization", advantage_normalization, ADVANTAGES)
         self.advantage_normalization = advantage_normalization
         self.critic_learning_rate = critic_learning_rate
@@ -73,11 +72,14 @@ class MAPPO(PPO):
         }
         kwargs.setdefault("rollout_buffer_class", SlotRolloutBuffer)
         kwargs.setdefault("rollout_buffer_kwargs", buffer_kwargs)
+        rows_in_rollout = n_steps * (1 if env is None else env.num_envs)
         super().__init__(
-            policy, env, learning_rate=learning_rate, n_steps=n_steps, batch_size=batch_size, n_epochs=n_epochs,
+            # SB3 warns of minibatches that do not divide the rollout; here the last one is whole slots all the same.
+            policy, env, learning_rate=learning_rate, n_steps=n_steps, batch_size=rows_in_rollout, n_epochs=n_epochs,
             gamma=gamma, gae_lambda=gae_lambda, clip_range=clip_range, ent_coef=ent_coef, vf_coef=vf_coef,
             max_grad_norm=max_grad_norm, policy_kwargs=policy_kwargs, **kwargs,
         )  # fmt: skip
+        self.batch_size = batch_size
 
     def train(self) -> None:
         """Update actor and critic from the rollout just collected."""

@@ -1,0 +1,18 @@
+"""``uavaou audit``: the link budget of a scenario, and whether its numbers fit together."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+
+def audit(
+    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A preset's name, or the path of a YAML file.")],
+) -> None:
+    """Check a scenario: the link budget of every device, and what does not fit together."""
+    from uavaou.reports.audit import audit as audit_scenario
+    from uavaou.reports.audit import audit_lines
+    from uavaou.scenario import Scenario
+
+    print("\n".join(audit_lines(audit_scenario(Scenario.load(scenario)))))

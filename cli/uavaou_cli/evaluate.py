@@ -1,0 +1,171 @@
+"""``uavaou eval``: trained runs and planners on the same missions."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from uavaou.errors import InputError
+from uavaou_cli.checks import LARGEST_SEED, MOST_EPISODES, one_of, within, writable_file
+from uavaou_cli.overrides import Overrides, parse_overrides
+
+if TYPE_CHECKING:
+    from uavaou.experiments.evaluation import Evaluation
+    from uavaou.experiments.folder import RunConfig
+    from uavaou.planners.base import Planner
+    from uavaou.scenario import Scenario
+
+ACTIONS = ("greedy", "sample")
+
+
+@dataclass(frozen=True)
+class Missions:
+    """What every policy plays."""
+
+    scenario: Scenario
+    episodes: int
+    seed: int
+
+
+def evaluate(
+    runs: Annotated[list[str] | None, typer.Argument(metavar="RUN", help="Folders of training runs.")] = None,
+    policy: Annotated[
+        list[str] | None, typer.Option(metavar="random|stay|greedy", help="A planner beside them. Repeatable.")
+    ] = None,
+    scenario: Annotated[
+        str | None, typer.Option(metavar="NAME", help="A preset or a YAML file. [default: the runs' own, else paper]")
+    ] = None,
+    episodes: Annotated[int, typer.Option(metavar="N", help="Missions that each policy plays.")] = 100,
+    seed: Annotated[int, typer.Option(metavar="N", help="Mission j is seeded with N + j.")] = 10_000,
+    action: Annotated[
+        str | None,
+        typer.Option(metavar="greedy|sample", help="Of trained policies. [default: what was better in validation]"),
+    ] = None,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures of every mission.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD. Repeatable.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+) -> None:
+    """Evaluate trained runs and planners, all on the same missions.
+
+    A run evaluated on its own scenario also gets RUN/eval/default.json, which `uavaou plot figures` draws.
+    """
+    within("--episodes", episodes, 1, MOST_EPISODES)
+    within("--seed", seed, 0, LARGEST_SEED)
+    if action is not None:
+        one_of("--action", action, ACTIONS)
+    overrides = parse_overrides(set_ or [])
+    folders, planners = list(dict.fromkeys(runs or [])), list(dict.fromkeys(policy or []))
+    configs = _read_configs(folders, planners)
+    missions = Missions(_choose_scenario(configs, scenario, overrides), episodes, seed)
+    if json is not None:
+        writable_file(json)
+    own = scenario is None and not overrides.scenario
+    _play_and_report(missions, _policies(configs, planners, missions, action), configs if own else {}, overrides, json, quiet)
+
+
+def _read_configs(folders: list[str], planners: list[str]) -> dict[str, RunConfig]:
+    from uavaou.experiments.folder import RunFolder
+    from uavaou.planners import PLANNERS
+
+    if not folders and not planners:
+        raise InputError(f"nothing to evaluate: give run folders, or --policy with one of {', '.join(PLANNERS)}")
+    for name in folders:
+        if name in PLANNERS and not Path(name).exists():
+            raise InputError(f"run folder '{name}' does not exist; for the planner of that name, write --policy {name}")
+    return {name: RunFolder(Path(name)).read_config() for name in folders}
+
+
+def _choose_scenario(configs: dict[str, RunConfig], name: str | None, overrides: Overrides) -> Scenario:
+    from uavaou.scenario import Scenario
+
+    if overrides.algorithm:
+        key = next(iter(overrides.algorithm))
+        raise InputError(f"--set algorithm.{key}: a trained run is evaluated as it is; only scenario.* can be set here")
+    if name is not None or not configs:
+        return overrides.of_scenario(Scenario.load(name or "paper"))
+    first, *others = configs
+    for other in others:
+        if configs[other].scenario != configs[first].scenario:
+            raise InputError(
+                f"'{first}' and '{other}' were trained on different scenarios: say with --scenario which one to play"
+            )
+    return overrides.of_scenario(configs[first].scenario)
+
+
+def _policies(
+    configs: dict[str, RunConfig], planners: list[str], missions: Missions, action: str | None
+) -> dict[str, Planner]:
+    from uavaou.planners import make_planner
+
+    made = {name: make_planner(name) for name in planners}  # a misspelled one fails before torch is imported
+    if not configs:
+        return made
+    from uavaou.experiments.folder import RunFolder
+    from uavaou.experiments.trained import load_run
+
+    return {name: load_run(RunFolder(Path(name)), missions.scenario, action) for name in configs} | made
+
+
+def _play_and_report(
+    missions: Missions,
+    policies: dict[str, Planner],
+    own: dict[str, RunConfig],
+    overrides: Overrides,
+    json: Path | None,
+    quiet: bool,
+) -> None:
+    from uavaou.experiments.evaluation import evaluate as play
+    from uavaou_cli.progress import EvaluationProgress
+    from uavaou_cli.tables import evaluation_lines
+
+    results: dict[str, Evaluation] = {}
+    with EvaluationProgress(list(policies), missions.episodes * missions.scenario.slots, quiet) as progress:
+        for name, policy in policies.items():
+            progress.start(name)
+            results[name] = play(missions.scenario, policy, missions.episodes, missions.seed, progress.after_slot)
+    actions = {name: getattr(policy, "action", None) for name, policy in policies.items()}
+    try:
+        notes = _write(missions, results, actions, own, json)
+    finally:  # hours of figures are shown even if a disk has filled meanwhile
+        print("\n".join(evaluation_lines(missions.scenario, results, actions, missions.seed, overrides.scenario)))
+    if not quiet:
+        print("\n".join(notes), file=sys.stderr)
+
+
+def _write(
+    missions: Missions,
+    results: dict[str, Evaluation],
+    actions: dict[str, str | None],
+    own: dict[str, RunConfig],
+    json: Path | None,
+) -> list[str]:
+    """Write the files; returns a note on each."""
+    from uavaou.experiments.evaluation import to_json
+    from uavaou.experiments.folder import write_json
+
+    scenario = missions.scenario
+    head = {"scenario": scenario.name, "episodes": missions.episodes, "seed": missions.seed}
+    content = {name: to_json(result, scenario, actions[name]) for name, result in results.items()}
+    notes = []
+    for run, config in own.items():
+        # Under the algorithm's name, by which the figures know the run's own policy; planners stand beside it.
+        beside = {name: entry for name, entry in content.items() if actions[name] is None}
+        path = Path(run) / "eval" / "default.json"
+        try:
+            write_json(path, head | {"policies": {config.algorithm.name: content[run]} | beside})
+            notes.append(f"wrote {path}")
+        except OSError as error:
+            notes.append(f"not written: {path}: {error.strerror or error}")
+    if json is not None:
+        try:
+            write_json(json, head | {"policies": content})
+        except OSError as error:
+            raise InputError(f"cannot write '{json}': {error.strerror or error}") from error
+        notes.append(f"wrote {json}")
+    return notes

@@ -1,0 +1,119 @@
+"""The command ``uavaou``: its subcommands, and how what goes wrong reaches the user.
+
+Nothing heavy is imported here or at the top of a command's module: ``uavaou --help`` must answer at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from uavaou.errors import InputError, nearest, unknown
+from uavaou_cli import audit, evaluate, plot, scenarios, train
+
+BAD_INPUT = 2
+INTERRUPTED = 130  # 128 + SIGINT, as shells report it
+
+# Typer exports one usage error; what that derives from is all of them, wherever this Typer keeps its Click.
+_USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
+
+
+class _Commands(TyperGroup):
+    """Names the nearest command where there is none of that name, whatever the version of Typer."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            raise unknown("command", args[0], self.list_commands(ctx))
+        return super().resolve_command(ctx, args)
+
+
+_STYLE: dict[str, Any] = {
+    "cls": _Commands,
+    "invoke_without_command": True,
+    "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    "rich_markup_mode": None,  # rich alone takes longer to import than the help takes to print
+}
+app = typer.Typer(**_STYLE, add_completion=False, pretty_exceptions_enable=False)
+app.command("train", short_help="Train a policy.")(train.train)
+app.command("eval", short_help="Play trained runs and planners on the same missions.")(evaluate.evaluate)
+plots = typer.Typer(**_STYLE, help="Draw the figures of training runs, or one mission.")
+plots.command("figures", short_help="Draw the figures of training runs.")(plot.figures)
+plots.command("trajectories", short_help="Draw one mission of a run.")(plot.trajectories)
+app.add_typer(plots, name="plot")
+app.command("audit", short_help="Check a scenario's link budget and numbers.")(audit.audit)
+app.command("scenarios", short_help="List the scenarios that come with uavaou.")(scenarios.scenarios)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from uavaou import __version__
+
+        print(f"uavaou {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    ctx: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Train, evaluate and explain teams of UAVs that keep IoT data fresh.
+
+    Start with:  uavaou train --scenario quickstart
+    """
+    _help_when_alone(ctx)
+
+
+@plots.callback()
+def _plots(ctx: typer.Context) -> None:
+    _help_when_alone(ctx)
+
+
+def _help_when_alone(ctx: typer.Context) -> None:
+    if ctx.invoked_subcommand is None:
+        print(ctx.get_help())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 0, 2 for bad input, 130 when interrupted.
+
+    Bad input is one line on stderr. Any other exception is a bug and keeps its traceback.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = app(arguments, prog_name="uavaou", standalone_mode=False, obj={"arguments": arguments})
+        sys.stdout.flush()  # a reader that has gone away shows here, not in the interpreter's last moments
+    except InputError as error:
+        return _complain(str(error), BAD_INPUT)
+    except _USAGE_ERROR as error:
+        return _complain(_explain_usage(error), BAD_INPUT)
+    except (typer.Abort, KeyboardInterrupt):
+        return _complain("interrupted", INTERRUPTED)
+    except BrokenPipeError:  # uavaou ... | head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return code if isinstance(code, int) else 0
+
+
+def _complain(message: str, code: int) -> int:
+    print(f"uavaou: {message}", file=sys.stderr)
+    return code
+
+
+def _explain_usage(error: Any) -> str:
+    """A usage error of Typer's as one line, with the nearest option and where to read on."""
+    ctx = getattr(error, "ctx", None)
+    if hasattr(error, "possibilities"):
+        options = [name for param in ctx.command.params for name in param.opts] if ctx is not None else []
+        message = f"unknown option '{error.option_name}'{nearest(error.option_name, options)}"
+    else:
+        message = " ".join(error.format_message().split()).rstrip(".")
+        message = message[:1].lower() + message[1:]
+    return f"{message} (see {ctx.command_path} --help)" if ctx is not None else message

@@ -1,0 +1,153 @@
+"""What the commands print: lines of plain text that fit 80 columns and survive a pipe."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from uavaou.experiments.evaluation import Evaluation
+    from uavaou.experiments.folder import RunConfig
+    from uavaou.experiments.run import Outcome
+    from uavaou.experiments.statistics import Interval
+    from uavaou.scenario import Scenario
+
+WIDTH = 80
+_GAP = "  "
+
+
+def scenario_lines(scenarios: Sequence[Scenario]) -> list[str]:
+    """The presets: a line of sizes and a line of words each."""
+    rows = [("scenario", "UAVs", "devices", "slots", "area")]
+    for scenario in scenarios:
+        area = f"{scenario.area_x_m:g} m x {scenario.area_y_m:g} m"
+        rows.append((scenario.name, str(scenario.uavs), str(scenario.devices), str(scenario.slots), area))
+    sizes = _aligned(rows)
+    lines = sizes[:1]
+    for line, scenario in zip(sizes[1:], scenarios, strict=True):
+        lines += [line, *textwrap.wrap(scenario.description, WIDTH, initial_indent="  ", subsequent_indent="  ")]
+    return lines
+
+
+def training_lines(outcome: Outcome, config: RunConfig) -> list[str]:
+    """How a training ended, and what to type next."""
+    progress, folder = outcome.progress, outcome.folder.path
+    lines = [
+        f"trained {config.algorithm.name} on {config.scenario.name}: "
+        f"{progress.slots:,} slots, {outcome.agent_steps:,} agent steps, {_duration(progress.wall_s)}",
+        f"run folder:      {folder}",
+    ]
+    if progress.best_score is not None:
+        in_slots = progress.best_score / config.scenario.slot_length_s
+        lines.append(
+            f"best validation: mean AoU {_figure(progress.best_score)} s = {_figure(in_slots)} slots, "
+            f"{progress.best_action} actions"
+        )
+    command = ["uavaou", "eval", str(folder), "--policy", "random", "--policy", "greedy"]
+    return [*lines, f"next:            {shlex.join(command)}"]
+
+
+def evaluation_lines(
+    scenario: Scenario,
+    results: Mapping[str, Evaluation],
+    actions: Mapping[str, str | None],
+    seed: int,
+    overrides: Mapping[str, str],
+) -> list[str]:
+    """A table of policies: means, each with its 95 % interval below."""
+    episodes = len(next(iter(results.values())).aou_over_time_s)
+    changed = " with " + ", ".join(f"{key}={value}" for key, value in sorted(overrides.items())) if overrides else ""
+    seeds = f"seeds {seed} to {seed + episodes - 1}" if episodes > 1 else f"seed {seed}"
+    missions = "missions" if episodes > 1 else "mission"
+    lines = textwrap.wrap(f"{scenario.name}{changed}: {episodes:,} {missions}, {seeds}", WIDTH)
+    heads = [
+        ("", ""),
+        ("action", ""),
+        ("mean AoU", "(s)"),
+        ("mean AoU", "(slots)"),
+        ("communi-", "cations"),
+        ("devices", f"of {scenario.devices}"),
+        ("viola-", "tions"),
+    ]
+    rows = [(name, *_cells(scenario, result, actions[name])) for name, result in results.items()]
+    lines += ["", *_two_line_table(heads, rows)]
+    for name, result in results.items():
+        broken = ", ".join(f"{key} {count:,}" for key, count in result.violations.items() if count)
+        if broken:
+            lines += ["", f"{name} broke constraints: {broken}"]
+    return [*lines, "", "below each mean: its 95 % interval over missions" if episodes > 1 else "one mission has no interval"]
+
+
+def _cells(scenario: Scenario, result: Evaluation, action: str | None) -> list[tuple[str, str]]:
+    from uavaou.experiments.statistics import interval
+
+    aou = result.values("mean_aou_s")
+    return [
+        (action or "-", ""),
+        _with_interval(interval(aou)),
+        _with_interval(interval(aou / scenario.slot_length_s)),
+        _with_interval(interval(result.values("communications"))),
+        _with_interval(interval(result.values("devices_served"))),
+        (f"{sum(result.violations.values()):,}", ""),
+    ]
+
+
+def _two_line_table(
+    heads: Sequence[tuple[str, str]], rows: Sequence[tuple[str, *tuple[tuple[str, str], ...]]]
+) -> list[str]:
+    """Rows of two lines; a name too long for 80 columns stands on a line of its own."""
+    columns = [list(column) for column in zip(heads[1:], *(row[1:] for row in rows), strict=True)]
+    widths = [max(len(part) for cell in column for part in cell) for column in columns]
+    room = WIDTH - sum(width + len(_GAP) for width in widths)
+    short = [len(row[0]) for row in rows if len(row[0]) <= room]
+    first = max([2, *short])
+
+    def line(name: str, parts: Sequence[str]) -> str:
+        figures = (part.rjust(width) for part, width in zip(parts, widths, strict=True))
+        return _GAP.join([name.ljust(first), *figures]).rstrip()
+
+    lines = [line("", [cell[k] for cell in heads[1:]]) for k in (0, 1)]
+    for name, *cells in rows:
+        upper, lower = ([cell[k] for cell in cells] for k in (0, 1))
+        lines += [line(name, upper)] if len(name) <= room else [name, line("", upper)]
+        lines += [line("", lower)] if any(lower) else []
+    return lines
+
+
+def _with_interval(found: Interval) -> tuple[str, str]:
+    digits = _digits(found.mean)
+    if math.isnan(found.low):
+        return f"{found.mean:,.{digits}f}", ""
+    return f"{found.mean:,.{digits}f}", f"{found.low:,.{digits}f}..{found.high:,.{digits}f}"
+
+
+def _figure(value: float) -> str:
+    return f"{value:,.{_digits(value)}f}"
+
+
+def _digits(value: float) -> int:
+    """Decimals that show four digits, two decimals at most."""
+    size = abs(value)
+    return 0 if size >= 1000 else 1 if size >= 100 else 2
+
+
+def _duration(seconds: float) -> str:
+    whole = round(seconds)
+    if whole < 60:
+        return f"{seconds:.1f} s"
+    hours, rest = divmod(whole, 3600)
+    return f"{hours} h {rest // 60} min" if hours else f"{rest // 60} min {rest % 60} s"
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Columns of text: the first and the last to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for row in rows:
+        cells = [cell.rjust(width) for cell, width in zip(row, widths, strict=True)]
+        cells[0], cells[-1] = row[0].ljust(widths[0]), row[-1]
+        lines.append(_GAP.join(cells))
+    return lines

@@ -1,0 +1,86 @@
+"""``uavaou train``: one training run, or the rest of one."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from uavaou.errors import InputError
+from uavaou_cli.checks import LARGEST_SEED, available_device, one_of, within, writable_folder
+from uavaou_cli.overrides import parse_overrides
+
+if TYPE_CHECKING:
+    from uavaou.experiments.folder import RunConfig, RunFolder
+
+DEVICES = ("auto", "cpu", "cuda")
+BACKENDS = ("batched", "supersuit")
+
+
+def train(
+    ctx: typer.Context,
+    scenario: Annotated[str, typer.Option(metavar="NAME", help="A preset (see `uavaou scenarios`) or a YAML file.")] = "paper",
+    algorithm: Annotated[str, typer.Option(metavar="mappo|ippo", help="What learns.")] = "mappo",
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the training; two seeds never share a mission.")] = 0,
+    slots: Annotated[
+        int | None, typer.Option(metavar="N", help="Budget, in slots of all missions. [default: as published]")
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder of all results.")] = Path("results"),
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")] = False,
+    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where the networks run.")] = "auto",
+    backend: Annotated[
+        str, typer.Option(metavar="batched|supersuit", help="What steps the missions; same rows, the first is faster.")
+    ] = "batched",
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD or algorithm.FIELD. Repeatable."),
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+) -> None:
+    """Train a policy; without options, MAPPO on `paper` to the published budget.
+
+    Writes DIR/<scenario>/<algorithm>/seed-<N>/, and prints what to type next.
+    """
+    one_of("--device", device, DEVICES)
+    one_of("--backend", backend, BACKENDS)
+    within("--seed", seed, 0, LARGEST_SEED)
+    config, folder = _plan(scenario, algorithm, seed, slots, out, set_ or [])
+    writable_folder(folder.path)
+    available_device(device)
+    if resume and not folder.exists() and not quiet:
+        print(f"no run in '{folder.path}' yet: starting one", file=sys.stderr)
+    try:
+        from uavaou.experiments.run import train as run_training
+        from uavaou_cli.tables import training_lines
+
+        outcome = run_training(config, folder, device, backend, resume, quiet)
+    except KeyboardInterrupt:
+        _say_how_to_resume(folder, ctx.obj["arguments"])
+        raise typer.Exit(130) from None
+    print("\n".join(training_lines(outcome, config)))
+
+
+def _plan(
+    scenario: str, algorithm: str, seed: int, slots: int | None, out: Path, items: list[str]
+) -> tuple[RunConfig, RunFolder]:
+    """What to train, and the folder that is its own."""
+    from uavaou.experiments.folder import RunConfig, run_folder
+    from uavaou.scenario import Scenario
+
+    overrides = parse_overrides(items)
+    if slots is not None:
+        within("--slots", slots, 1)
+        if "slots" in overrides.algorithm:
+            raise InputError("--slots and --set algorithm.slots: give one of them")
+        overrides.algorithm["slots"] = str(slots)
+    base = Scenario.load(scenario)
+    config = RunConfig(overrides.of_scenario(base), overrides.of_algorithm(algorithm), seed)
+    return config, run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)
+
+
+def _say_how_to_resume(folder: RunFolder, arguments: list[str]) -> None:
+    again = [*arguments] if "--resume" in arguments or not folder.exists() else [*arguments, "--resume"]
+    print(f"uavaou: interrupted; to go on: {shlex.join(['uavaou', *again])}", file=sys.stderr)

@@ -1,0 +1,159 @@
+"""The audit finds what is wrong from the numbers, and keeps quiet where nothing is."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+
+from tests.strategies import scenarios
+from uavaou.reports.audit import Audit, Finding, audit, audit_lines
+from uavaou.scenario import Scenario
+from uavaou.zoo import zoo_names
+
+
+def finding(result: Audit, check: str) -> Finding:
+    """The first finding of a check, which is its gravest."""
+    return next(f for f in result.findings if f.check == check)
+
+
+def checks(result: Audit) -> set[str]:
+    return {f.check for f in result.findings}
+
+
+@pytest.fixture(scope="module")
+def table_1() -> Audit:
+    return audit(Scenario.load("paper-table1"))
+
+
+@pytest.mark.parametrize(
+    ("check", "level", "number"),
+    [
+        ("rate", "error", 1.0),
+        ("reference gain", "error", 0.0),
+        ("grid step", "error", 0.045),
+        ("take-off", "error", 100 / 15),
+        ("flight time", "error", 200 / 15),
+        ("noise", "warning", 39.0),
+    ],
+)
+def test_table_1_errors(table_1: Audit, check: str, level: str, number: float) -> None:
+    found = finding(table_1, check)
+    assert found.level == level
+    assert found.number == pytest.approx(number, abs=0.05 if check == "noise" else 1e-9)
+    assert found.change
+
+
+def test_table_1_in_words(table_1: Audit) -> None:
+    messages = " ".join(f.message for f in table_1.findings)
+    for words in (
+        "4.5 cm in a slot",
+        "22.5 m in the whole mission",
+        "5.33-6.67 s exceeds the slot",
+        "no flight is feasible",
+    ):
+        assert words in messages
+    assert 1e10 < finding(table_1, "far corner").number < 1e11
+    assert finding(table_1, "bandwidth").number > 1.5e9
+    assert all(device.lowest_probability > 1 - 1e-10 for device in table_1.devices)
+
+
+@pytest.mark.parametrize("name", sorted(set(zoo_names("scenarios")) - {"paper-table1"}))
+def test_the_other_presets_have_no_error(name: str) -> None:
+    result = audit(Scenario.load(name))
+    assert not result.of_level("error")
+    assert finding(result, "rate").level == "note"
+
+
+def test_the_paper_preset_says_what_binds() -> None:
+    scenario = Scenario.load("paper")
+    result = audit(scenario)
+    assert not result.of_level("warning")
+    assert finding(result, "flight time").number == 498
+    assert len(result.devices) == 25
+    assert result.devices[3].radius_m == pytest.approx((145, 139, 132), abs=1)
+
+
+# Without fading and at 15 kHz these powers reach 213, 95 and 48 m: every UAV, the lower one alone, neither.
+BASE = Scenario.load("tiny").replace(
+    altitudes_m=[80, 100],
+    devices=3,
+    devices_m=[[0, 0], [100, 100], [200, 0]],
+    transmit_power_mw=[1.0, 0.2, 0.05],
+)
+
+
+def test_a_device_out_of_every_range_is_a_warning_and_of_one_a_note() -> None:
+    result = audit(BASE)
+    assert [f.level for f in result.findings if f.check == "never served"] == ["warning"]
+    assert "device 2 can never be served" in finding(result, "never served").message
+    (note,) = [f for f in result.findings if f.check == "out of range"]
+    assert note.level == "note"
+    assert note.message.startswith("device 1:")
+    assert "UAV 1" in note.message
+    assert math.isnan(result.devices[2].radius_m[0])
+    assert result.devices[2].best_probability == 0
+
+
+def test_a_device_that_only_fading_serves_is_told_apart_from_one_never_served() -> None:
+    lucky = audit(BASE.replace(fading="rician", rician_factor=0, slots=1000, flight_time_budget_s=7000))
+    assert finding(lucky, "out of range").level == "warning"
+    assert finding(lucky, "out of range").message.startswith("device 2:")
+    assert "never served" not in checks(lucky)
+
+
+def test_a_uav_that_need_not_fly_is_an_error() -> None:
+    result = audit(BASE.replace(devices=1, devices_m=[[1, 0]], transmit_power_mw=0.3))
+    assert finding(result, "rate").level == "error"
+    assert "not flying at all" in finding(result, "rate").message
+
+
+def test_time_that_does_not_fit_together() -> None:
+    slow = audit(BASE.replace(speed_m_s=10))
+    assert finding(slow, "grid step").level == "error"
+    assert finding(slow, "take-off").level == "warning"
+    assert "at least grid_step_m / speed_m_s = 10," in finding(slow, "grid step").change
+    fast = audit(BASE.replace(speed_m_s=30))
+    assert finding(fast, "grid step").level == "note"
+    assert "take-off" not in checks(fast)
+
+
+def test_a_round_trip_that_the_budget_does_not_allow_is_a_warning() -> None:
+    scenario = BASE.replace(transmit_power_mw=[0.3, 0.3, 0.3], altitudes_m=[80, 79])
+    assert "round trip" not in checks(audit(scenario))
+    result = audit(scenario.replace(flight_time_budget_s=(160 + 300) / 15))  # three moves: one out, one home
+    assert [f.level for f in result.findings if f.check == "round trip"] == ["warning", "note"]
+    assert "devices 1, 2" in finding(result, "round trip").message
+
+
+def test_a_resampled_layout_is_audited_on_the_layout_seed_and_says_so() -> None:
+    scenario = Scenario.load("quickstart").replace(layout_seed=5)
+    resampled = audit(scenario.replace(layout="resample"))
+    assert resampled.devices == audit(scenario).devices
+    assert "layout_seed = 5" in finding(resampled, "layout").message
+
+
+def test_blocks_of_devices_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = Scenario.load("quickstart")
+    whole = audit(scenario)
+    monkeypatch.setattr("uavaou.reports.audit._BLOCK", 3 * 2 * 25)
+    assert audit(scenario) == whole
+
+
+def test_the_text_is_an_aligned_table_and_a_line_for_each_finding(table_1: Audit) -> None:
+    lines = audit_lines(table_1)
+    table = lines[2 : 2 + 26]
+    assert len({len(line) for line in table}) == 1
+    assert max(len(line) for line in lines) <= 120
+    assert sum(line.startswith(("error ", "warning ", "note ")) for line in lines) == len(table_1.findings)
+    assert lines[-1] == "5 errors, 3 warnings, 1 note"
+
+
+@settings(max_examples=40)
+@given(scenarios())
+def test_any_valid_scenario_can_be_audited(scenario: Scenario) -> None:
+    result = audit(scenario)
+    assert len(result.devices) == scenario.devices
+    assert all(math.isfinite(f.number) for f in result.findings)
+    assert audit_lines(result)

@@ -1,0 +1,231 @@
+"""MAPPO and IPPO: the action head, who reads what, the rollout of whole slots, value normalisation, learning."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from stable_baselines3.common.buffers import RolloutBuffer
+
+from uavaou import IPPO, MAPPO, InputError, Scenario, flatten
+from uavaou.algorithms.common.action_head import MoveSelectionDistribution
+from uavaou.algorithms.common.value_norm import PopArt
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Iterator[None]:
+    before = th.get_num_threads()
+    th.set_num_threads(1)
+    yield
+    th.set_num_threads(before)
+
+
+def small_model(learner: type[MAPPO] = MAPPO, collection: str = "select", **arguments: Any) -> MAPPO:
+    env = flatten(Scenario.load("quickstart").replace(slots=12), missions=4, collection=collection)
+    settings: dict[str, Any] = {"n_steps": 6, "batch_size": 16, "seed": 0, "device": "cpu"} | arguments
+    return learner("CentralizedValuePolicy", env, **settings)
+
+
+def head(batch: int = 1, seed: int = 0) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+    generator = th.Generator().manual_seed(seed)
+    logits = th.randn((batch, 5 + 3), generator=generator)
+    allowed = th.tensor([1.0, 1.0, 0.0, 1.0, 0.0]).expand(batch, 5)
+    in_range = th.tensor([1.0, 0.0, 1.0]).expand(batch, 3)
+    return logits, allowed, in_range
+
+
+def test_log_probability_and_entropy_are_torchs() -> None:
+    logits, allowed, in_range = head(64)
+    masked = th.where(allowed > 0, logits[:, :5], -1e9)
+    move = th.distributions.Categorical(logits=masked)
+    bits = th.distributions.Bernoulli(logits=logits[:, 5:])
+    distribution = MoveSelectionDistribution(3).proba_distribution(logits, allowed, in_range)
+    actions = distribution.sample()
+    log_prob = move.log_prob(actions[:, 0]) + (bits.log_prob(actions[:, 1:].float()) * in_range).sum(1)
+    entropy = move.entropy() + (bits.entropy() * in_range).sum(1)
+    th.testing.assert_close(distribution.log_prob(actions), log_prob)
+    th.testing.assert_close(distribution.entropy(), entropy)
+
+
+def test_samples_have_the_distributions_frequencies_and_respect_masks() -> None:
+    logits, allowed, in_range = head()
+    draws = 40_000
+    distribution = MoveSelectionDistribution(3).proba_distribution(
+        logits.expand(draws, -1), allowed.expand(draws, -1), in_range.expand(draws, -1)
+    )
+    th.manual_seed(0)
+    actions = distribution.sample()
+    moves = th.bincount(actions[:, 0], minlength=5) / draws
+    th.testing.assert_close(moves, distribution.move_log_probs[0].exp(), atol=0.01, rtol=0)
+    assert moves[2] == moves[4] == 0
+    selected = actions[:, 1:].float().mean(0)
+    th.testing.assert_close(selected, th.sigmoid(logits[0, 5:]) * in_range[0], atol=0.01, rtol=0)
+
+
+def test_the_mode_is_the_likeliest_of_all_actions() -> None:
+    logits, allowed, in_range = head(20, seed=3)
+    distribution = MoveSelectionDistribution(3).proba_distribution(logits, allowed, in_range)
+    every = [[m, a, b, c] for m in range(5) for a in (0, 1) for b in (0, 1) for c in (0, 1)]
+    likelihood = th.stack([distribution.log_prob(th.tensor([action] * 20)) for action in every], dim=1)
+    best = likelihood.max(dim=1).values
+    th.testing.assert_close(distribution.log_prob(distribution.mode()), best)
+
+
+def test_the_same_uniforms_give_the_same_actions_and_extremes_are_safe() -> None:
+    logits, allowed, in_range = head(2)
+    distribution = MoveSelectionDistribution(3).proba_distribution(logits, allowed, in_range)
+    for value in (0.0, 0.5, 1 - 2**-24):
+        actions = distribution.sample(th.full((2, 8), value))
+        assert all(allowed[0, move] > 0 for move in actions[:, 0])
+        assert not actions[:, 2].any()
+
+
+@pytest.mark.parametrize("collection", ["select", "auto"])
+@pytest.mark.parametrize("learner", [MAPPO, IPPO])
+def test_the_actor_reads_the_local_part_alone(learner: type[MAPPO], collection: str) -> None:
+    model = small_model(learner, collection)
+    model.learn(200)
+    local_size = model.env.get_attr("local_size")[0] if model.env.has_attr("local_size") else model.env.local_size
+    rows = th.from_numpy(model.env.reset())
+    tampered = rows.clone()
+    tampered[:, local_size:] = th.randn_like(tampered[:, local_size:]) * 100
+    for deterministic in (True, False):
+        th.manual_seed(1)
+        one = model.policy(rows, deterministic=deterministic)[0]
+        th.manual_seed(1)
+        other = model.policy(tampered, deterministic=deterministic)[0]
+        assert th.equal(one, other)
+    rows.requires_grad_(True)
+    model.policy.get_distribution(rows).log_prob(one).sum().backward()
+    assert rows.grad is not None
+    assert (rows.grad[:, local_size:] == 0).all()
+    assert (rows.grad[:, :local_size] != 0).any()
+
+
+def test_the_critic_reads_the_global_part_alone_and_ippos_the_local() -> None:
+    for learner, reads_global in ((MAPPO, True), (IPPO, False)):
+        model = small_model(learner)
+        rows = th.from_numpy(model.env.reset()).requires_grad_(True)
+        model.policy.predict_values(rows).sum().backward()
+        assert rows.grad is not None
+        local, state = rows.grad[:, : model.env.local_size], rows.grad[:, model.env.local_size :]
+        assert bool((state != 0).any()) == reads_global
+        assert bool((local != 0).any()) != reads_global
+
+
+def test_one_value_a_slot_equals_one_a_row() -> None:
+    model = small_model()
+    rows = th.from_numpy(model.env.reset())
+    shared = model.policy.predict_values(rows)
+    one_by_one = th.cat([model.policy.predict_values(row[None]) for row in rows])
+    th.testing.assert_close(shared, one_by_one)
+    mixed = rows[[0, 3, 5, 6]]  # rows of different slots are not taken for teammates
+    th.testing.assert_close(model.policy.predict_values(mixed), one_by_one[[0, 3, 5, 6]])
+
+
+def test_sb3s_policy_methods_agree_with_each_other() -> None:
+    model = small_model()
+    rows = th.from_numpy(model.env.reset())
+    actions, values, log_prob = model.policy(rows)
+    again = model.policy.evaluate_actions(rows, actions)
+    th.testing.assert_close(again[0], values)
+    th.testing.assert_close(again[1], log_prob)
+    assert again[2].shape == (8,)
+    alone, _ = model.predict(rows.numpy()[0], deterministic=True)
+    batch, _ = model.predict(rows.numpy(), deterministic=True)
+    local, _ = model.predict(rows.numpy()[:, : model.env.local_size], deterministic=True)
+    np.testing.assert_array_equal(alone, batch[0])
+    np.testing.assert_array_equal(local, batch)
+
+
+def test_advantages_and_returns_are_those_of_sb3s_buffer() -> None:
+    model = small_model(n_steps=30)  # across two mission ends
+    model.learn(30 * 8)
+    ours = model.rollout_buffer
+    rows = 8
+    theirs = RolloutBuffer(30, model.observation_space, model.action_space, "cpu", 0.95, 0.98, rows)
+    repeat = lambda array: np.repeat(array[..., 0], 2, axis=1)  # noqa: E731
+    theirs.values, theirs.rewards = repeat(ours.values), repeat(ours.rewards)
+    theirs.episode_starts = repeat(ours.episode_starts)
+    with th.no_grad():
+        last = model.policy.predict_values(th.from_numpy(model._last_obs))
+    ours.compute_returns_and_advantage(last, model._last_episode_starts)
+    theirs.compute_returns_and_advantage(last, model._last_episode_starts)
+    np.testing.assert_allclose(repeat(ours.advantages), theirs.advantages, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(repeat(ours.returns), theirs.returns, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("learner", [MAPPO, IPPO])
+def test_minibatches_keep_slots_whole_and_cover_the_rollout_once(learner: type[MAPPO]) -> None:
+    model = small_model(learner)
+    model.learn(6 * 8)
+    buffer = model.rollout_buffer
+    layout = buffer.row_layout
+    seen = []
+    for batch in buffer.slot_batches(5):
+        ids = batch.local[:, layout.local_columns("uav_id")].argmax(1)
+        assert ids.tolist() == [0, 1] * (len(ids) // 2)
+        positions = batch.local[:, layout.local_columns("position")].reshape(-1, 4)
+        if learner is MAPPO:
+            th.testing.assert_close(batch.critic_rows[:, :4], positions)
+            assert len(batch.returns) * 2 == len(batch.advantages)
+        else:
+            assert len(batch.returns) == len(batch.advantages) == len(batch.critic_rows)
+        seen.append(batch.local)
+    everything = th.cat(seen)
+    stored = th.from_numpy(buffer.local.reshape(-1, layout.local_size))
+    assert len(everything) == len(stored)
+    assert sorted(map(bytes, everything.numpy())) == sorted(map(bytes, stored.numpy()))
+
+
+def test_value_normalisation_keeps_what_was_predicted() -> None:
+    th.manual_seed(0)
+    value_net, features = PopArt(8), th.randn(50, 8)
+    value_net.update(th.randn(100) * 7 - 300)
+    before = value_net.denormalise(value_net(features))
+    value_net.update(th.randn(100) * 2 - 40)
+    th.testing.assert_close(value_net.denormalise(value_net(features)), before, rtol=1e-4, atol=1e-3)
+    returns = th.randn(1000) * 2 - 40
+    for _ in range(400):  # the memory of the old returns fades
+        value_net.update(returns)
+    assert abs(float(value_net.normalise(returns).mean())) < 0.05
+    assert abs(float(value_net.normalise(returns).std()) - 1) < 0.05
+
+
+def test_save_and_load(tmp_path: Path) -> None:
+    model = small_model()
+    model.learn(100)
+    model.save(tmp_path / "model")
+    loaded = MAPPO.load(tmp_path / "model", device="cpu")
+    rows = model.env.reset()
+    np.testing.assert_array_equal(
+        model.predict(rows, deterministic=True)[0], loaded.predict(rows, deterministic=True)[0]
+    )
+    loaded.set_env(flatten(Scenario.load("quickstart").replace(slots=12), missions=4))
+    loaded.learn(100)
+
+
+def test_the_same_seed_gives_the_same_weights() -> None:
+    weights = []
+    for seed in (3, 3, 4):
+        model = small_model(seed=seed)
+        model.learn(300)
+        weights.append(th.nn.utils.parameters_to_vector(model.policy.parameters()))
+    assert th.equal(weights[0], weights[1])
+    assert not th.equal(weights[0], weights[2])
+
+
+@pytest.mark.parametrize("advantage_normalization", ["none", "rollout", "batch"])
+def test_every_advantage_normalisation_trains(advantage_normalization: str) -> None:
+    model = small_model(advantage_normalization=advantage_normalization)
+    model.learn(100)
+    assert all(th.isfinite(parameter).all() for parameter in model.policy.parameters())
+
+
+def test_an_unknown_advantage_normalisation_is_refused() -> None:
+    with pytest.raises(InputError, match="did you mean 'rollout'"):
+        small_model(advantage_normalization="rolout")

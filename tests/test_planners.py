@@ -1,0 +1,165 @@
+"""Planners: the same mission whatever the batch, and the greedy one against its formula by brute force."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from tests.strategies import scenarios
+from uavaou.errors import InputError
+from uavaou.planners import PLANNERS, make_planner
+from uavaou.scenario import Scenario
+from uavaou.world import World
+
+QUICKSTART = Scenario.load("quickstart")
+
+
+def fly(scenario: Scenario, name: str, missions: int, seed: int) -> tuple[World, np.ndarray]:
+    """Fly whole missions; the World at their end, and the moves (K, N, U)."""
+    world, planner, moves = World(scenario, missions, seed), make_planner(name), []
+    planner.reset(world, seed)
+    while not world.done:
+        move, selection = planner.act(world)
+        assert move.dtype == np.int64
+        assert selection is None
+        moves.append(move)
+        world.step(move, selection)
+    return world, np.stack(moves)
+
+
+def test_unknown_planner() -> None:
+    with pytest.raises(InputError, match="unknown planner 'gredy'; did you mean 'greedy'"):
+        make_planner("gredy")
+
+
+@pytest.mark.parametrize("layout", ["fixed", "resample"])
+@pytest.mark.parametrize("name", PLANNERS)
+def test_a_mission_does_not_depend_on_the_batch(name: str, layout: str) -> None:
+    scenario = QUICKSTART.replace(layout=layout)
+    world, moves = fly(scenario, name, missions=7, seed=40)
+    for mission in (0, 2, 6):
+        alone, alone_moves = fly(scenario, name, missions=1, seed=40 + mission)
+        np.testing.assert_array_equal(moves[:, mission], alone_moves[:, 0])
+        assert alone.metrics().mean_aou_s[0] == world.metrics().mean_aou_s[mission]
+
+
+def test_random_moves_are_uniform_and_not_the_world_s() -> None:
+    _, moves = fly(QUICKSTART, "random", missions=200, seed=0)
+    counts = np.bincount(moves.ravel(), minlength=5)
+    assert stats.chisquare(counts).pvalue > 1e-3
+    assert len(np.unique(moves[:, :, 0], axis=1).T) == 200
+    assert (moves[0, :, 0] != [np.random.default_rng(lane).integers(5) for lane in range(200)]).any()
+
+
+def test_stay_never_moves() -> None:
+    world, moves = fly(QUICKSTART, "stay", missions=2, seed=0)
+    assert not moves.any()
+    assert (world.cells == world.flight.cds).all()
+
+
+def test_greedy_beats_random_by_far() -> None:
+    greedy, random, stay = (
+        fly(QUICKSTART, name, missions=20, seed=0)[0].metrics().mean_aou_s.mean()
+        for name in ("greedy", "random", "stay")
+    )
+    assert greedy < random / 5 < stay / 10
+
+
+@settings(max_examples=30)
+@given(scenarios(), st.integers(0, 99))
+def test_every_step_of_greedy_is_allowed(scenario: Scenario, seed: int) -> None:
+    world, planner = World(scenario, 3, seed), make_planner("greedy")
+    planner.reset(world, seed)
+    while not world.done:
+        moves, _ = planner.act(world)
+        if world.slot < scenario.slots:
+            assert np.take_along_axis(world.allowed_moves, moves[..., None], axis=-1).all()
+        world.step(moves)
+
+
+# A map that is not square, three devices that R_min holds apart, one UAV that starts in the middle.
+ALONE = QUICKSTART.replace(
+    area_x_m=600,
+    area_y_m=400,
+    uavs=1,
+    altitudes_m=[80],
+    cds_m=[[300, 200]],
+    devices=3,
+    devices_m=[[0, 50], [600, 300], [180, 390]],
+    bandwidth_hz=15_000,
+    transmit_power_mw=[0.4, 0.6, 0.3],
+    update_period_slots=[3, 1, 2],
+    slots=24,
+    flight_time_budget_s=(160 + 1800) / 15,  # 18 moves
+)
+
+
+def literal_target(world: World) -> tuple[int, int]:
+    """The cell of the largest sum_i P_i A_i / (1 + steps) for the one UAV, by loops and SciPy's distribution."""
+    scenario, layout = world.scenario, world.layout()
+    column, row = (int(c) for c in world.cells[0, 0])
+    home_column, home_row = 3, 2
+    moves_left = min(scenario.slots - world.slot, 18 - int(world.flown[0, 0]))
+    best, target = 0.0, (column, row)
+    for x in range(7):
+        for y in range(5):
+            steps = abs(x - column) + abs(y - row)
+            if steps + abs(x - home_column) + abs(y - home_row) > moves_left:
+                continue
+            value = 0.0
+            for i, (device_x, device_y) in enumerate(layout.positions):
+                squared = (100 * x - device_x) ** 2 + (100 * y - device_y) ** 2 + 80**2
+                snr = layout.transmit_power[i] * (299_792_458 / (4 * math.pi * 3.5e9)) ** 2 / squared / 1e-15
+                needed = (2 ** (150_000 / 15_000) - 1) / snr
+                reached = stats.ncx2.sf(22 * needed, 2, 20) if scenario.fading == "rician" else needed <= 1
+                delivered_now = world.in_range[0, 0, i]
+                value += reached * (0 if delivered_now else world.age_sum[0, i])
+            if value / (1 + steps) > best * (1 + 1e-12):
+                best, target = value / (1 + steps), (x, y)
+    return target
+
+
+@pytest.mark.parametrize("fading", ["rician", "none"])
+def test_greedy_goes_where_the_formula_says(fading: str) -> None:
+    scenario = ALONE.replace(fading=fading)
+    planner = make_planner("greedy")
+    targets = set()
+    for seed in range(3):
+        world = World(scenario, 1, seed)
+        planner.reset(world, seed)
+        while world.slot < scenario.slots:
+            x, y = literal_target(world)
+            column, row = world.cells[0, 0]
+            expected = (3 if x > column else 4) if x != column else (1 if y > row else 2) if y != row else 0
+            moves, _ = planner.act(world)
+            assert moves.tolist() == [[expected]]
+            targets.add((x, y))
+            world.step(moves)
+    assert len(targets) > 2
+
+
+def test_greedy_uavs_share_the_devices() -> None:
+    # Two devices on the right, one older than the other, and two UAVs beside each other on the left.
+    scenario = ALONE.replace(
+        uavs=2,
+        altitudes_m=[80, 81],
+        cds_m=[[0, 200], [0, 200]],
+        devices=2,
+        devices_m=[[600, 0], [600, 400]],
+        transmit_power_mw=0.6,
+        update_period_slots=[1, 4],
+        fading="none",
+        flight_time_budget_s=500,
+    )
+    world, planner = World(scenario), make_planner("greedy")
+    planner.reset(world, 0)
+    while world.slot < 12:
+        world.step(planner.act(world)[0])
+    assert world.metrics().devices_served.tolist() == [2]
+    assert set(world.cells[0, :, 1].tolist()) != {2}
+    assert world.last_collection_by[0].any(axis=1).all()

@@ -1,0 +1,511 @@
+"""Scenarios: presets, units, YAML and CSV, and one readable line for every kind of bad input."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import scenarios
+
+from uavaou.errors import InputError
+from uavaou.scenario import Range, Scenario, WholeRange
+from uavaou.world.world import World
+from uavaou.zoo import zoo_names
+
+PRESETS = ["paper", "paper-table1", "quickstart", "tiny"]
+TINY = Scenario.load("tiny")
+CSV = "x_m,y_m\n0,0\n50,60\n"
+
+
+def refusal(action: Callable[[], object]) -> str:
+    """The message of the InputError that the action ends in; one line."""
+    with pytest.raises(InputError) as caught:
+        action()
+    message = str(caught.value)
+    assert "\n" not in message
+    assert 0 < len(message) < 400
+    return message
+
+
+def write(folder: Path, text: str, name: str = "mine.yaml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def with_csv(folder: Path, table: str, more: str = "") -> Scenario:
+    """A scenario based on tiny with a map of its own."""
+    write(folder, table, "map.csv")
+    return Scenario.load(write(folder, f"base: tiny\ndevices_csv: map.csv\n{more}"))
+
+
+# -- presets and units ---------------------------------------------------------------------------------
+
+
+def test_the_presets_are_these() -> None:
+    assert zoo_names("scenarios") == PRESETS
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_presets_load_and_play(preset: str) -> None:
+    scenario = Scenario.load(preset)
+    assert scenario.name == preset
+    assert scenario.description
+    assert World(scenario, missions=2).step(np.zeros((2, scenario.uavs), dtype=np.int64)).shape == (2,)
+    assert Scenario.load(scenario) is scenario
+
+
+def test_paper_is_table_1_repaired() -> None:
+    paper = Scenario.load("paper")
+    assert (paper.devices, paper.uavs, paper.slots, paper.speed_m_s) == (25, 3, 500, 15)
+    assert (paper.columns, paper.rows) == (11, 11)
+    assert paper.altitudes.tolist() == [80, 90, 100]
+    assert paper.cds_m == ((0, 0), (1000, 0), (0, 1000))
+    assert paper.cds_cells.tolist() == [[0, 0], [10, 0], [0, 10]]
+    assert paper.slot_length_s * paper.speed_m_s == pytest.approx(paper.grid_step_m)
+    assert paper.flight_time_budget_s == pytest.approx(500 * paper.slot_length_s)
+    assert paper.noise_power_w == pytest.approx(1e-15)  # -120 dBm
+    assert 10 * math.log10(paper.reference_gain) == pytest.approx(-43.3, abs=0.05)
+    assert paper.bandwidth_hz == Range(low=15_000, high=20_000)
+    assert paper.transmit_power_mw == Range(low=0.2, high=1.0)
+    assert paper.update_period_slots == WholeRange(low=1, high=5)
+    assert paper.rate_min_bit_s == 150_000
+
+
+def test_paper_table1_is_the_table_as_printed() -> None:
+    table = Scenario.load("paper-table1")
+    assert (table.slot_length_s, table.flight_time_budget_s, table.flight_time) == (0.003, 1.5, "ignore")
+    assert table.reference_gain == 1.0
+    assert table.bandwidth_hz == Range(low=1.5e9, high=2e9)
+    assert table.transmit_power_mw == Range(low=0, high=1)
+
+
+def test_tiny_and_quickstart() -> None:
+    quick = Scenario.load("quickstart")
+    assert (TINY.columns, TINY.rows, TINY.slots, TINY.uavs, TINY.devices, TINY.fading) == (3, 3, 12, 2, 4, "none")
+    assert (quick.columns, quick.rows, quick.slots, quick.uavs, quick.devices) == (5, 5, 60, 2, 8)
+    assert TINY.flight_time_budget_s == pytest.approx(12 * TINY.slot_length_s)
+    assert quick.flight_time_budget_s == pytest.approx(60 * quick.slot_length_s)
+
+
+@pytest.mark.parametrize("preset", ["paper", "quickstart", "tiny"])
+def test_every_device_is_in_range_from_some_cell_without_fading(preset: str) -> None:
+    scenario = Scenario.load(preset)
+    layout = scenario.draw_layout()
+    x, y = np.meshgrid(np.arange(scenario.columns), np.arange(scenario.rows))
+    cells = np.stack([x.ravel(), y.ravel()], axis=1) * scenario.grid_step_m  # (C, 2) m
+    ground = ((cells[:, None] - layout.positions) ** 2).sum(axis=-1)  # (C, I)
+    best = ground.min(axis=0) + scenario.altitudes.min() ** 2  # (I,)
+    snr = layout.transmit_power * scenario.reference_gain / scenario.noise_power_w / best
+    assert (layout.bandwidth * np.log2(1 + snr) >= scenario.rate_min_bit_s).all()
+
+
+def test_layouts_lie_in_their_ranges_in_si_units() -> None:
+    scenario = Scenario.load("paper").replace(devices=5000)
+    layout = scenario.draw_layout()
+    assert layout.positions.shape == (5000, 2)
+    for values, low, high in (
+        (layout.positions[:, 0], 0, 1000),
+        (layout.positions[:, 1], 0, 1000),
+        (layout.bandwidth, 15_000, 20_000),
+        (layout.transmit_power, 0.2e-3, 1e-3),
+    ):
+        assert low <= values.min() < low + 0.01 * (high - low)
+        assert high - 0.01 * (high - low) < values.max() <= high
+    assert np.unique(layout.update_period).tolist() == [1, 2, 3, 4, 5]
+    assert layout.update_period.dtype == np.int64
+
+
+def test_devices_are_drawn_over_the_whole_of_an_area_that_is_not_square() -> None:
+    scenario = Scenario.load("quickstart").replace(area_x_m=800, area_y_m=400, devices=2000)
+    positions = scenario.draw_layout().positions  # (I, 2) m
+    assert positions.max(axis=0) == pytest.approx([800, 400], rel=0.01)
+    assert (positions <= [800, 400]).all()
+    assert (positions >= 0).all()
+
+
+def test_layout_seed_decides_the_layout() -> None:
+    one, same, other = (TINY.replace(layout_seed=seed).draw_layout().positions for seed in (1, 1, 2))
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
+
+
+def test_stated_values_do_not_shift_what_is_drawn() -> None:
+    drawn = Scenario.load("quickstart").draw_layout()
+    stated = Scenario.load("quickstart").replace(bandwidth_hz=17_000).draw_layout()
+    assert (stated.bandwidth == 17_000).all()
+    assert np.array_equal(drawn.positions, stated.positions)
+    assert np.array_equal(drawn.transmit_power, stated.transmit_power)
+    assert np.array_equal(drawn.update_period, stated.update_period)
+
+
+# -- round trips and changes ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_presets_survive_yaml(preset: str, tmp_path: Path) -> None:
+    scenario = Scenario.load(preset)
+    assert Scenario.load(write(tmp_path, scenario.to_yaml())) == scenario
+
+
+@settings(max_examples=60)
+@given(scenario=scenarios())
+def test_any_scenario_survives_yaml(scenario: Scenario) -> None:
+    again = Scenario.from_dict(yaml.safe_load(scenario.to_yaml()))
+    assert again == scenario
+    one, other = scenario.draw_layout(), again.draw_layout()
+    for field in ("positions", "bandwidth", "transmit_power", "update_period"):
+        assert np.array_equal(getattr(one, field), getattr(other, field))
+
+
+def test_replace_is_a_validated_copy() -> None:
+    changed = TINY.replace(slots=20, bandwidth_hz=[1e4, 2e4, 3e4, 4e4])
+    assert (changed.slots, TINY.slots) == (20, 12)
+    assert changed.draw_layout().bandwidth.tolist() == [1e4, 2e4, 3e4, 4e4]
+    assert TINY.replace() == TINY
+
+
+def test_replace_forgets_derived_values() -> None:
+    assert TINY.altitudes.tolist() == [80, 90]
+    assert TINY.cds_cells.tolist() == [[0, 0], [0, 0]]
+    changed = TINY.replace(altitudes_m=[70, 60], cds_m=[[0, 0], [100, 200]])
+    assert changed.altitudes.tolist() == [70, 60]
+    assert changed.cds_cells.tolist() == [[0, 0], [1, 2]]
+
+
+def test_the_newer_reference_gain_replaces_the_older() -> None:
+    assert TINY.replace(reference_gain_db=-40).reference_gain == pytest.approx(1e-4)
+    table = Scenario.load("paper-table1").replace(carrier_frequency_hz=3.5e9)
+    assert table.reference_gain == TINY.reference_gain
+    assert table.reference_gain_db is None
+
+
+def test_scenarios_cannot_be_changed_in_place() -> None:
+    with pytest.raises(ValueError, match="frozen"):
+        TINY.slots = 3  # type: ignore[misc]
+
+
+# -- bad input -----------------------------------------------------------------------------------------
+
+
+BAD_CHANGES: list[tuple[dict[str, Any], list[str]]] = [
+    # unknown keys
+    ({"slot": 5}, ["'slot'", "did you mean 'slots'"]),
+    ({"grid_step": 5}, ["'grid_step'", "did you mean 'grid_step_m'"]),
+    ({"altitude_m": 5}, ["'altitude_m'", "did you mean 'altitudes_m'"]),
+    ({"bandwidth_hz": {"low": 1, "hihg": 2}}, ["bandwidth_hz", "high"]),
+    # wrong types
+    ({"slots": "twelve"}, ["slots", "'twelve'", "number"]),
+    ({"slots": "12"}, ["slots", "'12'", "number"]),
+    ({"slots": 12.5}, ["slots", "12.5", "integer"]),
+    ({"slots": True}, ["slots", "True", "number"]),
+    ({"slots": None}, ["slots", "None"]),
+    ({"slots": [12]}, ["slots", "[12]"]),
+    ({"bandwidth_hz": "15e3"}, ["bandwidth_hz", "'15e3'", "15000"]),
+    ({"rate_min_bit_s": "15e3"}, ["rate_min_bit_s", "'15e3'", "15000 or 1.5e+4"]),
+    ({"rate_min_bit_s": math.nan}, ["rate_min_bit_s", "nan", "finite"]),
+    ({"area_x_m": math.inf}, ["area_x_m", "inf", "finite"]),
+    ({"speed_m_s": False}, ["speed_m_s", "False", "number"]),
+    ({"altitudes_m": 80}, ["altitudes_m", "80"]),
+    ({"altitudes_m": [80, "ninety"]}, ["altitudes_m[1]", "'ninety'", "number"]),
+    ({"cds_m": [[0, 0], [0]]}, ["cds_m[1]"]),
+    ({"cds_m": [[0, 0], [0, "x"]]}, ["cds_m[1][1]", "'x'", "number"]),
+    ({"fading": "ricean"}, ["fading", "'ricean'", "'rician'", "'none'"]),
+    ({"layout": "random"}, ["layout", "'random'", "'fixed'", "'resample'"]),
+    ({"flight_time": "off"}, ["flight_time", "'off'", "'enforce'", "'ignore'"]),
+    ({"update_period_slots": 1.5}, ["update_period_slots", "1.5"]),
+    ({"update_period_slots": [1, 2, 3, "a"]}, ["update_period_slots[3]", "'a'"]),
+    ({"name": "a/b"}, ["name", "'a/b'", "folder"]),
+    # wrong signs and ranges
+    ({"slots": 1}, ["slots", "1", "greater than or equal to 2"]),
+    ({"slots": -3}, ["slots", "-3", "greater than or equal to 2"]),
+    ({"uavs": 0}, ["uavs", "0", "greater than or equal to 1"]),
+    ({"devices": 0}, ["devices", "0", "greater than or equal to 1"]),
+    ({"area_x_m": -200}, ["area_x_m", "-200", "greater than or equal to 0.001"]),
+    ({"slot_length_s": 0}, ["slot_length_s", "0", "greater than 0"]),
+    ({"speed_m_s": -1}, ["speed_m_s", "-1", "greater than 0"]),
+    ({"rician_factor": -1}, ["rician_factor", "-1", "greater than or equal to 0"]),
+    ({"bandwidth_hz": -15_000}, ["bandwidth_hz", "-15000", "greater than 0"]),
+    ({"bandwidth_hz": [1, 2, 0, 4]}, ["bandwidth_hz[2]", "0", "greater than 0"]),
+    ({"transmit_power_mw": {"low": 2, "high": 1}}, ["transmit_power_mw", "low (2)", "high (1)"]),
+    ({"update_period_slots": 0}, ["update_period_slots", "0", "greater than or equal to 1"]),
+    ({"update_period_slots": {"low": 0, "high": 5}}, ["update_period_slots.low", "0"]),
+    ({"layout_seed": -1}, ["layout_seed", "-1", "greater than or equal to 0"]),
+    # things that do not fit together
+    ({"altitudes_m": [80]}, ["altitudes_m", "1 entries", "2 uavs"]),
+    ({"altitudes_m": [80, 80]}, ["altitudes_m", "differ"]),
+    ({"cds_m": [[0, 0]]}, ["cds_m", "1 entries", "2 uavs"]),
+    ({"bandwidth_hz": [1, 2]}, ["bandwidth_hz", "2 entries", "4 devices"]),
+    ({"grid_step_m": 70}, ["grid_step_m", "70", "area_x_m", "200"]),
+    ({"grid_step_m": 300}, ["grid_step_m", "300", "200"]),
+    ({"area_y_m": 250}, ["grid_step_m", "area_y_m", "250"]),
+    ({"grid_step_m": 0.005}, ["grid_step_m", "cells", "4,000,000"]),
+    ({"cds_m": [[0, 0], [50, 0]]}, ["cds_m[1]", "[50, 0]", "x", "steps of 100"]),
+    ({"cds_m": [[0, 0], [0, 300]]}, ["cds_m[1]", "[0, 300]", "y", "0 to 200"]),
+    ({"cds_m": [[-100, 0], [0, 0]]}, ["cds_m[0]", "[-100, 0]", "x"]),
+    ({"flight_time_budget_s": 11.9}, ["flight_time_budget_s", "11.9", "12 s", "ignore"]),
+    ({"carrier_frequency_hz": None}, ["carrier_frequency_hz", "reference_gain_db"]),
+    ({"carrier_frequency_hz": 1e9, "reference_gain_db": -40}, ["carrier_frequency_hz", "reference_gain_db"]),
+    ({"devices_m": [[0, 0], [1, 1], [2, 2]]}, ["devices_m", "3 positions", "devices = 4"]),
+    ({"devices_m": [[0, 0], [1, 1], [2, 2], [1, 1]]}, ["devices_m[3]", "[1, 1]", "device 1"]),
+    ({"devices_m": [[0, 0], [1, 1], [2, 2], [201, 1]]}, ["devices_m[3]", "[201, 1]", "outside", "200 m x 200 m"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "words"), BAD_CHANGES, ids=[str(c)[:60] for c, _ in BAD_CHANGES])
+def test_bad_values_are_refused_in_one_line(changes: dict[str, Any], words: list[str]) -> None:
+    message = refusal(lambda: TINY.replace(**changes))
+    assert "tiny" in message  # whose field it is
+    for word in words:
+        assert word in message, message
+
+
+def test_a_budget_of_take_off_and_landing_alone_is_accepted() -> None:
+    assert TINY.replace(flight_time_budget_s=12.0).flight_time_budget_s == 12.0
+    assert TINY.replace(flight_time_budget_s=1.0, flight_time="ignore").flight_time == "ignore"
+
+
+def test_a_budget_of_take_off_and_landing_alone_is_accepted_at_any_size() -> None:
+    """2 H / nu > zeta_max is refused, equality is not: the UAVs then stay."""
+    changes = {"altitudes_m": [80.1, 90.3], "speed_m_s": 0.7, "flight_time_budget_s": 2 * 90.3 / 0.7}
+    assert World(TINY.replace(**changes)).flight.budget[1] == 0
+
+
+def test_unknown_scenarios_get_the_nearest_name() -> None:
+    message = refusal(lambda: Scenario.load("quickstrat"))
+    assert "unknown scenario 'quickstrat'" in message
+    assert "did you mean 'quickstart'?" in message
+    assert "paper-table1" in message
+    assert "did you mean" not in refusal(lambda: Scenario.load("zzzzzz"))
+    assert "''" in refusal(lambda: Scenario.load(""))
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    assert "does not exist" in refusal(lambda: Scenario.load(tmp_path / "none.yaml"))
+    assert "does not exist" in refusal(lambda: Scenario.load("no/such/file.yml"))
+    assert "does not exist" in refusal(lambda: Scenario.load(tmp_path))
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00\x9f")
+    assert "UTF-8" in refusal(lambda: Scenario.load(binary))
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("- 1\n- 2\n", "mapping"),
+        ("", "mapping"),
+        ("slots: [1, 2\nuavs: 3\n", "line"),
+        ("1: 2\n", "string"),
+        ("slots: !!python/object/apply:os.system ['true']\n", "YAML"),
+        ("slots: 12\n", "missing"),
+        ("base: tiny\nslots: 15e3\n", "15000"),
+        ("base: tinny\n", "did you mean 'tiny'"),
+        ("base: [tiny]\n", "base"),
+        ("base: null\n", "base"),
+        ("base: tiny\nslotss: 3\n", "did you mean 'slots'"),
+        ("base: tiny\ndevices_csv: 3\n", "devices_csv"),
+        ("base: tiny\ndevices_csv: none.csv\n", "none.csv"),
+        ('base: tiny\ndevices_csv: "a\\0b"\n', "devices_csv"),
+        ("base: tiny\ndevices_csv: map.csv\ndevices_m: [[0, 0]]\n", "not both"),
+        ("base: tiny\nspeed_m_s: 2026-01-01\n", "speed_m_s"),
+        ("a: &a [*a]\n", "a"),
+    ],
+)
+def test_yaml_files_that_cannot_be_used(text: str, word: str, tmp_path: Path) -> None:
+    path = write(tmp_path, text)
+    message = refusal(lambda: Scenario.load(path))
+    assert word in message.replace(str(tmp_path), "")
+
+
+def test_deeply_nested_yaml(tmp_path: Path) -> None:
+    path = write(tmp_path, "base: tiny\nslots: " + "[" * 600 + "]" * 600)
+    refusal(lambda: Scenario.load(path))
+
+
+def test_a_very_long_name_is_not_found(tmp_path: Path) -> None:
+    assert "does not exist" in refusal(lambda: Scenario.load(str(tmp_path / ("a" * 300)) + ".yaml"))[-60:]
+
+
+def test_base_gives_what_the_file_leaves_out(tmp_path: Path) -> None:
+    scenario = Scenario.load(write(tmp_path, "base: tiny\nslots: 30\nreference_gain_db: -40\n"))
+    assert scenario == TINY.replace(name="mine", slots=30, reference_gain_db=-40)
+
+
+# -- devices of one's own ------------------------------------------------------------------------------
+
+
+def test_a_map_of_ones_own(tmp_path: Path) -> None:
+    table = (
+        "x_m, y_m, update_period_slots, transmit_power_mw, bandwidth_hz\n"
+        "0, 0, 1, 0.5, 15000\n12.5, 200, 7, 1e-1, 20000\n"
+    )
+    scenario = with_csv(tmp_path, table)
+    assert scenario.devices == 2
+    layout = scenario.draw_layout()
+    assert layout.positions.tolist() == [[0, 0], [12.5, 200]]
+    assert layout.update_period.tolist() == [1, 7]
+    assert layout.transmit_power == pytest.approx([0.5e-3, 0.1e-3])
+    assert layout.bandwidth.tolist() == [15_000, 20_000]
+    assert Scenario.load(write(tmp_path, scenario.to_yaml(), "again.yaml")) == scenario
+
+
+def test_a_map_without_the_other_columns_keeps_the_scenarios_values(tmp_path: Path) -> None:
+    scenario = with_csv(tmp_path, CSV, "transmit_power_mw: {low: 1, high: 2}\n")
+    layout = scenario.draw_layout()
+    assert (layout.bandwidth == 15_000).all()
+    assert ((layout.transmit_power >= 1e-3) & (layout.transmit_power <= 2e-3)).all()
+
+
+def test_a_map_as_spreadsheets_write_it(tmp_path: Path) -> None:
+    (tmp_path / "map.csv").write_bytes(b"\xef\xbb\xbfx_m,y_m\r\n0,0\r\n50,60\r\n\r\n")
+    assert Scenario.load(write(tmp_path, "base: tiny\ndevices_csv: map.csv\n")).devices == 2
+
+
+def test_a_map_is_the_same_in_every_resampled_mission(tmp_path: Path) -> None:
+    scenario = with_csv(tmp_path, CSV, "layout: resample\n")
+    world = World(scenario, missions=3)
+    assert (world.device_positions == [[0, 0], [50, 60]]).all()
+    assert len(np.unique(world.update_period, axis=0)) > 1  # what the map leaves open is drawn
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("x_m\n0\n", ["y_m", "missing", "x_m"]),
+        ("x,y\n0,0\n", ["'x'", "did you mean 'x_m'"]),
+        ("x_m,y_m,power\n0,0,1\n", ["'power'", "transmit_power_mw"]),
+        ("x_m,y_m,bandwith_hz\n0,0,1\n", ["'bandwith_hz'", "did you mean 'bandwidth_hz'"]),
+        ("x_m,y_m\n0,zero\n", ["line 2", "y_m", "'zero'", "number"]),
+        ("x_m,y_m\n0,0\n5\n", ["line 3", "y_m", "number"]),
+        ("x_m,y_m\n0,\n", ["line 2", "y_m", "number"]),
+        ("x_m,y_m\n0,nan\n", ["line 2", "y_m", "finite"]),
+        ("x_m,y_m\n0,0\n\n1,zero\n", ["line 4", "y_m"]),
+        ("x_m,y_m\n", ["no device"]),
+        ("", ["x_m"]),
+        ("x_m,y_m\n0,0\n0,0\n", ["devices_m[1]", "same position", "device 0"]),
+        ("x_m,y_m\n0,0\n900,0\n", ["devices_m[1]", "outside"]),
+        ("x_m,y_m,update_period_slots\n0,0,1.5\n", ["update_period_slots", "1.5"]),
+        ("x_m,y_m,update_period_slots\n0,0,0\n", ["update_period_slots", "0"]),
+        ("x_m,y_m,bandwidth_hz\n0,0,-1\n", ["bandwidth_hz", "-1", "greater than 0"]),
+        ("x_m,y_m,x_m\n0,0,5\n", ["x_m", "twice"]),
+        ("x_m,y_m\n0,0,5\n", ["line 2"]),
+    ],
+)
+def test_maps_that_cannot_be_used(table: str, words: list[str], tmp_path: Path) -> None:
+    message = refusal(lambda: with_csv(tmp_path, table)).replace(str(tmp_path), "")
+    for word in words:
+        assert word in message, message
+
+
+def test_a_map_that_is_a_folder_or_not_text(tmp_path: Path) -> None:
+    (tmp_path / "map.csv").mkdir()
+    path = write(tmp_path, "base: tiny\ndevices_csv: map.csv\n")
+    assert "cannot be read" in refusal(lambda: Scenario.load(path))
+    (tmp_path / "other.csv").write_bytes(b"x_m,y_m\n\xff,\xfe\n")
+    path = write(tmp_path, "base: tiny\ndevices_csv: other.csv\n")
+    assert "cannot be read" in refusal(lambda: Scenario.load(path))
+
+
+# -- junk ----------------------------------------------------------------------------------------------
+
+
+def nested(depth: int) -> list[Any]:
+    """A list in a list in a list."""
+    value: list[Any] = []
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+EXTREMES: list[dict[str, Any]] = [
+    {"slots": 10**5000},
+    {"area_x_m": 10**400},
+    {"area_x_m": 1e308, "grid_step_m": 1e-5},
+    {"cds_m": [[1e308, 0], [0, 0]], "area_x_m": 0.01, "area_y_m": 0.01, "grid_step_m": 0.01},
+    {"slots": nested(20_000)},
+    {"bandwidth_hz": nested(20_000)},
+    {"cds_m": [[[[[]]]], {}]},
+    {"update_period_slots": [10**400] * 4},
+    {"\ud800": 1},
+    {"name": "\ud800"},
+    {"": None},
+]
+
+
+@pytest.mark.parametrize("changes", EXTREMES, ids=[f"{number}: {list(c)}" for number, c in enumerate(EXTREMES)])
+def test_extreme_values_are_refused_or_accepted_but_never_crash(changes: dict[str, Any]) -> None:
+    with suppress(InputError):
+        Scenario.from_dict(TINY.to_dict() | changes)
+
+
+EXTREMES_THAT_LOAD: list[dict[str, Any]] = [
+    {"flight_time_budget_s": 1e25},
+    {"noise_power_dbm": 1e6},
+    {"noise_power_dbm": -1e6},
+    {"reference_gain_db": 1e6},
+    {"carrier_frequency_hz": 1e-300},
+    {"update_period_slots": 10**30},
+    {"update_period_slots": {"low": 1, "high": 10**30}},
+]
+
+
+@pytest.mark.parametrize("changes", EXTREMES_THAT_LOAD, ids=str)
+@pytest.mark.filterwarnings("error")
+def test_what_is_accepted_can_be_played(changes: dict[str, Any]) -> None:
+    """An absurd quantity is refused when it is loaded, or simulated; it does not fail later."""
+    try:
+        scenario = TINY.replace(**changes)
+    except InputError:
+        return
+    world = World(scenario)
+    assert np.isfinite(world.snr).all()
+    assert (world.update_period >= 1).all()
+    assert world.allowed_moves[..., 0].all()
+
+
+junk = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.integers(-(10**320), 10**320)
+    | st.floats()
+    | st.text(max_size=8)
+    | st.binary(max_size=4)
+    | st.dates()
+    | st.sampled_from(["paper", "1e3", "none", "", "\0"]),
+    lambda inner: (
+        st.lists(inner, max_size=5)
+        | st.dictionaries(st.text(max_size=5) | st.sampled_from(["low", "high"]), inner, max_size=3)
+        | st.tuples(inner, inner)
+    ),
+    max_leaves=12,
+)
+near_numbers = st.sampled_from([0, 1, 2, 3, -1, 1.0, 0.1, 1e-12, 1e12, 1e300, 10**20, -0.0, 100, 200, 5e-324])
+fields = st.sampled_from(sorted(Scenario.model_fields)) | st.text(max_size=6)
+
+
+@settings(max_examples=100)
+@given(st.dictionaries(fields, junk, max_size=8))
+def test_junk_is_refused_politely(mapping: dict[str, Any]) -> None:
+    assert refusal(lambda: Scenario.from_dict(mapping))
+
+
+@settings(max_examples=300)
+@given(changes=st.dictionaries(fields, junk | near_numbers, min_size=1, max_size=4))
+def test_a_good_scenario_with_junk_in_it_is_refused_politely(changes: dict[str, Any]) -> None:
+    for action in (lambda: TINY.replace(**changes), lambda: Scenario.from_dict(TINY.to_dict() | changes)):
+        with suppress(InputError):  # nothing else may be raised
+            action()
+
+
+@pytest.mark.parametrize("mapping", [None, [], "tiny", 3, [("slots", 3)], {1: 2}, {None: 3}, {(1, 2): 3}])
+def test_something_else_than_a_mapping_of_names(mapping: Any) -> None:
+    assert refusal(lambda: Scenario.from_dict(mapping))

@@ -1,0 +1,100 @@
+"""The PettingZoo environment against PettingZoo's own tests, and a seed test over whole missions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
+
+from uavaou import InputError, Scenario, uavaou_v0
+
+MODES = [(o, c) for o in ("location", "local", "shared") for c in ("select", "auto")]
+
+
+@pytest.mark.parametrize(("observation", "collection"), MODES)
+def test_pettingzoo_api(observation: str, collection: str) -> None:
+    parallel_api_test(uavaou_v0.parallel_env("tiny", observation, collection), num_cycles=50)
+    parallel_seed_test(lambda: uavaou_v0.parallel_env("tiny", observation, collection))
+
+
+def test_pettingzoo_turn_based_api() -> None:
+    api_test(uavaou_v0.env(scenario="tiny"), num_cycles=60)
+
+
+def whole_mission(seed: int, **kwargs: Any) -> list[Any]:
+    """Everything that two missions give, the second one unseeded."""
+    env = uavaou_v0.parallel_env(Scenario.load("quickstart").replace(layout="resample"), **kwargs)
+    rng = np.random.default_rng(0)
+    seen: list[Any] = []
+    for mission_seed in (seed, None):
+        observations, _ = env.reset(seed=mission_seed)
+        while env.agents:
+            actions = {
+                agent: np.array([rng.integers(n) for n in env.action_space(agent).nvec]) for agent in env.agents
+            }
+            observations, rewards, terminations, truncations, infos = env.step(actions)
+            seen += [*observations.values(), *rewards.values(), *terminations.values(), env.state()]
+            seen += [part for info in infos.values() for part in info["action_mask"]]
+        seen.append(infos["uav_0"]["mission"])
+    return seen
+
+
+def test_the_same_seed_is_the_same_mission_from_end_to_end() -> None:
+    for one, other in zip(whole_mission(4), whole_mission(4), strict=True):
+        np.testing.assert_equal(one, other)
+    assert any(not np.array_equal(a, b) for a, b in zip(whole_mission(4), whole_mission(5), strict=True))
+
+
+def test_rewards_are_the_papers_and_the_end_is_a_termination() -> None:
+    env = uavaou_v0.parallel_env("tiny", collection="auto")
+    env.reset(seed=0)
+    total = 0.0
+    for slot in range(1, 13):
+        _, rewards, terminations, truncations, infos = env.step({agent: slot % 5 for agent in env.agents})
+        snapshot = env.unwrapped.snapshot()
+        assert snapshot["slot"] == slot
+        assert rewards == pytest.approx(dict.fromkeys(("uav_0", "uav_1"), -snapshot["age_sum"].sum()))
+        assert set(terminations.values()) == {slot == 12}
+        assert set(truncations.values()) == {False}
+        total += rewards["uav_0"]
+    assert env.agents == []
+    assert infos["uav_0"]["mission"]["reward"] == pytest.approx(total)
+    assert infos["uav_1"]["mission"]["mean_aou_s"] == pytest.approx(-total / 12)
+    with pytest.raises(RuntimeError, match="reset"):
+        env.step({})
+
+
+def test_masks_are_those_of_the_world() -> None:
+    env = uavaou_v0.parallel_env("tiny")
+    observations, infos = env.reset(seed=0)
+    moves, *devices = infos["uav_0"]["action_mask"]
+    np.testing.assert_array_equal(moves, [1, 1, 0, 1, 0])  # at (0, 0): not down, not left
+    np.testing.assert_array_equal([select for _, select in devices], env.unwrapped.world.in_range[0, 0])
+    space = env.action_space("uav_0")
+    for _ in range(100):
+        move, *selected = space.sample(mask=infos["uav_0"]["action_mask"])
+        assert moves[move]
+        assert not np.any(np.array(selected) & ~env.unwrapped.world.in_range[0, 0])
+
+
+def test_snapshot_types() -> None:
+    env = uavaou_v0.parallel_env("quickstart")
+    env.reset(seed=0)
+    env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+    for name, value in env.unwrapped.snapshot().items():
+        assert isinstance(value, int) or value.dtype in (np.float64, np.int64), name
+
+
+def test_rendering() -> None:
+    env = uavaou_v0.parallel_env("quickstart", render_mode="rgb_array")
+    env.reset(seed=0)
+    env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+    frame = env.render()
+    assert frame is not None
+    assert frame.dtype == np.uint8
+    assert frame.ndim == 3
+    assert frame.std() > 5
+    with pytest.raises(InputError, match="did you mean 'rgb_array'"):
+        uavaou_v0.parallel_env("tiny", render_mode="rgb_aray")

@@ -1,0 +1,101 @@
+"""The configuration of each algorithm: the schema of its YAML file, validated as a scenario is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from uavaou.errors import InputError, unknown
+from uavaou.scenario import NonNegative, Positive, PositiveWhole, explain_validation
+from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
+
+Fraction = Annotated[NonNegative, Field(le=1)]
+HiddenSizes = Annotated[tuple[Annotated[PositiveWhole, Field(le=65_536)], ...], Field(min_length=1, max_length=16)]
+
+
+class AlgorithmConfig(BaseModel):
+    """What every algorithm's configuration holds: the task as the learner sees it, and the budget."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    slots: PositiveWhole  # training budget: slots of all missions together
+    missions: Annotated[PositiveWhole, Field(le=65_536)]  # played in parallel
+    processes: PositiveWhole = 1  # that step the missions
+    observation: Literal["location", "local", "shared"] = "local"
+    collection: Literal["select", "auto"] = "select"
+    reward: Literal["root", "aou"] = "root"
+    evaluate_every_slots: PositiveWhole  # an evaluation on validation missions, and a checkpoint, this often
+    evaluation_missions: Annotated[PositiveWhole, Field(le=10_000)] = 32
+
+    @classmethod
+    def from_dict(cls, fields: dict[str, Any], source: str) -> Self:
+        """Validate a mapping of field names to values.
+
+        Raises:
+            InputError: naming the field, its value and what is allowed.
+        """
+        try:
+            return cls.model_validate(fields)
+        except ValidationError as error:
+            raise InputError(f"{source}: {explain_validation(error, list(cls.model_fields))}") from None
+
+    @model_validator(mode="after")
+    def _processes_divide_missions(self) -> Self:
+        if self.missions % self.processes:
+            raise ValueError(f"processes = {self.processes}: must divide missions = {self.missions}")
+        return self
+
+
+class MappoConfig(AlgorithmConfig):
+    """MAPPO and IPPO; the fields are the arguments of :class:`uavaou.MAPPO` and its policy."""
+
+    name: Literal["mappo", "ippo"] = "mappo"
+    hidden: HiddenSizes  # units of each hidden layer, actor and critic alike
+    activation: Literal["relu", "tanh"]
+    selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit of selecting a device in range
+    rollout_slots: Annotated[PositiveWhole, Field(le=1_000_000)]  # slots a mission between updates
+    batch_rows: PositiveWhole  # agent steps in a minibatch
+    epochs: Annotated[PositiveWhole, Field(le=1000)]
+    learning_rate: Positive
+    final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
+    critic_learning_rate: Positive  # as a multiple of learning_rate
+    gamma: Fraction
+    gae_lambda: Fraction
+    clip_range: Positive
+    entropy: NonNegative
+    value_loss: NonNegative
+    max_gradient_norm: Positive
+    advantage_normalization: Literal["none", "rollout", "batch"]
+
+
+CONFIGS: dict[str, type[AlgorithmConfig]] = {"mappo": MappoConfig, "ippo": MappoConfig}
+
+
+def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> AlgorithmConfig:
+    """Load an algorithm's published configuration, with some fields changed.
+
+    Raises:
+        InputError: the algorithm or a field is unknown, or a value cannot be used.
+    """
+    if algorithm not in CONFIGS:
+        raise unknown("algorithm", algorithm, CONFIGS)
+    path = zoo_path("algorithms", algorithm if algorithm in zoo_names("algorithms") else "mappo")
+    fields = read_yaml_mapping(path) | {"name": algorithm} | (overrides or {})
+    return CONFIGS[algorithm].from_dict(fields, source=f"algorithm '{algorithm}'")
+
+
+def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:
+    """Read the algorithm part of a run's ``config.yaml``."""
+    name = fields.get("name")
+    if not isinstance(name, str) or name not in CONFIGS:
+        raise InputError(f"{source}: algorithm.name = {name!r}: known are {', '.join(CONFIGS)}")
+    return CONFIGS[name].from_dict(fields, source=f"{source}: algorithm")
+
+
+def config_to_yaml(config: AlgorithmConfig) -> str:
+    """The configuration as YAML."""
+    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)

@@ -1,0 +1,185 @@
+"""A run on disk: its folder's name, its configuration, and what else lies in it.
+
+``results/<scenario>[+<overrides>]/<algorithm>[+<overrides>]/seed-<n>/`` holds ``config.yaml``,
+``meta.json``, ``episodes.csv``, ``progress.csv``, ``checkpoints/`` and ``eval/``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import yaml
+
+from uavaou.algorithms.config import AlgorithmConfig, config_from_dict
+from uavaou.errors import InputError
+from uavaou.scenario import Scenario
+from uavaou.zoo import read_yaml_mapping, zoo_folder, zoo_names
+
+SCHEMA = 1
+_LONGEST_NAME = 120
+_PACKAGES = ("uavaou", "torch", "stable-baselines3", "supersuit", "pettingzoo", "gymnasium", "numpy")
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that a training run is determined by."""
+
+    scenario: Scenario
+    algorithm: AlgorithmConfig
+    seed: int
+
+    def to_yaml(self) -> str:
+        """The content of ``config.yaml``."""
+        content = {
+            "schema": SCHEMA,
+            "seed": self.seed,
+            "algorithm": self.algorithm.model_dump(mode="json"),
+            "scenario": self.scenario.to_dict(),
+        }
+        return yaml.safe_dump(content, sort_keys=False)
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The paths of one run."""
+
+    path: Path
+
+    @property
+    def config(self) -> Path:
+        """Everything resolved: running it again gives the same run."""
+        return self.path / "config.yaml"
+
+    @property
+    def meta(self) -> Path:
+        """Versions, machine, budgets, wall-clock."""
+        return self.path / "meta.json"
+
+    @property
+    def episodes(self) -> Path:
+        """A row for each training mission."""
+        return self.path / "episodes.csv"
+
+    @property
+    def last(self) -> Path:
+        """What resuming needs."""
+        return self.path / "checkpoints" / "last.safetensors"
+
+    @property
+    def best(self) -> Path:
+        """The policy that did best on the validation missions."""
+        return self.path / "checkpoints" / "best.safetensors"
+
+    def exists(self) -> bool:
+        """Whether the folder holds a run."""
+        return self.config.is_file()
+
+    def read_config(self) -> RunConfig:
+        """Read ``config.yaml``.
+
+        Raises:
+            InputError: the folder is no run, or its configuration cannot be used.
+        """
+        if not self.path.is_dir():
+            raise InputError(f"run folder '{self.path}' does not exist")
+        if not self.exists():
+            raise InputError(f"'{self.path}' is not a run folder: it holds no config.yaml")
+        content = read_yaml_mapping(self.config)
+        if content.get("schema") != SCHEMA:
+            raise InputError(f"{self.config}: schema = {content.get('schema')!r}: this version reads schema {SCHEMA}")
+        seed = content.get("seed")
+        if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+            raise InputError(f"{self.config}: seed = {seed!r}: expected a whole number from 0 on")
+        for part in ("scenario", "algorithm"):
+            if not isinstance(content.get(part), dict):
+                raise InputError(f"{self.config}: the part '{part}' is missing")
+        scenario = Scenario.from_dict(content["scenario"], source=f"{self.config}: scenario")
+        return RunConfig(scenario, config_from_dict(content["algorithm"], self.config), seed)
+
+
+def run_folder(
+    out: Path, scenario: Scenario, scenario_overrides: Mapping[str, str], algorithm: str,
+    algorithm_overrides: Mapping[str, str], seed: int,
+) -> RunFolder:  # fmt: skip
+    """Name the folder of a run; two different runs never share one.
+
+    Args:
+        out: the folder of all results.
+        scenario: before the overrides are applied; one read from a file is told apart by its content.
+        scenario_overrides, algorithm_overrides: as given to ``--set``, without their prefix.
+        algorithm: its name.
+        seed: of the training.
+    """
+    base = scenario.name
+    preset = zoo_folder("scenarios") / f"{base}.yaml"
+    if base not in zoo_names("scenarios") or Scenario.load(preset) != scenario:
+        digest = hashlib.sha256(scenario.to_yaml().encode()).hexdigest()[:8]
+        base = f"{base}~{digest}"
+    named = _folder_name(base, scenario_overrides), _folder_name(algorithm, algorithm_overrides)
+    return RunFolder(out / named[0] / named[1] / f"seed-{seed}")
+
+
+def _folder_name(base: str, overrides: Mapping[str, str]) -> str:
+    parts = [quote(base, safe=" ~")]
+    if overrides:
+        parts.append(",".join(f"{key}={quote(value, safe='.-_')}" for key, value in sorted(overrides.items())))
+    name = "+".join(parts)
+    if len(name) > _LONGEST_NAME:  # file systems end at 255 bytes
+        name = f"{name[:_LONGEST_NAME]}~{hashlib.sha256(name.encode()).hexdigest()[:12]}"
+    return name
+
+
+def describe_machine() -> dict[str, Any]:
+    """Versions, commit and machine, for ``meta.json``."""
+    versions = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            versions[package] = None
+    return {
+        "versions": versions,
+        "commit": _commit(),
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+    }
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write a JSON file beside its target and rename it: complete or absent."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    partial.replace(path)
+
+
+def _commit() -> str | None:
+    """The commit of the repository that the package runs from; None for an installed wheel."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor())

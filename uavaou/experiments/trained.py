@@ -1,0 +1,95 @@
+"""A trained run as a policy that evaluation takes like any planner; it reads local observations alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from uavaou.algorithms.config import AlgorithmConfig
+from uavaou.algorithms.registry import make_model
+from uavaou.envs.actions import split_actions
+from uavaou.envs.flatten import flatten
+from uavaou.errors import InputError
+from uavaou.experiments.checkpoint import load_policy, read_progress
+from uavaou.experiments.folder import RunFolder
+from uavaou.scenario import Scenario
+from uavaou.world import Views, World
+from uavaou.world.views import MOVES
+
+_STREAM = 2  # spawn key of the policies' random streams, apart from the missions' and the planners'
+
+
+@dataclass
+class TrainedPolicy:
+    """A learner's policy in the planners' interface.
+
+    Attributes:
+        model: whose policy acts.
+        views: what its UAVs see.
+        action: ``greedy`` (the likeliest) or ``sample``.
+    """
+
+    model: BaseAlgorithm
+    views: Views
+    action: str = "greedy"
+    _rngs: list[np.random.Generator] = field(default_factory=list)
+
+    def reset(self, world: World, seed: int) -> None:
+        """Start missions; mission j samples from a stream seeded with ``seed + j``."""
+        lanes = range(world.missions)
+        self._rngs = [np.random.default_rng(np.random.SeedSequence(seed + j, spawn_key=(_STREAM,))) for j in lanes]
+
+    def act(self, world: World) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
+        """Moves (N, U) and selections (N, U, I), None for every device in range."""
+        uavs = world.scenario.uavs
+        device = self.model.device
+        local = th.from_numpy(self.views.local(world).reshape(world.missions * uavs, -1)).to(device)
+        uniforms = None if self.action == "greedy" else self._uniforms(uavs).to(device)
+        actions = self.model.policy.act(local, uniforms)  # type: ignore[operator]
+        return split_actions(actions.cpu().numpy(), world.missions, uavs)
+
+    def _uniforms(self, uavs: int) -> th.Tensor:
+        width = MOVES + (self.views.layout.devices if self.views.layout.selects else 0)
+        drawn = np.stack([rng.random((uavs, width), dtype=np.float32) for rng in self._rngs])  # (N, U, 5 + I)
+        return th.from_numpy(drawn.reshape(-1, width))
+
+
+def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | None = None) -> TrainedPolicy:
+    """Load the best policy of a run.
+
+    Args:
+        path: the run's folder.
+        scenario: to act in, of the same shape; None for the one trained on.
+        action: ``greedy`` or ``sample``; None for the one that the best checkpoint was chosen by.
+
+    Raises:
+        InputError: the folder is no run, holds no checkpoint, or was trained on another shape.
+    """
+    config = path.read_config()
+    scenario = config.scenario if scenario is None else scenario
+    _check_shape(path, config.scenario, scenario, config.algorithm)
+    checkpoint = path.best if path.best.is_file() else path.last
+    if not checkpoint.is_file():
+        raise InputError(f"'{path.path}' holds no checkpoint yet: its training has not reached the first one")
+    progress = read_progress(checkpoint)
+    algorithm = config.algorithm
+    task = {"observation": algorithm.observation, "collection": algorithm.collection, "reward": algorithm.reward}
+    env = flatten(scenario, missions=1, **task)
+    model = make_model(algorithm, env, env.row_layout, config.seed, device="cpu")
+    load_policy(checkpoint, model)
+    model.policy.set_training_mode(False)
+    views = Views(scenario, algorithm.observation, algorithm.collection)
+    return TrainedPolicy(model, views, action or progress.best_action)
+
+
+def _check_shape(path: RunFolder, trained: Scenario, wanted: Scenario, algorithm: AlgorithmConfig) -> None:
+    shapes = [Views(s, algorithm.observation, algorithm.collection).layout for s in (trained, wanted)]
+    if shapes[0] != shapes[1]:
+        raise InputError(
+            f"'{path.path}' was trained with {trained.uavs} uavs and {trained.devices} devices; "
+            f"scenario '{wanted.name}' has {wanted.uavs} and {wanted.devices}, which its network does not fit"
+        )

@@ -1,0 +1,262 @@
+"""One mission in two pictures: where the UAVs flew, and how the devices aged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from uavaou.envs.map import (
+    AGE_COLOURS,
+    BLACK,
+    add_age_bar,
+    age_scale,
+    draw_devices,
+    draw_ground,
+    uav_colour,
+    uav_offset,
+)
+from uavaou.reports.style import (
+    COLUMN_WIDTH_IN,
+    GREY,
+    figure_of,
+    house_style,
+    label_log_axis,
+    log_scale_if_wide,
+    new_figure,
+    save,
+)
+from uavaou.scenario import Layout, Scenario
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_DEVICE_AREA = (12.0, 75.0)  # square points, of the least and the most collected device
+_LINE_WIDTH = (0.6, 2.4)  # points, of a step flown once and of the one flown most
+_LEGEND_UAVS = 8  # colours repeat beyond
+_LEGEND_COLUMNS = 4
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One mission, slot by slot; row t - 1 is slot t."""
+
+    positions: Floats  # (K, U, 2) m, where the UAVs were in the slot
+    collected_by: Ints  # (K, I), the u with alpha_iu = 1; -1 for none
+    age_sum: Floats  # (K, I) s, sum_n A_i^n at the slot's end
+    pending: Ints  # (K, I) updates at the slot's end
+    layout: Layout
+
+    @classmethod
+    def from_snapshots(cls, snapshots: Sequence[dict[str, Any]]) -> Recording:
+        """Stack what :meth:`uavaou.world.World.snapshot` gave after each slot, from the first on."""
+        first = snapshots[0]
+        return cls(
+            positions=np.stack([shot["positions"] for shot in snapshots]),
+            collected_by=np.stack([shot["collected_by"] for shot in snapshots]),
+            age_sum=np.stack([shot["age_sum"] for shot in snapshots]),
+            pending=np.stack([shot["pending"] for shot in snapshots]),
+            layout=Layout(first["devices"], first["bandwidth"], first["transmit_power"], first["update_period"]),
+        )
+
+    @cached_property
+    def communications(self) -> NDArray[np.bool_]:
+        """Whether a transfer carried at least one update, (K, I)."""
+        slot = np.arange(1, len(self.pending) + 1)[:, None]  # (K, 1)
+        generated = slot % self.layout.update_period == 0  # (K, I)
+        at_start = np.ones((1, self.pending.shape[1]), dtype=np.int64)  # every device holds update 0 before slot 1
+        before = np.concatenate([at_start, self.pending[:-1]])  # (K, I)
+        carried: NDArray[np.bool_] = (self.collected_by >= 0) & (before + generated > 0)
+        return carried
+
+
+def plot_trajectories(scenario: Scenario, recording: Recording, out_dir: Path, name: str) -> list[Path]:
+    """Draw a mission's map (``<name>-map``) and its ages (``<name>-ages``), each as PNG and PDF.
+
+    The map: every step flown, as wide as it was flown often, each UAV beside the cell's middle so that
+    shared ways stay legible; cells shaded by the slots spent there; devices coloured by mean age, as large
+    as they were collected often. The ages: their total over the mission, and each device's, with a tick in
+    the UAV's colour where a communication took place.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with house_style():
+        paths = save(_map(scenario, recording), out_dir, f"{name}-map")
+        return paths + save(_ages(scenario, recording), out_dir, f"{name}-ages")
+
+
+def _map(scenario: Scenario, recording: Recording) -> Figure:
+    figure, axes, visit_bar, age_bar = _map_places(scenario)
+    axes.spines[["top", "right"]].set_visible(True)
+    draw_ground(axes, scenario)
+    _shade_visits(axes, visit_bar, scenario, recording)
+    for u in range(scenario.uavs):
+        _draw_steps(axes, scenario, recording.positions[:, u], u)
+    mean_age = recording.age_sum.mean(axis=0)  # (I,) s
+    counts = recording.communications.sum(axis=0)  # (I,)
+    scale = age_scale(scenario, recording.layout, mean_age)
+    draw_devices(axes, recording.layout, mean_age, scale, _device_area(counts, int(counts.max())))
+    add_age_bar(axes, scale, "mean age sum (s)", cax=age_bar)
+    label_log_axis(age_bar.yaxis, *age_bar.get_ylim())
+    figure.legend(handles=_fleet_handles(scenario), loc="upper center", ncols=_LEGEND_COLUMNS, borderpad=0)
+    title = "communications of the device"
+    figure.legend(handles=_count_handles(counts), loc="lower center", ncols=3, title=title, borderpad=0)
+    return figure
+
+
+def _map_places(scenario: Scenario) -> tuple[Figure, Axes, Axes, Axes]:
+    """The figure and its axes: map, colour bar of the visits, colour bar of the ages.
+
+    Places are set by hand: matplotlib's layouts let a colour bar below a map of equal scales run into its labels.
+    """
+    left, map_width, bottom, bar_size = 0.62, 2.2, 1.2, 0.09  # in
+    step = scenario.grid_step_m
+    map_height = float(np.clip(map_width * (scenario.area_y_m + step) / (scenario.area_x_m + step), 1.2, 5.5))
+    legend = 0.15 + 0.17 * math.ceil(min(scenario.uavs, _LEGEND_UAVS) / _LEGEND_COLUMNS)
+    height = bottom + map_height + legend
+    figure = new_figure(height, layout=None)
+
+    def place(x: float, y: float, width: float, tall: float) -> Axes:
+        return figure.add_axes((x / COLUMN_WIDTH_IN, y / height, width / COLUMN_WIDTH_IN, tall / height))
+
+    return (
+        figure,
+        place(left, bottom, map_width, map_height),
+        place(left, bottom - 0.5, map_width, bar_size),
+        place(left + map_width + 0.06, bottom, bar_size, map_height),
+    )
+
+
+def _shade_visits(axes: Axes, bar_axes: Axes, scenario: Scenario, recording: Recording) -> None:
+    """Cells in grey by the slots that UAVs spent there, with a colour bar."""
+    step = scenario.grid_step_m
+    cells = np.rint(recording.positions / step).astype(np.int64).reshape(-1, 2)  # (K U, 2) column, row
+    visits = np.zeros((scenario.rows, scenario.columns))
+    np.add.at(visits, (cells[:, 1], cells[:, 0]), 1)
+    shown = np.ma.masked_equal(visits, 0)
+    edges_x = (np.arange(scenario.columns + 1) - 0.5) * step  # m
+    edges_y = (np.arange(scenario.rows + 1) - 0.5) * step  # m
+    # The greys in the middle alone: one visit must show, and what lies on top must stay legible.
+    most = float(visits.max())
+    mesh = axes.pcolormesh(
+        edges_x, edges_y, shown, cmap="Greys", vmin=-0.2 * most, vmax=2.2 * most, zorder=0.5, rasterized=True
+    )
+    bar = figure_of(axes).colorbar(mesh, cax=bar_axes, orientation="horizontal")
+    bar.set_label("slots spent in the cell, all UAVs", labelpad=2)
+    bar_axes.set_xlim(0, most)
+    bar_axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+
+
+def _draw_steps(axes: Axes, scenario: Scenario, way: Floats, uav: int) -> None:
+    """Each step between two cells once, as wide as it was flown often; ``way`` is (K, 2) m."""
+    ends = np.stack([way[:-1], way[1:]], axis=1)  # (K-1, 2 ends, 2) m
+    ends = ends[np.any(ends[:, 0] != ends[:, 1], axis=1)]  # without the slots stayed
+    if len(ends) == 0:
+        return
+    backwards = (ends[:, 1] - ends[:, 0]).sum(axis=1) < 0
+    ends[backwards] = ends[backwards, ::-1]  # both directions of a step are one line
+    steps, flown = np.unique(ends, axis=0, return_counts=True)  # (S, 2, 2) m, (S,)
+    thin, wide = _LINE_WIDTH
+    widths = thin + (wide - thin) * np.sqrt((flown - 1) / max(int(flown.max()) - 1, 1))
+    lines = LineCollection(
+        list(steps + uav_offset(scenario)[uav]),
+        colors=uav_colour(uav),
+        linewidths=widths,
+        capstyle="round",
+        zorder=3,
+    )
+    axes.add_collection(lines, autolim=False)
+
+
+def _device_area(counts: NDArray[Any], most: int) -> Floats:
+    small, large = _DEVICE_AREA
+    area: Floats = small + (large - small) * np.asarray(counts, dtype=np.float64) / max(most, 1)
+    return area
+
+
+def _fleet_handles(scenario: Scenario) -> list[Line2D]:
+    shown = range(min(scenario.uavs, _LEGEND_UAVS))
+    return [Line2D([], [], color=uav_colour(u), marker="s", mfc="none", ms=5, mew=1.2, label=f"UAV {u}") for u in shown]
+
+
+def _count_handles(counts: Ints) -> list[Line2D]:
+    """The size of a device for the least, a middle and the largest number of communications."""
+    most = int(counts.max())
+    sizes = np.unique([int(counts.min()), round((int(counts.min()) + most) / 2), most])
+    diameters = np.sqrt(_device_area(sizes, most))
+    return [
+        Line2D([], [], ls="", marker="o", mfc="white", mec=BLACK, mew=0.6, ms=float(d), label=f"{n:,}")
+        for n, d in zip(sizes, diameters, strict=True)
+    ]
+
+
+def _ages(scenario: Scenario, recording: Recording) -> Figure:
+    devices = recording.age_sum.shape[1]
+    strip_in = float(np.clip(0.085 * devices, 1.4, 6))
+    figure = new_figure(height_in=strip_in + 1.9)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.1, strip_in])
+    slots = np.arange(1, len(recording.age_sum) + 1)
+    total = recording.age_sum.sum(axis=1)  # (K,) s
+    upper.plot(slots, total, color=BLACK, linewidth=0.8)
+    upper.axhline(float(total.mean()), color=GREY, linewidth=0.8, linestyle=(0, (4, 1.5)))
+    log_scale_if_wide(upper, total)
+    note = f"mean {total.mean():,.0f} s"
+    upper.annotate(note, (1, 1), (0, 1), "axes fraction", "offset points", ha="right", va="bottom", fontsize=7)
+    upper.set_ylabel("total age (s)")
+    upper.set_xlim(0.5, len(slots) + 0.5)
+    scale = age_scale(scenario, recording.layout, recording.age_sum)
+    _draw_strip(lower, recording, scale)
+    bar = add_age_bar(lower, scale, "age sum (s)")
+    label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
+    handles = [
+        Line2D([], [], color=uav_colour(u), lw=1.5, label=f"UAV {u}") for u in range(min(scenario.uavs, _LEGEND_UAVS))
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=_LEGEND_COLUMNS, title="communication with")
+    return figure
+
+
+def _draw_strip(axes: Axes, recording: Recording, scale: LogNorm) -> None:
+    """Each device's age over the slots, devices in rows by update period, a tick for each communication."""
+    slots, devices = recording.age_sum.shape
+    order = np.argsort(recording.layout.update_period, kind="stable")  # (I,)
+    axes.imshow(
+        recording.age_sum.T[order],
+        norm=scale,
+        cmap=AGE_COLOURS,
+        aspect="auto",
+        interpolation="nearest",
+        extent=(0.5, slots + 0.5, devices - 0.5, -0.5),
+    )
+    rows = np.argsort(order)  # (I,) the row of each device
+    for u in np.unique(recording.collected_by[recording.communications]):
+        at, device = np.nonzero(recording.communications & (recording.collected_by == u))
+        axes.vlines(at + 1, rows[device] + 0.12, rows[device] + 0.42, color=uav_colour(int(u)), linewidth=0.5)
+    _label_periods(axes, recording.layout.update_period[order])
+    axes.grid(False)
+    axes.spines[["top", "right"]].set_visible(True)
+    axes.set(xlabel="slot $t$", ylabel="devices by $k_i$ (slots)", ylim=(devices - 0.5, -0.5))
+
+
+def _label_periods(axes: Axes, periods: Ints) -> None:
+    """One label for each run of devices of the same period, and a line between the runs."""
+    values, first, number = np.unique(periods, return_index=True, return_counts=True)
+    if len(values) > 12:
+        return  # more periods than labels that could be read
+    axes.set_yticks(first + (number - 1) / 2, [str(value) for value in values])
+    axes.tick_params(axis="y", length=0)
+    axes.hlines(first[1:] - 0.5, *axes.get_xlim(), color=BLACK, linewidth=0.6)
