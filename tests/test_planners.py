@@ -124,10 +124,11 @@ def literal_target(world: World) -> tuple[int, int]:
     return target
 
 
+@pytest.mark.parametrize("name", ["greedy", "best-first"])  # alone, a UAV is first in either order
 @pytest.mark.parametrize("fading", ["rician", "none"])
-def test_greedy_goes_where_the_formula_says(fading: str) -> None:
+def test_greedy_goes_where_the_formula_says(fading: str, name: str) -> None:
     scenario = ALONE.replace(fading=fading)
-    planner = make_planner("greedy")
+    planner = make_planner(name)
     targets = set()
     for seed in range(3):
         world = World(scenario, 1, seed)
@@ -143,7 +144,21 @@ def test_greedy_goes_where_the_formula_says(fading: str) -> None:
     assert len(targets) > 2
 
 
-def test_greedy_uavs_share_the_devices() -> None:
+def test_the_order_of_choosing_is_what_best_first_changes() -> None:
+    # One device with age, which the UAV of the higher number is nearer to.
+    scenario = ALONE.replace(
+        uavs=2, altitudes_m=[80, 81], cds_m=[[0, 200], [300, 200]], devices=1, devices_m=[[600, 200]],
+        transmit_power_mw=0.6, update_period_slots=1, fading="none", flight_time_budget_s=500,
+    )  # fmt: skip
+    for name, expected in (("greedy", [3, 0]), ("best-first", [0, 3])):
+        world, planner = World(scenario), make_planner(name)
+        planner.reset(world, 0)
+        world.step(planner.act(world)[0])
+        assert planner.act(world)[0].tolist() == [expected]
+
+
+@pytest.mark.parametrize("name", ["greedy", "best-first"])
+def test_greedy_uavs_share_the_devices(name: str) -> None:
     # Two devices on the right, one older than the other, and two UAVs beside each other on the left.
     scenario = ALONE.replace(
         uavs=2,
@@ -156,7 +171,7 @@ def test_greedy_uavs_share_the_devices() -> None:
         fading="none",
         flight_time_budget_s=500,
     )
-    world, planner = World(scenario), make_planner("greedy")
+    world, planner = World(scenario), make_planner(name)
     planner.reset(world, 0)
     while world.slot < 12:
         world.step(planner.act(world)[0])

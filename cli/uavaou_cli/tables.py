@@ -121,7 +121,7 @@ def _with_interval(found: Interval) -> tuple[str, str]:
     digits = _digits(found.mean)
     if math.isnan(found.low):
         return f"{found.mean:,.{digits}f}", ""
-    return f"{found.mean:,.{digits}f}", f"{found.low:,.{digits}f}..{found.high:,.{digits}f}"
+    return f"{found.mean:,.{digits}f}", f"{found.low:,.{digits}f}-{found.high:,.{digits}f}"
 
 
 def _figure(value: float) -> str:

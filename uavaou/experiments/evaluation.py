@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from uavaou.experiments.checker import ViolationCounter
 from uavaou.experiments.checker import total as total_violations
-from uavaou.experiments.statistics import interval
+from uavaou.experiments.statistics import intervals
 from uavaou.planners.base import Planner
 from uavaou.scenario import Scenario
 from uavaou.world import MissionMetrics, World
@@ -70,7 +70,7 @@ def evaluate(
 
 def to_json(evaluation: Evaluation, scenario: Scenario, action: str | None) -> dict[str, Any]:
     """One policy's part of the evaluation file: a value for each mission, and what the figures need."""
-    means = [interval(slot_ages) for slot_ages in evaluation.aou_over_time_s.T]
+    means = intervals(evaluation.aou_over_time_s)  # (K,) each
     content: dict[str, Any] = {
         "mean_aou_s": evaluation.values("mean_aou_s").tolist(),
         "communications": evaluation.values("communications").tolist(),
@@ -79,12 +79,13 @@ def to_json(evaluation: Evaluation, scenario: Scenario, action: str | None) -> d
         "violations": evaluation.violations,
         "rejected_rate": evaluation.values("rejected_rate").tolist(),
         "rejected_association": evaluation.values("rejected_association").tolist(),
-        "aou_over_time_s": [mean for mean, _, _ in means],
-        "aou_over_time_low_s": [low for _, low, _ in means],
-        "aou_over_time_high_s": [high for _, _, high in means],
+        "aou_over_time_s": means.mean.tolist(),
         "device_mean_aou_s": evaluation.values("device_mean_aou_s").mean(axis=0).tolist(),
         "device_communications": evaluation.values("device_communications").tolist(),
     }
+    if len(evaluation.aou_over_time_s) > 1:  # one mission has no interval, and JSON no nan
+        content["aou_over_time_low_s"] = means.low.tolist()
+        content["aou_over_time_high_s"] = means.high.tolist()
     if scenario.layout == "fixed":
         content["update_period_slots"] = scenario.draw_layout().update_period.tolist()
     if action is not None:

@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 EPISODE_COLUMNS = ("mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
 _PLAIN_LINE_EVERY_S = 10.0
+_WIDE = 110  # columns from which on a bar and every figure fit one line
 
 
 class EpisodesCsv:
@@ -72,8 +73,8 @@ class Display:
         self._bar: Progress | None = None
         self._plain = not quiet and not self._console.is_terminal
         if not quiet and self._console.is_terminal:
-            columns = (BarColumn(), TextColumn("{task.fields[figures]}"), TimeRemainingColumn())
-            self._bar = Progress(TextColumn("training"), *columns, console=self._console)
+            columns = (BarColumn(bar_width=None), TextColumn("{task.fields[figures]}"), TimeRemainingColumn(compact=True))
+            self._bar = Progress(TextColumn("training"), *columns, console=self._console, expand=True)
             self._bar.start()
             self._task = self._bar.add_task("training", total=total, completed=done, figures="")
 
@@ -84,7 +85,9 @@ class Display:
         rate = (slots - before) / max(now - started, 1e-9)
         self._marks.append((now, slots))
         aou = "-" if mean_aou_s is None else f"{mean_aou_s:,.0f} s"
-        figures = f"{slots / 1e6:.2f}M slots, {rate:,.0f} slots/s, {rate * self._uavs:,.0f} agent steps/s, mean AoU {aou}"
+        agent_steps = f"{rate * self._uavs:,.0f} agent steps/s, "
+        narrow = self._bar is not None and self._console.width < _WIDE
+        figures = f"{slots:,} slots, {rate:,.0f} slots/s, {'' if narrow else agent_steps}mean AoU {aou}"
         if self._bar is not None:
             self._bar.update(self._task, completed=slots, figures=figures)
         elif self._plain and now >= self._next_line:

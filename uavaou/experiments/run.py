@@ -192,7 +192,7 @@ class _Recorder(BaseCallback):
             state["episode_starts"] = np.asarray(self.model._last_episode_starts, dtype=np.int64)  # type: ignore[attr-defined]
         save_training(self._folder.last, self.model, self.progress, state)
         self._display.message(
-            f"{self._slots / 1e6:.2f}M slots: mean AoU on {algorithm.evaluation_missions} validation missions "
+            f"{self._slots:,} slots: mean AoU on {algorithm.evaluation_missions} validation missions "
             f"{scores['greedy']:,.0f} s greedy, {scores['sample']:,.0f} s sampled{' (best so far)' if improved else ''}"
         )
 

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from uavaou.errors import unknown
 from uavaou.planners.base import Planner
-from uavaou.planners.greedy import Greedy
+from uavaou.planners.greedy import BestFirst, Greedy
 from uavaou.planners.simple import Random, Stay
 
-__all__ = ["PLANNERS", "Greedy", "Planner", "Random", "Stay", "make_planner"]
+__all__ = ["PLANNERS", "BestFirst", "Greedy", "Planner", "Random", "Stay", "make_planner"]
 
-PLANNERS: dict[str, type[Planner]] = {"random": Random, "stay": Stay, "greedy": Greedy}
+PLANNERS: dict[str, type[Planner]] = {
+    "random": Random,
+    "stay": Stay,
+    "greedy": Greedy,
+    "best-first": BestFirst,
+}
 
 
 def make_planner(name: str) -> Planner:

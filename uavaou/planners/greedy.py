@@ -23,16 +23,18 @@ class Greedy:
 
     decided anew in every slot; every device in range is collected. A_i is the device's true age sum, 0 where a
     UAV has it in range in the slot being decided and so delivers it now. Only cells from which the way home is
-    still open are considered. Of all UAVs the one with the largest value chooses first, and the devices within
-    its cell's range without fading are taken out before the next one chooses.
+    still open are considered. UAVs choose in turn, in the order of their numbers, and the devices within a chosen
+    cell's range without fading are taken out before the next one chooses.
 
     Ties go to the lowest UAV, then the lowest column, then the lowest row. A UAV to which nothing is left to
     collect stays. The way to a cell leads along x first, then y.
 
     Measured on ``paper``, none of these choices loses to its alternative on average: weighting by the probability to
     the radius alone and x first to the longer axis (eight layouts), taking out by the radius to taking out by the
-    probability (four). Choosing in order of value matters most: in the order of the UAVs' numbers age is nearly double.
+    probability (four). The order of choosing matters most, which is what :class:`BestFirst` changes.
     """
+
+    best_first = False
 
     def reset(self, world: World, seed: int) -> None:
         """Compute who reaches whom from where; in a World with ``layout: resample`` for each mission. Draws nothing."""
@@ -63,12 +65,13 @@ class Greedy:
         open_to = self._way_home_open(world, steps)  # (N, U, C)
         age = np.where(world.in_range.any(axis=1), 0.0, world.age_sum)  # (N, I) s, what others leave
         targets = world.cells.copy()  # (N, U, 2)
-        for _ in range(uavs):
-            value = np.where(open_to, self._collected(age) / (1 + steps), -1.0)  # (N, U, C)
+        for turn in range(uavs):
+            choosing = open_to if self.best_first else open_to & (np.arange(uavs) == turn)[:, None]
+            value = np.where(choosing, self._collected(age) / (1 + steps), -1.0)  # (N, U, C)
             uav, cell = np.divmod(value.reshape(missions, -1).argmax(axis=1), cells)  # (N,), (N,)
             worthwhile = value[lane, uav, cell] > 0.0
             targets[lane[worthwhile], uav[worthwhile]] = self._cells[cell[worthwhile]]
-            age = np.where(self._in_radius[layout, uav, cell], 0.0, age)
+            age = np.where(self._in_radius[layout, uav, cell] & worthwhile[:, None], 0.0, age)
             open_to[lane, uav] = False  # it has chosen
         return targets
 
@@ -84,6 +87,12 @@ class Greedy:
         # Not a matrix product: that may round differently with N, and near-ties would then depend on the batch.
         expected: Floats = np.einsum("ni,nuci->nuc", age, probability)
         return expected
+
+
+class BestFirst(Greedy):
+    """Greedy in which the UAV with the largest value of all chooses first: about half the age on ``paper``."""
+
+    best_first = True
 
 
 def _by_cell(scenario: Scenario, layout: Layout) -> Floats:

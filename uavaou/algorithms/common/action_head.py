@@ -48,7 +48,15 @@ class MoveSelectionDistribution(Distribution):
         self.move_log_probs = F.log_softmax(moves, dim=1)  # (B, 5)
         self.selection_logits = logits[:, MOVES:]  # (B, I)
         self.selectable = in_range
+        self._softplus: th.Tensor | None = None
         return self
+
+    @property
+    def selection_normaliser(self) -> th.Tensor:
+        """log(1 + exp(z)) of the selection logits z, (B, I); log-probability and entropy share it."""
+        if self._softplus is None:
+            self._softplus = F.softplus(self.selection_logits)
+        return self._softplus
 
     def log_prob(self, actions: th.Tensor) -> th.Tensor:
         """Log-probability of actions (B, 1 + I), the move first; (B,)."""
@@ -57,7 +65,7 @@ class MoveSelectionDistribution(Distribution):
         if not self.devices:
             return chosen
         selected = actions[:, 1:].to(self.selection_logits.dtype)
-        bits = selected * self.selection_logits - F.softplus(self.selection_logits)  # (B, I)
+        bits = selected * self.selection_logits - self.selection_normaliser  # (B, I)
         return chosen + self._selectable(bits).sum(dim=1)
 
     def entropy(self) -> th.Tensor:
@@ -66,7 +74,7 @@ class MoveSelectionDistribution(Distribution):
         if not self.devices:
             return move
         z = self.selection_logits
-        return move + self._selectable(F.softplus(z) - z * th.sigmoid(z)).sum(dim=1)
+        return move + self._selectable(self.selection_normaliser - z * th.sigmoid(z)).sum(dim=1)
 
     def sample(self, uniforms: th.Tensor | None = None) -> th.Tensor:
         """Draw actions (B, 1 + I); from ``uniforms`` (B, 5 + I) in [0, 1) where the caller has a stream of its own."""
