@@ -31,10 +31,8 @@ def whole_mission(seed: int, **kwargs: Any) -> list[Any]:
     for mission_seed in (seed, None):
         observations, _ = env.reset(seed=mission_seed)
         while env.agents:
-            actions = {
-                agent: np.array([rng.integers(n) for n in env.action_space(agent).nvec]) for agent in env.agents
-            }
-            observations, rewards, terminations, truncations, infos = env.step(actions)
+            actions = {agent: np.array([rng.integers(n) for n in env.action_space(agent).nvec]) for agent in env.agents}
+            observations, rewards, terminations, _, infos = env.step(actions)
             seen += [*observations.values(), *rewards.values(), *terminations.values(), env.state()]
             seen += [part for info in infos.values() for part in info["action_mask"]]
         seen.append(infos["uav_0"]["mission"])
@@ -52,7 +50,7 @@ def test_rewards_are_the_papers_and_the_end_is_a_termination() -> None:
     env.reset(seed=0)
     total = 0.0
     for slot in range(1, 13):
-        _, rewards, terminations, truncations, infos = env.step({agent: slot % 5 for agent in env.agents})
+        _, rewards, terminations, truncations, infos = env.step(dict.fromkeys(env.agents, slot % 5))
         snapshot = env.unwrapped.snapshot()
         assert snapshot["slot"] == slot
         assert rewards == pytest.approx(dict.fromkeys(("uav_0", "uav_1"), -snapshot["age_sum"].sum()))
@@ -68,7 +66,7 @@ def test_rewards_are_the_papers_and_the_end_is_a_termination() -> None:
 
 def test_masks_are_those_of_the_world() -> None:
     env = uavaou_v0.parallel_env("tiny")
-    observations, infos = env.reset(seed=0)
+    _, infos = env.reset(seed=0)
     moves, *devices = infos["uav_0"]["action_mask"]
     np.testing.assert_array_equal(moves, [1, 1, 0, 1, 0])  # at (0, 0): not down, not left
     np.testing.assert_array_equal([select for _, select in devices], env.unwrapped.world.in_range[0, 0])

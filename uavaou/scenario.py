@@ -326,7 +326,9 @@ class Scenario(BaseModel):
         for field in DEVICE_COLUMNS:
             values = getattr(self, field)
             if isinstance(values, tuple) and len(values) != self.devices:
-                raise ValueError(f"{field}: has {len(values)} entries, needs one for each of the {self.devices} devices")
+                raise ValueError(
+                    f"{field}: has {len(values)} entries, needs one for each of the {self.devices} devices"
+                )
         if self.devices_m is None:
             return
         if len(self.devices_m) != self.devices:
@@ -391,12 +393,16 @@ def _csv_columns(path: Path) -> dict[str, list[float]]:
         raise InputError(f"devices_csv {path}: cannot be read: {reason}") from error
     for name in header:
         if name not in known:
-            raise InputError(f"devices_csv {path}: unknown column '{name}'{nearest(name, known)} (known: {', '.join(known)})")
+            raise InputError(
+                f"devices_csv {path}: unknown column '{name}'{nearest(name, known)} (known: {', '.join(known)})"
+            )
         if header.count(name) > 1:
             raise InputError(f"devices_csv {path}: the column {name} is there twice")
     for name in ("x_m", "y_m"):
         if name not in header:
-            raise InputError(f"devices_csv {path}: the column {name} is missing (header: {', '.join(header) or 'none'})")
+            raise InputError(
+                f"devices_csv {path}: the column {name} is missing (header: {', '.join(header) or 'none'})"
+            )
     if not rows:
         raise InputError(f"devices_csv {path}: holds no device")
     columns: dict[str, list[float]] = {name: [] for name in header}
@@ -407,7 +413,9 @@ def _csv_columns(path: Path) -> dict[str, list[float]]:
             try:
                 value = float(row[name])
             except (TypeError, ValueError):
-                raise InputError(f"devices_csv {path}, line {line}: {name} = {row[name]!r}: expected a number") from None
+                raise InputError(
+                    f"devices_csv {path}, line {line}: {name} = {row[name]!r}: expected a number"
+                ) from None
             if not math.isfinite(value):
                 raise InputError(f"devices_csv {path}, line {line}: {name} = {row[name]!r}: must be finite")
             columns[name].append(value)
@@ -418,7 +426,9 @@ def explain_validation(error: ValidationError, fields: list[str]) -> str:
     """Turn pydantic's report into one line on the first thing to mend."""
     details = error.errors(include_url=False)
     # Of a union's branches, the one that got furthest into the value says most.
-    first = max(details, key=lambda d: (d["loc"][:1] == details[0]["loc"][:1], len(d["loc"]), d["type"] == "value_error"))
+    first = max(
+        details, key=lambda d: (d["loc"][:1] == details[0]["loc"][:1], len(d["loc"]), d["type"] == "value_error")
+    )
     loc = [str(part) for part in first["loc"]]
     kind, message = first["type"], first["msg"].removeprefix("Value error, ")
     if not loc:
@@ -433,7 +443,11 @@ def explain_validation(error: ValidationError, fields: list[str]) -> str:
         return f"{loc[0]}: unknown key '{_short_name(key)}'{nearest(key, ('low', 'high'))} (known: low, high)"
     branches = ("float", "int", "Range", "WholeRange", "constrained", "tuple", "function")
     path = loc[0] + "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in loc[1:] if not p.startswith(branches))
-    if loc[0] in DEVICE_COLUMNS and len({d["loc"][1:2] for d in details}) > 1 and not isinstance(first["input"], int | float):
+    if (
+        loc[0] in DEVICE_COLUMNS
+        and len({d["loc"][1:2] for d in details}) > 1
+        and not isinstance(first["input"], int | float)
+    ):
         message = "expected a number, {low: ..., high: ...} or a list with one number a device"
         bottom = [d for d in details if d["loc"][0] == loc[0] and d["type"] == "value_error"]
         if bottom:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -32,9 +32,10 @@ class Missions:
 
 
 def evaluate(
-    runs: Annotated[list[str] | None, typer.Argument(metavar="RUN", help="Folders of training runs.")] = None,
+    run: Annotated[list[str] | None, typer.Argument(help="Folders of training runs.")] = None,
     policy: Annotated[
-        list[str] | None, typer.Option(metavar="random|stay|greedy", help="A planner beside them. Repeatable.")
+        list[str] | None,
+        typer.Option(metavar="PLANNER", help="Also play random, stay, greedy or best-first. Repeatable."),
     ] = None,
     scenario: Annotated[
         str | None, typer.Option(metavar="NAME", help="A preset or a YAML file. [default: the runs' own, else paper]")
@@ -60,13 +61,15 @@ def evaluate(
     if action is not None:
         one_of("--action", action, ACTIONS)
     overrides = parse_overrides(set_ or [])
-    folders, planners = list(dict.fromkeys(runs or [])), list(dict.fromkeys(policy or []))
+    folders, planners = list(dict.fromkeys(run or [])), list(dict.fromkeys(policy or []))
     configs = _read_configs(folders, planners)
     missions = Missions(_choose_scenario(configs, scenario, overrides), episodes, seed)
     if json is not None:
         writable_file(json)
     own = scenario is None and not overrides.scenario
-    _play_and_report(missions, _policies(configs, planners, missions, action), configs if own else {}, overrides, json, quiet)
+    _play_and_report(
+        missions, _policies(configs, planners, missions, action), configs if own else {}, overrides, json, quiet
+    )
 
 
 def _read_configs(folders: list[str], planners: list[str]) -> dict[str, RunConfig]:
@@ -134,8 +137,8 @@ def _play_and_report(
         notes = _write(missions, results, actions, own, json)
     finally:  # hours of figures are shown even if a disk has filled meanwhile
         print("\n".join(evaluation_lines(missions.scenario, results, actions, missions.seed, overrides.scenario)))
-    if not quiet:
-        print("\n".join(notes), file=sys.stderr)
+    for note in notes if not quiet else []:
+        print(note, file=sys.stderr)
 
 
 def _write(

@@ -82,7 +82,7 @@ def _help_when_alone(ctx: typer.Context) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 0, 2 for bad input, 130 when interrupted.
+    """Run one command and return its exit code: 0, 2 for bad input, 130 when interrupted, 1 when nobody reads on.
 
     Bad input is one line on stderr. Any other exception is a bug and keeps its traceback.
     """
@@ -98,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _complain("interrupted", INTERRUPTED)
     except BrokenPipeError:  # uavaou ... | head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return 1
     return code if isinstance(code, int) else 0
 
 

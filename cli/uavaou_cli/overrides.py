@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from uavaou.errors import InputError, nearest, unknown
+from uavaou.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from uavaou.algorithms.config import AlgorithmConfig
@@ -56,30 +56,27 @@ def parse_overrides(items: Sequence[str]) -> Overrides:
         key, equals, value = item.partition("=")
         if not equals or not key or not value.strip():
             raise InputError(f"--set {item}: expected KEY=VALUE, such as scenario.layout_seed=7")
-        part, dot, rest = key.partition(".")
+        part, _, rest = key.partition(".")
         if part not in PARTS or not rest:
-            raise InputError(f"--set {item}: {_what_key(key if not dot else part, bool(dot))}")
+            raise InputError(f"--set {item}: keys are scenario.FIELD or algorithm.FIELD{_nearest_key(key)}")
         given = getattr(overrides, part)
         for other in given:
-            if f"{other}.".startswith(f"{rest}.") or f"{rest}.".startswith(f"{other}."):
-                raise InputError(f"--set {part}.{other} and --set {key}: give one of them, once")
+            if other == rest:
+                raise InputError(f"--set {key}: given twice")
+            if other.startswith(f"{rest}.") or rest.startswith(f"{other}."):
+                raise InputError(f"--set {part}.{other} and --set {key}: give one of them")
         given[rest] = value
     return overrides
 
 
-def _what_key(word: str, dotted: bool) -> str:
-    if dotted:
-        return f"keys start with scenario. or algorithm., not '{word}.'{nearest(word, PARTS)}"
-    if word in PARTS:
-        return f"name a field, such as {'scenario.layout_seed' if word == 'scenario' else 'algorithm.learning_rate'}"
+def _nearest_key(key: str) -> str:
     from uavaou.algorithms.config import MappoConfig
     from uavaou.scenario import Scenario
 
     known = [f"scenario.{name}" for name in Scenario.model_fields]
     known += [f"algorithm.{name}" for name in MappoConfig.model_fields]
-    same = [f"'{name}'" for name in known if name.endswith(f".{word}")]
-    hint = f"; did you mean {' or '.join(same)}?" if same else nearest(word, known)
-    return f"keys start with scenario. or algorithm.{hint}"
+    same = [f"'{name}'" for name in known if name.endswith(f".{key}")]
+    return f"; did you mean {' or '.join(same)}?" if same else nearest(key, known)
 
 
 def changes(prefix: str, given: Mapping[str, str], fields: Mapping[str, Any], known: Sequence[str]) -> dict[str, Any]:
@@ -98,13 +95,18 @@ def changes(prefix: str, given: Mapping[str, str], fields: Mapping[str, Any], kn
     for key, text in given.items():
         field, *path = key.split(".")
         if field not in known:
-            raise unknown("--set key", f"{prefix}.{key}", [f"{prefix}.{name}" for name in known])
+            raise _unknown_key(prefix, field, known)
         if not path:
             changed[field] = parse_value(text)
             continue
         changed.setdefault(field, _copied(fields.get(field)))
         _set_inside(changed[field], path, parse_value(text), f"{prefix}.{field}")
     return changed
+
+
+def _unknown_key(where: str, name: str, known: Sequence[str]) -> InputError:
+    hint = nearest(name, known) or f" (known: {', '.join(known)})"
+    return InputError(f"--set {where}.{name}: {where} has no '{name}'{hint}")
 
 
 def _copied(value: Any) -> Any:
@@ -116,7 +118,7 @@ def _set_inside(value: Any, path: Sequence[str], new: Any, where: str) -> None:
     if not isinstance(value, dict):
         raise InputError(f"--set {where}.{name}: {where} = {value!r} has no parts; set it as a whole")
     if name not in value:
-        raise unknown("--set key", f"{where}.{name}", [f"{where}.{part}" for part in value])
+        raise _unknown_key(where, name, list(value))
     if len(path) == 1:
         value[name] = new
     else:
@@ -153,8 +155,3 @@ def _with_numbers(value: Any) -> Any:
         return [_with_numbers(inner) for inner in value]
     number = _number(value) if isinstance(value, str) else None
     return value if number is None else number
-
-
-def described(overrides: Mapping[str, str]) -> Iterable[str]:
-    """The overrides as typed, sorted."""
-    return [f"{key}={value}" for key, value in sorted(overrides.items())]

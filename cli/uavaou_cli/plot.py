@@ -13,25 +13,25 @@ from uavaou_cli.checks import LARGEST_SEED, within, writable_folder
 
 
 def figures(
-    runs: Annotated[list[Path] | None, typer.Argument(metavar="RUN", help="Folders of training runs.")] = None,
+    run: Annotated[list[Path] | None, typer.Argument(help="Folders of training runs.")] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where the pictures go. [default: the first RUN's figures/]")
     ] = None,
 ) -> None:
     """Draw the training and evaluation figures of runs, as PNG and PDF; seeds of one algorithm become one line."""
-    if not runs:
+    if not run:
         raise InputError("missing argument RUN: give at least one run folder, such as results/paper/mappo/seed-0")
     from uavaou.experiments.folder import RunFolder
 
-    for run in runs:
-        RunFolder(run).read_config()
-    target = out if out is not None else runs[0] / "figures"
+    for folder in run:
+        RunFolder(folder).read_config()
+    target = out if out is not None else run[0] / "figures"
     writable_folder(target)
     from uavaou.reports.figures import plot_figures
 
-    print("\n".join(map(str, plot_figures(runs, target))))
-    if not any(run.glob("eval/*.json") for run in runs):
-        print(f"figures 7 and 8 need an evaluation first: uavaou eval {runs[0]}", file=sys.stderr)
+    print("\n".join(map(str, plot_figures(run, target))))
+    if not any(folder.glob("eval/*.json") for folder in run):
+        print(f"figures 7 and 8 need an evaluation first: uavaou eval {run[0]}", file=sys.stderr)
 
 
 def trajectories(

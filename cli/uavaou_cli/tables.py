@@ -29,7 +29,7 @@ def scenario_lines(scenarios: Sequence[Scenario]) -> list[str]:
     lines = sizes[:1]
     for line, scenario in zip(sizes[1:], scenarios, strict=True):
         lines += [line, *textwrap.wrap(scenario.description, WIDTH, initial_indent="  ", subsequent_indent="  ")]
-    return lines
+    return [*lines, "", "paper is the default; the path of a YAML file can stand for a name"]
 
 
 def training_lines(outcome: Outcome, config: RunConfig) -> list[str]:
@@ -64,7 +64,6 @@ def evaluation_lines(
     missions = "missions" if episodes > 1 else "mission"
     lines = textwrap.wrap(f"{scenario.name}{changed}: {episodes:,} {missions}, {seeds}", WIDTH)
     heads = [
-        ("", ""),
         ("action", ""),
         ("mean AoU", "(s)"),
         ("mean AoU", "(slots)"),
@@ -72,13 +71,14 @@ def evaluation_lines(
         ("devices", f"of {scenario.devices}"),
         ("viola-", "tions"),
     ]
-    rows = [(name, *_cells(scenario, result, actions[name])) for name, result in results.items()]
+    rows = [(name, _cells(scenario, result, actions[name])) for name, result in results.items()]
     lines += ["", *_two_line_table(heads, rows)]
     for name, result in results.items():
         broken = ", ".join(f"{key} {count:,}" for key, count in result.violations.items() if count)
         if broken:
             lines += ["", f"{name} broke constraints: {broken}"]
-    return [*lines, "", "below each mean: its 95 % interval over missions" if episodes > 1 else "one mission has no interval"]
+    note = "below each mean: its 95 % interval over missions" if episodes > 1 else "one mission alone gives no interval"
+    return [*lines, "", note]
 
 
 def _cells(scenario: Scenario, result: Evaluation, action: str | None) -> list[tuple[str, str]]:
@@ -95,22 +95,20 @@ def _cells(scenario: Scenario, result: Evaluation, action: str | None) -> list[t
     ]
 
 
-def _two_line_table(
-    heads: Sequence[tuple[str, str]], rows: Sequence[tuple[str, *tuple[tuple[str, str], ...]]]
-) -> list[str]:
-    """Rows of two lines; a name too long for 80 columns stands on a line of its own."""
-    columns = [list(column) for column in zip(heads[1:], *(row[1:] for row in rows), strict=True)]
+def _two_line_table(heads: Sequence[tuple[str, str]], rows: Sequence[tuple[str, list[tuple[str, str]]]]) -> list[str]:
+    """Named rows of two lines each; a name too long for 80 columns stands on a line of its own."""
+    columns = list(zip(heads, *(cells for _, cells in rows), strict=True))
     widths = [max(len(part) for cell in column for part in cell) for column in columns]
     room = WIDTH - sum(width + len(_GAP) for width in widths)
-    short = [len(row[0]) for row in rows if len(row[0]) <= room]
-    first = max([2, *short])
+    short = [len(name) for name, _ in rows if len(name) <= room]
+    first = max(short, default=0)
 
     def line(name: str, parts: Sequence[str]) -> str:
         figures = (part.rjust(width) for part, width in zip(parts, widths, strict=True))
         return _GAP.join([name.ljust(first), *figures]).rstrip()
 
-    lines = [line("", [cell[k] for cell in heads[1:]]) for k in (0, 1)]
-    for name, *cells in rows:
+    lines = [line("", [cell[k] for cell in heads]) for k in (0, 1)]
+    for name, cells in rows:
         upper, lower = ([cell[k] for cell in cells] for k in (0, 1))
         lines += [line(name, upper)] if len(name) <= room else [name, line("", upper)]
         lines += [line("", lower)] if any(lower) else []
@@ -118,20 +116,18 @@ def _two_line_table(
 
 
 def _with_interval(found: Interval) -> tuple[str, str]:
-    digits = _digits(found.mean)
     if math.isnan(found.low):
-        return f"{found.mean:,.{digits}f}", ""
-    return f"{found.mean:,.{digits}f}", f"{found.low:,.{digits}f}-{found.high:,.{digits}f}"
+        return _figure(found.mean), ""
+    return _figure(found.mean), f"{_figure(found.low, found.mean)}-{_figure(found.high, found.mean)}"
 
 
-def _figure(value: float) -> str:
-    return f"{value:,.{_digits(value)}f}"
-
-
-def _digits(value: float) -> int:
-    """Decimals that show four digits, two decimals at most."""
-    size = abs(value)
-    return 0 if size >= 1000 else 1 if size >= 100 else 2
+def _figure(value: float, like: float | None = None) -> str:
+    """Four digits or a little more, in the form that suits ``like``: ``12.34``, ``1,234``, ``1.234M``."""
+    size = abs(value if like is None else like)
+    if size >= 1e6:
+        return f"{value / 1e6:,.3f}M"
+    digits = 0 if size >= 1000 else 1 if size >= 100 else 2
+    return f"{value:,.{digits}f}"
 
 
 def _duration(seconds: float) -> str:

@@ -22,7 +22,9 @@ BACKENDS = ("batched", "supersuit")
 
 def train(
     ctx: typer.Context,
-    scenario: Annotated[str, typer.Option(metavar="NAME", help="A preset (see `uavaou scenarios`) or a YAML file.")] = "paper",
+    scenario: Annotated[
+        str, typer.Option(metavar="NAME", help="A preset (see `uavaou scenarios`) or a YAML file.")
+    ] = "paper",
     algorithm: Annotated[str, typer.Option(metavar="mappo|ippo", help="What learns.")] = "mappo",
     seed: Annotated[int, typer.Option(metavar="N", help="Of the training; two seeds never share a mission.")] = 0,
     slots: Annotated[

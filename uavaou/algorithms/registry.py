@@ -16,8 +16,7 @@ def make_model(
     config: AlgorithmConfig, env: Any, layout: RowLayout, seed: int, device: str, tensorboard_log: str | None = None
 ) -> BaseAlgorithm:
     """Build the learner of a configuration on a flattened environment."""
-    model = _BUILDERS[config.name](config, env, layout, seed, device, tensorboard_log)
-    return model
+    return _BUILDERS[config.name](config, env, layout, seed, device, tensorboard_log)
 
 
 def _linear(start: float, final_fraction: float) -> Callable[[float], float]:

@@ -40,16 +40,14 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
         self.metadata = {"render_modes": ["rgb_array"]}
         self.num_envs = missions * scenario.uavs
         layout = self.views.layout
-        self.observation_space = spaces.Box(
-            -np.inf, np.inf, (layout.local_size + layout.global_size,), np.float32
-        )
+        self.observation_space = spaces.Box(-np.inf, np.inf, (layout.local_size + layout.global_size,), np.float32)
         self.action_space = action_space(scenario, collection)
         self.world: World | None = None
         self._actions: NDArray[Any] | None = None
 
-    def reset(
+    def reset(  # type: ignore[override]
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Rows, list[dict[str, Any]]]:  # type: ignore[override]
+    ) -> tuple[Rows, list[dict[str, Any]]]:
         """Start a mission in every lane; lane j is seeded with ``seed + j``."""
         if self.world is None:
             fresh = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed

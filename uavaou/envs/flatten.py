@@ -114,7 +114,7 @@ class _CriticInput(BaseParallelWrapper[str, NDArray[np.float32], Any]):
         return {agent: np.concatenate([local, state]) for agent, local in observations.items()}
 
 
-class MissionVecEnv(SB3VecEnvWrapper):  # type: ignore[misc]
+class MissionVecEnv(SB3VecEnvWrapper):
     """SuperSuit's SB3 wrapper with its gaps mended; what :func:`flatten` returns.
 
     Attributes:
@@ -124,9 +124,7 @@ class MissionVecEnv(SB3VecEnvWrapper):  # type: ignore[misc]
         local_size, global_size: a row is ``[local | global]``.
     """
 
-    def __init__(
-        self, venv: Any, scenario: Scenario, views: Views, missions: int, processes: int, seed: int
-    ) -> None:
+    def __init__(self, venv: Any, scenario: Scenario, views: Views, missions: int, processes: int, seed: int) -> None:
         super().__init__(venv)
         self.scenario = scenario
         self._views = views

@@ -10,7 +10,7 @@ device), and in the last slot ``mission``, the mission's metrics.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -55,7 +55,12 @@ def env(**kwargs: Any) -> AECEnv[str, NDArray[np.float32], Any]:
 class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
     """One mission of a scenario; see the module's docstring, and :func:`parallel_env` to make one."""
 
-    metadata = {"name": "uavaou_v0", "render_modes": list(RENDER_MODES), "render_fps": 4, "is_parallelizable": True}
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "uavaou_v0",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 4,
+        "is_parallelizable": True,
+    }
 
     def __init__(self, scenario: Scenario, observation: str, collection: str, render_mode: str | None) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
@@ -125,7 +130,8 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
 
     def state(self) -> NDArray[np.float32]:
         """The global state, a flat float32 vector."""
-        return self.views.state(self._running())[0]
+        state: NDArray[np.float32] = self.views.state(self._running())[0]
+        return state
 
     def snapshot(self) -> dict[str, Any]:
         """Describe the slot just stepped; see :meth:`uavaou.world.World.snapshot`."""

@@ -38,7 +38,11 @@ class Evaluation:
 
 
 def evaluate(
-    scenario: Scenario, policy: Planner, episodes: int, seed: int, after_slot: Callable[[int, World], None] | None = None
+    scenario: Scenario,
+    policy: Planner,
+    episodes: int,
+    seed: int,
+    after_slot: Callable[[int, World], None] | None = None,
 ) -> Evaluation:
     """Play ``episodes`` missions; mission j is seeded with ``seed + j``, its result whatever the others.
 

@@ -91,7 +91,8 @@ class RunFolder:
             InputError: the folder is no run, or its configuration cannot be used.
         """
         if not self.path.is_dir():
-            raise InputError(f"run folder '{self.path}' does not exist")
+            problem = "is not a folder" if self.path.exists() else "does not exist"
+            raise InputError(f"run folder '{self.path}' {problem}")
         if not self.exists():
             raise InputError(f"'{self.path}' is not a run folder: it holds no config.yaml")
         content = read_yaml_mapping(self.config)
@@ -141,7 +142,7 @@ def _folder_name(base: str, overrides: Mapping[str, str]) -> str:
 
 def describe_machine() -> dict[str, Any]:
     """Versions, commit and machine, for ``meta.json``."""
-    versions = {}
+    versions: dict[str, str | None] = {}
     for package in _PACKAGES:
         try:
             versions[package] = version(package)
@@ -182,4 +183,6 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         return platform.processor()
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor())
+    return next(
+        (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor()
+    )

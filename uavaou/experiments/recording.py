@@ -73,7 +73,11 @@ class Display:
         self._bar: Progress | None = None
         self._plain = not quiet and not self._console.is_terminal
         if not quiet and self._console.is_terminal:
-            columns = (BarColumn(bar_width=None), TextColumn("{task.fields[figures]}"), TimeRemainingColumn(compact=True))
+            columns = (
+                BarColumn(bar_width=None),
+                TextColumn("{task.fields[figures]}"),
+                TimeRemainingColumn(compact=True),
+            )
             self._bar = Progress(TextColumn("training"), *columns, console=self._console, expand=True)
             self._bar.start()
             self._task = self._bar.add_task("training", total=total, completed=done, figures="")
@@ -84,7 +88,7 @@ class Display:
         started, before = self._marks[0]
         rate = (slots - before) / max(now - started, 1e-9)
         self._marks.append((now, slots))
-        aou = "-" if mean_aou_s is None else f"{mean_aou_s:,.0f} s"
+        aou = "-" if mean_aou_s is None else f"{mean_aou_s:,.1f} s"
         agent_steps = f"{rate * self._uavs:,.0f} agent steps/s, "
         narrow = self._bar is not None and self._console.width < _WIDE
         figures = f"{slots:,} slots, {rate:,.0f} slots/s, {'' if narrow else agent_steps}mean AoU {aou}"
@@ -93,7 +97,9 @@ class Display:
         elif self._plain and now >= self._next_line:
             self._next_line = now + _PLAIN_LINE_EVERY_S
             left = (self._total - slots) / max(rate, 1e-9)
-            self._console.print(f"{slots / self._total:4.0%}  {figures}, {left:,.0f} s left", highlight=False, soft_wrap=True)
+            self._console.print(
+                f"{slots / self._total:4.0%}  {figures}, {left:,.0f} s left", highlight=False, soft_wrap=True
+            )
 
     def message(self, text: str) -> None:
         """Show a line that stays."""

@@ -34,8 +34,13 @@ class Outcome:
 
 
 def train(
-    config: RunConfig, folder: RunFolder, device: str = "auto", backend: str = "batched", resume: bool = False, quiet: bool = False
-) -> Outcome:  # fmt: skip
+    config: RunConfig,
+    folder: RunFolder,
+    device: str = "auto",
+    backend: str = "batched",
+    resume: bool = False,
+    quiet: bool = False,
+) -> Outcome:
     """Train to the budget, writing the run folder on the way.
 
     Args:
@@ -52,13 +57,23 @@ def train(
     resuming = _claim(folder, config, resume)
     algorithm = config.algorithm
     env = flatten(
-        config.scenario, missions=algorithm.missions, seed=LANE_SEEDS * (config.seed + 1), processes=algorithm.processes,
-        backend=backend, observation=algorithm.observation, collection=algorithm.collection, reward=algorithm.reward,
-    )  # fmt: skip
+        config.scenario,
+        missions=algorithm.missions,
+        seed=LANE_SEEDS * (config.seed + 1),
+        processes=algorithm.processes,
+        backend=backend,
+        observation=algorithm.observation,
+        collection=algorithm.collection,
+        reward=algorithm.reward,
+    )
     try:
         model = make_model(algorithm, env, env.row_layout, config.seed, device)
         env.seed(LANE_SEEDS * (config.seed + 1))  # SB3 seeded the missions with the learner's seed
-        progress = _restore(folder, model, env, config) if resuming else Progress(next_evaluation=algorithm.evaluate_every_slots)
+        progress = (
+            _restore(folder, model, env, config)
+            if resuming
+            else Progress(next_evaluation=algorithm.evaluate_every_slots)
+        )
         return _learn(config, folder, model, env, progress, quiet)
     finally:
         env.close()
@@ -68,9 +83,13 @@ def _claim(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
     """Make the folder this run's own; returns whether there is a checkpoint to go on from."""
     if folder.exists():
         if not resume:
-            raise InputError(f"'{folder.path}' already holds a run: add --resume to go on with it, or choose another --out")
+            raise InputError(
+                f"'{folder.path}' already holds a run: add --resume to go on with it, or choose another --out"
+            )
         if folder.read_config() != config:
-            raise InputError(f"'{folder.path}' holds a run with another configuration (see its config.yaml); not resumed")
+            raise InputError(
+                f"'{folder.path}' holds a run with another configuration (see its config.yaml); not resumed"
+            )
         return folder.last.is_file()
     try:
         folder.last.parent.mkdir(parents=True, exist_ok=True)
@@ -84,7 +103,7 @@ def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config
     progress = read_progress(folder.last)
     arrays = load_training(folder.last, model)
     model.num_timesteps = progress.slots * config.scenario.uavs
-    model._n_updates = progress.updates  # type: ignore[attr-defined]
+    model._n_updates = progress.updates
     if arrays:
         model._last_episode_starts = arrays.pop("episode_starts").astype(bool)
         model._last_obs = env.load_missions_state(arrays)
@@ -98,13 +117,14 @@ def _learn(
 ) -> Outcome:
     uavs = config.scenario.uavs
     remaining = config.algorithm.slots - progress.slots
+    if remaining <= 0:  # resumed, but finished before
+        return Outcome(folder, progress, model.num_timesteps)
     display = Display(config.algorithm.slots, progress.slots, uavs, quiet)
     writers = _writers(folder, resumed=progress.slots > 0)
     model.set_logger(Logger(str(folder.path), writers))
     callback = _Recorder(config, folder, env, progress, display)
     try:
-        if remaining > 0:
-            model.learn(remaining * uavs, callback=callback, reset_num_timesteps=progress.slots == 0)
+        model.learn(remaining * uavs, callback=callback, reset_num_timesteps=progress.slots == 0)
     finally:
         callback.close()
         display.close()
@@ -167,6 +187,7 @@ class _Recorder(BaseCallback):
             self._evaluate_and_save()
 
     def _on_training_end(self) -> None:
+        self._display.update(self._slots, self._recent.mean)
         self._evaluate_and_save()
 
     def _evaluate_and_save(self) -> None:
@@ -189,11 +210,11 @@ class _Recorder(BaseCallback):
             save_policy(self._folder.best, self.model, self.progress)
         state = self._env.missions_state()
         if state is not None:
-            state["episode_starts"] = np.asarray(self.model._last_episode_starts, dtype=np.int64)  # type: ignore[attr-defined]
+            state["episode_starts"] = np.asarray(self.model._last_episode_starts, dtype=np.int64)
         save_training(self._folder.last, self.model, self.progress, state)
         self._display.message(
             f"{self._slots:,} slots: mean AoU on {algorithm.evaluation_missions} validation missions "
-            f"{scores['greedy']:,.0f} s greedy, {scores['sample']:,.0f} s sampled{' (best so far)' if improved else ''}"
+            f"{scores['greedy']:,.1f} s greedy, {scores['sample']:,.1f} s sampled{' (best so far)' if improved else ''}"
         )
 
     def _score(self, action: str) -> float:
@@ -208,13 +229,14 @@ class _Recorder(BaseCallback):
     def write_meta(self) -> None:
         """Write ``meta.json``."""
         done = self.progress.slots
+        model = getattr(self, "model", None)  # an interrupt may come before SB3 has set it
         content: dict[str, Any] = {
             **self._machine,
             "slots": done,
             "agent_steps": done * self._uavs,
             "slots_budget": self._config.algorithm.slots,
             "finished": done >= self._config.algorithm.slots,
-            "device": str(self.model.device) if self.model is not None else None,
+            "device": None if model is None else str(model.device),
             **asdict(self.progress),
         }
         write_json(self._folder.meta, content)

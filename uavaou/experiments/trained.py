@@ -77,8 +77,7 @@ def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | No
         raise InputError(f"'{path.path}' holds no checkpoint yet: its training has not reached the first one")
     progress = read_progress(checkpoint)
     algorithm = config.algorithm
-    task = {"observation": algorithm.observation, "collection": algorithm.collection, "reward": algorithm.reward}
-    env = flatten(scenario, missions=1, **task)
+    env = flatten(scenario, missions=1, observation=algorithm.observation, collection=algorithm.collection)
     model = make_model(algorithm, env, env.row_layout, config.seed, device="cpu")
     load_policy(checkpoint, model)
     model.policy.set_training_mode(False)

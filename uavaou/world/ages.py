@@ -26,9 +26,7 @@ class AgeLedger:
         self.pending.fill(1)
         self.age_slots.fill(0)
 
-    def advance(
-        self, slot: int, update_period: NDArray[np.int64], collected: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
+    def advance(self, slot: int, update_period: NDArray[np.int64], collected: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Play one slot: generate, age, deliver.
 
         Args:

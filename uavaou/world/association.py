@@ -17,9 +17,7 @@ class Association:
     rejected_association: NDArray[np.int64]  # (N,), selections that lost to a better rate
 
 
-def associate(
-    in_range: NDArray[np.bool_], snr: NDArray[np.float64], selected: NDArray[np.bool_] | None
-) -> Association:
+def associate(in_range: NDArray[np.bool_], snr: NDArray[np.float64], selected: NDArray[np.bool_] | None) -> Association:
     """Give each device to the candidate with the largest rate, the lowest u on a tie.
 
     A device's bandwidth is the same towards every UAV, so the largest SNR is the largest rate.

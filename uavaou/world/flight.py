@@ -58,7 +58,8 @@ class Flight:
             Two (N, U, 5) arrays: on the grid and allowed by (CDS) and (Time); on the grid.
         """
         targets = cells[:, :, None, :] + MOVES  # (N, U, 5, 2)
-        on_grid: Bools = ((targets >= 0) & (targets <= self._last_cell)).all(axis=-1)  # (N, U, 5)
+        inside = (targets >= 0) & (targets <= self._last_cell)  # (N, U, 5, 2)
+        on_grid = inside[..., 0] & inside[..., 1]  # (N, U, 5)
         if slot >= self._slots:
             last = np.zeros_like(on_grid)
             last[..., STAY] = True
@@ -69,7 +70,7 @@ class Flight:
         return on_grid & in_time & afford, on_grid
 
     def resolve(self, moves: Ints, cells: Ints, allowed: Bools, on_grid: Bools) -> Ints:
-        """Turn the moves asked for into the moves made, (N, U): off the grid means stay, not allowed means homewards."""
+        """The moves made, (N, U), of those asked for: off the grid means stay, not allowed means homewards."""
         asked = np.where(_at(on_grid, moves), moves, STAY)
         return np.where(_at(allowed, asked), asked, self.homeward(cells))
 

@@ -108,6 +108,19 @@ class World:
         (2,)
     """
 
+    slot: int  # t, the slot to be played next
+    cells: Ints  # (N, U, 2) column and row of each UAV in that slot
+    positions: Floats  # (N, U, 2) m
+    flown: Ints  # (N, U) grid steps so far
+    snr: Floats  # (N, U, I) Gamma_iu in that slot
+    in_range: Bools  # (N, U, I) R_iu >= R_min in that slot
+    allowed_moves: Bools  # (N, U, 5)
+    last_collection: Ints  # (N, I) slot, 0 for never
+    last_collection_by: Ints  # (N, U, I) slot, 0 for never
+    device_positions: Floats  # (L, I, 2) m; L is N, or 1 where all missions share a layout
+    update_period: Ints  # (L, I) slots, k_i
+    stepped: Stepped | None  # the slot just played
+
     def __init__(self, scenario: Scenario, missions: int = 1, seed: int = 0) -> None:
         if missions < 1:
             raise ValueError(f"missions = {missions}: at least 1")
@@ -129,16 +142,16 @@ class World:
             self._place_devices()
         lanes, uavs, devices = self.missions, self.scenario.uavs, self.scenario.devices
         self.slot = 1
-        self.cells: Ints = np.broadcast_to(self.flight.cds, (lanes, uavs, 2)).copy()  # (N, U, 2)
-        self.flown: Ints = np.zeros((lanes, uavs), dtype=np.int64)  # (N, U) grid steps
+        self.cells = np.broadcast_to(self.flight.cds, (lanes, uavs, 2)).copy()
+        self.flown = np.zeros((lanes, uavs), dtype=np.int64)
         self.ages.reset()
-        self.last_collection: Ints = np.zeros((lanes, devices), dtype=np.int64)  # (N, I) slot, 0 for never
-        self.last_collection_by: Ints = np.zeros((lanes, uavs, devices), dtype=np.int64)  # (N, U, I) slot, 0 for never
+        self.last_collection = np.zeros((lanes, devices), dtype=np.int64)
+        self.last_collection_by = np.zeros((lanes, uavs, devices), dtype=np.int64)
         self._age_total: Ints = np.zeros((lanes, devices), dtype=np.int64)  # (N, I) slots, over the slots played
         self._communications: Ints = np.zeros((lanes, devices), dtype=np.int64)  # (N, I)
         self._rejected_rate: Ints = np.zeros(lanes, dtype=np.int64)  # (N,)
         self._rejected_association: Ints = np.zeros(lanes, dtype=np.int64)  # (N,)
-        self.stepped: Stepped | None = None
+        self.stepped = None
         self.channel.start_mission()
         self._open_slot()
 
@@ -176,7 +189,9 @@ class World:
     def _check_actions(self, moves: Ints, selections: Bools | None) -> None:
         pairs = (self.missions, self.scenario.uavs)
         if moves.shape != pairs or moves.min() < 0 or moves.max() >= len(MOVES):
-            raise ValueError(f"moves: expected whole numbers 0 to {len(MOVES) - 1} of shape {pairs}, got shape {moves.shape}")
+            raise ValueError(
+                f"moves: expected whole numbers 0 to {len(MOVES) - 1}, shape {pairs}; got shape {moves.shape}"
+            )
         if selections is not None and (selections.dtype != bool or selections.shape != (*pairs, self.scenario.devices)):
             raise ValueError(
                 f"selections: expected booleans of shape {(*pairs, self.scenario.devices)}, "
@@ -196,7 +211,7 @@ class World:
     @property
     def age_sum(self) -> Floats:
         """sum_n A_i^n in s, (N, I)."""
-        return self.ages.age_slots * self.scenario.slot_length_s
+        return np.multiply(self.ages.age_slots, self.scenario.slot_length_s, dtype=np.float64)
 
     def metrics(self) -> MissionMetrics:
         """The figures of the missions so far; of whole missions once ``done``."""
@@ -272,7 +287,7 @@ class World:
             self.channel.set_devices(self.device_positions, arrays["bandwidth"], arrays["transmit_power"])
         self.channel.set_ahead(arrays["fading_ahead"])
         self.stepped = None
-        self.positions = self.cells * self.scenario.grid_step_m
+        self.positions = self._cell_positions()
         self.in_range = self.snr >= self.channel.snr_min
         self.allowed_moves, self._on_grid = self.flight.allowed(self.cells, self.flown, self.slot)
 
@@ -286,7 +301,8 @@ class World:
         )
 
     def _of_mission(self, values: NDArray[Any], mission: int) -> NDArray[Any]:
-        return values[0 if len(values) == 1 else mission].copy()
+        own: NDArray[Any] = values[0 if len(values) == 1 else mission].copy()
+        return own
 
     def _place_devices(self) -> None:
         # A fixed layout is held once, (1, I), and broadcast; a resampled one is drawn from each lane's stream.
@@ -294,8 +310,8 @@ class World:
             layouts = [self.scenario.draw_layout()]
         else:
             layouts = [self.scenario.draw_layout(rng) for rng in self._rngs]
-        self.device_positions: Floats = np.stack([layout.positions for layout in layouts])  # (L, I, 2) m
-        self.update_period: Ints = np.stack([layout.update_period for layout in layouts])  # (L, I) slots
+        self.device_positions = np.stack([layout.positions for layout in layouts])
+        self.update_period = np.stack([layout.update_period for layout in layouts])
         self.channel.set_devices(
             self.device_positions,
             np.stack([layout.bandwidth for layout in layouts]),
@@ -304,10 +320,13 @@ class World:
 
     def _open_slot(self) -> None:
         """Draw the slot's channel and find what the UAVs may do in it."""
-        self.positions: Floats = self.cells * self.scenario.grid_step_m  # (N, U, 2) m
-        self.snr: Floats = self.channel.draw_snr(self.positions, self._rngs, self.scenario.slots - self.slot + 1)
-        self.in_range: Bools = self.snr >= self.channel.snr_min  # (N, U, I), R_iu >= R_min
+        self.positions = self._cell_positions()
+        self.snr = self.channel.draw_snr(self.positions, self._rngs, self.scenario.slots - self.slot + 1)
+        self.in_range = self.snr >= self.channel.snr_min
         self.allowed_moves, self._on_grid = self.flight.allowed(self.cells, self.flown, self.slot)  # (N, U, 5)
+
+    def _cell_positions(self) -> Floats:
+        return np.multiply(self.cells, self.scenario.grid_step_m, dtype=np.float64)
 
     def _move(self, moves: Ints) -> None:
         if self.slot == self.scenario.slots:

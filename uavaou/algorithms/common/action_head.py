@@ -10,7 +10,7 @@ from typing import Self
 import torch as th
 from stable_baselines3.common.distributions import Distribution
 from torch import nn
-from torch.nn import functional as F
+from torch.nn import functional
 
 from uavaou.world.views import MOVES
 
@@ -25,10 +25,10 @@ class MoveSelectionDistribution(Distribution):
     """
 
     def __init__(self, devices: int) -> None:
-        super().__init__()
+        super().__init__()  # type: ignore[no-untyped-call]
         self.devices = devices  # 0: the action is the move alone
 
-    def proba_distribution_net(self, latent_dim: int) -> nn.Module:
+    def proba_distribution_net(self, latent_dim: int) -> nn.Linear:
         """The layer from the actor's features to the logits, (B, 5 + I)."""
         return nn.Linear(latent_dim, MOVES + self.devices)
 
@@ -45,7 +45,7 @@ class MoveSelectionDistribution(Distribution):
         moves = logits[:, :MOVES]
         if allowed_moves is not None:
             moves = th.where(allowed_moves > 0.5, moves, FORBIDDEN)
-        self.move_log_probs = F.log_softmax(moves, dim=1)  # (B, 5)
+        self.move_log_probs = functional.log_softmax(moves, dim=1)  # (B, 5)
         self.selection_logits = logits[:, MOVES:]  # (B, I)
         self.selectable = in_range
         self._softplus: th.Tensor | None = None
@@ -55,7 +55,7 @@ class MoveSelectionDistribution(Distribution):
     def selection_normaliser(self) -> th.Tensor:
         """log(1 + exp(z)) of the selection logits z, (B, I); log-probability and entropy share it."""
         if self._softplus is None:
-            self._softplus = F.softplus(self.selection_logits)
+            self._softplus = functional.softplus(self.selection_logits)
         return self._softplus
 
     def log_prob(self, actions: th.Tensor) -> th.Tensor:

@@ -31,6 +31,9 @@ class CentralizedValuePolicy(ActorCriticPolicy):
         selection_bias: initial logit of selecting a device in range; collecting costs nothing in this model.
     """
 
+    action_dist: MoveSelectionDistribution
+    value_net: PopArt  # type: ignore[assignment]
+
     def __init__(
         self,
         observation_space: spaces.Box,
@@ -59,20 +62,21 @@ class CentralizedValuePolicy(ActorCriticPolicy):
     def _build(self, lr_schedule: Schedule) -> None:
         layout = self.row_layout
         devices = layout.devices if layout.selects else 0
-        self.action_dist = MoveSelectionDistribution(devices)  # type: ignore[assignment]
+        self.action_dist = MoveSelectionDistribution(devices)
         critic_size = layout.global_size if self.critic_input == "global" else layout.local_size
         self.actor_body = mlp(layout.local_size, self._hidden, self._activation)
-        self.action_net = self.action_dist.proba_distribution_net(self._hidden[-1])
+        action_net = self.action_dist.proba_distribution_net(self._hidden[-1])
         self.critic_body = mlp(critic_size, self._hidden, self._activation)
         self.value_net = PopArt(self._hidden[-1])
-        for module, gain in ((self.action_net, 0.01), (self.value_net.linear, 1.0)):
+        for module, gain in ((action_net, 0.01), (self.value_net.linear, 1.0)):
             nn.init.orthogonal_(module.weight, gain=gain)
             nn.init.zeros_(module.bias)
         if devices:
-            nn.init.constant_(self.action_net.bias[-devices:], self.selection_bias)
-        self.optimizer = self.optimizer_class(
+            nn.init.constant_(action_net.bias[-devices:], self.selection_bias)
+        self.action_net = action_net
+        self.optimizer = self.optimizer_class(  # type: ignore[call-arg]
             [{"params": self.actor_parameters()}, {"params": self.critic_parameters()}],
-            lr=lr_schedule(1),  # type: ignore[call-arg]
+            lr=lr_schedule(1),
             **self.optimizer_kwargs,
         )
 
@@ -95,7 +99,7 @@ class CentralizedValuePolicy(ActorCriticPolicy):
 
     @th.no_grad()
     def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
-        """Actions (B, 1 + I) for local observations (B, local): the likeliest, or drawn from ``uniforms`` (B, 5 + I)."""
+        """Actions (B, 1 + I) for ``local`` (B, local): the likeliest, or drawn from ``uniforms`` (B, 5 + I)."""
         distribution = self.action_distribution(local)
         return distribution.mode() if uniforms is None else distribution.sample(uniforms)
 
@@ -120,7 +124,7 @@ class CentralizedValuePolicy(ActorCriticPolicy):
         """The policy for rows; reads their local part alone."""
         return self.action_distribution(obs[:, : self.row_layout.local_size])
 
-    def predict_values(self, obs: th.Tensor) -> th.Tensor:
+    def predict_values(self, obs: th.Tensor) -> th.Tensor:  # type: ignore[override]
         """Values of rows, (B, 1)."""
         local_size, uavs = self.row_layout.local_size, self.row_layout.uavs
         if self.critic_input == "local":
@@ -132,12 +136,16 @@ class CentralizedValuePolicy(ActorCriticPolicy):
                 return self.critic_values(slots[:, 0]).repeat_interleave(uavs)[:, None]
         return self.critic_values(states)[:, None]
 
-    def evaluate_actions(self, obs: th.Tensor, actions: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+    def evaluate_actions(  # type: ignore[override]
+        self, obs: th.Tensor, actions: th.Tensor
+    ) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
         """Values (B, 1), log-probabilities (B,) and entropies (B,) of actions taken in rows."""
         distribution = self.get_distribution(obs)
         return self.predict_values(obs), distribution.log_prob(actions), distribution.entropy()
 
-    def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
+    def _predict(  # type: ignore[override]
+        self, observation: th.Tensor, deterministic: bool = False
+    ) -> th.Tensor:
         return self.get_distribution(observation).get_actions(deterministic=deterministic)
 
     def predict(

@@ -57,7 +57,7 @@ class SlotRolloutBuffer(RolloutBuffer):
         self.advantages = np.zeros((steps, missions, critics), np.float32)
         self.returns = np.zeros((steps, missions, critics), np.float32)
 
-    def add(  # type: ignore[override]
+    def add(
         self,
         obs: NDArray[np.float32],
         action: NDArray[Any],

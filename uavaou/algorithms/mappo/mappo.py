@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import explained_variance
-from torch.nn import functional as F
+from torch.nn import functional
 
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
@@ -115,7 +115,9 @@ class MAPPO(PPO):
         ratio = th.exp(log_ratio)
         clipped = th.clamp(ratio, 1 - clip_range, 1 + clip_range)
         policy_loss = -th.min(advantages * ratio, advantages * clipped).mean()
-        value_loss = F.mse_loss(policy.normalised_values(batch.critic_rows), policy.value_net.normalise(batch.returns))
+        value_loss = functional.mse_loss(
+            policy.normalised_values(batch.critic_rows), policy.value_net.normalise(batch.returns)
+        )
         loss = policy_loss - self.ent_coef * entropy + self.vf_coef * value_loss
         policy.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -135,7 +137,7 @@ class MAPPO(PPO):
         return 0.0, float(self.policy.value_net.std)
 
     def _set_learning_rates(self) -> None:
-        rate = self.lr_schedule(self._current_progress_remaining)  # type: ignore[call-arg]
+        rate = self.lr_schedule(self._current_progress_remaining)
         self.logger.record("train/learning_rate", rate)
         actor, critic = self.policy.optimizer.param_groups
         actor["lr"], critic["lr"] = rate, rate * self.critic_learning_rate

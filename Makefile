@@ -1,0 +1,54 @@
+# `make demo` and `make test` need Python 3.11+ and make, nothing else.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+DEMO := results/demo
+RUN := $(DEMO)/paper/mappo+slots=1300000/seed-0
+
+.PHONY: help install demo test lint types bench lock clean
+
+help:
+	@echo "make demo    train MAPPO on the paper's scenario, evaluate it beside planners, draw the figures (about 5 minutes)"
+	@echo "make test    run all tests"
+	@echo "make lint    ruff; make types: mypy; make bench: speed, side by side"
+
+install: $(VENV)/.installed
+
+$(VENV)/.installed: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "uavaou needs Python 3.11 or newer: make PYTHON=python3.11 ..."; exit 1; }
+	@echo "Installing into $(VENV) (about two minutes) ..."
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/pip install --quiet --disable-pip-version-check -r requirements.lock
+	@$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+demo: install
+	@$(BIN)/uavaou train --scenario paper --slots 1300000 --out $(DEMO) --resume
+	@$(BIN)/uavaou eval $(RUN) --policy greedy --policy random --episodes 100
+	@$(BIN)/uavaou plot figures $(RUN) --out $(DEMO)/figures
+	@$(BIN)/uavaou plot trajectories $(RUN) --out $(DEMO)/figures
+
+test: install
+	$(BIN)/python -m pytest -q -m "not slow"
+	$(BIN)/python -m pytest -q -m slow
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: install
+	$(BIN)/mypy
+
+bench: install
+	$(BIN)/python -m benchmarks
+
+lock:
+	rm -rf .lock-venv && $(PYTHON) -m venv .lock-venv
+	.lock-venv/bin/pip install --quiet torch==2.13.0 hatchling
+	.lock-venv/bin/pip install --quiet --no-build-isolation -e '.[dev]'
+	{ echo "# Written by 'make lock': everything that pyproject.toml asks for, at the versions tested together."; \
+	  .lock-venv/bin/pip freeze --exclude-editable | sed -E 's/^(torch==[0-9.]+).*/\1/; s/ @ .*//'; } > requirements.lock
+	rm -rf .lock-venv
+
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis
