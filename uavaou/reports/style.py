@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from uavaou.envs.map import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from uavaou.errors import InputError
+from uavaou.planners import PLANNERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,13 +81,8 @@ _LOOKS = {
     "random": Look(GREY, "x", (0, (1, 1.5)), "random"),
     "stay": Look(GREY, "_", (0, (5, 1.5, 1, 1.5)), "stay"),
     "greedy": Look(BLACK, "*", (0, (4, 1.5)), "greedy"),
-    "tour": Look(GREEN, "P", (0, (5, 1.5, 1, 1.5)), "tour"),
-    "tours": Look(GREEN, "P", (0, (5, 1.5, 1, 1.5)), "tours"),
-    "annealing": Look(GREEN, "h", (0, (4, 1.5)), "annealing"),
-    "exact": Look(BLACK, "+", (0, (1, 1.5)), "exact"),
-    "bound": Look(BLACK, "|", (0, (1, 1.5)), "lower bound"),
+    "best-first": Look(GREEN, "P", (0, (5, 1.5, 1, 1.5)), "best-first"),
 }
-PLANNERS = ("random", "stay", "greedy", "tour", "tours", "annealing", "exact", "bound")
 _SPARE_COLOURS = (GREEN, PURPLE, BLACK, SKY, ORANGE, VERMILLION, BLUE)
 _SPARE_MARKERS = ("X", "p", "<", ">", "d", "8", "1")
 _VARIANT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (5, 1.2, 1, 1.2)), (0, (1.2, 1)))

@@ -74,10 +74,11 @@ class MAPPO(PPO):
         kwargs.setdefault("rollout_buffer_kwargs", buffer_kwargs)
         rows_in_rollout = n_steps * (1 if env is None else env.num_envs)
         super().__init__(
-            # SB3 warns of minibatches that do not divide the rollout; here the last one is whole slots all the same.
+            # SB3 warns of minibatches that do not divide the rollout and normalises advantages in its own train():
+            # here the last minibatch is whole slots all the same, and advantage_normalization says what is done.
             policy, env, learning_rate=learning_rate, n_steps=n_steps, batch_size=rows_in_rollout, n_epochs=n_epochs,
             gamma=gamma, gae_lambda=gae_lambda, clip_range=clip_range, ent_coef=ent_coef, vf_coef=vf_coef,
-            max_grad_norm=max_grad_norm, policy_kwargs=policy_kwargs, **kwargs,
+            max_grad_norm=max_grad_norm, normalize_advantage=False, policy_kwargs=policy_kwargs, **kwargs,
         )  # fmt: skip
         self.batch_size = batch_size
 
@@ -108,7 +109,7 @@ class MAPPO(PPO):
         entropy = distribution.entropy().mean()
         advantages = batch.advantages
         if self.advantage_normalization == "batch":
-            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+            advantages = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
         else:
             advantages = (advantages - mean) / std
         log_ratio = log_prob - batch.old_log_prob
