@@ -440,7 +440,7 @@ def _legend(figure: Figure, axes: Axes, seeds: Iterable[int], one_seed: str, pla
     of_planners = "95 % interval over missions"
     if planners and meanings != [of_planners]:
         title += f"\nplanners: {of_planners}"
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, title=title)
+    style.legend_below(figure, axes, title)
 
 
 def _execution_figure(results: Mapping[str, list[PolicyResult]], run: Run) -> Figure | None:
@@ -462,7 +462,11 @@ def _execution_figure(results: Mapping[str, list[PolicyResult]], run: Run) -> Fi
         axes.plot(slot, mean, color=look.colour, linestyle=look.dash, linewidth=width, label=look.label)
         means.append(mean)
     axes.set(xlabel="slot $t$ of the mission", ylabel="AoU (s)", xlim=(0, max(len(mean) for mean in means)))
-    if not style.log_scale_if_wide(axes, np.concatenate(means)):
+    shown = np.concatenate(means)
+    if style.log_scale_if_wide(axes, shown):
+        # A band may touch 0, where a logarithmic axis has no end.
+        axes.set_ylim(bottom=max(shown[shown > 0].min() / 2, shown.max() / 1e5))
+    else:
         axes.set_ylim(bottom=0)
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.compact(value)))
     if run.slot_length_s is not None:
@@ -502,9 +506,7 @@ def _period_figure(results: Mapping[str, list[PolicyResult]], _: Run) -> Figure 
         axes.set_xticks(periods)
     axes.grid(axis="x", visible=False)
     title = "dot: one device; bar: 95 % interval of the mean over devices"
-    figure.legend(
-        *axes.get_legend_handles_labels(), loc="outside lower center", ncols=3 if len(drawn) > 4 else 4, title=title
-    )
+    style.legend_below(figure, axes, title)
     return figure
 
 

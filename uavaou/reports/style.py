@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -101,10 +102,12 @@ def is_planner(name: str) -> bool:
 def looks(names: Iterable[str]) -> dict[str, Look]:
     """Give every name a look, the known algorithms always the same one.
 
-    Variants of one algorithm (``mappo+gamma=0.9``) share its colour and differ in their dashes; unknown
-    names take spare colours in alphabetical order.
+    Variants of one algorithm (``mappo+gamma=0.9``) share its colour, differ in their dashes and show their
+    overrides, which an algorithm without a second variant need not; unknown names take spare colours in
+    alphabetical order.
     """
     ordered = sorted(set(names))
+    alone = {base for base, count in Counter(base_name(name) for name in ordered).items() if count == 1}
     given: dict[str, Look] = {}
     variants: dict[str, int] = {}
     spare = sorted({base_name(name) for name in ordered} - _LOOKS.keys())
@@ -124,7 +127,7 @@ def looks(names: Iterable[str]) -> dict[str, Look]:
         variants[base] = turn + 1
         if turn:
             look = replace(look, dash=_VARIANT_DASHES[turn % len(_VARIANT_DASHES)])
-        overrides = name.partition("+")[2]
+        overrides = "" if base in alone else name.partition("+")[2]
         given[name] = replace(look, label=look.label + (f" {overrides}" if overrides else ""))
     return given
 
@@ -188,6 +191,14 @@ def _write_whole(figure: Figure, path: Path, metadata: dict[str, Any]) -> None:
         os.replace(draft, path)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def legend_below(figure: Figure, axes: Axes, title: str) -> None:
+    """The legend under the axes, in as many columns as its longest label leaves room for."""
+    handles, labels = axes.get_legend_handles_labels()
+    longest = max(map(len, labels), default=0)
+    columns = 1 if longest > 24 else 2 if longest > 14 else 3
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, title=title)
 
 
 def log_scale_if_wide(axes: Axes, values: ArrayLike, sign: str = "") -> bool:
