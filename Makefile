@@ -3,7 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := results/demo
-RUN := $(DEMO)/paper/mappo+slots=1300000/seed-0
+SLOTS := 700000
+RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 
 .PHONY: help install demo test lint types bench lock clean
 
@@ -23,7 +24,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@touch $@
 
 demo: install
-	@$(BIN)/uavaou train --scenario paper --slots 1300000 --out $(DEMO) --resume
+	@$(BIN)/uavaou train --scenario paper --slots $(SLOTS) --out $(DEMO) --resume
 	@$(BIN)/uavaou eval $(RUN) --policy greedy --policy random --episodes 100
 	@$(BIN)/uavaou plot figures $(RUN) --out $(DEMO)/figures
 	@$(BIN)/uavaou plot trajectories $(RUN) --out $(DEMO)/figures

@@ -24,8 +24,9 @@ def test_a_wheel_carries_the_zoo(tmp_path: Path) -> None:
     tops = {path.name for path in site.iterdir() if not path.name.endswith(".dist-info")}
     assert tops == {"uavaou", "uavaou_cli"}
     assert (site / "uavaou" / "py.typed").is_file()
+    ours = [str(ROOT), str(ROOT / "cli")]
     code = (
-        f"import sys; sys.path[:] = [{str(site)!r}] + [p for p in sys.path if p not in {[str(ROOT), str(ROOT / 'cli')]!r}]\n"
+        f"import sys; sys.path[:] = [{str(site)!r}] + [p for p in sys.path if p not in {ours!r}]\n"
         "import uavaou; assert uavaou.__file__.startswith(sys.path[0]), uavaou.__file__\n"
         "from uavaou_cli.main import main; main(['scenarios'])"
     )
