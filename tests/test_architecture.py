@@ -10,7 +10,19 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("errors", "zoo", "scenario", "world", "envs", "algorithms", "experiments", "reports", "uavaou_cli")
+LAYERS = (
+    "errors",
+    "zoo",
+    "fields",
+    "devices_csv",
+    "scenario",
+    "world",
+    "envs",
+    "algorithms",
+    "experiments",
+    "reports",
+    "uavaou_cli",
+)
 
 
 def modules() -> list[Path]:

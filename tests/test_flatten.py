@@ -10,9 +10,9 @@ import pytest
 import supersuit
 from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from uavaou import InputError, Scenario, flatten, uavaou_v0
+from uavaou import MAPPO, InputError, Scenario, flatten, uavaou_v0
 from uavaou.envs.rewards import training_reward
 from uavaou.world import Views, World
 
@@ -209,6 +209,17 @@ def test_attributes_are_reached() -> None:
         assert env.get_attr("render_mode") == [None] * 6
 
 
+def test_attributes_are_reached_through_sb3s_wrappers() -> None:
+    with pytest.raises(AttributeError):
+        VecMonitor(raw()).num_nothing  # noqa: B018
+    wrapped = VecMonitor(flatten(small(), missions=2))
+    assert wrapped.row_layout == flatten(small()).row_layout
+    assert wrapped.local_size + wrapped.global_size == wrapped.observation_space.shape[0]
+    with pytest.raises(AttributeError):
+        wrapped.nothing_of_that_name  # noqa: B018
+    MAPPO("CentralizedValuePolicy", wrapped, n_steps=4, batch_size=8, device="cpu").learn(16)
+
+
 def test_closing_reaches_the_processes() -> None:
     env = flatten(small(), missions=4, processes=2)
     env.reset()
@@ -234,7 +245,10 @@ def test_images_of_the_missions() -> None:
         ({"reward": "rot"}, "did you mean 'root'"),
         ({"observation": "locl"}, "did you mean 'local'"),
         ({"collection": "autos"}, "did you mean 'auto'"),
-        ({"missions": 0}, "at least 1"),
+        ({"missions": 0}, "from 1 on"),
+        ({"missions": 2.5}, "whole number"),
+        ({"seed": -1}, "from 0 on"),
+        ({"render_mode": "human"}, "render_mode"),
         ({"missions": 5, "processes": 2}, "must divide missions = 5"),
     ],
 )

@@ -226,6 +226,22 @@ def test_every_advantage_normalisation_trains(advantage_normalization: str) -> N
     assert all(th.isfinite(parameter).all() for parameter in model.policy.parameters())
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"clip_range_vf": 0.2}, "clip_range_vf: not an argument of MAPPO"),
+        ({"normalize_advantage": True}, "see advantage_normalization"),
+        ({"policy_kwargs": {"activation": "gelu"}}, "unknown activation 'gelu'"),
+        ({"policy_kwargs": {"critic_input": "globl"}}, "did you mean 'global'"),
+    ],
+)
+def test_arguments_that_mappo_does_not_have(arguments: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        small_model(**arguments)
+    with pytest.raises(InputError, match=r"expected what uavaou\.flatten returns"):
+        MAPPO("CentralizedValuePolicy", "CartPole-v1")
+
+
 def test_an_unknown_advantage_normalisation_is_refused() -> None:
     with pytest.raises(InputError, match="did you mean 'rollout'"):
         small_model(advantage_normalization="rolout")

@@ -59,31 +59,42 @@ def stop_after(monkeypatch: pytest.MonkeyPatch, missions: int) -> None:
 
 def rows(path: Path) -> list[dict[str, str]]:
     with path.open(newline="", encoding="utf-8") as file:
-        return [{k: v for k, v in row.items() if "wall" not in k and "time/" not in k} for row in csv.DictReader(file)]
+        return [{k: v for k, v in row.items() if "wall" not in k} for row in csv.DictReader(file)]
 
 
-@pytest.mark.parametrize("algorithm", ["mappo", "ippo"])
+@pytest.mark.parametrize(
+    ("algorithm", "before", "after"),
+    [
+        ("mappo", "batched", "batched"),
+        ("ippo", "batched", "batched"),
+        ("mappo", "batched", "supersuit"),
+        ("mappo", "supersuit", "batched"),
+    ],
+)
+@pytest.mark.parametrize("layout", ["fixed", "resample"])
 def test_a_resumed_run_is_the_run_never_stopped(
-    algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    algorithm: str, before: str, after: str, layout: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = small(algorithm)
+    config = RunConfig(config.scenario.replace(layout=layout), config.algorithm, config.seed)
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
     train(config, whole, quiet=True)
     with monkeypatch.context() as patch:
         stop_after(patch, missions=20)
         with pytest.raises(StoppedError):
-            train(config, parted, quiet=True)
+            train(config, parted, backend=before, quiet=True)
     assert json.loads(parted.meta.read_text())["finished"] is False
-    train(config, parted, resume=True, quiet=True)
+    train(config, parted, backend=after, resume=True, quiet=True)
     for name in ("best", "last"):
         one, other = load_file(getattr(whole, name)), load_file(getattr(parted, name))
         assert one.keys() == other.keys()
         for key in one:
             assert th.equal(one[key], other[key]), key
     assert rows(whole.episodes) == rows(parted.episodes)
-    learner = [{k: v for k, v in row.items() if k.startswith("train/")} for row in rows(whole.path / "progress.csv")]
-    again = [{k: v for k, v in row.items() if k.startswith("train/")} for row in rows(parted.path / "progress.csv")]
-    assert learner[-3:] == again[-3:]
+    progress = [rows(folder.path / "progress.csv") for folder in (whole, parted)]
+    assert progress[0] == progress[1]
+    assert len(progress[0]) == 12
+    assert progress[0][-1]["evaluation/mean_aou_greedy_s"]
 
 
 def test_the_same_config_gives_the_same_run_and_another_seed_another(tmp_path: Path) -> None:
@@ -133,6 +144,13 @@ def test_a_folder_that_holds_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="another configuration"):
         train(small(slots=300), folder, resume=True, quiet=True)
     assert before == {path: path.read_bytes() for path in folder.path.rglob("*") if path.is_file()}
+
+
+def test_a_run_that_cannot_be_built_leaves_nothing_behind(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "run")
+    with pytest.raises(InputError, match="not enough memory for the learner"):
+        train(small(rollout_slots=1_000_000, missions=65_536), folder, quiet=True)
+    assert not folder.path.exists()
 
 
 def test_different_runs_have_different_folders() -> None:

@@ -291,7 +291,7 @@ def test_unknown_scenarios_get_the_nearest_name() -> None:
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     assert "does not exist" in refusal(lambda: Scenario.load(tmp_path / "none.yaml"))
     assert "does not exist" in refusal(lambda: Scenario.load("no/such/file.yml"))
-    assert "does not exist" in refusal(lambda: Scenario.load(tmp_path))
+    assert "is a folder" in refusal(lambda: Scenario.load(tmp_path))
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(b"\xff\xfe\x00\x9f")
     assert "UTF-8" in refusal(lambda: Scenario.load(binary))
@@ -509,3 +509,15 @@ def test_a_good_scenario_with_junk_in_it_is_refused_politely(changes: dict[str, 
 @pytest.mark.parametrize("mapping", [None, [], "tiny", 3, [("slots", 3)], {1: 2}, {None: 3}, {(1, 2): 3}])
 def test_something_else_than_a_mapping_of_names(mapping: Any) -> None:
     assert refusal(lambda: Scenario.from_dict(mapping))
+
+
+def test_a_runs_config_can_be_played_again(tmp_path: Path) -> None:
+    scenario = TINY.replace(layout_seed=4)
+    path = tmp_path / "config.yaml"
+    path.write_text(yaml.safe_dump({"schema": 1, "seed": 0, "algorithm": {}, "scenario": scenario.to_dict()}))
+    assert Scenario.load(path) == scenario
+
+
+def test_a_folder_is_no_scenario_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a folder"):
+        Scenario.load(tmp_path)

@@ -85,6 +85,23 @@ def test_snapshot_types() -> None:
         assert isinstance(value, int) or value.dtype in (np.float64, np.int64), name
 
 
+@pytest.mark.parametrize(
+    ("collection", "action", "words"),
+    [
+        ("auto", 0.7, "whole numbers"),
+        ("auto", 5, "0 to 4 allowed"),
+        ("select", np.array([0, 0, 7, 0, 0]), "selections are 0 or 1"),
+        ("select", 0, "shape"),
+    ],
+)
+def test_actions_that_are_none_are_refused_and_play_nothing(collection: str, action: Any, words: str) -> None:
+    env = uavaou_v0.parallel_env("tiny", collection=collection)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=words):
+        env.step(dict.fromkeys(env.agents, action))
+    assert env.unwrapped.snapshot()["slot"] == 0
+
+
 def test_rendering() -> None:
     env = uavaou_v0.parallel_env("quickstart", render_mode="rgb_array")
     env.reset(seed=0)

@@ -6,54 +6,38 @@ The field names carry the units a person writes (dBm, mW, metres, seconds); the 
 
 from __future__ import annotations
 
-import csv
 import math
-import reprlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from uavaou.devices_csv import read_devices_csv
 from uavaou.errors import InputError, nearest
+from uavaou.fields import (
+    DEVICE_COLUMNS,
+    Decibels,
+    Length,
+    NonNegative,
+    Number,
+    Period,
+    Point,
+    Positive,
+    PositiveWhole,
+    Unbounded,
+    Whole,
+    explain_validation,
+)
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 ZETA_TOLERANCE_S = 1e-6  # flight times are compared with this slack
-DEVICE_COLUMNS = ("bandwidth_hz", "transmit_power_mw", "update_period_slots")
 _GRID_TOLERANCE = 1e-9
 _MAX_CELLS = 4_000_000
-
-
-def _plain_number(value: Any) -> Any:
-    """Refuse what pydantic would quietly turn into a number: booleans and text."""
-    if isinstance(value, bool):
-        raise ValueError("expected a number, not true or false")
-    if isinstance(value, str):
-        hint = " (YAML reads 15e3 as text; write 15000 or 1.5e+4)" if "e" in value.lower() else ""
-        raise ValueError(f"expected a number, not text{hint}")
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError("must be a finite number")
-    return value
-
-
-# Bounds far outside of what anybody means, so that nothing overflows on the way to SI units.
-Number = Annotated[float, BeforeValidator(_plain_number), Field(allow_inf_nan=False, ge=-1e15, le=1e15)]
-Positive = Annotated[Number, Field(gt=0)]
-NonNegative = Annotated[Number, Field(ge=0)]
-Unbounded = Annotated[float, BeforeValidator(_plain_number), Field(gt=0, allow_inf_nan=False)]
-Length = Annotated[Number, Field(ge=1e-3, le=1e9)]  # m
-Coordinate = Annotated[Number, Field(ge=-1e9, le=1e9)]  # m
-Decibels = Annotated[Number, Field(ge=-300, le=300)]
-Whole = Annotated[int, BeforeValidator(_plain_number)]
-PositiveWhole = Annotated[Whole, Field(ge=1, le=10**12)]
-Period = Annotated[Whole, Field(ge=1, le=10**6)]  # slots
-Point = tuple[Coordinate, Coordinate]
-
-_N = TypeVar("_N", int, float)
 
 
 class Range(BaseModel):
@@ -153,7 +137,7 @@ class Scenario(BaseModel):
         if isinstance(source, Path) or name.endswith((".yaml", ".yml")) or "/" in name:
             path = Path(source)
             if not _is_file(path):
-                raise InputError(f"scenario file '{name}' does not exist")
+                raise InputError(f"scenario file '{name}' {_why_no_file(path)}")
             return cls._read(path)
         names = zoo_names("scenarios")
         raise InputError(
@@ -163,6 +147,8 @@ class Scenario(BaseModel):
     @classmethod
     def _read(cls, path: Path) -> Scenario:
         fields = read_yaml_mapping(path)
+        if "schema" in fields and isinstance(fields.get("scenario"), dict):  # a run's config.yaml
+            return cls.from_dict(fields["scenario"], source=f"{path}: scenario")
         stated_devices = fields.get("devices")
         if "base" in fields:
             base = fields.pop("base")
@@ -172,7 +158,7 @@ class Scenario(BaseModel):
             _drop_superseded(inherited, fields)
             fields = inherited | fields
         if "devices_csv" in fields:
-            _read_devices_csv(path, fields, stated_devices)
+            read_devices_csv(path, fields, stated_devices)
         fields.setdefault("name", path.stem)
         return cls.from_dict(fields, source=str(path))
 
@@ -354,122 +340,15 @@ def _drop_superseded(fields: dict[str, Any], changes: dict[str, Any]) -> None:
             fields.pop(other, None)
 
 
+def _why_no_file(path: Path) -> str:
+    try:
+        return "is a folder" if path.is_dir() else "does not exist"
+    except (OSError, ValueError):
+        return "does not exist"
+
+
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
     except (OSError, ValueError):  # a name too long, or one that no file can have
         return False
-
-
-def _read_devices_csv(path: Path, fields: dict[str, Any], stated_devices: Any) -> None:
-    """Replace ``devices_csv`` by the positions and per-device values that the file holds."""
-    named = fields.pop("devices_csv")
-    if not isinstance(named, str):
-        raise InputError(f"{path}: devices_csv = {named!r}: expected the path of a CSV file")
-    if "devices_m" in fields:
-        raise InputError(f"{path}: give devices_m or devices_csv, not both")
-    csv_path = path.parent / named
-    table = _csv_columns(csv_path)
-    fields["devices_m"] = list(zip(table.pop("x_m"), table.pop("y_m"), strict=True))
-    for column, values in table.items():
-        whole = column == "update_period_slots" and all(v == int(v) for v in values)
-        fields[column] = [int(v) for v in values] if whole else values
-    found = len(fields["devices_m"])
-    if stated_devices is not None and stated_devices != found:
-        raise InputError(f"{path}: devices = {_short(stated_devices)}: but {csv_path} holds {found}")
-    fields["devices"] = found
-
-
-def _csv_columns(path: Path) -> dict[str, list[float]]:
-    known = ("x_m", "y_m", *DEVICE_COLUMNS)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            header = [name.strip() for name in reader.fieldnames or []]
-            reader.fieldnames = header
-            rows = [(reader.line_num, row) for row in reader]
-    except (OSError, ValueError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or "it is not a UTF-8 CSV file"
-        raise InputError(f"devices_csv {path}: cannot be read: {reason}") from error
-    for name in header:
-        if name not in known:
-            raise InputError(
-                f"devices_csv {path}: unknown column '{name}'{nearest(name, known)} (known: {', '.join(known)})"
-            )
-        if header.count(name) > 1:
-            raise InputError(f"devices_csv {path}: the column {name} is there twice")
-    for name in ("x_m", "y_m"):
-        if name not in header:
-            raise InputError(
-                f"devices_csv {path}: the column {name} is missing (header: {', '.join(header) or 'none'})"
-            )
-    if not rows:
-        raise InputError(f"devices_csv {path}: holds no device")
-    columns: dict[str, list[float]] = {name: [] for name in header}
-    for line, row in rows:
-        if None in row:  # decimal commas do this
-            raise InputError(f"devices_csv {path}, line {line}: has more values than the {len(header)} columns")
-        for name in header:
-            try:
-                value = float(row[name])
-            except (TypeError, ValueError):
-                raise InputError(
-                    f"devices_csv {path}, line {line}: {name} = {row[name]!r}: expected a number"
-                ) from None
-            if not math.isfinite(value):
-                raise InputError(f"devices_csv {path}, line {line}: {name} = {row[name]!r}: must be finite")
-            columns[name].append(value)
-    return columns
-
-
-def explain_validation(error: ValidationError, fields: list[str]) -> str:
-    """Turn pydantic's report into one line on the first thing to mend."""
-    details = error.errors(include_url=False)
-    # Of a union's branches, the one that got furthest into the value says most.
-    first = max(
-        details, key=lambda d: (d["loc"][:1] == details[0]["loc"][:1], len(d["loc"]), d["type"] == "value_error")
-    )
-    loc = [str(part) for part in first["loc"]]
-    kind, message = first["type"], first["msg"].removeprefix("Value error, ")
-    if not loc:
-        return message
-    if kind == "extra_forbidden" and len(loc) == 1:
-        return f"unknown field '{loc[0]}'{nearest(loc[0], fields)}"
-    if kind == "missing" and len(loc) == 1:
-        return f"the field {loc[0]} is missing"
-    misspelt = next((d for d in details if d["type"] == "extra_forbidden" and d["loc"][0] == loc[0]), None)
-    if misspelt is not None and isinstance(_field_input(details, loc[0]), dict):
-        key = str(misspelt["loc"][-1])
-        return f"{loc[0]}: unknown key '{_short_name(key)}'{nearest(key, ('low', 'high'))} (known: low, high)"
-    branches = ("float", "int", "Range", "WholeRange", "constrained", "tuple", "function")
-    path = loc[0] + "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in loc[1:] if not p.startswith(branches))
-    if (
-        loc[0] in DEVICE_COLUMNS
-        and len({d["loc"][1:2] for d in details}) > 1
-        and not isinstance(first["input"], int | float)
-    ):
-        message = "expected a number, {low: ..., high: ...} or a list with one number a device"
-        bottom = [d for d in details if d["loc"][0] == loc[0] and d["type"] == "value_error"]
-        if bottom:
-            message = str(bottom[0]["msg"]).removeprefix("Value error, ")
-    return f"{path} = {_short(first['input'])}: {message[0].lower() + message[1:]}"
-
-
-def _field_input(details: list[Any], field: str) -> Any:
-    """What was given for a field, as some branch of its union saw it whole."""
-    return next((d["input"] for d in details if d["loc"][0] == field and isinstance(d["input"], dict)), None)
-
-
-def _short_name(text: str) -> str:
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _short(value: Any) -> str:
-    """A value in at most 60 characters, however deep or long it is."""
-    shortener = reprlib.Repr()
-    shortener.maxlevel, shortener.maxstring, shortener.maxlong, shortener.maxother = 3, 40, 40, 57
-    try:
-        text = shortener.repr(value)
-    except (ValueError, RecursionError):  # a number of thousands of digits cannot be printed
-        text = f"<{type(value).__name__}>"
-    return _short_name(text)

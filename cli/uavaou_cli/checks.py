@@ -22,6 +22,17 @@ def one_of(option: str, value: str, allowed: Iterable[str]) -> None:
         raise unknown(option, value, allowed)
 
 
+def given_path(option: str, text: str) -> Path:
+    """Refuse an empty path, which would mean the present folder.
+
+    Raises:
+        InputError: naming the option.
+    """
+    if not text:
+        raise InputError(f"{option} is empty: expected a path")
+    return Path(text)
+
+
 def within(option: str, value: int, lowest: int, highest: int | None = None) -> None:
     """Refuse a number outside an option's range.
 

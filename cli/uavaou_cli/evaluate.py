@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from uavaou.errors import InputError
-from uavaou_cli.checks import LARGEST_SEED, MOST_EPISODES, one_of, within, writable_file
+from uavaou_cli.checks import LARGEST_SEED, MOST_EPISODES, given_path, one_of, within, writable_file
 from uavaou_cli.overrides import Overrides, parse_overrides
 
 if TYPE_CHECKING:
@@ -81,7 +82,17 @@ def _read_configs(folders: list[str], planners: list[str]) -> dict[str, RunConfi
     for name in folders:
         if name in PLANNERS and not Path(name).exists():
             raise InputError(f"run folder '{name}' does not exist; for the planner of that name, write --policy {name}")
-    return {name: RunFolder(Path(name)).read_config() for name in folders}
+        if name in planners:
+            raise InputError(f"'{name}' is both a run folder and a planner here: write ./{name} for the folder")
+    return {name: RunFolder(Path(name)).read_config() for name in _distinct_folders(folders)}
+
+
+def _distinct_folders(folders: list[str]) -> list[str]:
+    """Each folder once, by the first of its spellings."""
+    spellings: dict[Path, str] = {}
+    for name in folders:
+        spellings.setdefault(given_path("RUN", name).resolve(), name)
+    return list(spellings.values())
 
 
 def _choose_scenario(configs: dict[str, RunConfig], name: str | None, overrides: Overrides) -> Scenario:
@@ -160,6 +171,9 @@ def _write(
         # Under the algorithm's name, by which the figures know the run's own policy; planners stand beside it.
         beside = {name: entry for name, entry in content.items() if actions[name] is None}
         path = Path(run) / "eval" / "default.json"
+        if _missions_in(path) > missions.episodes:
+            notes.append(f"kept {path}: it is of more missions")
+            continue
         try:
             write_json(path, head | {"policies": {config.algorithm.name: content[run]} | beside})
             notes.append(f"wrote {path}")
@@ -172,3 +186,12 @@ def _write(
             raise InputError(f"cannot write '{json}': {error.strerror or error}") from error
         notes.append(f"wrote {json}")
     return notes
+
+
+def _missions_in(path: Path) -> int:
+    """The missions of an evaluation written before; 0 where there is none that can be read."""
+    try:
+        episodes = loads(path.read_text(encoding="utf-8"))["episodes"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0
+    return episodes if isinstance(episodes, int) else 0

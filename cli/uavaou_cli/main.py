@@ -66,7 +66,7 @@ def _root(
 ) -> None:
     """Train, evaluate and explain teams of UAVs that keep IoT data fresh.
 
-    Start with:  uavaou train --scenario quickstart
+    Start with:  uavaou train --scenario quickstart --slots 200000
     """
     _help_when_alone(ctx)
 

@@ -23,6 +23,7 @@ def figures(
         raise InputError("missing argument RUN: give at least one run folder, such as results/paper/mappo/seed-0")
     from uavaou.experiments.folder import RunFolder
 
+    run = list({folder.resolve(): folder for folder in run}.values())  # a run given twice is not two seeds
     for folder in run:
         RunFolder(folder).read_config()
     target = out if out is not None else run[0] / "figures"
@@ -50,15 +51,7 @@ def trajectories(
     target = out if out is not None else run / "figures"
     writable_folder(target)
     from uavaou.experiments.trained import load_run
-    from uavaou.reports.trajectories import Recording, plot_trajectories
-    from uavaou.world import World
+    from uavaou.reports.trajectories import plot_trajectories, record_mission
 
-    policy = load_run(folder)
-    world = World(scenario, missions=1, seed=episode_seed)
-    policy.reset(world, episode_seed)
-    snapshots = []
-    while not world.done:
-        world.step(*policy.act(world))
-        snapshots.append(world.snapshot())
-    recording = Recording.from_snapshots(snapshots)
+    recording = record_mission(scenario, load_run(folder), episode_seed)
     print("\n".join(map(str, plot_trajectories(scenario, recording, target, f"mission-{episode_seed}"))))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from uavaou.experiments.folder import RunConfig, RunFolder
 
 DEVICES = ("auto", "cpu", "cuda")
-BACKENDS = ("batched", "supersuit")
+BACKENDS = ("batched", "supersuit")  # of uavaou.envs.flatten, which is slow to import
 
 
 def train(

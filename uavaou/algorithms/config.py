@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from uavaou.errors import InputError, unknown
-from uavaou.scenario import NonNegative, Positive, PositiveWhole, explain_validation
+from uavaou.fields import NonNegative, Positive, PositiveWhole, explain_validation
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 Fraction = Annotated[NonNegative, Field(le=1)]
@@ -94,8 +93,3 @@ def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:
     if not isinstance(name, str) or name not in CONFIGS:
         raise InputError(f"{source}: algorithm.name = {name!r}: known are {', '.join(CONFIGS)}")
     return CONFIGS[name].from_dict(fields, source=f"{source}: algorithm")
-
-
-def config_to_yaml(config: AlgorithmConfig) -> str:
-    """The configuration as YAML."""
-    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)

@@ -60,7 +60,7 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
         """Play one slot in every mission."""
         assert self.world is not None, "call reset() first"
         uavs = self.scenario.uavs
-        self.world.step(*split_actions(actions, self.missions, uavs))
+        self.world.step(*split_actions(actions, self.missions, uavs, self.views.layout.selects))
         rewards = np.repeat(training_reward(self.world, self.reward), uavs)  # (N * U,)
         over = self.world.done
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -84,6 +84,11 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
         """Play the slot with the actions kept."""
         assert self._actions is not None
         return self.step(self._actions)
+
+    def snapshot(self, mission: int = 0) -> dict[str, Any]:
+        """Describe the slot just stepped in one mission; see :meth:`uavaou.world.World.snapshot`."""
+        assert self.world is not None, "call reset() first"
+        return self.world.snapshot(mission)
 
     def render(self) -> Any:
         """A map of the first mission, (H, W, 3)."""

@@ -25,7 +25,7 @@ from supersuit.vector.sb3_vector_wrapper import SB3VecEnvWrapper
 
 from uavaou.envs.batched import BatchedMissions
 from uavaou.envs.rewards import check_reward, training_reward
-from uavaou.envs.uavaou_v0 import UavAouEnv
+from uavaou.envs.uavaou_v0 import UavAouEnv, check_render_mode
 from uavaou.errors import InputError, unknown
 from uavaou.scenario import Scenario
 from uavaou.world import Views, World
@@ -66,11 +66,13 @@ def flatten(
     """
     scenario = Scenario.load(scenario)
     check_reward(reward)
+    check_render_mode(render_mode)
     if backend not in BACKENDS:
         raise unknown("backend", backend, BACKENDS)
-    if missions < 1:
-        raise InputError(f"missions = {missions}: at least 1")
-    if processes < 1 or missions % processes:
+    for name, value, least in (("missions", missions, 1), ("processes", processes, 1), ("seed", seed, 0)):
+        if not isinstance(value, int | np.integer) or value < least:
+            raise InputError(f"{name} = {value!r}: expected a whole number from {least} on")
+    if missions % processes:
         raise InputError(f"processes = {processes}: must divide missions = {missions}")
     views = Views(scenario, observation, collection)
     if backend == "supersuit":
@@ -119,6 +121,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
 
     Attributes:
         scenario: the scenario played.
+        views: what is seen of a World, in rows.
         row_layout: which columns of a row hold what.
         missions: N.
         local_size, global_size: a row is ``[local | global]``.
@@ -127,7 +130,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
     def __init__(self, venv: Any, scenario: Scenario, views: Views, missions: int, processes: int, seed: int) -> None:
         super().__init__(venv)
         self.scenario = scenario
-        self._views = views
+        self.views = views
         self.row_layout: RowLayout = views.layout
         self.missions = missions
         self.processes = processes
@@ -194,7 +197,8 @@ class MissionVecEnv(SB3VecEnvWrapper):
         worlds = self._worlds()
         if worlds is None:
             return None
-        return {f"{k}.{name}": array for k, world in enumerate(worlds) for name, array in world.state_dict().items()}
+        states = [world.state_dict() for world in worlds]
+        return {name: np.concatenate([state[name] for state in states]) for name in states[0]}  # lanes along axis 0
 
     def load_missions_state(self, arrays: dict[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Go on with the missions of :meth:`missions_state`; returns the rows that the learner saw last."""
@@ -202,9 +206,9 @@ class MissionVecEnv(SB3VecEnvWrapper):
         worlds = self._worlds()
         assert worlds is not None, "the missions were saved in this process and cannot be given to others"
         for k, world in enumerate(worlds):
-            prefix = f"{k}."
-            world.load_state_dict({n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)})
-        return np.concatenate([self._views.rows(world) for world in worlds])
+            lanes = slice(k * world.missions, (k + 1) * world.missions)
+            world.load_state_dict({name: array[lanes] for name, array in arrays.items()})
+        return np.concatenate([self.views.rows(world) for world in worlds])
 
     def _worlds(self) -> list[World] | None:
         targets = _distinct(self._targets())
@@ -220,6 +224,14 @@ class MissionVecEnv(SB3VecEnvWrapper):
 
     def _indexed(self, values: list[Any], indices: VecEnvIndices) -> list[Any]:
         return [values[index] for index in self._get_indices(indices)]
+
+    def getattr_recursive(self, name: str) -> Any:
+        """An attribute asked for through an SB3 wrapper around this one (SuperSuit's raises always)."""
+        return object.__getattribute__(self, name)  # what is not there must not be asked for again
+
+    def getattr_depth_check(self, name: str, already_found: bool) -> str | None:
+        """Which wrapper shadows an attribute that was found further out."""
+        return type(self).__name__ if already_found and hasattr(self, name) else None
 
     def has_attr(self, attr_name: str) -> bool:
         """Whether the rows' environments, or this wrapper, have the attribute."""

@@ -52,6 +52,12 @@ def env(**kwargs: Any) -> AECEnv[str, NDArray[np.float32], Any]:
     return parallel_to_aec(parallel_env(**kwargs))
 
 
+def check_render_mode(render_mode: str | None) -> None:
+    """Raise :class:`~uavaou.errors.InputError` where ``render_mode`` is neither None nor one of the modes."""
+    if render_mode is not None and render_mode not in RENDER_MODES:
+        raise unknown("render_mode", render_mode, RENDER_MODES)
+
+
 class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
     """One mission of a scenario; see the module's docstring, and :func:`parallel_env` to make one."""
 
@@ -63,8 +69,7 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
     }
 
     def __init__(self, scenario: Scenario, observation: str, collection: str, render_mode: str | None) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise unknown("render_mode", render_mode, RENDER_MODES)
+        check_render_mode(render_mode)
         self.scenario = scenario
         self.views = Views(scenario, observation, collection)
         self.render_mode = render_mode
@@ -107,7 +112,7 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         if self.world is None or not self.agents:
             raise RuntimeError("no mission is running: call reset()")
         stacked = np.stack([np.asarray(actions[agent]) for agent in self.agents])  # (U,) or (U, 1 + I)
-        moves, selections = split_actions(stacked, 1, self.scenario.uavs)
+        moves, selections = split_actions(stacked, 1, self.scenario.uavs, self.views.layout.selects)
         reward = float(self.world.step(moves, selections)[0])
         over = self.world.done
         agents = self.agents

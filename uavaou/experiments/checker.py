@@ -24,7 +24,7 @@ Ints = NDArray[np.int64]
 
 CONSTRAINTS = ("rate", "association", "flight_time", "bounds", "cds")
 
-_TIME_SLACK_S = 1e-6  # MODEL: flight times are compared with this slack
+_TIME_SLACK_S = 1e-6  # docs/model.md: flight times are compared with this slack
 _RELATIVE_SLACK = 1e-9  # of rates, SNRs and grid coordinates: far above rounding, far below any real breach
 _SCATTER_TAIL = 45.0  # |xi_NLoS|^2 ~ Exp(1) exceeds it with probability exp(-45) = 3e-20
 _LIGHT_M_S = 299_792_458.0

@@ -105,7 +105,7 @@ def load_training(path: Path, model: BaseAlgorithm) -> dict[str, np.ndarray]:
                 optimizer["state"].setdefault(int(index), {})[slot] = file.get_tensor(name)
             elif name.startswith(_WORLD):
                 array = file.get_tensor(name).numpy()
-                world[name.removeprefix(_WORLD)] = array.view(np.uint64) if name.endswith(".streams") else array
+                world[name.removeprefix(_WORLD)] = array.view(np.uint64) if name == _WORLD + "streams" else array
         model.policy.optimizer.load_state_dict(optimizer)
         th.set_rng_state(file.get_tensor(_STREAM + "torch"))
         key = file.get_tensor(_STREAM + "numpy").numpy().astype(np.uint32)

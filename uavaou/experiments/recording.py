@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from stable_baselines3.common.logger import KVWriter
 
 EPISODE_COLUMNS = ("mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
 _PLAIN_LINE_EVERY_S = 10.0
@@ -53,12 +54,49 @@ class EpisodesCsv:
         self._file.close()
 
 
+class ProgressCsv(KVWriter):
+    """The learner's own figures, a row for each update; columns sorted, so that the same run gives the same file.
+
+    A resumed training first drops the rows past its checkpoint.
+    """
+
+    def __init__(self, path: Path, slots_before: int) -> None:
+        self._path = path
+        self._rows: list[dict[str, Any]] = []
+        if slots_before and path.is_file():
+            with path.open(newline="", encoding="utf-8") as file:
+                rows = list(csv.DictReader(file))
+            self._rows = [row for row in rows if float(row.get("time/slots") or 0) <= slots_before]
+        self._columns = sorted({column for row in self._rows for column in row})
+        self._write_all()
+
+    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
+        """Append a row; a figure seen for the first time makes a column."""
+        row = {key: value for key, value in key_values.items() if "csv" not in key_excluded.get(key, ())}
+        self._rows.append(row)
+        if set(row) - set(self._columns):
+            self._columns = sorted({*self._columns, *row})
+            self._write_all()
+        else:
+            with self._path.open("a", newline="", encoding="utf-8") as file:
+                csv.DictWriter(file, self._columns, lineterminator="\n").writerow(row)
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def _write_all(self) -> None:
+        with self._path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, self._columns, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self._rows)
+
+
 class Display:
-    """Shows a long job: a bar on a terminal, plain lines elsewhere, nothing but the end with ``quiet``.
+    """Shows a long job: a bar on a terminal, plain lines elsewhere, nothing with ``quiet``.
 
     Args:
         total: slots of the whole job.
-        done: slots done before, by an earlier session of the same job.
+        done: slots done before, before a resume.
         uavs: agent steps a slot.
         quiet: no bar and no lines.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import CSVOutputFormat, KVWriter, Logger, TensorBoardOutputFormat
+from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import MissionVecEnv, flatten
@@ -17,7 +18,7 @@ from uavaou.errors import InputError
 from uavaou.experiments.checkpoint import Progress, load_training, read_progress, save_policy, save_training
 from uavaou.experiments.evaluation import evaluate
 from uavaou.experiments.folder import RunConfig, RunFolder, describe_machine, write_json
-from uavaou.experiments.recording import Display, EpisodesCsv, Recent
+from uavaou.experiments.recording import Display, EpisodesCsv, ProgressCsv, Recent
 from uavaou.experiments.trained import TrainedPolicy
 
 LANE_SEEDS = 1_000_000  # a training's missions are seeded from LANE_SEEDS * (seed + 1) on
@@ -54,9 +55,24 @@ def train(
     Raises:
         InputError: the folder holds a run already, holds another one, or cannot be written.
     """
-    resuming = _claim(folder, config, resume)
+    resuming = _check_folder(folder, config, resume)
+    try:
+        env = _make_missions(config, backend)
+    except MemoryError as error:
+        raise InputError(f"not enough memory for missions = {config.algorithm.missions}: lower it") from error
+    try:
+        model = _make_learner(config, env, device)
+        _claim(folder, config)
+        started = Progress(next_evaluation=config.algorithm.evaluate_every_slots)
+        progress = _restore(folder, model, env, config) if resuming else started
+        return _learn(config, folder, model, env, progress, quiet)
+    finally:
+        env.close()
+
+
+def _make_missions(config: RunConfig, backend: str) -> MissionVecEnv:
     algorithm = config.algorithm
-    env = flatten(
+    return flatten(
         config.scenario,
         missions=algorithm.missions,
         seed=LANE_SEEDS * (config.seed + 1),
@@ -66,37 +82,35 @@ def train(
         collection=algorithm.collection,
         reward=algorithm.reward,
     )
+
+
+def _make_learner(config: RunConfig, env: MissionVecEnv, device: str) -> BaseAlgorithm:
     try:
-        model = make_model(algorithm, env, env.row_layout, config.seed, device)
-        env.seed(LANE_SEEDS * (config.seed + 1))  # SB3 seeded the missions with the learner's seed
-        progress = (
-            _restore(folder, model, env, config)
-            if resuming
-            else Progress(next_evaluation=algorithm.evaluate_every_slots)
-        )
-        return _learn(config, folder, model, env, progress, quiet)
-    finally:
-        env.close()
+        model = make_model(config.algorithm, env, env.row_layout, config.seed, device)
+    except MemoryError as error:
+        raise InputError("not enough memory for the learner: lower missions or what it stores of each") from error
+    env.seed(LANE_SEEDS * (config.seed + 1))  # SB3 seeded the missions with the learner's seed
+    return model
 
 
-def _claim(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
-    """Make the folder this run's own; returns whether there is a checkpoint to go on from."""
-    if folder.exists():
-        if not resume:
-            raise InputError(
-                f"'{folder.path}' already holds a run: add --resume to go on with it, or choose another --out"
-            )
-        if folder.read_config() != config:
-            raise InputError(
-                f"'{folder.path}' holds a run with another configuration (see its config.yaml); not resumed"
-            )
-        return folder.last.is_file()
+def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
+    """Whether there is a checkpoint to go on from; refuses a folder that holds a run which is not to be resumed."""
+    if not folder.exists():
+        return False
+    if not resume:
+        raise InputError(f"'{folder.path}' already holds a run: add --resume to go on with it, or choose another --out")
+    if folder.read_config() != config:
+        raise InputError(f"'{folder.path}' holds a run with another configuration (see its config.yaml); not resumed")
+    return folder.last.is_file()
+
+
+def _claim(folder: RunFolder, config: RunConfig) -> None:
+    """Make the folder this run's own."""
     try:
         folder.last.parent.mkdir(parents=True, exist_ok=True)
         folder.config.write_text(config.to_yaml(), encoding="utf-8")
     except OSError as error:
         raise InputError(f"cannot write to '{folder.path}': {error.strerror}") from error
-    return False
 
 
 def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> Progress:
@@ -108,7 +122,7 @@ def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config
         model._last_episode_starts = arrays.pop("episode_starts").astype(bool)
         model._last_obs = env.load_missions_state(arrays)
     else:  # the missions were in other processes: new ones, from seeds that this training has not used
-        env.seed(LANE_SEEDS * (config.seed + 1) + LANE_SEEDS // 2 + progress.updates % (LANE_SEEDS // 4))
+        env.seed(LANE_SEEDS * (config.seed + 1) + LANE_SEEDS // 2 + progress.missions % (LANE_SEEDS // 4))
     return progress
 
 
@@ -120,27 +134,22 @@ def _learn(
     if remaining <= 0:  # resumed, but finished before
         return Outcome(folder, progress, model.num_timesteps)
     display = Display(config.algorithm.slots, progress.slots, uavs, quiet)
-    writers = _writers(folder, resumed=progress.slots > 0)
+    writers: list[KVWriter] = [
+        ProgressCsv(folder.path / "progress.csv", progress.slots),
+        TensorBoardOutputFormat(str(folder.path / "tensorboard")),
+    ]
     model.set_logger(Logger(str(folder.path), writers))
     callback = _Recorder(config, folder, env, progress, display)
     try:
-        model.learn(remaining * uavs, callback=callback, reset_num_timesteps=progress.slots == 0)
+        # No logging by SB3: it would write a row before the update that the row is about.
+        first = progress.slots == 0
+        model.learn(remaining * uavs, callback=callback, log_interval=sys.maxsize, reset_num_timesteps=first)
     finally:
         callback.close()
         display.close()
         model.logger.close()
         callback.write_meta()
     return Outcome(folder, callback.progress, model.num_timesteps)
-
-
-def _writers(folder: RunFolder, resumed: bool) -> list[KVWriter]:
-    path = folder.path / "progress.csv"
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if resumed and path.is_file() else []
-    table = CSVOutputFormat(str(path))
-    if lines:  # SB3 empties the file: put the rows of the earlier part back
-        table.keys = lines[0].strip().split(",")
-        table.file.writelines(lines)
-    return [table, TensorBoardOutputFormat(str(folder.path / "tensorboard"))]
 
 
 class _Recorder(BaseCallback):
@@ -181,20 +190,28 @@ class _Recorder(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         # Between an update and the next rollout: the one moment at which nothing is half done.
-        self._display.update(self._slots, self._recent.mean)
-        self.logger.record("time/slots", self._slots)
-        if self._slots >= self.progress.next_evaluation:
-            self._evaluate_and_save()
+        self._after_update(due=self._slots >= self.progress.next_evaluation)
 
     def _on_training_end(self) -> None:
-        self._display.update(self._slots, self._recent.mean)
-        self._evaluate_and_save()
+        self._after_update(due=True)
 
-    def _evaluate_and_save(self) -> None:
-        scores = {action: self._score(action) for action in ("greedy", "sample")}
+    def _after_update(self, due: bool) -> None:
+        """Show and log the rollout and its update; evaluate and save where that is ``due``."""
+        self._display.update(self._slots, self._recent.mean)
+        scores = {action: self._score(action) for action in ("greedy", "sample")} if due else {}
+        if self._slots > self.progress.slots:  # not again what the checkpoint resumed from had logged
+            wall_s = time.monotonic() - self._started
+            self.logger.record("time/slots", self._slots)
+            self.logger.record("time/agent_steps", self.num_timesteps)
+            self.logger.record("time/wall_s", round(wall_s, 1))
+            for name, score in scores.items():
+                self.logger.record(f"evaluation/mean_aou_{name}_s", score)
+            self.logger.dump(self.num_timesteps)
+        if scores:
+            self._save(scores)
+
+    def _save(self, scores: dict[str, float]) -> None:
         action = min(scores, key=lambda name: scores[name])
-        for name, score in scores.items():
-            self.logger.record(f"evaluation/mean_aou_{name}_s", score)
         improved = self.progress.best_score is None or scores[action] < self.progress.best_score
         algorithm = self._config.algorithm
         self.progress = replace(
@@ -219,7 +236,7 @@ class _Recorder(BaseCallback):
 
     def _score(self, action: str) -> float:
         algorithm = self._config.algorithm
-        policy = TrainedPolicy(self.model, self._env._views, action)
+        policy = TrainedPolicy(self.model, self._env.views, action)
         return evaluate(self._config.scenario, policy, algorithm.evaluation_missions, VALIDATION_SEED).mean_aou_s
 
     def close(self) -> None:

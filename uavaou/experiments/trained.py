@@ -20,7 +20,7 @@ from uavaou.scenario import Scenario
 from uavaou.world import Views, World
 from uavaou.world.views import MOVES
 
-_STREAM = 2  # spawn key of the policies' random streams, apart from the missions' and the planners'
+_STREAM = 3  # spawn key of the policies' random streams, apart from the layouts' (1) and the planners' (2)
 
 
 @dataclass
@@ -50,7 +50,7 @@ class TrainedPolicy:
         local = th.from_numpy(self.views.local(world).reshape(world.missions * uavs, -1)).to(device)
         uniforms = None if self.action == "greedy" else self._uniforms(uavs).to(device)
         actions = self.model.policy.act(local, uniforms)  # type: ignore[operator]
-        return split_actions(actions.cpu().numpy(), world.missions, uavs)
+        return split_actions(actions.cpu().numpy(), world.missions, uavs, self.views.layout.selects)
 
     def _uniforms(self, uavs: int) -> th.Tensor:
         width = MOVES + (self.views.layout.devices if self.views.layout.selects else 0)

@@ -9,7 +9,7 @@ from uavaou.planners.base import Moves, Selections
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.coverage import coverage_probability
-from uavaou.world.flight import DOWN, LEFT, RIGHT, STAY, UP
+from uavaou.world.flight import first_step
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -50,11 +50,7 @@ class Greedy:
     def act(self, world: World) -> tuple[Moves, Selections | None]:
         """The first step of each UAV's way to its cell, (N, U)."""
         targets = self._choose(world)  # (N, U, 2)
-        way = targets - world.cells
-        along_x = np.where(way[..., 0] > 0, RIGHT, LEFT)
-        along_y = np.where(way[..., 1] > 0, UP, DOWN)
-        moves: Moves = np.where(way[..., 0] != 0, along_x, np.where(way[..., 1] != 0, along_y, STAY))
-        return moves, None
+        return first_step(targets - world.cells), None
 
     def _choose(self, world: World) -> Ints:
         """The cell that each UAV heads for, (N, U, 2)."""

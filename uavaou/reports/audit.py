@@ -32,6 +32,7 @@ _RELATIVE = 1e-9
 _LEVELS: tuple[Level, ...] = ("error", "warning", "note")
 _BLOCK = 2_000_000  # probabilities held at a time
 _WIDTH = 110  # characters of a line of text
+_DEVICES_SHOWN = 200
 _RADII_SHOWN = 5  # more UAVs than this, and the table shows the widest radius alone
 
 
@@ -125,6 +126,7 @@ def audit_lines(result: Audit) -> list[str]:
         f"{scenario.slots} slots of {_number(scenario.slot_length_s)} s",
         "",
         *_table(result),
+        *([f"({_DEVICES_SHOWN} devices that are hardest to reach)"] if scenario.devices > _DEVICES_SHOWN else []),
         "",
         "radius: on the ground, in m, within which R >= R_min holds without fading; - out of range even right below",
         "cells: grid cells from which some UAV is within that radius",
@@ -435,6 +437,12 @@ def _check_layout(scenario: Scenario) -> Iterator[Finding]:
 # -- text --------------------------------------------------------------------------------------------
 
 
+def _rows_shown(result: Audit) -> list[DeviceBudget]:
+    """The devices worth a row: all, or of very many those that are hardest to reach."""
+    hardest = sorted(result.devices, key=lambda device: device.mean_probability)[:_DEVICES_SHOWN]
+    return sorted(hardest, key=lambda device: device.device)
+
+
 def _table(result: Audit) -> list[str]:
     """The devices as aligned columns, the heading first."""
     altitudes = result.scenario.altitudes_m
@@ -442,7 +450,7 @@ def _table(result: Audit) -> list[str]:
     radii = [f"radius@{_number(altitude)}m" for altitude in altitudes] if each else ["widest radius"]
     heading = ["device", "x m", "y m", "B kHz", "P mW", "k", *radii, "cells", "P mean", "P best"]
     rows = [heading]
-    for device in result.devices:
+    for device in _rows_shown(result):
         shown = device.radius_m if each else (float(np.fmax.reduce(device.radius_m)),)
         rows.append(
             [

@@ -25,6 +25,7 @@ from uavaou.envs.map import (
     uav_colour,
     uav_offset,
 )
+from uavaou.planners.base import Planner
 from uavaou.reports.style import (
     COLUMN_WIDTH_IN,
     GREY,
@@ -36,6 +37,7 @@ from uavaou.reports.style import (
     save,
 )
 from uavaou.scenario import Layout, Scenario
+from uavaou.world import World
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,6 +84,17 @@ class Recording:
         before = np.concatenate([at_start, self.pending[:-1]])  # (K, I)
         carried: NDArray[np.bool_] = (self.collected_by >= 0) & (before + generated > 0)
         return carried
+
+
+def record_mission(scenario: Scenario, policy: Planner, seed: int) -> Recording:
+    """Play one mission, seeded, and keep what every slot looked like."""
+    world = World(scenario, missions=1, seed=seed)
+    policy.reset(world, seed)
+    snapshots = []
+    while not world.done:
+        world.step(*policy.act(world))
+        snapshots.append(world.snapshot())
+    return Recording.from_snapshots(snapshots)
 
 
 def plot_trajectories(scenario: Scenario, recording: Recording, out_dir: Path, name: str) -> list[Path]:

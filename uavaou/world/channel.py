@@ -74,7 +74,7 @@ class Channel:
         self._altitude_squared = scenario.altitudes[:, None] ** 2  # (U, 1) m^2
         block = (missions, SLOTS_DRAWN_TOGETHER, 2, scenario.uavs, scenario.devices)
         self._normals: Floats = np.empty(block if scenario.fading == "rician" else 0)
-        self._gains: Floats = np.empty(0)  # (slots of the block, N, U, I)
+        self._gains: Floats = np.empty((0, missions, scenario.uavs, scenario.devices))  # (slots of the block, N, U, I)
         self._next_in_block = 0
 
     def set_devices(self, positions: Floats, bandwidth: Floats, transmit_power: Floats) -> None:

@@ -75,12 +75,16 @@ class Flight:
         return np.where(_at(allowed, asked), asked, self.homeward(cells))
 
     def homeward(self, cells: Ints) -> Ints:
-        """The step towards the own CDS, along x first, then y; stay at the CDS. (N, U)."""
-        way = self.cds - cells  # (N, U, 2)
-        along_x = np.where(way[..., 0] > 0, RIGHT, LEFT)
-        along_y = np.where(way[..., 1] > 0, UP, DOWN)
-        step: Ints = np.where(way[..., 0] != 0, along_x, np.where(way[..., 1] != 0, along_y, STAY))
-        return step
+        """The step towards the own CDS, (N, U)."""
+        return first_step(self.cds - cells)
+
+
+def first_step(way: Ints) -> Ints:
+    """The first move of a way of (columns, rows), (..., 2): along x first, then y; stay where there is none to go."""
+    along_x = np.where(way[..., 0] > 0, RIGHT, LEFT)
+    along_y = np.where(way[..., 1] > 0, UP, DOWN)
+    step: Ints = np.where(way[..., 0] != 0, along_x, np.where(way[..., 1] != 0, along_y, STAY))
+    return step
 
 
 def _at(flags: Bools, moves: Ints) -> Bools:

@@ -7,6 +7,7 @@ planners roll Worlds forward, evaluation runs Worlds.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -96,12 +97,12 @@ class World:
     mission of a World of one with that seed.
 
     Args:
-        scenario: what is simulated.
+        scenario: what is simulated; a preset's name or a YAML path will do.
         missions: N.
         seed: mission j is seeded with ``seed + j``.
 
     Example:
-        >>> world = World(Scenario.load("tiny"), missions=2)
+        >>> world = World("tiny", missions=2)
         >>> while not world.done:
         ...     reward = world.step(np.zeros((2, 2), dtype=np.int64))  # everybody stays, all in range collected
         >>> world.metrics().devices_served.shape
@@ -121,7 +122,8 @@ class World:
     update_period: Ints  # (L, I) slots, k_i
     stepped: Stepped | None  # the slot just played
 
-    def __init__(self, scenario: Scenario, missions: int = 1, seed: int = 0) -> None:
+    def __init__(self, scenario: str | Path | Scenario, missions: int = 1, seed: int = 0) -> None:
+        scenario = Scenario.load(scenario)
         if missions < 1:
             raise ValueError(f"missions = {missions}: at least 1")
         self.scenario = scenario
@@ -159,14 +161,20 @@ class World:
         """Play the slot: collect at the present position, age, reward, then move.
 
         Args:
-            moves: 0 stay, 1 up (+y), 2 down (-y), 3 right (+x), 4 left (-x); (N, U).
+            moves: 0 stay, 1 up (+y), 2 down (-y), 3 right (+x), 4 left (-x); whole numbers, (N, U).
             selections: the devices that each UAV selects, (N, U, I); None selects every device in range.
 
         Returns:
             r[t] = -sum_i sum_n A_i^n[t] in s, (N,) (eq. indiv_reward).
+
+        Raises:
+            ValueError: an array has another shape, type or range; nothing has been played then.
+            RuntimeError: the mission is over.
         """
         if self.done:
             raise RuntimeError("the mission is over: call reset()")
+        moves = np.asarray(moves)
+        selections = None if selections is None else np.asarray(selections)
         self._check_actions(moves, selections)
         association = associate(self.in_range, self.snr, selections)
         collected = association.collected_by >= 0  # (N, I)
@@ -188,10 +196,12 @@ class World:
 
     def _check_actions(self, moves: Ints, selections: Bools | None) -> None:
         pairs = (self.missions, self.scenario.uavs)
-        if moves.shape != pairs or moves.min() < 0 or moves.max() >= len(MOVES):
+        if moves.shape != pairs or moves.dtype.kind not in "iu":
             raise ValueError(
-                f"moves: expected whole numbers 0 to {len(MOVES) - 1}, shape {pairs}; got shape {moves.shape}"
+                f"moves: expected whole numbers of shape {pairs}, got {moves.dtype} of shape {moves.shape}"
             )
+        if moves.min() < 0 or moves.max() >= len(MOVES):
+            raise ValueError(f"moves: {moves.min()} to {moves.max()} given, 0 to {len(MOVES) - 1} allowed")
         if selections is not None and (selections.dtype != bool or selections.shape != (*pairs, self.scenario.devices)):
             raise ValueError(
                 f"selections: expected booleans of shape {(*pairs, self.scenario.devices)}, "
@@ -260,14 +270,14 @@ class World:
         }
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """Everything that the rest of the mission depends on, the lanes' random streams included, as arrays.
+        """Everything that the rest of the mission depends on, random streams included; lanes along axis 0.
 
         ``stepped`` is not part of it: a snapshot taken right after :meth:`load_state_dict` is that of slot 0.
         """
         arrays = {name: getattr(self, name).copy() for name in _STATE}
-        arrays["slot"] = np.array([self.slot])
+        arrays["slot"] = np.full(self.missions, self.slot)
         arrays["pending"], arrays["age_slots"] = self.ages.pending.copy(), self.ages.age_slots.copy()
-        arrays["fading_ahead"] = self.channel.ahead()
+        arrays["fading_ahead"] = self.channel.ahead().swapaxes(0, 1)  # (N, slots, U, I)
         arrays["streams"] = np.stack([_pack_stream(rng) for rng in self._rngs])  # (N, 6)
         if not self._fixed_layout:
             arrays["device_positions"], arrays["update_period"] = self.device_positions, self.update_period
@@ -285,7 +295,7 @@ class World:
         if not self._fixed_layout:
             self.device_positions, self.update_period = arrays["device_positions"], arrays["update_period"]
             self.channel.set_devices(self.device_positions, arrays["bandwidth"], arrays["transmit_power"])
-        self.channel.set_ahead(arrays["fading_ahead"])
+        self.channel.set_ahead(arrays["fading_ahead"].swapaxes(0, 1))
         self.stepped = None
         self.positions = self._cell_positions()
         self.in_range = self.snr >= self.channel.snr_min

@@ -80,7 +80,8 @@ class MoveSelectionDistribution(Distribution):
         """Draw actions (B, 1 + I); from ``uniforms`` (B, 5 + I) in [0, 1) where the caller has a stream of its own."""
         batch = len(self.move_log_probs)
         if uniforms is None:
-            uniforms = th.rand((batch, MOVES + self.devices), device=self.move_log_probs.device)
+            # From the CPU's stream whatever the device: checkpoints hold that one.
+            uniforms = th.rand((batch, MOVES + self.devices)).to(self.move_log_probs.device)
         # Gumbel-max: a masked move has log-probability -1e9 and never wins.
         exponential = (-th.log(uniforms[:, :MOVES].clamp_min(1e-12))).clamp_min(1e-12)
         move = (self.move_log_probs - th.log(exponential)).argmax(dim=1)

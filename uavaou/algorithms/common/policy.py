@@ -14,7 +14,10 @@ from torch import nn
 from uavaou.algorithms.common.action_head import MoveSelectionDistribution
 from uavaou.algorithms.common.networks import ACTIVATIONS, mlp
 from uavaou.algorithms.common.value_norm import PopArt
+from uavaou.errors import unknown
 from uavaou.world.views import RowLayout
+
+CRITIC_INPUTS = ("global", "local")
 
 
 class CentralizedValuePolicy(ActorCriticPolicy):
@@ -46,6 +49,10 @@ class CentralizedValuePolicy(ActorCriticPolicy):
         selection_bias: float = 2.0,
         **kwargs: Any,
     ) -> None:
+        if critic_input not in CRITIC_INPUTS:
+            raise unknown("critic_input", critic_input, CRITIC_INPUTS)
+        if activation not in ACTIVATIONS:
+            raise unknown("activation", activation, ACTIVATIONS)
         self.row_layout = row_layout
         self.critic_input = critic_input
         self.selection_bias = selection_bias
@@ -125,7 +132,7 @@ class CentralizedValuePolicy(ActorCriticPolicy):
         return self.action_distribution(obs[:, : self.row_layout.local_size])
 
     def predict_values(self, obs: th.Tensor) -> th.Tensor:  # type: ignore[override]
-        """Values of rows, (B, 1)."""
+        """Values of rows, (B, 1); where the rows are whole slots, each slot's state goes through the critic once."""
         local_size, uavs = self.row_layout.local_size, self.row_layout.uavs
         if self.critic_input == "local":
             return self.critic_values(obs[:, :local_size])[:, None]

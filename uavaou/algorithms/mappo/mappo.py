@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
-from uavaou.errors import unknown
+from uavaou.errors import InputError, unknown
 
 ADVANTAGES = ("none", "rollout", "batch")
 
@@ -60,6 +60,11 @@ class MAPPO(PPO):
     ) -> None:
         if advantage_normalization not in ADVANTAGES:
             raise unknown("advantage_normalization", advantage_normalization, ADVANTAGES)
+        for name in ("clip_range_vf", "normalize_advantage"):
+            if kwargs.get(name) is not None:
+                raise InputError(f"{name}: not an argument of {type(self).__name__} (see advantage_normalization)")
+        if env is not None and not hasattr(env, "row_layout"):
+            raise InputError(f"env = {env!r}: expected what uavaou.flatten returns")
         self.advantage_normalization = advantage_normalization
         self.critic_learning_rate = critic_learning_rate
         policy_kwargs = dict(policy_kwargs or {})

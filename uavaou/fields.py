@@ -1,0 +1,94 @@
+"""The fields of configurations: number types that refuse what is no number, and errors in one line.
+
+Scenarios and algorithm settings are pydantic models built of these types.
+"""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, ValidationError
+
+from uavaou.errors import nearest
+
+DEVICE_COLUMNS = ("bandwidth_hz", "transmit_power_mw", "update_period_slots")  # a value, a range, or one a device
+
+
+def _plain_number(value: Any) -> Any:
+    """Refuse what pydantic would quietly turn into a number: booleans and text."""
+    if isinstance(value, bool):
+        raise ValueError("expected a number, not true or false")
+    if isinstance(value, str):
+        hint = " (YAML reads 15e3 as text; write 15000 or 1.5e+4)" if "e" in value.lower() else ""
+        raise ValueError(f"expected a number, not text{hint}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError("must be a finite number")
+    return value
+
+
+# Bounds far outside of what anybody means, so that nothing overflows on the way to SI units.
+Number = Annotated[float, BeforeValidator(_plain_number), Field(allow_inf_nan=False, ge=-1e15, le=1e15)]
+Positive = Annotated[Number, Field(gt=0)]
+NonNegative = Annotated[Number, Field(ge=0)]
+Unbounded = Annotated[float, BeforeValidator(_plain_number), Field(gt=0, allow_inf_nan=False)]
+Length = Annotated[Number, Field(ge=1e-3, le=1e9)]  # m
+Coordinate = Annotated[Number, Field(ge=-1e9, le=1e9)]  # m
+Decibels = Annotated[Number, Field(ge=-300, le=300)]
+Whole = Annotated[int, BeforeValidator(_plain_number)]
+PositiveWhole = Annotated[Whole, Field(ge=1, le=10**12)]
+Period = Annotated[Whole, Field(ge=1, le=10**6)]  # slots
+Point = tuple[Coordinate, Coordinate]
+
+
+def explain_validation(error: ValidationError, fields: list[str]) -> str:
+    """Turn pydantic's report into one line on the first thing to mend."""
+    details = error.errors(include_url=False)
+    # Of a union's branches, the one that got furthest into the value says most.
+    first = max(
+        details, key=lambda d: (d["loc"][:1] == details[0]["loc"][:1], len(d["loc"]), d["type"] == "value_error")
+    )
+    loc = [str(part) for part in first["loc"]]
+    kind, message = first["type"], first["msg"].removeprefix("Value error, ")
+    if not loc:
+        return message
+    if kind == "extra_forbidden" and len(loc) == 1:
+        return f"unknown field '{loc[0]}'{nearest(loc[0], fields)}"
+    if kind == "missing" and len(loc) == 1:
+        return f"the field {loc[0]} is missing"
+    misspelt = next((d for d in details if d["type"] == "extra_forbidden" and d["loc"][0] == loc[0]), None)
+    if misspelt is not None and isinstance(_field_input(details, loc[0]), dict):
+        key = str(misspelt["loc"][-1])
+        return f"{loc[0]}: unknown key '{_shortened(key)}'{nearest(key, ('low', 'high'))} (known: low, high)"
+    branches = ("float", "int", "Range", "WholeRange", "constrained", "tuple", "function")
+    path = loc[0] + "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in loc[1:] if not p.startswith(branches))
+    several_forms = loc[0] in DEVICE_COLUMNS and len({d["loc"][1:2] for d in details}) > 1
+    if several_forms and not isinstance(first["input"], int | float):
+        message = "expected a number, {low: ..., high: ...} or a list with one number a device"
+        own = [d for d in details if d["loc"][0] == loc[0] and d["type"] == "value_error"]
+        if own:
+            message = str(own[0]["msg"]).removeprefix("Value error, ")
+    if kind == "tuple_type":
+        message = "expected a list, such as [1, 2]"
+    return f"{path} = {short(first['input'])}: {message[0].lower() + message[1:]}"
+
+
+def _field_input(details: list[Any], field: str) -> Any:
+    """What was given for a field, as some branch of its union saw it whole."""
+    return next((d["input"] for d in details if d["loc"][0] == field and isinstance(d["input"], dict)), None)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def short(value: Any) -> str:
+    """A value in at most 60 characters, however deep or long it is."""
+    shortener = reprlib.Repr()
+    shortener.maxlevel, shortener.maxstring, shortener.maxlong, shortener.maxother = 3, 40, 40, 57
+    try:
+        text = shortener.repr(value)
+    except (ValueError, RecursionError):  # a number of thousands of digits cannot be printed
+        text = f"<{type(value).__name__}>"
+    return _shortened(text)
