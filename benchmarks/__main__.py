@@ -13,8 +13,13 @@ from benchmarks.training import training
 from uavaou.experiments.folder import describe_machine
 
 
+PARTS = ["environment", "training"]
+
+
 def main() -> None:
-    chosen = sys.argv[1:] or ["environment", "training"]
+    chosen = sys.argv[1:] or PARTS
+    if unknown_parts := set(chosen) - set(PARTS):
+        sys.exit(f"benchmarks: unknown part '{min(unknown_parts)}' (known: {', '.join(PARTS)})")
     machine = describe_machine()
     print(
         f"{machine['processor']}, {os.cpu_count()} cores, torch {torch.__version__}, {torch.get_num_threads()} threads"

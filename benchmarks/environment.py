@@ -24,7 +24,7 @@ def stepping(slots: int = 60, repeats: int = 5) -> list[Rate]:
     def world_alone() -> None:
         world.reset(0)
         for slot in range(slots):
-            world.step(*split_actions(actions[slot], MISSIONS, scenario.uavs))
+            world.step(*split_actions(actions[slot], MISSIONS, scenario.uavs, selects=True))
 
     contestants = {"World.step alone": (world_alone, slots * rows)}
     for backend, processes in (("batched", 1), ("batched", 2), ("supersuit", 1), ("supersuit", 2)):

@@ -17,10 +17,10 @@ from uavaou.algorithms.registry import make_model
 MISSIONS = 64
 
 
-def training(repeats: int = 3) -> list[Rate]:
+def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Rate]:
     """Agent steps a second of a rollout and its update, with the published rollout, minibatch and epochs."""
     scenario = Scenario.load("paper")
-    config = load_config("mappo")
+    config = load_config("mappo", {} if rollout_slots is None else {"rollout_slots": rollout_slots})
     assert isinstance(config, MappoConfig)
     rows = MISSIONS * scenario.uavs * config.rollout_slots
     contestants = {
