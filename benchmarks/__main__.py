@@ -12,7 +12,6 @@ from benchmarks.measure import report
 from benchmarks.training import training
 from uavaou.experiments.folder import describe_machine
 
-
 PARTS = ["environment", "training"]
 
 

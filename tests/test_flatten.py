@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -226,6 +229,15 @@ def test_closing_reaches_the_processes() -> None:
     env.close()
     assert all(process.exitcode == 0 for process in env.venv.procs)
     env.close()
+
+
+def test_a_program_that_forgets_to_close_ends_all_the_same() -> None:
+    code = "from uavaou import flatten; env = flatten('tiny', missions=2, processes=2); env.reset(); print('end')"
+    root = Path(__file__).resolve().parents[1]
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, timeout=100, check=True
+    )
+    assert done.stdout == "end\n"
 
 
 def test_images_of_the_missions() -> None:

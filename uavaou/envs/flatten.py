@@ -10,6 +10,7 @@ none, and its copies repeat missions), truncation flags, attribute access, and c
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -142,6 +143,9 @@ class MissionVecEnv(SB3VecEnvWrapper):
         self._seeds: list[int | None] = [None] * self.num_envs
         self._options: list[dict[str, Any]] = [{}] * self.num_envs
         self.metadata = getattr(venv, "metadata", {})
+        if isinstance(venv, ProcConcatVec):
+            # SuperSuit's processes are no daemons: an interpreter that ends without close() would wait for them for ever.
+            weakref.finalize(self, _end, venv.procs)
 
     def seed(self, seed: int | None = None) -> list[int | None]:
         """Seed the missions at the next reset: mission j gets ``seed + j``. Returns each row's mission seed."""
@@ -275,6 +279,11 @@ class MissionVecEnv(SB3VecEnvWrapper):
     def _need_targets(self, method: str) -> None:
         if not self._targets():
             raise NotImplementedError(f"{method} does not reach environments in other processes: use processes=1")
+
+
+def _end(processes: list[Any]) -> None:
+    for process in processes:
+        process.kill()
 
 
 def _distinct(targets: Iterable[Any]) -> list[Any]:
