@@ -144,7 +144,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
         self._options: list[dict[str, Any]] = [{}] * self.num_envs
         self.metadata = getattr(venv, "metadata", {})
         if isinstance(venv, ProcConcatVec):
-            # SuperSuit's processes are no daemons: an interpreter that ends without close() would wait for them for ever.
+            # SuperSuit's processes are no daemons: a program that ends without close() would wait for them for ever.
             weakref.finalize(self, _end, venv.procs)
 
     def seed(self, seed: int | None = None) -> list[int | None]:
