@@ -24,7 +24,8 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@touch $@
 
 demo: install
-	@$(BIN)/uavaou train --scenario paper --slots $(SLOTS) --out $(DEMO) --resume
+	@rm -rf $(DEMO)
+	@$(BIN)/uavaou train --scenario paper --slots $(SLOTS) --out $(DEMO)
 	@$(BIN)/uavaou eval $(RUN) --policy greedy --policy random --episodes 100
 	@$(BIN)/uavaou plot figures $(RUN) --out $(DEMO)/figures
 	@$(BIN)/uavaou plot trajectories $(RUN) --out $(DEMO)/figures
