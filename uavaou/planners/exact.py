@@ -15,7 +15,7 @@ the objective is a whole number: its optimum is exact, not only within a toleran
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ _WHOLE = 1e-6  # a bound this close below a whole number is that number
 
 
 class Exact(RoutePlanner):
-    """The optimal routes of a scenario without fading, proven by HiGHS; with a time limit, the best found and a bound."""
+    """The optimal routes without fading, proven by HiGHS; under a time limit the best found and a bound."""
 
     name: ClassVar[str] = "exact"
 
@@ -140,7 +140,7 @@ class Program:
 
     def solve(self, time_limit_s: float | None = None) -> tuple[int, float, Ints]:
         """The total age in slots squared, a lower bound on it, and the routes (K, U, 2)."""
-        whole = np.zeros(self._variables)
+        whole = np.zeros(self._variables, dtype=np.int64)
         whole[: self.first_step[-1]] = 1
         result = self._run(whole, time_limit_s)
         if result.x is None:
@@ -150,20 +150,20 @@ class Program:
 
     def relaxation(self) -> float:
         """The optimum of the linear relaxation, in slots squared."""
-        result = self._run(np.zeros(self._variables), None)
+        result = self._run(np.zeros(self._variables, dtype=np.int64), None)
         return float(result.fun)
 
-    def _run(self, whole: Floats, time_limit_s: float | None):  # type: ignore[no-untyped-def]  # noqa: ANN202
+    def _run(self, whole: Ints, time_limit_s: float | None) -> Any:
         rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
         shape = (self._constraints, self._variables)
         matrix = coo_array((np.concatenate(self._values), (rows, columns)), shape=shape).tocsc()
-        options = {"mip_rel_gap": 0.0} | ({} if time_limit_s is None else {"time_limit": time_limit_s})
+        limit = np.inf if time_limit_s is None else time_limit_s
         return milp(
             np.concatenate(self._costs),
             integrality=whole,
             bounds=Bounds(0, 1),
             constraints=LinearConstraint(matrix, np.concatenate(self._low), np.concatenate(self._high)),
-            options=options,
+            options={"mip_rel_gap": 0.0, "time_limit": limit},
         )
 
     def _fly(self, uav: int) -> None:

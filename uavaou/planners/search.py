@@ -16,7 +16,7 @@ function called, not in those of the functions that it calls.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numba
 import numpy as np
@@ -27,6 +27,7 @@ from uavaou.world.coverage import coverage_probability
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Rng = Any  # np.random.Generator, the whole numbers of which are plain ones once compiled
 
 _LONGEST_DETOUR = 16  # slots that one detour may rewrite
 _LONGEST_COPY = 60  # slots copied at once; about two rounds of a tour
@@ -253,7 +254,7 @@ def steps(one: int, other: int, rows: int) -> int:
 
 
 @compiled
-def _walk(trial: Ints, slot: int, here: int, there: int, rows: int, rng: np.random.Generator) -> int:
+def _walk(trial: Ints, slot: int, here: int, there: int, rows: int, rng: Rng) -> int:
     """Write a shortest way from ``here`` (not written) to ``there``, from ``slot`` on; the slot after its end."""
     x, y, to_x, to_y = here // rows, here % rows, there // rows, there % rows
     lean = rng.integers(0, 3)  # along x first, along y first, or mixed
@@ -269,9 +270,7 @@ def _walk(trial: Ints, slot: int, here: int, there: int, rows: int, rng: np.rand
 
 
 @compiled
-def _fill(
-    trial: Ints, slot: int, here: int, there: int, moves: int, columns: int, rows: int, rng: np.random.Generator
-) -> bool:
+def _fill(trial: Ints, slot: int, here: int, there: int, moves: int, columns: int, rows: int, rng: Rng) -> bool:
     """Write a random way of exactly ``moves`` moves, stays included, from ``here`` over some cell to ``there``.
 
     The cells strictly between go to ``slot`` and the moves - 1 slots from there; ``there`` is written last.
@@ -312,9 +311,7 @@ def _fill(
 
 
 @compiled
-def detour(
-    route: Ints, trial: Ints, low: int, high: int, columns: int, rows: int, rng: np.random.Generator
-) -> tuple[int, int]:
+def detour(route: Ints, trial: Ints, low: int, high: int, columns: int, rows: int, rng: Rng) -> tuple[int, int]:
     """Another way over the same slots, somewhere in low <= t < high."""
     length = rng.integers(1, min(_LONGEST_DETOUR, high - low) + 1)
     first = rng.integers(low, high - length + 1)
@@ -325,16 +322,14 @@ def detour(
 
 
 @compiled
-def shift(
-    route: Ints, trial: Ints, low: int, high: int, columns: int, rows: int, rng: np.random.Generator
-) -> tuple[int, int]:
+def shift(route: Ints, trial: Ints, low: int, high: int, columns: int, rows: int, rng: Rng) -> tuple[int, int]:
     """A detour that takes d slots more, one later that takes d less, and all between d slots later (d < 0: earlier)."""
     later = rng.integers(1, _FARTHEST_SHIFT + 1) * (1 if rng.random() < 0.5 else -1)
     one, two = rng.integers(0, 9), rng.integers(0, 9)  # slots rewritten at both ends, before
     room = high - low - one - two
     if room < 1 or one + later < 0 or two - later < 0:
         return _NOTHING
-    between = min(room, int(np.exp(rng.random() * np.log(room + 1.0))))
+    between = min(int(room), int(np.exp(rng.random() * np.log(room + 1.0))))
     first = rng.integers(low, high - one - two - between + 1)
     middle, after = first + one, first + one + between
     end = after + two
@@ -348,7 +343,7 @@ def shift(
 
 
 @compiled
-def reverse(route: Ints, trial: Ints, low: int, high: int, rows: int, rng: np.random.Generator) -> tuple[int, int]:
+def reverse(route: Ints, trial: Ints, low: int, high: int, rows: int, rng: Rng) -> tuple[int, int]:
     """A stretch flown the other way round, as 2-opt does."""
     first = rng.integers(low, high)
     found = 0
@@ -366,7 +361,7 @@ def reverse(route: Ints, trial: Ints, low: int, high: int, rows: int, rng: np.ra
 
 @compiled
 def copy(
-    source: Ints, route: Ints, trial: Ints, low: int, high: int, columns: int, rows: int, rng: np.random.Generator
+    source: Ints, route: Ints, trial: Ints, low: int, high: int, columns: int, rows: int, rng: Rng
 ) -> tuple[int, int]:
     """What some UAV flies at another time, flown here too: good rounds spread over the mission."""
     slots = len(route) - 1
@@ -400,7 +395,7 @@ def anneal(
     proposals: int,
     best: Ints,
     best_age: float,
-    rng: np.random.Generator,
+    rng: Rng,
 ) -> float:
     """Metropolis steps under geometric cooling; the best total age met.
 
@@ -448,7 +443,7 @@ def anneal(
 
 @compiled
 def _propose(
-    routes: Ints, uav: int, trial: Ints, between: tuple[int, int], grid: tuple[int, int], rng: np.random.Generator
+    routes: Ints, uav: int, trial: Ints, between: tuple[int, int], grid: tuple[int, int], rng: Rng
 ) -> tuple[int, int]:
     low, high = between
     columns, rows = grid
@@ -501,7 +496,7 @@ def replan(
     between: tuple[int, int],
     temperatures: tuple[float, float],
     proposals: int,
-    rng: np.random.Generator,
+    rng: Rng,
 ) -> None:
     """Anneal slots low <= t < high and leave the best routes met; arguments as :func:`anneal` takes them."""
     uavs, last = len(e.routes), len(e.spent) - 1

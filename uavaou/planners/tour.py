@@ -117,7 +117,7 @@ def _length(stops: Ints) -> int:
 
 
 def improve(stops: Ints) -> Ints:
-    """The stops (S, 2) in an order of a shorter closed way: nearest neighbour, then 2-opt and Or-opt to a local optimum."""
+    """The stops (S, 2) in an order of a shorter closed way: nearest neighbour, 2-opt, Or-opt."""
     order = [0]
     left = set(range(1, len(stops)))
     while left:
