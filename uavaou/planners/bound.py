@@ -38,6 +38,7 @@ Ints = NDArray[np.int64]
 
 _ROUNDS = 400  # of the ascent; later ones move the bound on `paper` by about a hundredth
 _INERTIA = 0.9  # of the averaged subgradient
+_FLAT = 1e-12  # squared length of a subgradient that leads nowhere
 _ROUNDING = 1e-9  # of the totals, far above what the sums can err by
 
 
@@ -122,7 +123,7 @@ class Prices:
                 direction[:] = 0.0
             direction = _INERTIA * direction + (1 - _INERTIA) * slope
             norm = float((direction**2).sum())
-            if norm == 0.0 or (time_limit_s is not None and time.monotonic() - begun > time_limit_s):
+            if norm < _FLAT or (time_limit_s is not None and time.monotonic() - begun > time_limit_s):
                 break
             step = (
                 reach * max(best, 1.0) + max(best - value, 0.0)

@@ -128,7 +128,7 @@ def trial_age(e: Expectation, uav: int, first: int, end: int, trial: Ints, pendi
             total += _advance_changed(e, uav, t, trial[t], pending, age)
     for i in range(devices):
         total += e.pending_slope[end - 1, i] * pending[i] + e.age_slope[end - 1, i] * age[i]
-    return total + e.constant[end - 1]
+    return total + float(e.constant[end - 1])
 
 
 @compiled

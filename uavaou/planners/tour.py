@@ -187,10 +187,10 @@ def ride(scenario: Scenario, uav: int, loop: Ints) -> Ints:
     route = np.tile(home, (slots, 1))  # row t - 1 is slot t
     away = np.abs(loop - home).sum(axis=1)  # (L,) grid steps from and to the CDS
     meeting = next((t for t in range(1, slots + 1) if away[t % len(loop)] <= t - 1), None)
-    if meeting is None or 2 * away[meeting % len(loop)] > min(budget, slots - 1):
+    if meeting is None or 2 * away[meeting % len(loop)] > budget or away[meeting % len(loop)] > slots - meeting:
         return route
     out = _way(home, loop[meeting % len(loop)])
-    route[meeting - 1 - len(out) : meeting - 1 + 1] = [home, *out][: len(out) + 1]
+    route[meeting - 1 - len(out) : meeting] = [home, *out]
     flown, t = len(out), meeting
     while t < slots:
         step = int(np.abs(loop[(t + 1) % len(loop)] - loop[t % len(loop)]).sum())
