@@ -36,7 +36,10 @@ from uavaou.world.flight import Flight
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_ROUNDS = 400  # of the ascent; later ones move the bound on `paper` by about a hundredth
+_ROUNDS = 3000  # of the ascent, at most
+_PATIENCE = 30  # rounds
+_FOLLOWS = 0.1  # share of the way to the level that counts as following it
+_CLOSE = 3e-4  # the level is this close above the best: what is left to gain is not worth the time
 _INERTIA = 0.9  # of the averaged subgradient
 _FLAT = 1e-12  # squared length of a subgradient that leads nowhere
 _ROUNDING = 1e-9  # of the totals, far above what the sums can err by
@@ -78,7 +81,7 @@ class Prices:
         cds = Flight(scenario).cds  # (U, 2)
         self._homes = cds[:, 0] * scenario.rows + cds[:, 1]  # (U,)
         self._neighbours = _neighbours(scenario.columns, scenario.rows)  # (C, 5)
-        self.prices = np.ones((scenario.slots + 1, scenario.devices))  # (K+1, I); row 0 is not a slot
+        self.prices = np.zeros((scenario.slots + 1, scenario.devices))  # (K+1, I); row 0 is not a slot
 
     def value(self) -> tuple[float, Floats]:
         """The bound on the total age in slots squared, and its subgradient (K+1, I)."""
@@ -93,42 +96,32 @@ class Prices:
         scale = paid.sum() + abs(total - paid.sum())
         return float(total - _ROUNDING * scale), collected - offered
 
-    def _common_price(self) -> float:
-        """Set the best of some prices that are the same everywhere; returns the bound that it gives, at least 0."""
-        best, at_best = 0.0, np.zeros_like(self.prices)  # prices of 0 give a bound of 0
-        for price in np.geomspace(1e-3, 1e3, 25):
-            self.prices[:] = price
-            value, _ = self.value()
-            if value > best:
-                best, at_best = value, self.prices.copy()
-        self.prices = at_best
-        return best
-
     def ascend(self, time_limit_s: float | None = None, on_round: Callable[[float], None] | None = None) -> float:
-        """The best bound met on the total age, in slots squared; ``on_round`` hears of it after each round."""
-        begun, reach, since = time.monotonic(), 0.2, 0
-        best = self._common_price()
-        direction = np.zeros_like(self.prices)
-        at_best = self.prices.copy()
+        """The best bound met on the total age, in slots squared; ``on_round`` hears of it after each round.
+
+        Polyak's steps along an averaged subgradient, towards a level above the best bound; the level comes closer
+        where the bound does not follow.
+        """
+        begun, best, since = time.monotonic(), 0.0, 0  # prices of 0 give a bound of 0
+        above = float(len(self.prices))  # of the level over the best: a slot of age for each slot
+        at_best, direction = self.prices.copy(), np.zeros_like(self.prices)
         for _ in range(_ROUNDS):
             value, slope = self.value()
+            since += 1
             if value > best:
-                best, since = value, 0
+                since = 0 if value > best + _FOLLOWS * above else since
+                best = value
                 at_best[:] = self.prices
-            else:
-                since += 1
-            if since >= 20:  # overshooting: closer steps, from the best prices
-                reach, since = reach / 2, 0
+            if since >= _PATIENCE:
+                above, since = above / 2, 0
                 self.prices[:] = at_best
                 direction[:] = 0.0
-            direction = _INERTIA * direction + (1 - _INERTIA) * slope
+            direction = slope if not direction.any() else _INERTIA * direction + (1 - _INERTIA) * slope
             norm = float((direction**2).sum())
-            if norm < _FLAT or (time_limit_s is not None and time.monotonic() - begun > time_limit_s):
+            late = time_limit_s is not None and time.monotonic() - begun > time_limit_s
+            if norm < _FLAT or late or above < _CLOSE * best:
                 break
-            step = (
-                reach * max(best, 1.0) + max(best - value, 0.0)
-            ) / norm  # Polyak's, towards a little more than the best
-            self.prices = np.maximum(0.0, self.prices + step * direction)
+            self.prices = np.maximum(0.0, self.prices + (best + above - value) / norm * direction)
             if on_round is not None:
                 on_round(best)
         return best
