@@ -37,11 +37,12 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _ROUNDS = 3000  # of the ascent, at most
-_PATIENCE = 30  # rounds
+_PATIENCE = 100  # rounds
+_FALL = 100.0  # how far below the best, in the level's height above it, the bound may be on its way
 _FOLLOWS = 0.1  # share of the way to the level that counts as following it
 _CLOSE = 3e-4  # the level is this close above the best: what is left to gain is not worth the time
 _INERTIA = 0.9  # of the averaged subgradient
-_FLAT = 1e-12  # squared length of a subgradient that leads nowhere
+_FLAT = 1e-9  # what is taken for nothing: squared lengths, and levels in slots squared
 _ROUNDING = 1e-9  # of the totals, far above what the sums can err by
 
 
@@ -112,14 +113,15 @@ class Prices:
                 since = 0 if value > best + _FOLLOWS * above else since
                 best = value
                 at_best[:] = self.prices
-            if since >= _PATIENCE:
+            if since >= _PATIENCE or value < best - _FALL * above:
                 above, since = above / 2, 0
                 self.prices[:] = at_best
                 direction[:] = 0.0
             direction = slope if not direction.any() else _INERTIA * direction + (1 - _INERTIA) * slope
-            norm = float((direction**2).sum())
+            # An average that nearly cancels must not make a long step of a short way.
+            norm = max(float((direction**2).sum()), (1 - _INERTIA) ** 2 * float((slope**2).sum()))
             late = time_limit_s is not None and time.monotonic() - begun > time_limit_s
-            if norm < _FLAT or late or above < _CLOSE * best:
+            if not slope.any() or norm < _FLAT or late or above < max(_CLOSE * best, _FLAT):
                 break
             self.prices = np.maximum(0.0, self.prices + (best + above - value) / norm * direction)
             if on_round is not None:

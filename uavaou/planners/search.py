@@ -117,7 +117,7 @@ def trial_age(e: Expectation, uav: int, first: int, end: int, trial: Ints, pendi
     ``pending`` and ``age`` (I,) are room to work in; afterwards they hold the state after slot end - 1.
     """
     devices = len(pending)
-    total = e.spent[first - 1]
+    total = float(e.spent[first - 1])
     for i in range(devices):
         pending[i] = e.pending[first - 1, i]
         age[i] = e.age[first - 1, i]
