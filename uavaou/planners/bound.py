@@ -37,11 +37,11 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _ROUNDS = 3000  # of the ascent, at most
-_PATIENCE = 100  # rounds
+_PATIENCE = 150  # rounds
 _FALL = 100.0  # how far below the best, in the level's height above it, the bound may be on its way
 _FOLLOWS = 0.1  # share of the way to the level that counts as following it
-_CLOSE = 3e-4  # the level is this close above the best: what is left to gain is not worth the time
-_INERTIA = 0.9  # of the averaged subgradient
+_CLOSE = 1e-4  # the level is this close above the best: what is left to gain is not worth the time
+_INERTIA = 0.6  # of the averaged subgradient
 _FLAT = 1e-9  # what is taken for nothing: squared lengths, and levels in slots squared
 _ROUNDING = 1e-9  # of the totals, far above what the sums can err by
 
