@@ -101,6 +101,25 @@ BAD_INPUTS = [
     ("plot trajectories", "missing argument 'RUN'"),
     ("plot trajectories nowhere", "'nowhere' does not exist"),
     ("plot trajectories nowhere --episode-seed -1", "--episode-seed -1"),
+    # plan, gap
+    ("plan", "missing argument 'SCENARIO'"),
+    ("plan papr", "did you mean 'paper'?"),
+    ("plan tiny --planner anneall", "did you mean 'anneal'?"),
+    ("plan tiny --planner greedy", "unknown --planner 'greedy'"),
+    ("plan tiny --time-limit 0", "--time-limit 0"),
+    ("plan tiny --time-limit nan", "--time-limit nan"),
+    ("plan tiny --episodes 0", "--episodes 0"),
+    ("plan tiny --seed -1", "--seed -1"),
+    ("plan tiny --out file", "'file"),
+    ("plan tiny --set scenario.layout=resample", "new layout each mission"),
+    ("plan tiny --set algorithm.gamma=0.9", "algorithm.gamma"),
+    ("plan paper --planner exact --out x", "fading = rician"),
+    ("plan paper --planner exact --out x --set scenario.fading=none", "4,049,460 variables, at most 20,000"),
+    ("gap", "missing argument 'SCENARIO'"),
+    ("gap nothing", "unknown scenario"),
+    ("gap tiny nowhere", "'nowhere' does not exist"),
+    ("gap tiny --set scenario.layout=resample", "the bound is that of one layout"),
+    ("gap tiny --time-limit -1", "--time-limit -1"),
     # audit
     ("audit", "missing argument 'SCENARIO'"),
     ("audit papr", "did you mean 'paper'?"),
@@ -371,6 +390,26 @@ def test_the_table_fits_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 # -- the whole way -------------------------------------------------------------------------------------
+
+
+def test_a_plan_is_saved_flown_and_drawn(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+    code, out, err = call(capsys, "plan tiny --planner exact --episodes 1")
+    assert code == 0
+    assert "proven optimal" in out
+    assert "gap 0.0%" in err
+    assert all(len(line) <= WIDTH for line in out.splitlines())
+    folder = workplace / "results" / "tiny" / "plan" / "exact"
+    assert {path.suffix for path in folder.iterdir()} == {".json", ".png", ".pdf"}
+    assert json.loads((folder / "plan.json").read_text())["planner"] == "exact"
+
+
+def test_gap_orders_policies_between_bound_and_random(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = call(capsys, "gap tiny --episodes 1 --time-limit 1 --quiet")
+    assert code == 0
+    names = [line.split()[0] for line in out.splitlines()[3:] if line]
+    assert names[0] == "lower"
+    assert {"exact", "rolling", "greedy", "random"} < set(names)
+    assert all(len(line) <= WIDTH for line in out.splitlines())
 
 
 @pytest.mark.slow

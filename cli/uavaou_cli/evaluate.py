@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from uavaou.scenario import Scenario
 
 ACTIONS = ("greedy", "sample")
+# In the help, which must not import the planners; a test holds it to the registry.
+_PLANNER_NAMES = "random, stay, greedy, best-first, tour, partition-tour, anneal, rolling or exact"
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ def evaluate(
     run: Annotated[list[str] | None, typer.Argument(help="Folders of training runs.")] = None,
     policy: Annotated[
         list[str] | None,
-        typer.Option(metavar="PLANNER", help="Also play random, stay, greedy or best-first. Repeatable."),
+        typer.Option(metavar="PLANNER", help="Also play " + _PLANNER_NAMES + ". Repeatable."),
     ] = None,
     scenario: Annotated[
         str | None, typer.Option(metavar="NAME", help="A preset or a YAML file. [default: the runs' own, else paper]")

@@ -9,10 +9,14 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from uavaou.experiments.evaluation import Evaluation
     from uavaou.experiments.folder import RunConfig
     from uavaou.experiments.run import Outcome
     from uavaou.experiments.statistics import Interval
+    from uavaou.planners.bound import Bound
+    from uavaou.planners.plan import Plan
     from uavaou.scenario import Scenario
 
 WIDTH = 80
@@ -79,6 +83,39 @@ def evaluation_lines(
             lines += ["", f"{name} broke constraints: {broken}"]
     note = "below each mean: its 95 % interval over missions" if episodes > 1 else "one mission alone gives no interval"
     return [*lines, "", note]
+
+
+def plan_lines(scenario: Scenario, plan: Plan, took_s: float, path: Path) -> list[str]:
+    """What a planning found, and where it is kept."""
+    in_slots = plan.mean_aou_s / scenario.slot_length_s
+    ended = "interrupted after" if plan.interrupted else "in"
+    lines = [
+        f"planned {scenario.name} with {plan.planner} {ended} {_duration(took_s)}",
+        f"expected mean AoU: {_figure(plan.mean_aou_s)} s = {_figure(in_slots)} slots",
+    ]
+    if plan.gap is not None and plan.bound_s is not None:
+        proven = "proven optimal" if plan.gap < 1e-9 else f"gap {plan.gap:.1%}"
+        lines.append(f"lower bound:       {_figure(plan.bound_s)} s, {proven}")
+    return [*lines, f"plan:              {path}"]
+
+
+def gap_lines(scenario: Scenario, bound: Bound, results: Mapping[str, Evaluation], seed: int) -> list[str]:
+    """One row for the bound and one for each policy, the best first."""
+    episodes = len(next(iter(results.values())).aou_over_time_s)
+    tau, least = scenario.slot_length_s, bound.mean_aou_s
+    best = min(result.mean_aou_s for result in results.values())
+    rows = [("policy", "mean AoU (s)", "(slots)", "over bound", "over best", "")]
+    rows.append(("lower bound", _figure(least), _figure(least / tau), "1.00", _ratio(least, best), bound.method))
+    for name, result in sorted(results.items(), key=lambda item: item[1].mean_aou_s):
+        mean = result.mean_aou_s
+        rows.append((name, _figure(mean), _figure(mean / tau), _ratio(mean, least), _ratio(mean, best), ""))
+    head = f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}"
+    note = "no policy that does not foresee the channel has an expected mean AoU below the bound"
+    return [head, "", *(line.rstrip() for line in _aligned(rows)), "", *textwrap.wrap(note, WIDTH)]
+
+
+def _ratio(value: float, base: float) -> str:
+    return f"{value / base:,.2f}" if base > 0 else "-"
 
 
 def _cells(scenario: Scenario, result: Evaluation, action: str | None) -> list[tuple[str, str]]:

@@ -2,27 +2,47 @@
 
 from __future__ import annotations
 
-from uavaou.errors import unknown
+from importlib import import_module
+
+from uavaou.errors import InputError, unknown
 from uavaou.planners.base import Planner
-from uavaou.planners.greedy import BestFirst, Greedy
-from uavaou.planners.simple import Random, Stay
 
-__all__ = ["PLANNERS", "BestFirst", "Greedy", "Planner", "Random", "Stay", "make_planner"]
+__all__ = ["PLANNERS", "ROUTE_PLANNERS", "Planner", "make_planner"]
 
-PLANNERS: dict[str, type[Planner]] = {
-    "random": Random,
-    "stay": Stay,
-    "greedy": Greedy,
-    "best-first": BestFirst,
+# Each loads on first use: compilers and solvers take longer to import than most planners to fly.
+PLANNERS: dict[str, str] = {
+    "random": "uavaou.planners.simple:Random",
+    "stay": "uavaou.planners.simple:Stay",
+    "greedy": "uavaou.planners.greedy:Greedy",
+    "best-first": "uavaou.planners.greedy:BestFirst",
+    "tour": "uavaou.planners.tour:Tour",
+    "partition-tour": "uavaou.planners.tour:PartitionTour",
+    "anneal": "uavaou.planners.anneal:Anneal",
+    "rolling": "uavaou.planners.rolling:Rolling",
+    "exact": "uavaou.planners.exact:Exact",
 }
+# Those that lay routes before take-off and take a time limit.
+ROUTE_PLANNERS = ("tour", "partition-tour", "anneal", "exact")
 
 
-def make_planner(name: str) -> Planner:
+def make_planner(name: str, time_limit_s: float | None = None) -> Planner:
     """Return the planner of that name.
 
+    Args:
+        name: one of ``PLANNERS``.
+        time_limit_s: how long those of ``ROUTE_PLANNERS``, and ``rolling`` before take-off, may plan.
+
     Raises:
-        InputError: no planner has that name.
+        InputError: no planner has that name, or a time limit is given to one that does not plan ahead.
     """
     if name not in PLANNERS:
         raise unknown("planner", name, PLANNERS)
-    return PLANNERS[name]()
+    module, _, found = PLANNERS[name].partition(":")
+    kind = getattr(import_module(module), found)
+    if time_limit_s is None:
+        planner: Planner = kind()
+        return planner
+    if name not in (*ROUTE_PLANNERS, "rolling"):
+        raise InputError(f"planner '{name}' decides slot by slot and takes no time limit")
+    limited: Planner = kind(time_limit_s)
+    return limited

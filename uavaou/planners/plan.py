@@ -1,0 +1,170 @@
+"""Routes planned before take-off: what a plan is, and the policy that flies it."""
+
+from __future__ import annotations
+
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaou.errors import InputError
+from uavaou.planners.base import Moves, Selections
+from uavaou.scenario import Layout, Scenario
+from uavaou.world import World
+from uavaou.world.flight import MOVES, Flight
+
+Ints = NDArray[np.int64]
+
+_MOVE_OF_STEP = {(int(dx), int(dy)): move for move, (dx, dy) in enumerate(MOVES)}
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a planning is."""
+
+    share: float  # of the work or of the time, 0 to 1
+    incumbent_s: float  # expected mean AoU of the best routes so far, s
+    bound_s: float | None = None  # certified lower bound, s
+
+
+Report = Callable[[Progress], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Where each UAV is in each slot, and what that is worth."""
+
+    planner: str
+    routes: Ints  # (K, U, 2) column and row in slots 1 to K
+    mean_aou_s: float  # expected over fading, s
+    bound_s: float | None = None  # no policy has a lower expected mean AoU, s; None: nothing proven
+    interrupted: bool = False
+
+    @property
+    def gap(self) -> float | None:
+        """(mean AoU - bound) / mean AoU; None without a bound."""
+        if self.bound_s is None:
+            return None
+        return (self.mean_aou_s - self.bound_s) / self.mean_aou_s if self.mean_aou_s else 0.0
+
+    def to_dict(self, scenario: Scenario) -> dict[str, Any]:
+        """Plain values for a JSON file, the scenario included."""
+        return {
+            "planner": self.planner,
+            "scenario": scenario.to_dict(),
+            "mean_aou_s": self.mean_aou_s,
+            "bound_s": self.bound_s,
+            "interrupted": self.interrupted,
+            "routes": self.routes.swapaxes(0, 1).tolist(),
+        }
+
+    @classmethod
+    def load(cls, path: Path) -> tuple[Plan, Scenario]:
+        """Read back what :meth:`to_dict` gave, written as JSON.
+
+        Raises:
+            InputError: the file is no plan, or its routes break a rule of flight.
+        """
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            scenario = Scenario.from_dict(content["scenario"], source=str(path))
+            routes = np.asarray(content["routes"], dtype=np.int64).swapaxes(0, 1)
+            fields = {name: content[name] for name in ("planner", "mean_aou_s", "bound_s", "interrupted")}
+        except InputError:
+            raise
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(f"'{path}' is not a plan: {error!r}") from error
+        broken = broken_rule(scenario, routes)
+        if broken is not None:
+            raise InputError(f"'{path}': {broken}")
+        return cls(routes=routes, **fields), scenario
+
+
+def broken_rule(scenario: Scenario, routes: Ints) -> str | None:
+    """The first rule of flight that ``routes`` (K, U, 2) break, in words; None where they can be flown as they are."""
+    if routes.shape != (scenario.slots, scenario.uavs, 2):
+        return f"routes of shape {routes.shape}, expected {(scenario.slots, scenario.uavs, 2)}"
+    flight = Flight(scenario)
+    way = np.abs(np.diff(routes, axis=0)).sum(axis=-1)  # (K-1, U) grid steps
+    if routes.min() < 0 or (routes > [scenario.columns - 1, scenario.rows - 1]).any():
+        return "a route leaves the grid"
+    if (way > 1).any():
+        return "a route moves by more than one grid step in a slot"
+    if (routes[0] != flight.cds).any() or (routes[-1] != flight.cds).any():
+        return "a route does not start and end at its CDS (constraint CDS)"
+    if (way.sum(axis=0) > flight.budget).any():
+        return "a route exceeds flight_time_budget_s (constraint Time)"
+    return None
+
+
+class RoutePlanner(ABC):
+    """A planner that lays all routes before take-off and flies them whatever happens; all in range is collected.
+
+    Missions of one layout fly the same plan: it depends on nothing that a mission draws.
+
+    Args:
+        time_limit_s: how long to plan; None plans for a fixed amount of work, so that the plan is the same
+            on every run.
+    """
+
+    name: ClassVar[str]
+
+    def __init__(self, time_limit_s: float | None = None) -> None:
+        self.time_limit_s = time_limit_s
+        self._plans: dict[tuple[str | bytes, ...], Plan] = {}
+
+    @abstractmethod
+    def plan(self, scenario: Scenario, layout: Layout, report: Report | None = None) -> Plan:
+        """Lay the routes for one layout.
+
+        Args:
+            scenario: what is flown.
+            layout: the devices.
+            report: called now and then. A KeyboardInterrupt from it, or from the keyboard, ends a search that
+                has something to show for it.
+
+        Raises:
+            InputError: the scenario is not one that this planner can plan for.
+        """
+
+    def reset(self, world: World, seed: int) -> None:
+        """Plan for each layout among the missions, unless it has been done. Draws nothing from ``seed``."""
+        different = world.missions if world.scenario.layout == "resample" else 1  # L
+        self.plans = [self._planned(world.scenario, world.layout(mission)) for mission in range(different)]
+        routes = np.stack([plan.routes for plan in self.plans], axis=1)  # (K, L, U, 2)
+        self._routes = np.broadcast_to(routes, (len(routes), world.missions, *routes.shape[2:]))  # (K, N, U, 2)
+
+    def keep(self, plan: Plan, scenario: Scenario, layout: Layout) -> None:
+        """Fly this plan on this layout instead of planning."""
+        self._plans[_key(scenario, layout)] = plan
+
+    def _planned(self, scenario: Scenario, layout: Layout) -> Plan:
+        key = _key(scenario, layout)
+        if key not in self._plans:
+            self._plans[key] = self.plan(scenario, layout)
+        return self._plans[key]
+
+    def act(self, world: World) -> tuple[Moves, Selections | None]:
+        """The move to where the plan is in the next slot, (N, U)."""
+        there = self._routes[min(world.slot, len(self._routes) - 1)]  # (N, U, 2), slot + 1 counted from 1
+        return moves_between(world.cells, there), None
+
+
+def _key(scenario: Scenario, layout: Layout) -> tuple[str | bytes, ...]:
+    devices = (layout.positions, layout.bandwidth, layout.transmit_power, layout.update_period)
+    return (scenario.model_dump_json(), *(field.tobytes() for field in devices))
+
+
+def moves_between(here: Ints, there: Ints) -> Moves:
+    """The move from each cell to the next, (..., 2) both; cells are the same or neighbours."""
+    step = there - here  # (..., 2)
+    by_step = np.zeros((3, 3), dtype=np.int64)
+    for (dx, dy), move in _MOVE_OF_STEP.items():
+        by_step[dx, dy] = move  # -1 reads from the end
+    moves: Moves = by_step[step[..., 0], step[..., 1]]
+    return moves
