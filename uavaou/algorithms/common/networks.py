@@ -31,8 +31,9 @@ class Linear(nn.Linear):
 def _takes_onednn(features: th.Tensor) -> bool:
     if features.device.type != "cpu" or features.dtype != th.float32 or features.dim() != 2:
         return False
-    exported = th.jit.is_tracing() or th.compiler.is_compiling()  # a graph of standard operators is wanted then
-    return not exported and bool(th.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
+    # Where a graph is recorded, standard operators are wanted.
+    recorded = th.jit.is_tracing() or th.compiler.is_compiling()  # type: ignore[attr-defined, no-untyped-call]
+    return not recorded and bool(th.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
 
 
 class _OneDnnLinear(th.autograd.Function):
