@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from uavaou.algorithms.mappo import IPPO as IPPO
     from uavaou.algorithms.mappo import MAPPO as MAPPO
+    from uavaou.algorithms.qmix import QMIX as QMIX
+    from uavaou.algorithms.vdn import IQL as IQL
+    from uavaou.algorithms.vdn import VDN as VDN
     from uavaou.envs import uavaou_v0 as uavaou_v0
     from uavaou.envs.flatten import flatten as flatten
     from uavaou.errors import InputError as InputError
@@ -25,6 +28,9 @@ _HOMES = {
     "flatten": "uavaou.envs.flatten",
     "MAPPO": "uavaou.algorithms.mappo",
     "IPPO": "uavaou.algorithms.mappo",
+    "VDN": "uavaou.algorithms.vdn",
+    "IQL": "uavaou.algorithms.vdn",
+    "QMIX": "uavaou.algorithms.qmix",
     "InputError": "uavaou.errors",
 }
 __all__ = [*_HOMES, "uavaou_v0"]

@@ -18,7 +18,6 @@ from uavaou.experiments.checkpoint import load_policy, read_progress
 from uavaou.experiments.folder import RunFolder
 from uavaou.scenario import Scenario
 from uavaou.world import Views, World
-from uavaou.world.views import MOVES
 
 _STREAM = 3  # spawn key of the policies' random streams, apart from the layouts' (1) and the planners' (2)
 
@@ -48,13 +47,12 @@ class TrainedPolicy:
         uavs = world.scenario.uavs
         device = self.model.device
         local = th.from_numpy(self.views.local(world).reshape(world.missions * uavs, -1)).to(device)
-        uniforms = None if self.action == "greedy" else self._uniforms(uavs).to(device)
+        uniforms = None if self.action == "greedy" else self._uniforms(uavs, self.model.policy.uniforms_needed).to(device)
         actions = self.model.policy.act(local, uniforms)  # type: ignore[operator]
         return split_actions(actions.cpu().numpy(), world.missions, uavs, self.views.layout.selects)
 
-    def _uniforms(self, uavs: int) -> th.Tensor:
-        width = MOVES + (self.views.layout.devices if self.views.layout.selects else 0)
-        drawn = np.stack([rng.random((uavs, width), dtype=np.float32) for rng in self._rngs])  # (N, U, 5 + I)
+    def _uniforms(self, uavs: int, width: int) -> th.Tensor:
+        drawn = np.stack([rng.random((uavs, width), dtype=np.float32) for rng in self._rngs])  # (N, U, width)
         return th.from_numpy(drawn.reshape(-1, width))
 
 
