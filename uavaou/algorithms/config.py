@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from uavaou.errors import InputError, unknown
+from uavaou.errors import InputError
 from uavaou.fields import NonNegative, Positive, PositiveWhole, explain_validation
-from uavaou.zoo import read_yaml_mapping, zoo_path
 
 Fraction = Annotated[NonNegative, Field(le=1)]
 HiddenSizes = Annotated[tuple[Annotated[PositiveWhole, Field(le=65_536)], ...], Field(min_length=1, max_length=16)]
 
 
 class AlgorithmConfig(BaseModel):
-    """What every algorithm's configuration holds: the task as the learner sees it, and the budget."""
+    """What every algorithm's configuration holds: the task as the learner sees it, and the budget.
+
+    An algorithm of your own derives its configuration from this one (docs/own-algorithm.md).
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -112,34 +113,3 @@ class QmixConfig(JointQConfig):
     name: Literal["qmix"] = "qmix"
     mixer_width: Annotated[PositiveWhole, Field(le=4096)]
     hypernet_width: Annotated[PositiveWhole, Field(le=4096)]
-
-
-CONFIGS: dict[str, type[AlgorithmConfig]] = {
-    "mappo": MappoConfig,
-    "ippo": MappoConfig,
-    "vdn": JointQConfig,
-    "iql": JointQConfig,
-    "qmix": QmixConfig,
-}
-_SHARED_FILES = {"ippo": "mappo", "iql": "vdn"}  # published in the file of another, from which nothing else differs
-
-
-def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> AlgorithmConfig:
-    """Load an algorithm's published configuration, with some fields changed.
-
-    Raises:
-        InputError: the algorithm or a field is unknown, or a value cannot be used.
-    """
-    if algorithm not in CONFIGS:
-        raise unknown("algorithm", algorithm, CONFIGS)
-    path = zoo_path("algorithms", _SHARED_FILES.get(algorithm, algorithm))
-    fields = read_yaml_mapping(path) | {"name": algorithm} | (overrides or {})
-    return CONFIGS[algorithm].from_dict(fields, source=f"algorithm '{algorithm}'")
-
-
-def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:
-    """Read the algorithm part of a run's ``config.yaml``."""
-    name = fields.get("name")
-    if not isinstance(name, str) or name not in CONFIGS:
-        raise InputError(f"{source}: algorithm.name = {name!r}: known are {', '.join(CONFIGS)}")
-    return CONFIGS[name].from_dict(fields, source=f"{source}: algorithm")

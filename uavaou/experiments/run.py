@@ -86,7 +86,7 @@ def _make_missions(config: RunConfig, backend: str) -> MissionVecEnv:
 
 def _make_learner(config: RunConfig, env: MissionVecEnv, device: str) -> BaseAlgorithm:
     try:
-        model = make_model(config.algorithm, env, env.row_layout, config.seed, device)
+        model = make_model(config.algorithm, env, config.seed, device)
     except MemoryError as error:
         raise InputError("not enough memory for the learner: lower missions or what it stores of each") from error
     env.seed(LANE_SEEDS * (config.seed + 1))  # SB3 seeded the missions with the learner's seed
@@ -120,7 +120,8 @@ def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config
     model._n_updates = progress.updates
     if arrays:
         model._last_episode_starts = arrays.pop("episode_starts").astype(bool)
-        model._last_obs = env.load_missions_state(arrays)
+        assert model.observation_space.shape is not None
+        model._last_obs = env.load_missions_state(arrays)[:, : model.observation_space.shape[0]]  # LocalRows or all
     else:  # the missions were in other processes: new ones, from seeds that this training has not used
         env.seed(LANE_SEEDS * (config.seed + 1) + LANE_SEEDS // 2 + progress.missions % (LANE_SEEDS // 4))
     return progress

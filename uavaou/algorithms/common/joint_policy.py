@@ -80,11 +80,6 @@ class JointQPolicy(BasePolicy):
         """Parameters of the utilities and of the mixer, without their targets'."""
         return [*self.utilities.parameters(), *self.mixer.parameters()]
 
-    @property
-    def uniforms_needed(self) -> int:
-        """Uniform numbers that :meth:`act` draws an action from: a coin, and one for each branch."""
-        return 1 + self.branches.count
-
     def allowed(self, local: th.Tensor) -> th.Tensor | None:
         """Which options are allowed, (B, sum(n_b)), from the masks in ``local`` (B, local); None where it has none."""
         whole = self.row_layout.local_columns("action_mask")
@@ -102,7 +97,7 @@ class JointQPolicy(BasePolicy):
 
     @th.no_grad()
     def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
-        """Actions (B, M) of ``local`` (B, local): greedy, or epsilon-greedy from ``uniforms`` (B, 1 + M).
+        """Actions (B, M) of ``local`` (B, local): greedy, or epsilon-greedy from ``uniforms`` (B, >= 1 + M).
 
         One coin decides for a whole composite action: with one a branch, hardly any action would stay greedy.
         """
@@ -111,7 +106,7 @@ class JointQPolicy(BasePolicy):
         if uniforms is None:
             return greedy
         explores = uniforms[:, :1] < self.epsilon
-        return th.where(explores, self.branches.uniform(uniforms[:, 1:], allowed), greedy)
+        return th.where(explores, self.branches.uniform(uniforms[:, 1 : 1 + self.branches.count], allowed), greedy)
 
     def team_values(self, local: th.Tensor, states: th.Tensor, actions: th.Tensor) -> th.Tensor:
         """Normalised Q_tot (B, V) of joint actions (B * U, M) in ``local`` (B * U, local), ``states`` (B, global)."""
@@ -147,7 +142,7 @@ class JointQPolicy(BasePolicy):
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:  # type: ignore[override]
         local = observation[:, : self.row_layout.local_size]
-        uniforms = None if deterministic else th.rand((len(local), self.uniforms_needed)).to(local.device)
+        uniforms = None if deterministic else th.rand((len(local), 1 + self.branches.count)).to(local.device)
         actions = self.act(local, uniforms)
         return actions[:, 0] if isinstance(self.action_space, spaces.Discrete) else actions
 

@@ -15,7 +15,7 @@ from uavaou.algorithms.common.action_head import MoveSelectionDistribution
 from uavaou.algorithms.common.networks import ACTIVATIONS, mlp, with_state
 from uavaou.algorithms.common.value_norm import PopArt
 from uavaou.errors import unknown
-from uavaou.world.views import MOVES, RowLayout
+from uavaou.world.views import RowLayout
 
 CRITIC_INPUTS = ("global", "local")
 
@@ -103,11 +103,6 @@ class CentralizedValuePolicy(ActorCriticPolicy):
         allowed = None if self._allowed_moves is None else local[:, self._allowed_moves]
         in_range = None if self._in_range is None else local[:, self._in_range]
         return MoveSelectionDistribution(self.action_dist.devices).proba_distribution(logits, allowed, in_range)
-
-    @property
-    def uniforms_needed(self) -> int:
-        """Uniform numbers that :meth:`act` draws an action from."""
-        return MOVES + self.action_dist.devices
 
     @th.no_grad()
     def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
