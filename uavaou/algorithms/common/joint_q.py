@@ -90,9 +90,7 @@ class JointQLearning(OffPolicyAlgorithm):
             supported_action_spaces=(spaces.Discrete, spaces.MultiDiscrete), **kwargs,
         )  # fmt: skip
         self.target_update_interval = target_update_interval
-        self.exploration_schedule = LinearSchedule(
-            exploration_initial_eps, exploration_final_eps, exploration_fraction
-        )
+        self.exploration_schedule = LinearSchedule(exploration_initial_eps, exploration_final_eps, exploration_fraction)
         self.max_grad_norm = max_grad_norm
         if _init_setup_model:
             self._setup_model()
