@@ -140,7 +140,7 @@ def test_a_replay_goes_on_from_its_arrays() -> None:
         np.random.seed(1)
         replay.batch_seen = replay.sample(20)  # type: ignore[attr-defined]
     th.testing.assert_close(first.batch_seen.local, second.batch_seen.local)  # type: ignore[attr-defined]
-    with pytest.raises(InputError, match="replay.local"):
+    with pytest.raises(InputError, match=r"replay\.local"):
         filled_replay(0, 10, 2, set(), missions=3).load_state(first.state_arrays(), 0, False)
 
 

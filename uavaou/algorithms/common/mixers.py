@@ -8,7 +8,7 @@ import torch as th
 from torch import nn
 from torch.nn import functional
 
-from uavaou.algorithms.common.networks import UtilityNetwork, rescale_linear
+from uavaou.algorithms.common.networks import Linear, UtilityNetwork, rescale_linear
 from uavaou.errors import unknown
 
 MIXERS = ("none", "sum", "monotonic")
@@ -87,7 +87,7 @@ class MonotonicMixer(Mixer):
         super().__init__(agents)
         self.width = width
         self.first_weights = _Hypernet(state_size, hypernet_width, agents * width)
-        self.first_bias = nn.Linear(state_size, width)
+        self.first_bias = Linear(state_size, width)
         self.second_weights = _Hypernet(state_size, hypernet_width, width)
         self.value = _Hypernet(state_size, hypernet_width, 1)
 
@@ -112,8 +112,8 @@ class _Hypernet(nn.Module):
 
     def __init__(self, inputs: int, hidden: int, outputs: int) -> None:
         super().__init__()
-        self.inner = nn.Linear(inputs, hidden)
-        self.outer = nn.Linear(hidden, outputs)
+        self.inner = Linear(inputs, hidden)
+        self.outer = Linear(hidden, outputs)
 
     def forward(self, states: th.Tensor) -> th.Tensor:
         weights: th.Tensor = self.outer(functional.relu(self.inner(states)))
