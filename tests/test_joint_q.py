@@ -274,8 +274,8 @@ def test_qmix_sees_the_8_of_the_two_step_game_and_vdn_the_7(learner: type[JointQ
     for seed in range(10):
         model = learner(
             "JointQPolicy", TwoStepGame(32), seed=seed, learning_rate=5e-3, n_steps=1, buffer_size=6_400,
-            learning_starts=64, batch_size=128, train_freq=1, target_update_interval=20, exploration_final_eps=1.0,
-            policy_kwargs={"net_arch": [64]}, device="cpu",
+            learning_starts=64, batch_size=128, train_freq=1, tau=1.0, target_update_interval=20,
+            exploration_final_eps=1.0, policy_kwargs={"net_arch": [64]}, device="cpu",
         )  # fmt: skip
         model.learn(2 * 32 * 120)
         returns.append(play_greedily(model))
