@@ -11,8 +11,8 @@ from torch import nn
 
 from benchmarks.measure import Rate, side_by_side
 from uavaou import Scenario, flatten
-from uavaou.algorithms.config import MappoConfig, load_config
-from uavaou.algorithms.registry import make_model
+from uavaou.algorithms.config import MappoConfig
+from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
 
@@ -31,7 +31,7 @@ def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Rate]:
         for processes in (1, 2)
     }
     env = flatten(scenario, missions=MISSIONS)
-    contestants["uavaou MAPPO"] = (_learner(make_model(config, env, env.row_layout, 0, "cpu"), rows), rows)
+    contestants["uavaou MAPPO"] = (_learner(make_model(config, env, 0, "cpu"), rows), rows)
     return side_by_side(contestants, repeats)
 
 

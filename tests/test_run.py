@@ -14,7 +14,7 @@ import torch as th
 from safetensors.torch import load_file
 
 from uavaou import InputError, Scenario
-from uavaou.algorithms.config import load_config
+from uavaou.algorithms.registry import load_config
 from uavaou.experiments import callback as callback_module
 from uavaou.experiments.evaluation import evaluate
 from uavaou.experiments.folder import RunConfig, RunFolder, run_folder

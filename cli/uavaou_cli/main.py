@@ -66,12 +66,21 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
+    plugin: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FILE.py|MODULE", help="Import it first: it registers algorithms. Repeatable."),
+    ] = None,
 ) -> None:
     """Train, evaluate and explain teams of UAVs that keep IoT data fresh.
 
     Start with:  uavaou train --scenario quickstart --slots 200000
     """
     _help_when_alone(ctx)
+    ctx.obj["plugins"] = plugin or []
+    for place in plugin or []:
+        from uavaou.algorithms.registry import load_plugin
+
+        load_plugin(place)
 
 
 @plots.callback()
@@ -118,7 +127,9 @@ def _complain(message: str, code: int) -> int:
 def _explain_usage(error: Any) -> str:
     """A usage error of Typer's as one line, with the nearest option and where to read on."""
     ctx = getattr(error, "ctx", None)
-    if hasattr(error, "possibilities"):
+    if getattr(error, "option_name", None) == "--plugin":
+        message = "--plugin stands before the command: uavaou --plugin FILE.py train ..."
+    elif hasattr(error, "possibilities"):
         options = [name for param in ctx.command.params for name in param.opts] if ctx is not None else []
         message = f"unknown option '{error.option_name}'{nearest(error.option_name, options)}"
     else:

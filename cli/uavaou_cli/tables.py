@@ -36,8 +36,8 @@ def scenario_lines(scenarios: Sequence[Scenario]) -> list[str]:
     return [*lines, "", "paper is the default; the path of a YAML file can stand for a name"]
 
 
-def training_lines(outcome: Outcome, config: RunConfig) -> list[str]:
-    """How a training ended, and what to type next."""
+def training_lines(outcome: Outcome, config: RunConfig, plugins: Sequence[str] = ()) -> list[str]:
+    """How a training ended, and what to type next, with the ``plugins`` that this command was given."""
     progress, folder = outcome.progress, outcome.folder.path
     lines = [
         f"trained {config.algorithm.name} on {config.scenario.name}: "
@@ -50,7 +50,8 @@ def training_lines(outcome: Outcome, config: RunConfig) -> list[str]:
             f"best validation: mean AoU {_figure(progress.best_score)} s = {_figure(in_slots)} slots, "
             f"{progress.best_action} actions"
         )
-    command = ["uavaou", "eval", str(folder), "--policy", "random", "--policy", "greedy"]
+    named = [word for place in plugins for word in ("--plugin", place)]
+    command = ["uavaou", *named, "eval", str(folder), "--policy", "random", "--policy", "greedy"]
     return [*lines, f"next:            {shlex.join(command)}"]
 
 

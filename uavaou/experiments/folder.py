@@ -20,7 +20,8 @@ from urllib.parse import quote
 
 import yaml
 
-from uavaou.algorithms.config import AlgorithmConfig, config_from_dict
+from uavaou.algorithms.config import AlgorithmConfig
+from uavaou.algorithms.registry import config_from_dict
 from uavaou.errors import InputError
 from uavaou.files import refuse_links, replacing
 from uavaou.scenario import Scenario

@@ -93,7 +93,7 @@ def _make_missions(config: RunConfig, backend: str) -> MissionVecEnv:
 
 def _make_learner(config: RunConfig, env: MissionVecEnv, device: str) -> BaseAlgorithm:
     try:
-        model = make_model(config.algorithm, env, env.row_layout, config.seed, device)
+        model = make_model(config.algorithm, env, config.seed, device)
     except MemoryError as error:
         raise InputError("not enough memory for the learner: lower missions or what it stores of each") from error
     env.seed(LANE_SEEDS * (config.seed + 1))  # SB3 seeded the missions with the learner's seed
@@ -130,7 +130,8 @@ def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config
     if starts is None or starts.shape != (env.num_envs,):
         raise InputError(f"{folder.last}: does not hold the missions in the air")
     model._last_episode_starts = starts.astype(bool)
-    model._last_obs = env.load_missions_state(missions)
+    assert model.observation_space.shape is not None
+    model._last_obs = env.load_missions_state(missions)[:, : model.observation_space.shape[0]]  # LocalRows or all
     return progress
 
 

@@ -73,7 +73,7 @@ class ArrayFile:
             if not stat.S_ISREG(path.stat().st_mode):
                 raise InputError(f"{path}: not a regular file")
             _verify(path)
-            self._file: Any = safe_open(path, framework="numpy")
+            self._file = _open(path)
             self.text: dict[str, str] = self._file.metadata() or {}
             self.shapes = {name: tuple(self._file.get_slice(name).get_shape()) for name in self._file.keys()}  # noqa: SIM118
         except FileNotFoundError as error:
@@ -108,6 +108,10 @@ class ArrayFile:
             return json.loads(self.text[name])
         except (KeyError, ValueError, RecursionError) as error:
             raise InputError(f"{self.path}: not a checkpoint of this software ('{name}' is missing)") from error
+
+
+def _open(path: Path) -> Any:
+    return safe_open(path, framework="numpy")
 
 
 def _verify(path: Path) -> None:
