@@ -133,17 +133,6 @@ def test_memory_is_what_the_docstring_states() -> None:
     assert replay.slots == 6
 
 
-def test_a_replay_goes_on_from_its_arrays() -> None:
-    first, second = filled_replay(13, 10, 2, {4}), filled_replay(0, 10, 2, set())
-    second.load_state(first.state_arrays(), first.position, first.full)
-    for replay in (first, second):
-        np.random.seed(1)
-        replay.batch_seen = replay.sample(20)  # type: ignore[attr-defined]
-    th.testing.assert_close(first.batch_seen.local, second.batch_seen.local)  # type: ignore[attr-defined]
-    with pytest.raises(InputError, match=r"replay\.local"):
-        filled_replay(0, 10, 2, set(), missions=3).load_state(first.state_arrays(), 0, False)
-
-
 def test_a_replay_too_small_for_its_return_is_refused() -> None:
     with pytest.raises(InputError, match="replay of 8 slots"):
         small_model(buffer_size=8, n_steps=3)
