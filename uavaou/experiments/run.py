@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -34,6 +35,21 @@ class Outcome:
     agent_steps: int
 
 
+@dataclass(frozen=True)
+class Standing:
+    """Where a training stands after an update."""
+
+    slots: int  # of all missions together
+    updates: int  # as SB3 counts them; 0 while nothing was learnt
+    cpu_s: float  # of this process, spent on playing and learning; without evaluation and saving
+    evaluated: bool  # whether the policy has just been evaluated
+    best_score: float | None  # so far, mean AoU on the validation missions, s
+    best_action: str
+
+
+Watch = Callable[[Standing], None]
+
+
 def train(
     config: RunConfig,
     folder: RunFolder,
@@ -41,6 +57,7 @@ def train(
     backend: str = "batched",
     resume: bool = False,
     quiet: bool = False,
+    watch: Watch | None = None,
 ) -> Outcome:
     """Train to the budget, writing the run folder on the way.
 
@@ -51,6 +68,7 @@ def train(
         backend: ``batched``, or ``supersuit`` for SuperSuit's own stage.
         resume: go on from the last checkpoint.
         quiet: show nothing while training.
+        watch: called before the first rollout and after each update; an exception of its ends the training.
 
     Raises:
         InputError: the folder holds a run already, holds another one, or cannot be written.
@@ -65,7 +83,7 @@ def train(
         _claim(folder, config)
         started = Progress(next_evaluation=config.algorithm.evaluate_every_slots)
         progress = _restore(folder, model, env, config) if resuming else started
-        return _learn(config, folder, model, env, progress, quiet)
+        return _learn(config, folder, model, env, progress, quiet, watch)
     finally:
         env.close()
 
@@ -128,8 +146,9 @@ def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config
 
 
 def _learn(
-    config: RunConfig, folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: Progress, quiet: bool
-) -> Outcome:
+    config: RunConfig, folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: Progress, quiet: bool,
+    watch: Watch | None,
+) -> Outcome:  # fmt: skip
     uavs = config.scenario.uavs
     remaining = config.algorithm.slots - progress.slots
     if remaining <= 0:  # resumed, but finished before
@@ -140,7 +159,7 @@ def _learn(
         TensorBoardOutputFormat(str(folder.path / "tensorboard")),
     ]
     model.set_logger(Logger(str(folder.path), writers))
-    callback = _Recorder(config, folder, env, progress, display)
+    callback = _Recorder(config, folder, env, progress, display, watch)
     try:
         # No logging by SB3: it would write a row before the update that the row is about.
         first = progress.slots == 0
@@ -157,14 +176,17 @@ class _Recorder(BaseCallback):
     """Writes episodes, evaluates on the validation missions, keeps the best and the last checkpoint."""
 
     def __init__(
-        self, config: RunConfig, folder: RunFolder, env: MissionVecEnv, progress: Progress, display: Display
-    ) -> None:
+        self, config: RunConfig, folder: RunFolder, env: MissionVecEnv, progress: Progress, display: Display,
+        watch: Watch | None,
+    ) -> None:  # fmt: skip
         super().__init__()
         self.progress = progress
         self._config = config
         self._folder = folder
         self._env = env
         self._display = display
+        self._watch = watch
+        self._cpu_before = time.process_time()  # of this training: what was spent on other things moves it on
         self._started = time.monotonic() - progress.wall_s
         self._uavs = config.scenario.uavs
         self._recent = Recent(config.algorithm.missions)
@@ -198,6 +220,7 @@ class _Recorder(BaseCallback):
 
     def _after_update(self, due: bool) -> None:
         """Show and log the rollout and its update; evaluate and save where that is ``due``."""
+        cpu_s = time.process_time() - self._cpu_before
         self._display.update(self._slots, self._recent.mean)
         scores = {action: self._score(action) for action in ("greedy", "sample")} if due else {}
         if self._slots > self.progress.slots:  # not again what the checkpoint resumed from had logged
@@ -210,6 +233,13 @@ class _Recorder(BaseCallback):
             self.logger.dump(self.num_timesteps)
         if scores:
             self._save(scores)
+        if self._watch is not None:
+            self._watch(self._standing(cpu_s, evaluated=due))
+        self._cpu_before = time.process_time() - cpu_s
+
+    def _standing(self, cpu_s: float, evaluated: bool) -> Standing:
+        updates = getattr(self.model, "_n_updates", 0)
+        return Standing(self._slots, updates, cpu_s, evaluated, self.progress.best_score, self.progress.best_action)
 
     def _save(self, scores: dict[str, float]) -> None:
         action = min(scores, key=lambda name: scores[name])
