@@ -20,9 +20,10 @@ import yaml
 from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import algorithm_names, load_config
 from uavaou.experiments import tuning
+from uavaou.experiments.callback import Standing
 from uavaou.experiments.checkpoint import Progress
 from uavaou.experiments.folder import RunConfig, RunFolder
-from uavaou.experiments.run import Outcome, Standing, train
+from uavaou.experiments.run import Outcome, train
 from uavaou.experiments.search import Search, SearchFolder, ranked
 from uavaou.experiments.search_space import SearchSpace
 from uavaou.experiments.tuning import affordable_slots, read_trials, work
@@ -296,9 +297,9 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
 
 
 def test_cpu_seconds_are_those_of_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from uavaou.experiments import run
+    from uavaou.experiments import callback
 
-    evaluate = run.evaluate
+    evaluate = callback.evaluate
 
     def costly(*arguments: Any) -> Any:
         until = time.process_time() + 1.0
@@ -306,11 +307,11 @@ def test_cpu_seconds_are_those_of_learning(tmp_path: Path, monkeypatch: pytest.M
             pass
         return evaluate(*arguments)
 
-    monkeypatch.setattr(run, "evaluate", costly)
+    monkeypatch.setattr(callback, "evaluate", costly)
     seen: list[Standing] = []
     config = load_config("mappo", SMALL | {"slots": 96, "evaluate_every_slots": 48, "epochs": 1})
     train(RunConfig(Scenario.load("tiny"), config, 0), RunFolder(tmp_path), quiet=True, watch=seen.append)
-    assert [(standing.slots, standing.evaluated) for standing in seen] == [(0, False), (48, True), (96, True)]
+    assert [(standing.slots, standing.evaluated) for standing in seen] == [(48, True), (96, True)]
     assert seen[-1].cpu_s < 1.0
 
 

@@ -7,7 +7,6 @@ A search's folder holds ``search.yaml`` (what is searched; processes that join r
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from uavaou.algorithms.registry import config_from_dict
 from uavaou.errors import InputError
 from uavaou.experiments.folder import RunFolder
 from uavaou.experiments.search_space import SearchSpace
+from uavaou.files import replacing
 from uavaou.scenario import Scenario
 from uavaou.zoo import read_yaml_mapping
 
@@ -172,9 +172,8 @@ class SearchFolder:
             return
         try:
             self.trial(0).path.parent.mkdir(parents=True, exist_ok=True)
-            partial = self.config.with_suffix(".partial")
-            partial.write_text(search.to_yaml(), encoding="utf-8")
-            partial.replace(self.config)
+            with replacing(self.config) as file:
+                file.write(search.to_yaml())
         except OSError as error:
             raise InputError(f"cannot write to '{self.path}': {error.strerror}") from error
 
@@ -206,30 +205,24 @@ def ranked(records: Sequence[TrialRecord]) -> list[TrialRecord]:
 
 def write_results(folder: SearchFolder, search: Search, records: Sequence[TrialRecord]) -> None:
     """Write ``tune.csv``, and ``best.yaml`` when a trial has been played to the end."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["trial", "state", "mean_aou_s", "action", "slots", "cpu_s", *search.space.dimensions, "reason"])
-    for record in records:
-        if record.state != "waiting":
-            varied = [record.values.get(name) for name in search.space.dimensions]
-            cpu_s = None if record.cpu_s is None else f"{record.cpu_s:.2f}"
-            score = None if record.score is None else f"{record.score:.6g}"
-            writer.writerow(
-                [record.number, record.state, score, record.action, record.slots, cpu_s, *varied, record.reason]
-            )
-    _replace(folder.table, text.getvalue())
-    best = ranked(records)[:1]
-    for record in best:
+    varied = list(search.space.dimensions)
+    with replacing(folder.table) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["trial", "state", "mean_aou_s", "action", "slots", "cpu_s", *varied, "reason"])
+        for record in records:
+            if record.state != "waiting":
+                score = None if record.score is None else f"{record.score:.6g}"
+                cpu_s = None if record.cpu_s is None else f"{record.cpu_s:.2f}"
+                values = [record.values.get(name) for name in varied]
+                writer.writerow(
+                    [record.number, record.state, score, record.action, record.slots, cpu_s, *values, record.reason]
+                )
+    for record in ranked(records)[:1]:
         settings = search.published(search.space.restored(record.values)).model_dump(mode="json")
-        head = (
-            f"# The best of a search on '{search.scenario.name}', trial {record.number}: mean AoU "
-            f"{record.score:.6g} s on the validation missions\n"
-            f"# after {record.slots:,} slots. The budget below is not the trial's, but that of a training of its own.\n"
-        )
-        _replace(folder.best, head + yaml.dump(settings, Dumper=_PlainDumper, sort_keys=False, default_flow_style=None))
-
-
-def _replace(path: Path, text: str) -> None:
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+        with replacing(folder.best) as file:
+            file.write(
+                f"# The best of a search on '{search.scenario.name}', trial {record.number}: mean AoU "
+                f"{record.score:.6g} s on the validation missions\n"
+                f"# after {record.slots:,} slots. The budget below is not the trial's, but a training's of its own.\n"
+            )
+            yaml.dump(settings, file, Dumper=_PlainDumper, sort_keys=False, default_flow_style=None)

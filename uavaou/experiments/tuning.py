@@ -7,6 +7,7 @@ budget of CPU seconds becomes slots by a short training before each trial, so th
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import shutil
 import signal
@@ -23,8 +24,9 @@ import torch as th
 
 from uavaou.algorithms.registry import load_plugin
 from uavaou.errors import InputError
+from uavaou.experiments.callback import Standing
 from uavaou.experiments.folder import RunConfig, RunFolder
-from uavaou.experiments.run import Standing, train
+from uavaou.experiments.run import train
 from uavaou.experiments.search import REPORTS, Search, SearchFolder, TrialRecord, write_results
 
 try:
@@ -194,8 +196,10 @@ def _play(folder: SearchFolder, search: Search, study: optuna.Study, trial: Tria
         slots = search.slots or affordable_slots(search, values)
         watch = _Watch(trial, slots)
         config = RunConfig(search.scenario, search.config(values, slots), search.seed)
-        score = train(config, run, device="cpu", quiet=True, watch=watch).progress.best_score
-        study.tell(trial, score)
+        outcome = train(config, run, device="cpu", quiet=True, watch=watch, checkpoint_every_s=math.inf)
+        if outcome.stopped_by is not None:
+            raise KeyboardInterrupt
+        study.tell(trial, outcome.progress.best_score)
     except InputError as problem:
         trial.set_user_attr("reason", str(problem))
         study.tell(trial, state=TrialState.FAIL)
@@ -205,7 +209,8 @@ def _play(folder: SearchFolder, search: Search, study: optuna.Study, trial: Tria
         _give_back(study, trial)
         shutil.rmtree(run.path, ignore_errors=True)
         raise
-    run.last.unlink(missing_ok=True)  # a trial is not resumed
+    for checkpoint in (run.last, run.previous):  # a trial is not resumed
+        checkpoint.unlink(missing_ok=True)
 
 
 class _Watch:
@@ -245,11 +250,11 @@ def affordable_slots(search: Search, values: dict[str, Any]) -> int:
         try:
             train(
                 RunConfig(search.scenario, endless, search.seed), RunFolder(Path(place) / "probe"), device="cpu",
-                quiet=True, watch=_Rate(search.seconds),
+                quiet=True, watch=_Rate(search.seconds), checkpoint_every_s=math.inf,
             )  # fmt: skip
         except _Measured as measured:
             return measured.slots
-    raise AssertionError("a training without end has ended")
+    raise KeyboardInterrupt  # what a training without end has ended by
 
 
 class _Rate:
@@ -264,8 +269,6 @@ class _Rate:
         self._first: Standing | None = None  # after the first update
 
     def __call__(self, standing: Standing) -> None:
-        if standing.slots == 0:
-            return
         self._rollout = self._rollout or standing.slots
         if standing.cpu_s >= self._seconds:
             self._stop(standing)

@@ -18,6 +18,8 @@ from uavaou.algorithms.common.joint_policy import JointQPolicy
 from uavaou.algorithms.common.joint_replay import JointBatch, JointReplay
 from uavaou.errors import InputError
 
+_STATISTICS_INTERVAL = 20  # gradient steps between updates of the targets' statistics
+
 
 class JointQLearning(OffPolicyAlgorithm):
     """Double Q-learning of Q_tot from joint transitions, with target networks and parameters shared by all agents.
@@ -57,12 +59,12 @@ class JointQLearning(OffPolicyAlgorithm):
         buffer_size: int = 200_000,
         learning_starts: int = 10_000,
         batch_size: int = 512,
-        tau: float = 1.0,
+        tau: float = 0.01,
         gamma: float = 0.99,
         train_freq: int = 4,
         gradient_steps: int = 1,
         n_steps: int = 3,
-        target_update_interval: int = 200,
+        target_update_interval: int = 1,
         exploration_fraction: float = 0.3,
         exploration_initial_eps: float = 1.0,
         exploration_final_eps: float = 0.02,
@@ -90,9 +92,7 @@ class JointQLearning(OffPolicyAlgorithm):
             supported_action_spaces=(spaces.Discrete, spaces.MultiDiscrete), **kwargs,
         )  # fmt: skip
         self.target_update_interval = target_update_interval
-        self.exploration_schedule = LinearSchedule(
-            exploration_initial_eps, exploration_final_eps, exploration_fraction
-        )
+        self.exploration_schedule = LinearSchedule(exploration_initial_eps, exploration_final_eps, exploration_fraction)
         self.max_grad_norm = max_grad_norm
         if _init_setup_model:
             self._setup_model()
@@ -139,8 +139,9 @@ class JointQLearning(OffPolicyAlgorithm):
         """One gradient step; returns loss, and mean Q_tot and target in units of the reward."""
         policy = self.policy
         targets = self.targets(batch)
-        if self._n_updates % self.target_update_interval == 0:
+        if self._n_updates % _STATISTICS_INTERVAL == 0:
             policy.update_statistics(targets)
+        if self._n_updates % self.target_update_interval == 0:
             policy.update_target(self.tau)
         values = policy.team_values(batch.local, batch.states, batch.actions)  # (B, V)
         loss = functional.mse_loss(values, policy.returns.normalise(targets).expand_as(values))

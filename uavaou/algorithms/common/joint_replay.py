@@ -88,12 +88,14 @@ class JointReplay(BaseBuffer):
         """Whether a slot is held whose n-th successor is held too."""
         return self.full or self.pos > self.n_steps
 
-    def sample(self, batch_size: int, env: Any = None) -> JointBatch:  # type: ignore[override]
+    def sample(self, batch_size: int, env: Any = None) -> JointBatch:
         """Draw joint transitions uniformly: a slot whose n-th successor is held, of any mission."""
         held = self.buffer_size if self.full else self.pos
         return self._get_samples(np.random.randint(0, (held - self.n_steps) * self.missions, batch_size))
 
-    def _get_samples(self, batch_inds: NDArray[np.int64], env: Any = None) -> JointBatch:  # type: ignore[override]
+    def _get_samples(  # type: ignore[override]
+        self, batch_inds: NDArray[np.int64], env: Any = None
+    ) -> JointBatch:
         """The joint transitions (B,) counted from the oldest slot on, its missions in order."""
         since_oldest, missions = np.divmod(batch_inds, self.missions)
         times = (since_oldest + (self.pos if self.full else 0)) % self.buffer_size  # (B,)
