@@ -213,9 +213,9 @@ def test_a_resumed_run_of_ones_own_is_the_run_never_stopped(
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
     train(config, whole, quiet=True)
     with monkeypatch.context() as patch:
-        patch.setattr("uavaou.experiments.run.EpisodesCsv.write", stop_at(300))
+        patch.setattr("uavaou.experiments.callback.EpisodesCsv.write", stop_at(300))
         with pytest.raises(StoppedError):
-            train(config, parted, quiet=True)
+            train(config, parted, quiet=True, checkpoint_every_s=0)
     train(config, parted, resume=True, quiet=True)
     one, other = load_file(whole.last), load_file(parted.last)
     assert all(th.equal(one[key], other[key]) for key in one)
