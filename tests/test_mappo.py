@@ -13,6 +13,7 @@ from stable_baselines3.common.buffers import RolloutBuffer
 
 from uavaou import IPPO, MAPPO, InputError, Scenario, flatten
 from uavaou.algorithms.common.action_head import MoveSelectionDistribution
+from uavaou.algorithms.common.networks import Linear
 from uavaou.algorithms.common.value_norm import PopArt
 
 
@@ -49,6 +50,66 @@ def test_log_probability_and_entropy_are_torchs() -> None:
     entropy = move.entropy() + (bits.entropy() * in_range).sum(1)
     th.testing.assert_close(distribution.log_prob(actions), log_prob)
     th.testing.assert_close(distribution.entropy(), entropy)
+
+
+def autograds_log_prob_and_entropy(
+    logits: th.Tensor, allowed: th.Tensor, in_range: th.Tensor, actions: th.Tensor
+) -> tuple[th.Tensor, th.Tensor]:
+    """The formulas left to autograd, operation by operation."""
+    move = th.log_softmax(th.where(allowed > 0.5, logits[:, :5], -1e9), dim=1)
+    z, chosen = logits[:, 5:], actions[:, 1:].to(logits.dtype)
+    normaliser = th.nn.functional.softplus(z, threshold=1000)
+    log_prob = move.gather(1, actions[:, :1])[:, 0] + ((chosen * z - normaliser) * in_range).sum(1)
+    return log_prob, -(move.exp() * move).sum(1) + ((normaliser - z * th.sigmoid(z)) * in_range).sum(1)
+
+
+@pytest.mark.parametrize("scale", [1.0, 5.0, 30.0])
+def test_gradients_of_the_action_head_are_autograds(scale: float) -> None:
+    logits, allowed, in_range = (tensor.double() for tensor in head(200, seed=4))
+    logits = (logits * scale).requires_grad_(True)
+    distribution = MoveSelectionDistribution(3).proba_distribution(logits, allowed, in_range)
+    th.manual_seed(2)
+    actions = distribution.sample(th.rand((200, 8), dtype=th.float64))
+    weights = th.randn(2, 200, dtype=th.float64)
+    gradients = []
+    for log_prob, entropy in (
+        distribution.log_prob_and_entropy(actions),
+        autograds_log_prob_and_entropy(logits, allowed, in_range, actions),
+    ):
+        gradients.append(th.autograd.grad((weights[0] * log_prob + weights[1] * entropy).sum(), logits)[0])
+    th.testing.assert_close(*gradients, rtol=1e-9, atol=1e-9)
+
+
+def test_the_action_head_of_moves_alone_has_autograds_gradients() -> None:
+    logits = head(50, seed=5)[0][:, :5].double().requires_grad_(True)
+    allowed = head(50)[1].double()
+    distribution = MoveSelectionDistribution(0).proba_distribution(logits, allowed)
+    actions = distribution.sample(th.rand((50, 5), dtype=th.float64))[:, None]
+    ours = sum(distribution.log_prob_and_entropy(actions))
+    nothing = th.zeros((50, 0), dtype=th.float64)
+    theirs = sum(autograds_log_prob_and_entropy(logits, allowed, nothing, actions))
+    gradients = [th.autograd.grad(total.square().sum(), logits)[0] for total in (ours, theirs)]
+    th.testing.assert_close(*gradients, rtol=1e-9, atol=1e-9)
+
+
+def test_extreme_logits_have_finite_gradients() -> None:
+    logits = th.tensor([[900.0, -900, 0, 0, 0, 900, -900, 200]], requires_grad=True)
+    distribution = MoveSelectionDistribution(3).proba_distribution(logits, *head()[1:])
+    log_prob, entropy = distribution.log_prob_and_entropy(th.tensor([[1, 0, 1, 0]]))
+    assert th.isfinite(th.autograd.grad((log_prob + entropy).sum(), logits)[0]).all()
+
+
+@pytest.mark.parametrize("rows", [1, 7, 300])
+def test_the_linear_layer_is_torchs(rows: int) -> None:
+    th.manual_seed(0)
+    layer, features = Linear(37, 19), th.randn(rows, 37, requires_grad=True)
+    weights = th.randn(rows, 19)
+    results = []
+    for output in (layer(features), th.nn.functional.linear(features, layer.weight, layer.bias)):
+        wanted = (features, layer.weight, layer.bias)
+        results.append((output, *th.autograd.grad((weights * output).sum(), wanted)))
+    for one, other in zip(*results, strict=True):
+        th.testing.assert_close(one, other, rtol=1e-4, atol=1e-4)
 
 
 def test_samples_have_the_distributions_frequencies_and_respect_masks() -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from uavaou.experiments.folder import RunConfig, RunFolder
 
 DEVICES = ("auto", "cpu", "cuda")
-_ALGORITHMS = "mappo or ippo"  # in the help, which must not import the registry; a test holds it to that
+_ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # in the help, without the registry; tested
 BACKENDS = ("batched", "supersuit")  # of uavaou.envs.flatten, which is slow to import
 
 
@@ -26,7 +26,9 @@ def train(
     scenario: Annotated[
         str, typer.Option(metavar="NAME", help="A preset (see `uavaou scenarios`) or a YAML file.")
     ] = "paper",
-    algorithm: Annotated[str, typer.Option(metavar="NAME", help=f"What learns: {_ALGORITHMS}, or your own.")] = "mappo",
+    algorithm: Annotated[
+        str, typer.Option(metavar="NAME", help=f"What learns: {_ALGORITHMS}, or one of your own.")
+    ] = "mappo",
     seed: Annotated[int, typer.Option(metavar="N", help="Of the training; two seeds never share a mission.")] = 0,
     slots: Annotated[
         int | None, typer.Option(metavar="N", help="Budget, in slots of all missions. [default: as published]")

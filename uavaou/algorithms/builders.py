@@ -72,6 +72,7 @@ def joint_q(config: JointQConfig, env: MissionVecEnv, seed: int, device: str) ->
         gradient_steps=gradient_steps,
         n_steps=config.n_step,
         target_update_interval=config.target_update,
+        tau=config.target_fraction,
         exploration_initial_eps=config.epsilon_start,
         exploration_final_eps=config.epsilon_end,
         exploration_fraction=config.epsilon_fraction,

@@ -83,7 +83,8 @@ class JointQConfig(AlgorithmConfig):
     learning_starts: PositiveWhole  # slots of all missions together before the first gradient step
     batch_slots: PositiveWhole  # joint transitions in a gradient step
     slots_per_update: PositiveWhole  # slots of all missions together played for each gradient step
-    target_update: PositiveWhole  # gradient steps between copies to the target networks
+    target_update: PositiveWhole  # gradient steps between updates of the target networks
+    target_fraction: Annotated[Fraction, Field(gt=0)]  # of the way to the trained ones, that an update takes; 1 copies
     n_step: Annotated[PositiveWhole, Field(le=1000)]  # slots of reward before the bootstrap
     learning_rate: Positive
     final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget

@@ -5,13 +5,15 @@ It is computed as two tensors. SB3's own MultiDiscrete head builds 1 + I Categor
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Any, Self
 
 import torch as th
 from stable_baselines3.common.distributions import Distribution
 from torch import nn
+from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
+from uavaou.algorithms.common.networks import Linear
 from uavaou.world.views import MOVES
 
 FORBIDDEN = -1e9  # a logit that leaves no probability in float32
@@ -30,7 +32,7 @@ class MoveSelectionDistribution(Distribution):
 
     def proba_distribution_net(self, latent_dim: int) -> nn.Linear:
         """The layer from the actor's features to the logits, (B, 5 + I)."""
-        return nn.Linear(latent_dim, MOVES + self.devices)
+        return Linear(latent_dim, MOVES + self.devices)
 
     def proba_distribution(
         self, logits: th.Tensor, allowed_moves: th.Tensor | None = None, in_range: th.Tensor | None = None
@@ -42,49 +44,46 @@ class MoveSelectionDistribution(Distribution):
             allowed_moves: (B, 5), 1 where the move is allowed; None allows all.
             in_range: (B, I), 1 where the device may be selected; None allows all.
         """
-        moves = logits[:, :MOVES]
-        if allowed_moves is not None:
-            moves = th.where(allowed_moves > 0.5, moves, FORBIDDEN)
-        self.move_log_probs = functional.log_softmax(moves, dim=1)  # (B, 5)
-        self.selection_logits = logits[:, MOVES:]  # (B, I)
+        self.logits = logits
+        self.allowed_moves = allowed_moves
         self.selectable = in_range
-        self._softplus: th.Tensor | None = None
         return self
 
     @property
-    def selection_normaliser(self) -> th.Tensor:
-        """log(1 + exp(z)) of the selection logits z, (B, I); log-probability and entropy share it."""
-        if self._softplus is None:
-            self._softplus = functional.softplus(self.selection_logits)
-        return self._softplus
+    def move_log_probs(self) -> th.Tensor:
+        """log-probabilities of the moves, (B, 5)."""
+        return _move_log_probs(self.logits, self.allowed_moves).t()
+
+    @property
+    def selection_logits(self) -> th.Tensor:
+        """Logits of selecting each device, (B, I)."""
+        return self.logits[:, MOVES:]
+
+    def log_prob_and_entropy(self, actions: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+        """Log-probability of actions (B, 1 + I), the move first, and the entropy in nats; (B,) each."""
+        actions = actions.reshape(len(self.logits), -1)
+        pair: tuple[th.Tensor, th.Tensor] = _LogProbAndEntropy.apply(  # type: ignore[no-untyped-call]
+            self.logits, self.allowed_moves, self.selectable, actions
+        )
+        return pair
 
     def log_prob(self, actions: th.Tensor) -> th.Tensor:
         """Log-probability of actions (B, 1 + I), the move first; (B,)."""
-        actions = actions.reshape(len(self.move_log_probs), -1)
-        chosen = self.move_log_probs.gather(1, actions[:, :1].long())[:, 0]
-        if not self.devices:
-            return chosen
-        selected = actions[:, 1:].to(self.selection_logits.dtype)
-        bits = selected * self.selection_logits - self.selection_normaliser  # (B, I)
-        return chosen + self._selectable(bits).sum(dim=1)
+        return self.log_prob_and_entropy(actions)[0]
 
     def entropy(self) -> th.Tensor:
         """Entropy in nats, (B,)."""
-        move = -(self.move_log_probs.exp() * self.move_log_probs).sum(dim=1)
-        if not self.devices:
-            return move
-        z = self.selection_logits
-        return move + self._selectable(self.selection_normaliser - z * th.sigmoid(z)).sum(dim=1)
+        return self.log_prob_and_entropy(self.mode())[1]
 
     def sample(self, uniforms: th.Tensor | None = None) -> th.Tensor:
         """Draw actions (B, 1 + I); from ``uniforms`` (B, 5 + I) in [0, 1) where the caller has a stream of its own."""
-        batch = len(self.move_log_probs)
+        batch, log_probs = len(self.logits), self.move_log_probs
         if uniforms is None:
             # From the CPU's stream whatever the device: checkpoints hold that one.
-            uniforms = th.rand((batch, MOVES + self.devices)).to(self.move_log_probs.device)
+            uniforms = th.rand((batch, MOVES + self.devices)).to(self.logits.device)
         # Gumbel-max: a masked move has log-probability -1e9 and never wins.
         exponential = (-th.log(uniforms[:, :MOVES].clamp_min(1e-12))).clamp_min(1e-12)
-        move = (self.move_log_probs - th.log(exponential)).argmax(dim=1)
+        move = (log_probs - th.log(exponential)).argmax(dim=1)
         return self._action(move, uniforms[:, MOVES:] < th.sigmoid(self.selection_logits))
 
     def mode(self) -> th.Tensor:
@@ -101,12 +100,69 @@ class MoveSelectionDistribution(Distribution):
         actions = self.actions_from_params(logits)
         return actions, self.log_prob(actions)
 
-    def _selectable(self, values: th.Tensor) -> th.Tensor:
-        return values if self.selectable is None else values * self.selectable
-
     def _action(self, move: th.Tensor, selected: th.Tensor) -> th.Tensor:
         if not self.devices:
             return move
         if self.selectable is not None:
             selected = selected & (self.selectable > 0.5)
         return th.cat([move[:, None], selected.long()], dim=1)
+
+
+def _move_log_probs(logits: th.Tensor, allowed: th.Tensor | None) -> th.Tensor:
+    """Log-probabilities of the moves, (5, B): softmax runs along the batch, not along rows of five numbers."""
+    moves = logits[:, :MOVES].t().contiguous()  # (5, B)
+    if allowed is not None:
+        moves = moves.masked_fill(allowed.t() < 0.5, FORBIDDEN)
+    return functional.log_softmax(moves, dim=0)
+
+
+class _LogProbAndEntropy(th.autograd.Function):
+    """Both at once, with gradients written down instead of recorded: a third of the time.
+
+    With l_k the log-probability of move k, p_k = exp(l_k), H = -sum_k p_k l_k, and z_i, q_i = sigmoid(z_i) of device i,
+
+        log pi = l_a + sum_i (b_i z_i - log(1 + exp z_i)),    entropy = H + sum_i (log(1 + exp z_i) - z_i q_i),
+
+    sums over selectable devices, and log(1 + exp z) = z - log q. Gradients by logits:
+
+        d log pi: 1[k = a] - p_k, b_i - q_i;    d entropy: -p_k (l_k + H), -z_i q_i (1 - q_i).
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, logits: th.Tensor, allowed: th.Tensor | None, selectable: th.Tensor | None, actions: th.Tensor
+    ) -> tuple[th.Tensor, th.Tensor]:
+        move_log_probs = _move_log_probs(logits, allowed)  # (5, B)
+        move_probs = move_log_probs.exp()  # (5, B)
+        move_entropy = -(move_probs * move_log_probs).sum(dim=0)  # (B,)
+        move = actions[:, 0].long()[None]  # (1, B)
+        log_prob, entropy = move_log_probs.gather(0, move)[0], move_entropy
+        z = logits[:, MOVES:]  # (B, I)
+        selected, probs = actions[:, 1:], th.sigmoid(z)  # (B, I)
+        if z.shape[1]:
+            log_q = functional.logsigmoid(z)  # (B, I)
+            unselected = z * (1 - selected)  # (B, I)
+            log_prob = log_prob + _sum(log_q - unselected, selectable)
+            entropy = entropy + _sum(th.addcmul(z, z, probs, value=-1).sub_(log_q), selectable)
+        ctx.save_for_backward(move_log_probs, move_probs, move_entropy, move, z, probs, selected)
+        ctx.selectable = selectable
+        return log_prob, entropy
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, by_log_prob: th.Tensor, by_entropy: th.Tensor) -> tuple[th.Tensor, None, None, None]:
+        move_log_probs, move_probs, move_entropy, move, z, probs, selected = ctx.saved_tensors
+        gradient = th.empty((len(z), MOVES + z.shape[1]), dtype=z.dtype, device=z.device)  # (B, 5 + I)
+        moves = move_probs * -(by_log_prob + by_entropy * (move_log_probs + move_entropy))  # (5, B)
+        moves.scatter_add_(0, move, by_log_prob[None])
+        gradient[:, :MOVES] = moves.t()
+        if z.shape[1]:
+            devices = (selected - probs).mul_(by_log_prob[:, None])  # (B, I)
+            devices.sub_((z * probs).mul_(1 - probs).mul_(by_entropy[:, None]))
+            gradient[:, MOVES:] = devices if ctx.selectable is None else devices.mul_(ctx.selectable)
+        return gradient, None, None, None
+
+
+def _sum(values: th.Tensor, selectable: th.Tensor | None) -> th.Tensor:
+    """The sum over selectable devices, (B,)."""
+    return (values if selectable is None else values.mul_(selectable)).sum(dim=1)

@@ -114,6 +114,6 @@ class Branches:
         weights = th.ones_like(values) if allowed is None else allowed.to(values.dtype)
         centred = []
         for (run, options), (_, weight) in zip(self._split(values), self._split(weights), strict=True):
-            mean = (options * weight).sum(dim=2, keepdim=True) / weight.sum(dim=2, keepdim=True)
+            mean = (options * weight).sum(dim=2, keepdim=True) / weight.sum(dim=2, keepdim=True).clamp_min(1.0)
             centred.append((options - mean).reshape(len(values), run.count * run.size))
         return th.cat(centred, dim=1)

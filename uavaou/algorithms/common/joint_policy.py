@@ -9,6 +9,7 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.type_aliases import Schedule
+from stable_baselines3.common.utils import polyak_update
 from torch import nn
 
 from uavaou.algorithms.common.branches import Branches
@@ -137,8 +138,7 @@ class JointQPolicy(NoPickledPolicy):
     def update_target(self, fraction: float) -> None:
         """Move the target networks towards the trained ones; ``fraction`` 1 copies."""
         for own, target in ((self.utilities, self.target_utilities), (self.mixer, self.target_mixer)):
-            for parameter, slow in zip(own.parameters(), target.parameters(), strict=True):
-                slow.lerp_(parameter, fraction)
+            polyak_update(own.parameters(), target.parameters(), fraction)
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:  # type: ignore[override]
         local = observation[:, : self.row_layout.local_size]

@@ -19,6 +19,8 @@ from uavaou.algorithms.common.joint_replay import JointBatch, JointReplay
 from uavaou.algorithms.common.safe_io import SafeSaveLoad
 from uavaou.errors import InputError
 
+_STATISTICS_INTERVAL = 20  # gradient steps between updates of the targets' statistics
+
 
 class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
     """Double Q-learning of Q_tot from joint transitions, with target networks and parameters shared by all agents.
@@ -58,12 +60,12 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         buffer_size: int = 200_000,
         learning_starts: int = 10_000,
         batch_size: int = 512,
-        tau: float = 1.0,
+        tau: float = 0.01,
         gamma: float = 0.99,
         train_freq: int = 4,
         gradient_steps: int = 1,
         n_steps: int = 3,
-        target_update_interval: int = 200,
+        target_update_interval: int = 1,
         exploration_fraction: float = 0.3,
         exploration_initial_eps: float = 1.0,
         exploration_final_eps: float = 0.02,
@@ -138,8 +140,9 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         """One gradient step; returns loss, and mean Q_tot and target in units of the reward."""
         policy = self.policy
         targets = self.targets(batch)
-        if self._n_updates % self.target_update_interval == 0:
+        if self._n_updates % _STATISTICS_INTERVAL == 0:
             policy.update_statistics(targets)
+        if self._n_updates % self.target_update_interval == 0:
             policy.update_target(self.tau)
         values = policy.team_values(batch.local, batch.states, batch.actions)  # (B, V)
         loss = functional.mse_loss(values, policy.returns.normalise(targets).expand_as(values))

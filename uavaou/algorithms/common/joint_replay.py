@@ -88,12 +88,14 @@ class JointReplay(BaseBuffer):
         """Whether a slot is held whose n-th successor is held too."""
         return self.full or self.pos > self.n_steps
 
-    def sample(self, batch_size: int, env: Any = None) -> JointBatch:  # type: ignore[override]
+    def sample(self, batch_size: int, env: Any = None) -> JointBatch:
         """Draw joint transitions uniformly: a slot whose n-th successor is held, of any mission."""
         held = self.buffer_size if self.full else self.pos
         return self._get_samples(np.random.randint(0, (held - self.n_steps) * self.missions, batch_size))
 
-    def _get_samples(self, batch_inds: NDArray[np.int64], env: Any = None) -> JointBatch:  # type: ignore[override]
+    def _get_samples(  # type: ignore[override]
+        self, batch_inds: NDArray[np.int64], env: Any = None
+    ) -> JointBatch:
         """The joint transitions (B,) counted from the oldest slot on, its missions in order."""
         since_oldest, missions = np.divmod(batch_inds, self.missions)
         times = (since_oldest + (self.pos if self.full else 0)) % self.buffer_size  # (B,)
@@ -120,22 +122,3 @@ class JointReplay(BaseBuffer):
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """What is held, as arrays (T, N, ...); entries from ``pos`` on are unused until ``full``."""
         return {name: getattr(self, name) for name in ("local", "states", "actions", "rewards", "ends")}
-
-    @property
-    def position(self) -> int:
-        """Where the next slot goes."""
-        return self.pos
-
-    def load_state(self, arrays: dict[str, NDArray[Any]], position: int, full: bool) -> None:
-        """Hold again what :meth:`state_arrays` gave; of arrays shorter than T, the first entries.
-
-        Raises:
-            InputError: the arrays are not of this replay's shape.
-        """
-        for name, own in self.state_arrays().items():
-            given = arrays.get(name)
-            if given is None or given.shape[1:] != own.shape[1:] or len(given) > len(own) or given.dtype != own.dtype:
-                found = None if given is None else (given.dtype.name, given.shape)
-                raise InputError(f"replay.{name}: expected {own.dtype.name} {own.shape}, got {found}")
-            own[: len(given)] = given
-        self.pos, self.full = position, full

@@ -8,7 +8,7 @@ import torch as th
 from torch import nn
 from torch.nn import functional
 
-from uavaou.algorithms.common.networks import UtilityNetwork, rescale_linear
+from uavaou.algorithms.common.networks import Linear, UtilityNetwork, rescale_linear
 from uavaou.errors import unknown
 
 MIXERS = ("none", "sum", "monotonic")
@@ -86,10 +86,10 @@ class MonotonicMixer(Mixer):
     def __init__(self, agents: int, state_size: int, width: int = 32, hypernet_width: int = 64) -> None:
         super().__init__(agents)
         self.width = width
-        self.first_weights = _hypernet(state_size, hypernet_width, agents * width)
-        self.first_bias = nn.Linear(state_size, width)
-        self.second_weights = _hypernet(state_size, hypernet_width, width)
-        self.value = _hypernet(state_size, hypernet_width, 1)
+        self.first_weights = _Hypernet(state_size, hypernet_width, agents * width)
+        self.first_bias = Linear(state_size, width)
+        self.second_weights = _Hypernet(state_size, hypernet_width, width)
+        self.value = _Hypernet(state_size, hypernet_width, 1)
 
     def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
         """Q_tot, (B, 1)."""
@@ -103,9 +103,18 @@ class MonotonicMixer(Mixer):
     def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
         """Rescale the mixing network's outer layer; the utilities stay."""
         for hypernet in (self.second_weights, self.value):
-            rescale_linear(hypernet[-1], ratio)
-        self.value[-1].bias.add_(shift)
+            rescale_linear(hypernet.outer, ratio)
+        self.value.outer.bias.add_(shift)
 
 
-def _hypernet(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, outputs))
+class _Hypernet(nn.Module):
+    """Weights of the mixing network from the state."""
+
+    def __init__(self, inputs: int, hidden: int, outputs: int) -> None:
+        super().__init__()
+        self.inner = Linear(inputs, hidden)
+        self.outer = Linear(hidden, outputs)
+
+    def forward(self, states: th.Tensor) -> th.Tensor:
+        weights: th.Tensor = self.outer(functional.relu(self.inner(states)))
+        return weights

@@ -107,14 +107,14 @@ class SlotRolloutBuffer(RolloutBuffer):
         uavs = self.row_layout.uavs
         for start in range(0, total, slots_in_batch):
             index = th.from_numpy(order[start : start + slots_in_batch]).to(self.device)
-            picked = advantages[index]  # (B, V)
+            picked = advantages.index_select(0, index)  # (B, V)
             yield SlotBatch(
-                local=local[index].flatten(0, 1),
-                critic_rows=critic_rows[index].reshape(-1, critic_rows.shape[-1]),
-                actions=actions[index].flatten(0, 1),
-                old_log_prob=log_probs[index].flatten(),
+                local=local.index_select(0, index).flatten(0, 1),
+                critic_rows=critic_rows.index_select(0, index).reshape(-1, critic_rows.shape[-1]),
+                actions=actions.index_select(0, index).flatten(0, 1),
+                old_log_prob=log_probs.index_select(0, index).flatten(),
                 advantages=picked.expand(-1, uavs).flatten(),
-                returns=returns[index].flatten(),
+                returns=returns.index_select(0, index).flatten(),
             )
 
     def _flat(self, array: NDArray[np.float32]) -> th.Tensor:

@@ -12,6 +12,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import explained_variance
 from torch.nn import functional
 
+from uavaou.algorithms.common.memory import keep_freed_memory
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
 from uavaou.algorithms.common.safe_io import SafeSaveLoad
@@ -88,6 +89,10 @@ class MAPPO(SafeSaveLoad, PPO):
         )  # fmt: skip
         self.batch_size = batch_size
 
+    def _setup_model(self) -> None:
+        keep_freed_memory()
+        super()._setup_model()
+
     def train(self) -> None:
         """Update actor and critic from the rollout just collected."""
         self.policy.set_training_mode(True)
@@ -98,21 +103,21 @@ class MAPPO(SafeSaveLoad, PPO):
         self.policy.value_net.update(th.from_numpy(buffer.returns).to(self.device))
         mean, std = self._advantage_statistics(buffer.advantages)
         slots = max(self.batch_size // buffer.row_layout.uavs, 1)
-        figures: list[tuple[float, ...]] = []
+        figures: list[th.Tensor] = []  # (6,) each
         for _ in range(self.n_epochs):
             for batch in buffer.slot_batches(slots):
                 figures.append(self._update(batch, clip_range, mean, std))
             self._n_updates += 1
-            if self.target_kl is not None and figures[-1][4] > 1.5 * self.target_kl:
+            if self.target_kl is not None and float(figures[-1][4]) > 1.5 * self.target_kl:
                 break
-        self._log_training(np.array(figures), explained, clip_range)
+        self._log_training(th.stack(figures).mean(dim=0), explained, clip_range)
 
-    def _update(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> tuple[float, ...]:
+    def _update(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> th.Tensor:
         """One optimizer step; returns the figures to log."""
         policy = self.policy
         distribution = policy.action_distribution(batch.local)
-        log_prob = distribution.log_prob(batch.actions)
-        entropy = distribution.entropy().mean()
+        log_prob, entropies = distribution.log_prob_and_entropy(batch.actions)
+        entropy = entropies.mean()
         advantages = batch.advantages
         if self.advantage_normalization == "batch":
             advantages = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
@@ -135,7 +140,7 @@ class MAPPO(SafeSaveLoad, PPO):
         with th.no_grad():
             kl = (ratio - 1 - log_ratio).mean()
             outside = ((ratio - 1).abs() > clip_range).float().mean()
-        return policy_loss.item(), value_loss.item(), entropy.item(), loss.item(), kl.item(), outside.item()
+            return th.stack([policy_loss, value_loss, entropy, loss, kl, outside])
 
     def _advantage_statistics(self, advantages: NDArray[np.float32]) -> tuple[float, float]:
         if self.advantage_normalization == "rollout":
@@ -149,9 +154,9 @@ class MAPPO(SafeSaveLoad, PPO):
         actor, critic = self.policy.optimizer.param_groups
         actor["lr"], critic["lr"] = rate, rate * self.critic_learning_rate
 
-    def _log_training(self, figures: NDArray[np.float64], explained: float, clip_range: float) -> None:
+    def _log_training(self, figures: th.Tensor, explained: float, clip_range: float) -> None:
         names = ("policy_gradient_loss", "value_loss", "entropy", "loss", "approx_kl", "clip_fraction")
-        for name, value in zip(names, figures.mean(axis=0), strict=True):
+        for name, value in zip(names, figures.tolist(), strict=True):
             self.logger.record(f"train/{name}", float(value))
         self.logger.record("train/explained_variance", float(explained))
         self.logger.record("train/clip_range", clip_range)
