@@ -7,8 +7,7 @@ import resource
 import sys
 
 from uavaou import flatten
-from uavaou.algorithms.config import load_config
-from uavaou.algorithms.registry import make_model
+from uavaou.algorithms.registry import load_config, make_model
 
 
 def main() -> None:

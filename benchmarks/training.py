@@ -18,8 +18,8 @@ from torch import nn
 from benchmarks.measure import Measurement, Stopwatch, exactly, seconds_of, side_by_side
 from uavaou import MAPPO, Scenario, flatten
 from uavaou.algorithms.common.networks import Linear
-from uavaou.algorithms.config import MappoConfig, load_config
-from uavaou.algorithms.registry import make_model
+from uavaou.algorithms.config import MappoConfig
+from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
 ALGORITHMS = ("mappo",)  # whose training is measured, by name

@@ -14,8 +14,8 @@ import torch as th
 from safetensors.torch import load_file
 
 from uavaou import InputError, Scenario
-from uavaou.algorithms.config import load_config
-from uavaou.experiments import run as run_module
+from uavaou.algorithms.registry import load_config
+from uavaou.experiments import callback as callback_module
 from uavaou.experiments.evaluation import evaluate
 from uavaou.experiments.folder import RunConfig, RunFolder, run_folder
 from uavaou.experiments.run import train
@@ -47,14 +47,14 @@ class StoppedError(Exception):
 
 def stop_after(monkeypatch: pytest.MonkeyPatch, missions: int) -> None:
     """Let the training die when that many missions have ended."""
-    write = run_module.EpisodesCsv.write
+    write = callback_module.EpisodesCsv.write
 
     def dying(self: Any, ended: Any, slots: int, wall_s: float) -> None:
         write(self, ended, slots, wall_s)
         if self._mission >= missions:
             raise StoppedError
 
-    monkeypatch.setattr(run_module.EpisodesCsv, "write", dying)
+    monkeypatch.setattr(callback_module.EpisodesCsv, "write", dying)
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -78,11 +78,11 @@ def test_a_resumed_run_is_the_run_never_stopped(
     config = small(algorithm)
     config = RunConfig(config.scenario.replace(layout=layout), config.algorithm, config.seed)
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
-    train(config, whole, quiet=True)
+    train(config, whole, quiet=True, checkpoint_every_s=0)
     with monkeypatch.context() as patch:
         stop_after(patch, missions=20)
         with pytest.raises(StoppedError):
-            train(config, parted, backend=before, quiet=True)
+            train(config, parted, backend=before, quiet=True, checkpoint_every_s=0)
     assert json.loads(parted.meta.read_text())["finished"] is False
     train(config, parted, backend=after, resume=True, quiet=True)
     for name in ("best", "last"):

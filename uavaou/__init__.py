@@ -9,10 +9,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from uavaou.algorithms.config import AlgorithmConfig as AlgorithmConfig
     from uavaou.algorithms.mappo import IPPO as IPPO
     from uavaou.algorithms.mappo import MAPPO as MAPPO
+    from uavaou.algorithms.qmix import QMIX as QMIX
+    from uavaou.algorithms.registry import register_algorithm as register_algorithm
+    from uavaou.algorithms.vdn import IQL as IQL
+    from uavaou.algorithms.vdn import VDN as VDN
     from uavaou.envs import uavaou_v0 as uavaou_v0
     from uavaou.envs.flatten import flatten as flatten
+    from uavaou.envs.local_rows import LocalRows as LocalRows
     from uavaou.errors import InputError as InputError
     from uavaou.scenario import Scenario as Scenario
     from uavaou.world import World as World
@@ -25,6 +31,12 @@ _HOMES = {
     "flatten": "uavaou.envs.flatten",
     "MAPPO": "uavaou.algorithms.mappo",
     "IPPO": "uavaou.algorithms.mappo",
+    "VDN": "uavaou.algorithms.vdn",
+    "IQL": "uavaou.algorithms.vdn",
+    "QMIX": "uavaou.algorithms.qmix",
+    "AlgorithmConfig": "uavaou.algorithms.config",
+    "register_algorithm": "uavaou.algorithms.registry",
+    "LocalRows": "uavaou.envs.local_rows",
     "InputError": "uavaou.errors",
 }
 __all__ = [*_HOMES, "uavaou_v0"]

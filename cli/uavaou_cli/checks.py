@@ -33,13 +33,13 @@ def given_path(option: str, text: str) -> Path:
     return Path(text)
 
 
-def within(option: str, value: int, lowest: int, highest: int | None = None) -> None:
-    """Refuse a number outside an option's range.
+def within(option: str, value: float, lowest: float, highest: float | None = None) -> None:
+    """Refuse a number outside an option's range, and one that is no number.
 
     Raises:
         InputError: naming the range.
     """
-    if value < lowest:
+    if not value >= lowest:  # nan is in no range
         raise InputError(f"{option} {value}: must be at least {lowest}")
     if highest is not None and value > highest:
         raise InputError(f"{option} {value}: must be at most {highest}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -14,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
-from uavaou_cli import audit, evaluate, plan, plot, scenarios, train
+from uavaou_cli import audit, evaluate, export, plan, plot, scenarios, train, tune
 
 BAD_INPUT = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
@@ -40,6 +41,7 @@ _STYLE: dict[str, Any] = {
 }
 app = typer.Typer(**_STYLE, add_completion=False, pretty_exceptions_enable=False)
 app.command("train", short_help="Train a policy.")(train.train)
+app.command("tune", short_help="Search for better settings of an algorithm.")(tune.tune)
 app.command("eval", short_help="Play trained runs and planners on the same missions.")(evaluate.evaluate)
 app.command("plan", short_help="Plan a fleet's routes before take-off.")(plan.plan)
 app.command("gap", short_help="Planners and runs between the lower bound and random.")(plan.gap)
@@ -48,6 +50,7 @@ plots.command("figures", short_help="Draw the figures of training runs.")(plot.f
 plots.command("trajectories", short_help="Draw one mission of a run.")(plot.trajectories)
 app.add_typer(plots, name="plot")
 app.command("audit", short_help="Check a scenario's link budget and numbers.")(audit.audit)
+app.command("export", short_help="Write a trained run for another tool.")(export.export)
 app.command("scenarios", short_help="List the scenarios that come with uavaou.")(scenarios.scenarios)
 
 
@@ -65,12 +68,21 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
+    plugin: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FILE.py|MODULE", help="Import it first: it registers algorithms. Repeatable."),
+    ] = None,
 ) -> None:
     """Train, evaluate and explain teams of UAVs that keep IoT data fresh.
 
     Start with:  uavaou train --scenario quickstart --slots 200000
     """
     _help_when_alone(ctx)
+    ctx.obj["plugins"] = plugin or []
+    for place in plugin or []:
+        from uavaou.algorithms.registry import load_plugin
+
+        load_plugin(place)
 
 
 @plots.callback()
@@ -89,6 +101,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Bad input is one line on stderr. Any other exception is a bug and keeps its traceback.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    warnings.formatwarning = _one_line
     try:
         code = app(arguments, prog_name="uavaou", standalone_mode=False, obj={"arguments": arguments})
         sys.stdout.flush()  # a reader that has gone away shows here, not in the interpreter's last moments
@@ -104,6 +117,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code if isinstance(code, int) else 0
 
 
+def _one_line(message: Any, *_: Any, **__: Any) -> str:
+    return f"uavaou: warning: {message}\n"
+
+
 def _complain(message: str, code: int) -> int:
     print(f"uavaou: {message}", file=sys.stderr)
     return code
@@ -112,7 +129,9 @@ def _complain(message: str, code: int) -> int:
 def _explain_usage(error: Any) -> str:
     """A usage error of Typer's as one line, with the nearest option and where to read on."""
     ctx = getattr(error, "ctx", None)
-    if hasattr(error, "possibilities"):
+    if getattr(error, "option_name", None) == "--plugin":
+        message = "--plugin stands before the command: uavaou --plugin FILE.py train ..."
+    elif hasattr(error, "possibilities"):
         options = [name for param in ctx.command.params for name in param.opts] if ctx is not None else []
         message = f"unknown option '{error.option_name}'{nearest(error.option_name, options)}"
     else:

@@ -37,7 +37,7 @@ class Overrides:
         Raises:
             InputError: the algorithm or a key is unknown, or a value cannot be used.
         """
-        from uavaou.algorithms.config import load_config
+        from uavaou.algorithms.registry import load_config
 
         published = load_config(name).model_dump(mode="json")
         if "name" in self.algorithm:
@@ -70,11 +70,11 @@ def parse_overrides(items: Sequence[str]) -> Overrides:
 
 
 def _nearest_key(key: str) -> str:
-    from uavaou.algorithms.config import MappoConfig
+    from uavaou.algorithms.registry import registered_fields
     from uavaou.scenario import Scenario
 
     known = [f"scenario.{name}" for name in Scenario.model_fields]
-    known += [f"algorithm.{name}" for name in MappoConfig.model_fields]
+    known += [f"algorithm.{name}" for name in registered_fields()]
     same = [f"'{name}'" for name in known if name.endswith(f".{key}")]
     return f"; did you mean {' or '.join(same)}?" if same else nearest(key, known)
 

@@ -1,4 +1,4 @@
-"""What an evaluation shows while it runs: a bar on a terminal, a line now and then elsewhere, or nothing."""
+"""What a long job shows while it runs: a bar on a terminal, a line now and then elsewhere, or nothing."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
+    from uavaou.experiments.search import TrialRecord
     from uavaou.world import World
 
 _BAR_EVERY_S = 0.5
@@ -88,3 +89,52 @@ def _make_bar() -> Any:
         expand=True,
         transient=True,
     )
+
+
+class TuningProgress:
+    """Shows how the trials of a search stand: a bar on a terminal, a line for each that ends elsewhere.
+
+    Args:
+        trials: that are to end in all.
+        quiet: show nothing.
+    """
+
+    def __init__(self, trials: int, quiet: bool) -> None:
+        self._trials = trials
+        self._quiet = quiet
+        self._bar: Any = None
+        self._told: set[int] | None = None  # trials that ended before this command are not news
+
+    def __enter__(self) -> Self:
+        if not self._quiet and sys.stderr.isatty():
+            self._bar = _make_bar()
+            self._task = self._bar.add_task("tuning", total=self._trials, rate="", aou="")
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def show(self, records: list[TrialRecord]) -> None:
+        """The trials as they stand."""
+        if self._quiet:
+            return
+        ended = [record for record in records if record.counts]
+        scores = [record.score for record in ended if record.score is not None]
+        best = f"best mean AoU {min(scores):,.2f} s" if scores else ""
+        if self._bar is not None:
+            running = sum(record.state == "running" for record in records)
+            rate = f"{len(ended)} of {self._trials} trials, {running} running"
+            self._bar.update(self._task, completed=len(ended), rate=rate, aou=best)
+            return
+        if self._told is None:
+            self._told = {record.number for record in ended}
+        for record in ended:
+            if record.number not in self._told:
+                self._told.add(record.number)
+                score = "" if record.score is None else f" {record.score:,.2f} s,"
+                detail = f": {record.reason}" if record.reason else f",{score} {best}"
+                print(f"{len(ended)}/{self._trials}  trial {record.number} {record.state}{detail}", file=sys.stderr)

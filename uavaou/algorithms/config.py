@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from uavaou.errors import InputError, unknown
+from uavaou.errors import InputError
 from uavaou.fields import NonNegative, Positive, PositiveWhole, explain_validation
-from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 Fraction = Annotated[NonNegative, Field(le=1)]
 HiddenSizes = Annotated[tuple[Annotated[PositiveWhole, Field(le=65_536)], ...], Field(min_length=1, max_length=16)]
 
 
 class AlgorithmConfig(BaseModel):
-    """What every algorithm's configuration holds: the task as the learner sees it, and the budget."""
+    """What every algorithm's configuration holds: the task as the learner sees it, and the budget.
+
+    An algorithm of your own derives its configuration from this one (docs/own-algorithm.md).
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -71,25 +72,45 @@ class MappoConfig(AlgorithmConfig):
     advantage_normalization: Literal["none", "rollout", "batch"]
 
 
-CONFIGS: dict[str, type[AlgorithmConfig]] = {"mappo": MappoConfig, "ippo": MappoConfig}
+class JointQConfig(AlgorithmConfig):
+    """VDN and IQL; the fields are the arguments of :class:`uavaou.VDN` and its policy."""
+
+    name: Literal["vdn", "iql", "qmix"] = "vdn"
+    hidden: HiddenSizes  # units of each hidden layer of the utility network
+    activation: Literal["relu", "tanh"]
+    selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial advantage of selecting a device in range
+    replay_slots: PositiveWhole  # slots of all missions together that are remembered
+    learning_starts: PositiveWhole  # slots of all missions together before the first gradient step
+    batch_slots: PositiveWhole  # joint transitions in a gradient step
+    slots_per_update: PositiveWhole  # slots of all missions together played for each gradient step
+    target_update: PositiveWhole  # gradient steps between updates of the target networks
+    target_fraction: Annotated[Fraction, Field(gt=0)]  # of the way to the trained ones, that an update takes; 1 copies
+    n_step: Annotated[PositiveWhole, Field(le=1000)]  # slots of reward before the bootstrap
+    learning_rate: Positive
+    final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
+    gamma: Fraction
+    epsilon_start: Fraction
+    epsilon_end: Fraction
+    epsilon_fraction: Annotated[Fraction, Field(gt=0)]  # of the budget, over which epsilon falls linearly
+    max_gradient_norm: Positive
+
+    @property
+    def rollout(self) -> tuple[int, int]:
+        """Slots of every mission between updates, and the gradient steps of an update."""
+        return max(self.slots_per_update // self.missions, 1), max(self.missions // self.slots_per_update, 1)
+
+    @model_validator(mode="after")
+    def _updates_fit_missions(self) -> Self:
+        if self.slots_per_update % self.missions and self.missions % self.slots_per_update:
+            raise ValueError(
+                f"slots_per_update = {self.slots_per_update}: must divide missions = {self.missions}, or be a multiple"
+            )
+        return self
 
 
-def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> AlgorithmConfig:
-    """Load an algorithm's published configuration, with some fields changed.
+class QmixConfig(JointQConfig):
+    """QMIX: also the mixing network's sizes."""
 
-    Raises:
-        InputError: the algorithm or a field is unknown, or a value cannot be used.
-    """
-    if algorithm not in CONFIGS:
-        raise unknown("algorithm", algorithm, CONFIGS)
-    path = zoo_path("algorithms", algorithm if algorithm in zoo_names("algorithms") else "mappo")
-    fields = read_yaml_mapping(path) | {"name": algorithm} | (overrides or {})
-    return CONFIGS[algorithm].from_dict(fields, source=f"algorithm '{algorithm}'")
-
-
-def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:
-    """Read the algorithm part of a run's ``config.yaml``."""
-    name = fields.get("name")
-    if not isinstance(name, str) or name not in CONFIGS:
-        raise InputError(f"{source}: algorithm.name = {name!r}: known are {', '.join(CONFIGS)}")
-    return CONFIGS[name].from_dict(fields, source=f"{source}: algorithm")
+    name: Literal["qmix"] = "qmix"
+    mixer_width: Annotated[PositiveWhole, Field(le=4096)]
+    hypernet_width: Annotated[PositiveWhole, Field(le=4096)]

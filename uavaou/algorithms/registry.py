@@ -1,62 +1,204 @@
-"""From a configuration to a learner: which class, and which argument each field becomes."""
+"""The algorithms by name: those of this package and those of others, registered the same way.
+
+An entry is a configuration class, the function that builds the learner, and where the published settings
+are. Others come from an installed package (entry points of the group ``uavaou.algorithms``), or from a file
+or module that the user names. Reading a run's folder never imports code.
+
+Importing this module needs no torch.
+"""
 
 from __future__ import annotations
 
+import re
+import sys
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from stable_baselines3.common.base_class import BaseAlgorithm
+from uavaou.algorithms.config import AlgorithmConfig, JointQConfig, MappoConfig, QmixConfig
+from uavaou.errors import InputError, unknown
+from uavaou.zoo import read_yaml_mapping, zoo_folder
 
-from uavaou.algorithms.config import AlgorithmConfig, MappoConfig
-from uavaou.algorithms.mappo import IPPO, MAPPO
-from uavaou.world.views import RowLayout
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
 
+    from uavaou.envs.flatten import MissionVecEnv
 
-def make_model(
-    config: AlgorithmConfig, env: Any, layout: RowLayout, seed: int, device: str, tensorboard_log: str | None = None
-) -> BaseAlgorithm:
-    """Build the learner of a configuration on a flattened environment."""
-    return _BUILDERS[config.name](config, env, layout, seed, device, tensorboard_log)
-
-
-def _linear(start: float, final_fraction: float) -> Callable[[float], float]:
-    def schedule(progress_remaining: float) -> float:
-        return start * (final_fraction + (1 - final_fraction) * progress_remaining)
-
-    return schedule
+Builder = Callable[[Any, Any, int, str], "BaseAlgorithm"]  # (config, env, seed, device)
+ENTRY_POINTS = "uavaou.algorithms"
+_NAME = re.compile(r"[a-z0-9][a-z0-9_-]*")
 
 
-def _mappo(
-    config: AlgorithmConfig, env: Any, layout: RowLayout, seed: int, device: str, tensorboard_log: str | None
-) -> BaseAlgorithm:
-    assert isinstance(config, MappoConfig)
-    learner = MAPPO if config.name == "mappo" else IPPO
-    return learner(
-        "CentralizedValuePolicy",
-        env,
-        learning_rate=_linear(config.learning_rate, config.final_learning_rate),
-        n_steps=config.rollout_slots,
-        batch_size=config.batch_rows,
-        n_epochs=config.epochs,
-        gamma=config.gamma,
-        gae_lambda=config.gae_lambda,
-        clip_range=config.clip_range,
-        ent_coef=config.entropy,
-        vf_coef=config.value_loss,
-        max_grad_norm=config.max_gradient_norm,
-        advantage_normalization=config.advantage_normalization,
-        critic_learning_rate=config.critic_learning_rate,
-        policy_kwargs={
-            "row_layout": layout,
-            "net_arch": list(config.hidden),
-            "activation": config.activation,
-            "selection_bias": config.selection_bias,
-            "optimizer_kwargs": {"eps": 1e-5, "fused": True},
-        },
-        seed=seed,
-        device=device,
-        tensorboard_log=tensorboard_log,
-    )
+@dataclass(frozen=True)
+class Algorithm:
+    """An algorithm as it is registered."""
+
+    config: type[AlgorithmConfig]
+    build: Builder | str  # the function, or "module:function" to import when a learner is wanted
+    defaults: Path | None  # YAML; None: the configuration class has a default for every field
 
 
-_BUILDERS: dict[str, Callable[..., BaseAlgorithm]] = {"mappo": _mappo, "ippo": _mappo}
+_ALGORITHMS: dict[str, Algorithm] = {}
+_PLUGINS: set[Path] = set()  # files that were loaded
+
+
+def register_algorithm(
+    name: str, config: type[AlgorithmConfig], build: Builder | str, defaults: Path | None = None
+) -> None:
+    """Make an algorithm known by name to training, evaluation and every command.
+
+    Args:
+        name: lower-case letters, digits, ``-`` and ``_``.
+        config: its settings; a subclass of :class:`~uavaou.algorithms.config.AlgorithmConfig`.
+        build: ``build(config, env, seed, device)`` returns an SB3 algorithm on ``env``, which is what
+            :func:`uavaou.flatten` returns. Or its place, ``"module:function"``.
+        defaults: a YAML file with the published settings; None where every field of ``config`` has a default.
+
+    Raises:
+        InputError: the name is taken or is no name, or ``config`` is no such class.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(f"algorithm name {name!r}: expected lower-case letters, digits, '-' and '_'")
+    if name in _ALGORITHMS:
+        raise InputError(f"algorithm '{name}' is registered already: choose another name")
+    if not (isinstance(config, type) and issubclass(config, AlgorithmConfig)):
+        raise InputError(f"algorithm '{name}': config = {config!r}: expected a subclass of uavaou.AlgorithmConfig")
+    _ALGORITHMS[name] = Algorithm(config, build, defaults)
+
+
+def algorithm_names() -> list[str]:
+    """The names that are registered, and those that installed packages offer."""
+    return list(dict.fromkeys([*_ALGORITHMS, *sorted(entry_points(group=ENTRY_POINTS).names)]))
+
+
+def registered_fields() -> list[str]:
+    """The fields of all registered configurations, each once."""
+    return list(dict.fromkeys(field for entry in _ALGORITHMS.values() for field in entry.config.model_fields))
+
+
+def find_algorithm(name: str) -> Algorithm:
+    """Return the algorithm of a name; imports an installed package that offers it.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    if name not in _ALGORITHMS:
+        for entry in entry_points(group=ENTRY_POINTS, name=name):
+            entry.load()  # its module registers what it offers
+            if name not in _ALGORITHMS:
+                raise InputError(f"algorithm '{name}': {entry.value} should register it, and does not")
+    if name not in _ALGORITHMS:
+        raise unknown("algorithm", name, algorithm_names())
+    return _ALGORITHMS[name]
+
+
+def load_plugin(place: str) -> None:
+    """Import what registers algorithms: a Python file, or a module that can be imported.
+
+    Raises:
+        InputError: there is no such file or module, or the file registers nothing.
+    """
+    if place.endswith(".py"):
+        _load_file(Path(place))
+        return
+    try:
+        import_module(place)
+    except (ModuleNotFoundError, ValueError, TypeError) as error:
+        if isinstance(error, ModuleNotFoundError) and not f"{place}.".startswith(f"{error.name}."):
+            raise  # the module is there, and what it imports is not
+        raise InputError(f"plugin '{place}': no such module (a file's name ends in .py)") from None
+
+
+def _load_file(path: Path) -> None:
+    if not path.is_file():
+        raise InputError(f"plugin '{path}': no such file")
+    path = path.resolve()
+    if path in _PLUGINS:
+        return
+    before = set(_ALGORITHMS)
+    spec = spec_from_file_location(f"uavaou_plugin_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))  # what lies beside the file can be imported, and shadows nothing
+    spec.loader.exec_module(module)
+    if set(_ALGORITHMS) == before:
+        raise InputError(f"plugin '{path}' registers no algorithm: it must call uavaou.register_algorithm")
+    _PLUGINS.add(path)
+
+
+def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> AlgorithmConfig:
+    """Load an algorithm's published configuration, with some fields changed.
+
+    Raises:
+        InputError: the algorithm or a field is unknown, or a value cannot be used.
+    """
+    entry = find_algorithm(algorithm)
+    published = {} if entry.defaults is None else read_yaml_mapping(entry.defaults)
+    fields = published | {"name": algorithm} | (overrides or {})
+    return entry.config.from_dict(fields, source=f"algorithm '{algorithm}'")
+
+
+def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:
+    """Read the algorithm part of a run's ``config.yaml``.
+
+    Raises:
+        InputError: the algorithm is not known here, or a value cannot be used.
+    """
+    name = fields.get("name")
+    if not isinstance(name, str) or name not in algorithm_names():
+        raise InputError(
+            f"{source}: algorithm.name = {name!r}: known are {', '.join(algorithm_names())}; "
+            "if it is one of your own, name what registers it: uavaou --plugin FILE.py ..."
+        )
+    return find_algorithm(name).config.from_dict(fields, source=f"{source}: algorithm")
+
+
+def make_model(config: AlgorithmConfig, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
+    """Build the learner of a configuration on a flattened environment.
+
+    Raises:
+        InputError: its policy cannot act on local observations alone, as a UAV must.
+    """
+    build = find_algorithm(config.name).build
+    if isinstance(build, str):
+        module, _, function = build.partition(":")
+        build = getattr(import_module(module), function)
+        assert callable(build)
+    model = build(config, env, seed, device)
+    _check_acts_locally(config.name, model, env)
+    return model
+
+
+def _check_acts_locally(name: str, model: BaseAlgorithm, env: MissionVecEnv) -> None:
+    if model.get_vec_normalize_env() is not None:
+        raise InputError(
+            f"algorithm '{name}': checkpoints do not hold what VecNormalize measures: normalise in the policy"
+        )
+    shape = model.observation_space.shape
+    if not hasattr(model.policy, "act") and shape != (env.local_size,):
+        raise InputError(
+            f"algorithm '{name}': its policy reads {shape}, and a UAV sees ({env.local_size},), the local observation: "
+            "build it on uavaou.LocalRows(env), or give its policy act(local, uniforms)"
+        )
+
+
+def _register_own() -> None:
+    published = zoo_folder("algorithms")
+    for name, config, builder, file in (
+        ("mappo", MappoConfig, "mappo", "mappo.yaml"),
+        ("ippo", MappoConfig, "mappo", "mappo.yaml"),  # differs in its critic's input alone
+        ("vdn", JointQConfig, "joint_q", "vdn.yaml"),
+        ("qmix", QmixConfig, "joint_q", "qmix.yaml"),
+        ("iql", JointQConfig, "joint_q", "vdn.yaml"),  # differs in its mixer alone
+    ):
+        register_algorithm(name, config, f"uavaou.algorithms.builders:{builder}", published / file)
+
+
+_register_own()

@@ -5,7 +5,7 @@ With ``backend="supersuit"`` the first stage is SuperSuit's own, on the PettingZ
 reference, an order of magnitude slower, with the same rows bit for bit.
 
 What SuperSuit gets wrong for this use is mended here, in :class:`MissionVecEnv`: seeding (its wrapper has
-none, and its copies repeat missions), truncation flags, attribute access, and closing its processes.
+none, and its copies repeat missions), truncation flags and attribute access; for its processes see ``workers.py``.
 """
 
 from __future__ import annotations
@@ -21,15 +21,28 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo.utils import BaseParallelWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
-from supersuit.vector.multiproc_vec import ProcConcatVec, decompress_info
+from supersuit.vector.multiproc_vec import ProcConcatVec
 from supersuit.vector.sb3_vector_wrapper import SB3VecEnvWrapper
 
 from uavaou.envs.batched import BatchedMissions
 from uavaou.envs.rewards import check_reward, training_reward
 from uavaou.envs.uavaou_v0 import UavAouEnv, check_render_mode
+from uavaou.envs.workers import (
+    State,
+    behind,
+    check_missions_state,
+    close_workers,
+    end,
+    load_missions_state,
+    load_workers_state,
+    missions_state,
+    reset_workers,
+    start_workers,
+    workers_state,
+)
 from uavaou.errors import InputError, unknown
 from uavaou.scenario import Scenario
-from uavaou.world import Views, World
+from uavaou.world import Views
 from uavaou.world.views import RowLayout
 
 BACKENDS = ("batched", "supersuit")
@@ -79,12 +92,15 @@ def flatten(
     if backend == "supersuit":
         one = _CriticInput(UavAouEnv(scenario, observation, collection, render_mode), reward)
         stage = supersuit.pettingzoo_env_to_vec_env_v1(one)
-        inner = supersuit.concat_vec_envs_v1(stage, missions, num_cpus=processes, base_class="gymnasium")
+        if processes == 1:
+            inner = supersuit.concat_vec_envs_v1(stage, missions, num_cpus=1, base_class="gymnasium")
+        else:
+            inner = start_workers(stage, missions, processes)
     elif processes == 1:  # nothing to concatenate: SuperSuit's copy of every row is saved
         inner = BatchedMissions(scenario, missions, observation, collection, reward, render_mode)
     else:
         part = BatchedMissions(scenario, missions // processes, observation, collection, reward, render_mode)
-        inner = supersuit.concat_vec_envs_v1(part, processes, num_cpus=processes, base_class="gymnasium")
+        inner = start_workers(part, processes, processes)
     return MissionVecEnv(inner, scenario, views, missions, processes, seed)
 
 
@@ -145,7 +161,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
         self.metadata = getattr(venv, "metadata", {})
         if isinstance(venv, ProcConcatVec):
             # SuperSuit's processes are no daemons: a program that ends without close() would wait for them for ever.
-            weakref.finalize(self, _end, venv.procs)
+            weakref.finalize(self, end, venv.procs)
 
     def seed(self, seed: int | None = None) -> list[int | None]:
         """Seed the missions at the next reset: mission j gets ``seed + j``. Returns each row's mission seed."""
@@ -159,20 +175,10 @@ class MissionVecEnv(SB3VecEnvWrapper):
         seed = self._next_seed if seed is None else seed
         self._next_seed = None
         if isinstance(self.venv, ProcConcatVec):
-            rows, self.reset_infos = self._reset_processes(self.venv, seed)
+            rows, self.reset_infos = reset_workers(self.venv, seed, self.missions // self.processes)
         else:
             rows, self.reset_infos = self.venv.reset(seed=seed)
         return rows
-
-    def _reset_processes(
-        self, venv: ProcConcatVec, seed: int | None
-    ) -> tuple[NDArray[np.float32], list[dict[str, Any]]]:
-        # SuperSuit seeds process p with seed + p, so that processes repeat each other's missions.
-        per_process = self.missions // self.processes
-        for process, pipe in enumerate(venv.pipes):
-            pipe.send(("reset", (None if seed is None else seed + process * per_process, None)))
-        infos = decompress_info(self.num_envs, venv.idx_starts, venv._receive_info())
-        return venv.observations_buffers.copy(), infos
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """One slot of every mission; infos say whether an end was a truncation, which SB3 then bootstraps."""
@@ -185,45 +191,33 @@ class MissionVecEnv(SB3VecEnvWrapper):
         return rows, rewards, dones, infos
 
     def close(self) -> None:
-        """Close the environments, in every process too (SuperSuit's own close never reaches them)."""
-        if not isinstance(self.venv, ProcConcatVec):
+        """Close the environments, in every process too."""
+        if isinstance(self.venv, ProcConcatVec):
+            close_workers(self.venv)
+        else:
             self.venv.close()
-            return
-        for pipe, process in zip(self.venv.pipes, self.venv.procs, strict=True):
-            if process.is_alive() and not pipe.closed:
-                pipe.send("close")
-                pipe.recv()
-                pipe.send("terminate")
-        self.venv.close()
 
-    def missions_state(self) -> dict[str, NDArray[Any]] | None:
-        """The missions in the air, for :meth:`load_missions_state`; None where other processes hold them."""
-        worlds = self._worlds()
-        if worlds is None:
-            return None
-        states = [world.state_dict() for world in worlds]
-        return {name: np.concatenate([state[name] for state in states]) for name in states[0]}  # lanes along axis 0
+    def missions_state(self) -> State:
+        """The missions in the air, for :meth:`load_missions_state`, wherever they are stepped."""
+        return workers_state(self.venv) if isinstance(self.venv, ProcConcatVec) else missions_state(behind(self.venv))
 
-    def load_missions_state(self, arrays: dict[str, NDArray[Any]]) -> NDArray[np.float32]:
-        """Go on with the missions of :meth:`missions_state`; returns the rows that the learner saw last."""
+    def load_missions_state(self, arrays: State) -> NDArray[np.float32]:
+        """Go on with the missions of :meth:`missions_state`; returns the rows that the learner saw last.
+
+        Raises:
+            InputError: the arrays are not those of as many missions of this scenario.
+        """
         self.reset(0)  # makes the Worlds, whose state is then replaced
-        worlds = self._worlds()
-        assert worlds is not None, "the missions were saved in this process and cannot be given to others"
-        for k, world in enumerate(worlds):
-            lanes = slice(k * world.missions, (k + 1) * world.missions)
-            world.load_state_dict({name: array[lanes] for name, array in arrays.items()})
-        return np.concatenate([self.views.rows(world) for world in worlds])
-
-    def _worlds(self) -> list[World] | None:
-        targets = _distinct(self._targets())
-        return [target.world for target in targets] if targets else None
+        check_missions_state(arrays, self.missions_state(), self.scenario)
+        if isinstance(self.venv, ProcConcatVec):
+            return load_workers_state(self.venv, arrays)
+        return load_missions_state(behind(self.venv), arrays)
 
     def _targets(self) -> list[Any]:
         """The environments behind the rows, where they live in this process."""
         if isinstance(self.venv, ProcConcatVec):
             return []
-        stages = getattr(self.venv, "vec_envs", [self.venv])
-        environments = [getattr(getattr(stage, "par_env", stage), "unwrapped", stage) for stage in stages]
+        environments = behind(self.venv)
         return [env for env in environments for _ in range(self.num_envs // len(environments))]
 
     def _indexed(self, values: list[Any], indices: VecEnvIndices) -> list[Any]:
@@ -279,11 +273,6 @@ class MissionVecEnv(SB3VecEnvWrapper):
     def _need_targets(self, method: str) -> None:
         if not self._targets():
             raise NotImplementedError(f"{method} does not reach environments in other processes: use processes=1")
-
-
-def _end(processes: list[Any]) -> None:
-    for process in processes:
-        process.kill()
 
 
 def _distinct(targets: Iterable[Any]) -> list[Any]:

@@ -20,8 +20,10 @@ from urllib.parse import quote
 
 import yaml
 
-from uavaou.algorithms.config import AlgorithmConfig, config_from_dict
+from uavaou.algorithms.config import AlgorithmConfig
+from uavaou.algorithms.registry import config_from_dict
 from uavaou.errors import InputError
+from uavaou.files import refuse_links, replacing
 from uavaou.scenario import Scenario
 from uavaou.zoo import read_yaml_mapping, zoo_folder, zoo_names
 
@@ -76,9 +78,19 @@ class RunFolder:
         return self.path / "checkpoints" / "last.safetensors"
 
     @property
+    def previous(self) -> Path:
+        """The ``last`` before the last: taken where that one is damaged."""
+        return self.path / "checkpoints" / "previous.safetensors"
+
+    @property
     def best(self) -> Path:
         """The policy that did best on the validation missions."""
         return self.path / "checkpoints" / "best.safetensors"
+
+    @property
+    def lock(self) -> Path:
+        """Held by the process that writes the run."""
+        return self.path / ".lock"
 
     def exists(self) -> bool:
         """Whether the folder holds a run."""
@@ -95,6 +107,7 @@ class RunFolder:
             raise InputError(f"run folder '{self.path}' {problem}")
         if not self.exists():
             raise InputError(f"'{self.path}' is not a run folder: it holds no config.yaml")
+        refuse_links(self.path)
         content = read_yaml_mapping(self.config)
         if content.get("schema") != SCHEMA:
             raise InputError(f"{self.config}: schema = {content.get('schema')!r}: this version reads schema {SCHEMA}")
@@ -159,11 +172,10 @@ def describe_machine() -> dict[str, Any]:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file beside its target and rename it: complete or absent."""
+    """Write a JSON file, complete or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    partial.replace(path)
+    with replacing(path) as file:
+        file.write(json.dumps(content, indent=1) + "\n")
 
 
 def _commit() -> str | None:

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import csv
+import os
 import time
 from collections import deque
 from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch as th
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3.common.logger import KVWriter
+
+from uavaou.errors import InputError
+from uavaou.files import flush_to_disk, replacing
 
 EPISODE_COLUMNS = ("mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
 _PLAIN_LINE_EVERY_S = 10.0
@@ -20,16 +26,20 @@ _WIDE = 110  # columns from which on a bar and every figure fit one line
 
 
 class EpisodesCsv:
-    """A row for each training mission; a resumed training first drops the rows past its checkpoint."""
+    """A row for each training mission; a resumed training first drops the rows past its checkpoint.
+
+    Args:
+        path: of the file.
+        missions_before: rows that the checkpoint counts.
+
+    Raises:
+        InputError: the file holds fewer.
+    """
 
     def __init__(self, path: Path, missions_before: int) -> None:
-        kept: list[str] = []
-        if missions_before and path.is_file():
-            kept = path.read_text(encoding="utf-8").splitlines(keepends=True)[1 : 1 + missions_before]
-        self._file = path.open("w", newline="", encoding="utf-8")
+        _keep_rows(path, missions_before, ",".join(EPISODE_COLUMNS) + "\n")
+        self._file = path.open("a", newline="", encoding="utf-8")
         self._writer = csv.writer(self._file, lineterminator="\n")
-        self._writer.writerow(EPISODE_COLUMNS)
-        self._file.writelines(kept)
         self._mission = missions_before
 
     def write(self, missions: Iterable[dict[str, Any]], slots: int, wall_s: float) -> None:
@@ -49,46 +59,81 @@ class EpisodesCsv:
             )
         self._file.flush()
 
+    def flush(self) -> None:
+        """Wait until every row is on the disk."""
+        flush_to_disk(self._file)
+
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
 
+def _keep_rows(path: Path, rows: int, header: str) -> None:
+    """Cut a CSV file to its header and first ``rows``; make it where there is none to keep."""
+    if not rows:
+        with replacing(path) as file:
+            file.write(header)
+        return
+    kept = -1  # the header is not counted
+    try:
+        with path.open(newline="", encoding="utf-8") as before, replacing(path) as file:
+            for line in islice(before, rows + 1):
+                file.write(line)
+                kept += line.endswith("\n")
+            if kept < rows:
+                raise InputError(f"{path}: holds {max(kept, 0):,} rows, but the checkpoint counts {rows:,}: restore it")
+    except (FileNotFoundError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is missing or no text, but the checkpoint counts its rows: restore it") from error
+
+
 class ProgressCsv(KVWriter):
-    """The learner's own figures, a row for each update; columns sorted, so that the same run gives the same file.
+    """The learner's own figures; columns sorted, so that the same run gives the same file.
 
     A resumed training first drops the rows past its checkpoint.
+
+    Args:
+        path: of the file.
+        rows_before: rows that the checkpoint counts.
+
+    Raises:
+        InputError: the file holds fewer.
     """
 
-    def __init__(self, path: Path, slots_before: int) -> None:
+    def __init__(self, path: Path, rows_before: int) -> None:
         self._path = path
-        self._rows: list[dict[str, Any]] = []
-        if slots_before and path.is_file():
-            with path.open(newline="", encoding="utf-8") as file:
-                rows = list(csv.DictReader(file))
-            self._rows = [row for row in rows if float(row.get("time/slots") or 0) <= slots_before]
-        self._columns = sorted({column for row in self._rows for column in row})
-        self._write_all()
+        _keep_rows(path, rows_before, "\n")
+        with path.open(newline="", encoding="utf-8") as file:
+            self._columns = next(csv.reader(file), [])
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
         """Append a row; a figure seen for the first time makes a column."""
-        row = {key: value for key, value in key_values.items() if "csv" not in key_excluded.get(key, ())}
-        self._rows.append(row)
+        row = {key: plain(value) for key, value in key_values.items() if "csv" not in (key_excluded.get(key) or ())}
         if set(row) - set(self._columns):
-            self._columns = sorted({*self._columns, *row})
-            self._write_all()
-        else:
-            with self._path.open("a", newline="", encoding="utf-8") as file:
-                csv.DictWriter(file, self._columns, lineterminator="\n").writerow(row)
+            self._add_columns(row)
+        with self._path.open("a", newline="", encoding="utf-8") as file:
+            csv.DictWriter(file, self._columns, lineterminator="\n").writerow(row)
+
+    def flush(self) -> None:
+        """Wait until every row is on the disk."""
+        with self._path.open("rb") as file:
+            os.fsync(file.fileno())
 
     def close(self) -> None:
         """Nothing is held open."""
 
-    def _write_all(self) -> None:
-        with self._path.open("w", newline="", encoding="utf-8") as file:
+    def _add_columns(self, row: dict[str, Any]) -> None:
+        with self._path.open(newline="", encoding="utf-8") as before:
+            rows = list(csv.DictReader(before))
+        self._columns = sorted({*self._columns, *row})
+        with replacing(self._path) as file:
             writer = csv.DictWriter(file, self._columns, lineterminator="\n")
             writer.writeheader()
-            writer.writerows(self._rows)
+            writer.writerows(rows)
+
+
+def plain(value: Any) -> Any:
+    """A figure as Python's own number, which is written the same after it has been read."""
+    return value.item() if isinstance(value, np.generic | th.Tensor) else value
 
 
 class Display:

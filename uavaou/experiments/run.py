@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-import time
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from contextlib import closing, suppress
+from dataclasses import dataclass
 
-import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import MissionVecEnv, flatten
 from uavaou.errors import InputError
-from uavaou.experiments.checkpoint import Progress, load_training, read_progress, save_policy, save_training
-from uavaou.experiments.evaluation import evaluate
-from uavaou.experiments.folder import RunConfig, RunFolder, describe_machine, write_json
-from uavaou.experiments.recording import Display, EpisodesCsv, ProgressCsv, Recent
-from uavaou.experiments.trained import TrainedPolicy
+from uavaou.experiments.callback import CHECKPOINT_EVERY_S, Recorder, Watch
+from uavaou.experiments.checkpoint import Progress, load_training
+from uavaou.experiments.folder import RunConfig, RunFolder
+from uavaou.experiments.interrupt import Interrupted, Interrupts
+from uavaou.experiments.lock import one_writer
+from uavaou.experiments.recording import Display
+from uavaou.files import refuse_links, replacing
 
 LANE_SEEDS = 1_000_000  # a training's missions are seeded from LANE_SEEDS * (seed + 1) on
-VALIDATION_SEED = 900_000  # missions that choose the best checkpoint: neither trained nor tested on
 
 
 @dataclass(frozen=True)
@@ -32,6 +31,7 @@ class Outcome:
     folder: RunFolder
     progress: Progress
     agent_steps: int
+    stopped_by: signal.Signals | None = None  # asked to stop before the end
 
 
 def train(
@@ -41,6 +41,8 @@ def train(
     backend: str = "batched",
     resume: bool = False,
     quiet: bool = False,
+    checkpoint_every_s: float = CHECKPOINT_EVERY_S,
+    watch: Watch | None = None,
 ) -> Outcome:
     """Train to the budget, writing the run folder on the way.
 
@@ -51,21 +53,28 @@ def train(
         backend: ``batched``, or ``supersuit`` for SuperSuit's own stage.
         resume: go on from the last checkpoint.
         quiet: show nothing while training.
+        checkpoint_every_s: wall-clock between checkpoints; more where writing them would take more than
+            2.5 % of it. 0: after every update.
+        watch: called after each update; an exception of its ends the training.
 
     Raises:
-        InputError: the folder holds a run already, holds another one, or cannot be written.
+        InputError: the folder holds a run already, holds another one, is written by another process or cannot be
+            written; or a loss, a reward or a weight is no longer finite. What the last checkpoint holds is kept.
     """
-    resuming = _check_folder(folder, config, resume)
+    refuse_links(folder.path)
+    _check_folder(folder, config, resume)
     try:
         env = _make_missions(config, backend)
     except MemoryError as error:
         raise InputError(f"not enough memory for missions = {config.algorithm.missions}: lower it") from error
     try:
         model = _make_learner(config, env, device)
-        _claim(folder, config)
-        started = Progress(next_evaluation=config.algorithm.evaluate_every_slots)
-        progress = _restore(folder, model, env, config) if resuming else started
-        return _learn(config, folder, model, env, progress, quiet)
+        with one_writer(folder):
+            resuming = _check_folder(folder, config, resume)  # again: another process may have been here
+            _claim(folder, config)
+            started = Progress(next_evaluation=config.algorithm.evaluate_every_slots)
+            progress = _restore(folder, model, env, config) if resuming else started
+            return _learn(config, folder, model, env, progress, quiet, checkpoint_every_s, watch)
     finally:
         env.close()
 
@@ -86,7 +95,7 @@ def _make_missions(config: RunConfig, backend: str) -> MissionVecEnv:
 
 def _make_learner(config: RunConfig, env: MissionVecEnv, device: str) -> BaseAlgorithm:
     try:
-        model = make_model(config.algorithm, env, env.row_layout, config.seed, device)
+        model = make_model(config.algorithm, env, config.seed, device)
     except MemoryError as error:
         raise InputError("not enough memory for the learner: lower missions or what it stores of each") from error
     env.seed(LANE_SEEDS * (config.seed + 1))  # SB3 seeded the missions with the learner's seed
@@ -101,159 +110,60 @@ def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
         raise InputError(f"'{folder.path}' already holds a run: add --resume to go on with it, or choose another --out")
     if folder.read_config() != config:
         raise InputError(f"'{folder.path}' holds a run with another configuration (see its config.yaml); not resumed")
-    return folder.last.is_file()
+    return folder.last.is_file() or folder.previous.is_file()
 
 
 def _claim(folder: RunFolder, config: RunConfig) -> None:
     """Make the folder this run's own."""
     try:
         folder.last.parent.mkdir(parents=True, exist_ok=True)
-        folder.config.write_text(config.to_yaml(), encoding="utf-8")
+        with replacing(folder.config) as file:
+            file.write(config.to_yaml())
     except OSError as error:
         raise InputError(f"cannot write to '{folder.path}': {error.strerror}") from error
 
 
 def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> Progress:
-    progress = read_progress(folder.last)
-    arrays = load_training(folder.last, model)
+    progress, missions = load_training(folder, model)
     model.num_timesteps = progress.slots * config.scenario.uavs
     model._n_updates = progress.updates
-    if arrays:
-        model._last_episode_starts = arrays.pop("episode_starts").astype(bool)
-        model._last_obs = env.load_missions_state(arrays)
-    else:  # the missions were in other processes: new ones, from seeds that this training has not used
-        env.seed(LANE_SEEDS * (config.seed + 1) + LANE_SEEDS // 2 + progress.missions % (LANE_SEEDS // 4))
+    model._current_progress_remaining = progress.budget_left
+    starts = missions.pop("episode_starts", None)
+    if starts is None or starts.shape != (env.num_envs,):
+        raise InputError(f"{folder.last}: does not hold the missions in the air")
+    model._last_episode_starts = starts.astype(bool)
+    assert model.observation_space.shape is not None
+    model._last_obs = env.load_missions_state(missions)[:, : model.observation_space.shape[0]]  # LocalRows or all
     return progress
 
 
 def _learn(
-    config: RunConfig, folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: Progress, quiet: bool
-) -> Outcome:
+    config: RunConfig, folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: Progress, quiet: bool,
+    checkpoint_every_s: float, watch: Watch | None,
+) -> Outcome:  # fmt: skip
     uavs = config.scenario.uavs
     remaining = config.algorithm.slots - progress.slots
     if remaining <= 0:  # resumed, but finished before
         return Outcome(folder, progress, model.num_timesteps)
-    display = Display(config.algorithm.slots, progress.slots, uavs, quiet)
-    writers: list[KVWriter] = [
-        ProgressCsv(folder.path / "progress.csv", progress.slots),
-        TensorBoardOutputFormat(str(folder.path / "tensorboard")),
-    ]
-    model.set_logger(Logger(str(folder.path), writers))
-    callback = _Recorder(config, folder, env, progress, display)
-    try:
-        # No logging by SB3: it would write a row before the update that the row is about.
-        first = progress.slots == 0
-        model.learn(remaining * uavs, callback=callback, log_interval=sys.maxsize, reset_num_timesteps=first)
-    finally:
-        callback.close()
-        display.close()
-        model.logger.close()
-        callback.write_meta()
-    return Outcome(folder, callback.progress, model.num_timesteps)
-
-
-class _Recorder(BaseCallback):
-    """Writes episodes, evaluates on the validation missions, keeps the best and the last checkpoint."""
-
-    def __init__(
-        self, config: RunConfig, folder: RunFolder, env: MissionVecEnv, progress: Progress, display: Display
-    ) -> None:
-        super().__init__()
-        self.progress = progress
-        self._config = config
-        self._folder = folder
-        self._env = env
-        self._display = display
-        self._started = time.monotonic() - progress.wall_s
-        self._uavs = config.scenario.uavs
-        self._recent = Recent(config.algorithm.missions)
-        self._episodes = EpisodesCsv(folder.episodes, progress.missions)
-        self._machine = describe_machine()
-
-    @property
-    def _slots(self) -> int:
-        return self.num_timesteps // self._uavs
-
-    def _on_training_start(self) -> None:
-        self.num_timesteps = self.model.num_timesteps
-
-    def _on_step(self) -> bool:
-        if self.locals["dones"].any():
-            infos = self.locals["infos"][:: self._uavs]
-            missions = [info["mission"] for info in infos if "mission" in info]
-            wall_s = time.monotonic() - self._started
-            self._episodes.write(missions, self._slots, wall_s)
-            self._recent.add(missions)
-            self.progress = replace(self.progress, missions=self.progress.missions + len(missions))
-            self.logger.record("rollout/mean_aou_s", self._recent.mean)
-        return True
-
-    def _on_rollout_start(self) -> None:
-        # Between an update and the next rollout: the one moment at which nothing is half done.
-        self._after_update(due=self._slots >= self.progress.next_evaluation)
-
-    def _on_training_end(self) -> None:
-        self._after_update(due=True)
-
-    def _after_update(self, due: bool) -> None:
-        """Show and log the rollout and its update; evaluate and save where that is ``due``."""
-        self._display.update(self._slots, self._recent.mean)
-        scores = {action: self._score(action) for action in ("greedy", "sample")} if due else {}
-        if self._slots > self.progress.slots:  # not again what the checkpoint resumed from had logged
-            wall_s = time.monotonic() - self._started
-            self.logger.record("time/slots", self._slots)
-            self.logger.record("time/agent_steps", self.num_timesteps)
-            self.logger.record("time/wall_s", round(wall_s, 1))
-            for name, score in scores.items():
-                self.logger.record(f"evaluation/mean_aou_{name}_s", score)
-            self.logger.dump(self.num_timesteps)
-        if scores:
-            self._save(scores)
-
-    def _save(self, scores: dict[str, float]) -> None:
-        action = min(scores, key=lambda name: scores[name])
-        improved = self.progress.best_score is None or scores[action] < self.progress.best_score
-        algorithm = self._config.algorithm
-        self.progress = replace(
-            self.progress,
-            slots=self._slots,
-            wall_s=time.monotonic() - self._started,
-            updates=getattr(self.model, "_n_updates", 0),
-            next_evaluation=(self._slots // algorithm.evaluate_every_slots + 1) * algorithm.evaluate_every_slots,
-            best_score=scores[action] if improved else self.progress.best_score,
-            best_action=action if improved else self.progress.best_action,
-        )
-        if improved:
-            save_policy(self._folder.best, self.model, self.progress)
-        state = self._env.missions_state()
-        if state is not None:
-            state["episode_starts"] = np.asarray(self.model._last_episode_starts, dtype=np.int64)
-        save_training(self._folder.last, self.model, self.progress, state)
-        self._display.message(
-            f"{self._slots:,} slots: mean AoU on {algorithm.evaluation_missions} validation missions "
-            f"{scores['greedy']:,.1f} s greedy, {scores['sample']:,.1f} s sampled{' (best so far)' if improved else ''}"
-        )
-
-    def _score(self, action: str) -> float:
-        algorithm = self._config.algorithm
-        policy = TrainedPolicy(self.model, self._env.views, action)
-        return evaluate(self._config.scenario, policy, algorithm.evaluation_missions, VALIDATION_SEED).mean_aou_s
-
-    def close(self) -> None:
-        """Close the files."""
-        self._episodes.close()
-
-    def write_meta(self) -> None:
-        """Write ``meta.json``."""
-        done = self.progress.slots
-        model = getattr(self, "model", None)  # an interrupt may come before SB3 has set it
-        content: dict[str, Any] = {
-            **self._machine,
-            "slots": done,
-            "agent_steps": done * self._uavs,
-            "slots_budget": self._config.algorithm.slots,
-            "finished": done >= self._config.algorithm.slots,
-            "device": None if model is None else str(model.device),
-            **asdict(self.progress),
-        }
-        write_json(self._folder.meta, content)
+    with (
+        Interrupts(quiet) as interrupts,
+        closing(Display(config.algorithm.slots, progress.slots, uavs, quiet)) as display,
+    ):
+        recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s, watch)
+        writers: list[KVWriter] = [recorder.progress_csv, TensorBoardOutputFormat(str(folder.path / "tensorboard"))]
+        model.set_logger(Logger(str(folder.path), writers))
+        try:
+            # No logging by SB3: it would write a row before the update that the row is about.
+            first = progress.slots == 0
+            model.learn(remaining * uavs, callback=recorder, log_interval=sys.maxsize, reset_num_timesteps=first)
+        except Interrupted:
+            pass
+        except (EOFError, ConnectionError) as error:
+            raise InputError(f"a worker process has ended (out of memory?); {recorder.kept}") from error
+        except OSError as error:
+            raise InputError(f"cannot write to '{folder.path}': {error.strerror or error}; {recorder.kept}") from error
+        finally:
+            for end in (recorder.close, model.logger.close, recorder.write_meta):
+                with suppress(OSError):  # a full disk was told of above
+                    end()
+    return Outcome(folder, recorder.progress, model.num_timesteps, recorder.stopped_by)

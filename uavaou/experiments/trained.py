@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
 
+from uavaou.algorithms.common.tensor_file import ArrayFile
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.actions import split_actions
 from uavaou.envs.flatten import flatten
 from uavaou.errors import InputError
 from uavaou.experiments.checkpoint import load_policy, read_progress
-from uavaou.experiments.folder import RunFolder
+from uavaou.experiments.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.world import Views, World
 from uavaou.world.views import MOVES
@@ -49,13 +54,40 @@ class TrainedPolicy:
         device = self.model.device
         local = th.from_numpy(self.views.local(world).reshape(world.missions * uavs, -1)).to(device)
         uniforms = None if self.action == "greedy" else self._uniforms(uavs).to(device)
-        actions = self.model.policy.act(local, uniforms)  # type: ignore[operator]
-        return split_actions(actions.cpu().numpy(), world.missions, uavs, self.views.layout.selects)
+        actions = _act(self.model, local, uniforms).cpu().numpy()
+        return split_actions(actions, world.missions, uavs, self.views.layout.selects)
 
     def _uniforms(self, uavs: int) -> th.Tensor:
         width = MOVES + (self.views.layout.devices if self.views.layout.selects else 0)
         drawn = np.stack([rng.random((uavs, width), dtype=np.float32) for rng in self._rngs])  # (N, U, 5 + I)
         return th.from_numpy(drawn.reshape(-1, width))
+
+
+@th.no_grad()
+def _act(model: BaseAlgorithm, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
+    """Actions (B, 1 + I) or (B,) of a learner for ``local`` (B, local): the likeliest, or drawn from ``uniforms``.
+
+    ``policy.act`` where there is one. Any other SB3 policy reads ``local`` as its observation; one without a
+    distribution (DQN) has its greedy action alone.
+    """
+    policy: Any = model.policy
+    if hasattr(policy, "act"):
+        chosen: th.Tensor = policy.act(local, uniforms)
+        return chosen
+    if uniforms is None or not isinstance(policy, ActorCriticPolicy):
+        return th.from_numpy(model.predict(local.cpu().numpy(), deterministic=True)[0])
+    categories: Any = policy.get_distribution(local).distribution
+    if not isinstance(categories, list):  # Discrete(5): the move alone
+        return _draw(categories.probs, uniforms[:, 0])
+    columns = [0, *range(MOVES, uniforms.shape[1])]  # one uniform for the move, one for each device
+    drawn = [_draw(part.probs, uniforms[:, k]) for part, k in zip(categories, columns, strict=True)]
+    return th.stack(drawn, dim=1)
+
+
+def _draw(probabilities: th.Tensor, uniforms: th.Tensor) -> th.Tensor:
+    """Categories (B,) of ``probabilities`` (B, C), by inversion of their distribution function at ``uniforms`` (B,)."""
+    ends = probabilities.cumsum(dim=1)  # (B, C)
+    return (uniforms[:, None] >= ends[:, :-1]).sum(dim=1)
 
 
 def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | None = None) -> TrainedPolicy:
@@ -78,11 +110,23 @@ def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | No
     progress = read_progress(checkpoint)
     algorithm = config.algorithm
     env = flatten(scenario, missions=1, observation=algorithm.observation, collection=algorithm.collection)
-    model = make_model(algorithm, env, env.row_layout, config.seed, device="cpu")
+    _check_size(checkpoint, config)
+    try:
+        model = make_model(algorithm, env, config.seed, device="cpu")
+    except MemoryError as error:
+        raise InputError(f"{path.config}: states a learner that does not fit the memory") from error
     load_policy(checkpoint, model)
     model.policy.set_training_mode(False)
     views = Views(scenario, algorithm.observation, algorithm.collection)
     return TrainedPolicy(model, views, action or progress.best_action)
+
+
+def _check_size(checkpoint: Path, config: RunConfig) -> None:
+    """Refuse to build networks larger than the checkpoint that is to fill them."""
+    hidden = getattr(config.algorithm, "hidden", ())
+    elements = ArrayFile(checkpoint).elements
+    if sum(a * b for a, b in pairwise(hidden)) > elements:
+        raise InputError(f"{checkpoint}: holds {elements:,} numbers, too few for hidden = {list(hidden)}")
 
 
 def _check_shape(path: RunFolder, trained: Scenario, wanted: Scenario, algorithm: AlgorithmConfig) -> None:

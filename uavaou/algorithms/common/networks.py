@@ -5,10 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import torch as th
+from numpy.typing import NDArray
 from torch import nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
+
+from uavaou.algorithms.common.branches import Branches
+from uavaou.world.views import RowLayout
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 _HAS_ONEDNN = bool(th.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
@@ -74,3 +79,49 @@ def mlp(inputs: int, hidden: list[int], activation: str) -> nn.Sequential:
         layers += [linear, ACTIVATIONS[activation]()]
         inputs = outputs
     return nn.Sequential(*layers)
+
+
+class UtilityNetwork(nn.Module):
+    """A local observation's branch values: a state value, and advantages that are centred in each branch.
+
+    Dueling (Wang et al. 2016), for branches (Tavakoli et al. 2018, arXiv 1711.08946). A branch of which only one
+    option is allowed has advantage 0: what cannot be chosen adds nothing.
+    """
+
+    def __init__(self, inputs: int, hidden: list[int], activation: str, branches: Branches) -> None:
+        super().__init__()
+        self.branches = branches
+        self.body = mlp(inputs, hidden, activation)
+        self.advantage = Linear(hidden[-1], branches.total)
+        self.value = Linear(hidden[-1], 1)
+        for head in (self.advantage, self.value):
+            nn.init.orthogonal_(head.weight, gain=0.01)
+            nn.init.zeros_(head.bias)
+
+    def forward(self, local: th.Tensor, allowed: th.Tensor | None) -> th.Tensor:
+        """Branch values (B, sum(n_b)) of ``local`` (B, local) where ``allowed`` (B, sum(n_b)) holds."""
+        features = self.body(local)
+        values: th.Tensor = self.value(features) + self.branches.centre(self.advantage(features), allowed)
+        return values
+
+    @th.no_grad()
+    def rescale(self, ratio: th.Tensor, shift: th.Tensor) -> None:
+        """From now on give ``values * ratio + shift``."""
+        for head in (self.advantage, self.value):
+            rescale_linear(head, ratio)
+        self.value.bias.add_(shift)
+
+
+@th.no_grad()
+def rescale_linear(layer: nn.Linear, ratio: th.Tensor) -> None:
+    """From now on give ``outputs * ratio``."""
+    layer.weight.mul_(ratio)
+    layer.bias.mul_(ratio)
+
+
+def with_state(observation: NDArray[np.float32], layout: RowLayout) -> NDArray[np.float32]:
+    """Rows for a policy that was given local observations alone: an unseen state of zeros is appended."""
+    if observation.shape[-1] != layout.local_size:
+        return observation
+    unseen = np.zeros((*observation.shape[:-1], layout.global_size), dtype=np.float32)
+    return np.concatenate([observation, unseen], axis=-1)

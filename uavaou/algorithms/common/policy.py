@@ -12,7 +12,8 @@ from stable_baselines3.common.type_aliases import Schedule
 from torch import nn
 
 from uavaou.algorithms.common.action_head import MoveSelectionDistribution
-from uavaou.algorithms.common.networks import ACTIVATIONS, mlp
+from uavaou.algorithms.common.networks import ACTIVATIONS, mlp, with_state
+from uavaou.algorithms.common.safe_io import NoPickledPolicy
 from uavaou.algorithms.common.value_norm import PopArt
 from uavaou.errors import unknown
 from uavaou.world.views import RowLayout
@@ -20,7 +21,7 @@ from uavaou.world.views import RowLayout
 CRITIC_INPUTS = ("global", "local")
 
 
-class CentralizedValuePolicy(ActorCriticPolicy):
+class CentralizedValuePolicy(NoPickledPolicy, ActorCriticPolicy):
     """A decentralised actor and a centralised critic over rows ``[local | global]``.
 
     All UAVs share the parameters. Masks are read from the row where the observation has them.
@@ -163,9 +164,8 @@ class CentralizedValuePolicy(ActorCriticPolicy):
         deterministic: bool = False,
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
         """As SB3's; also takes the local observation alone, which is all that a flying UAV has."""
-        if isinstance(observation, np.ndarray) and observation.shape[-1] == self.row_layout.local_size:
-            unseen = np.zeros((*observation.shape[:-1], self.row_layout.global_size), dtype=np.float32)
-            observation = np.concatenate([observation, unseen], axis=-1)
+        if isinstance(observation, np.ndarray):
+            observation = with_state(observation, self.row_layout)
         return super().predict(observation, state, episode_start, deterministic)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:

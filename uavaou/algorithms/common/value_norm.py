@@ -6,20 +6,16 @@ import torch as th
 from torch import nn
 
 
-class PopArt(nn.Module):
-    """A linear value head whose targets are normalised by running statistics.
-
-    When the statistics move, weights and bias are rescaled so that the values predicted do not.
-    """
+class ReturnStatistics(nn.Module):
+    """Running mean and variance of returns, which values are normalised by."""
 
     mean: th.Tensor
     mean_square: th.Tensor
     seen: th.Tensor
 
-    def __init__(self, features: int, decay: float = 0.9) -> None:
+    def __init__(self, decay: float) -> None:
         super().__init__()
-        self.linear = nn.Linear(features, 1)
-        self.decay = decay  # of the running statistics, a rollout
+        self.decay = decay  # of the running statistics, an update
         self.register_buffer("mean", th.zeros(()))
         self.register_buffer("mean_square", th.ones(()))
         self.register_buffer("seen", th.zeros(()))
@@ -29,26 +25,44 @@ class PopArt(nn.Module):
         """Standard deviation of the returns seen."""
         return (self.mean_square - self.mean**2).clamp_min(1e-8).sqrt()
 
-    def forward(self, features: th.Tensor) -> th.Tensor:
-        """Normalised values, (B, 1)."""
-        normalised: th.Tensor = self.linear(features)
-        return normalised
-
     def denormalise(self, normalised: th.Tensor) -> th.Tensor:
         """Values in units of the training reward."""
         return normalised * self.std + self.mean
 
     def normalise(self, returns: th.Tensor) -> th.Tensor:
-        """Targets of the critic's loss."""
+        """Targets of the loss."""
         return (returns - self.mean) / self.std
 
     @th.no_grad()
-    def update(self, returns: th.Tensor) -> None:
-        """Take in a rollout's returns and keep the values predicted as they were."""
+    def update(self, returns: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+        """Take in returns; gives the ratio and shift that keep normalised values what they meant, v * ratio + shift."""
         old_mean, old_std = self.mean.clone(), self.std.clone()
         decay = self.decay if self.seen > 0 else 0.0
         self.mean.mul_(decay).add_((1 - decay) * returns.mean())
         self.mean_square.mul_(decay).add_((1 - decay) * returns.square().mean())
         self.seen.fill_(1.0)
-        self.linear.weight.mul_(old_std / self.std)
-        self.linear.bias.mul_(old_std).add_(old_mean - self.mean).div_(self.std)
+        return old_std / self.std, (old_mean - self.mean) / self.std
+
+
+class PopArt(ReturnStatistics):
+    """A linear value head whose targets are normalised by running statistics.
+
+    When the statistics move, weights and bias are rescaled so that the values predicted do not.
+    """
+
+    def __init__(self, features: int, decay: float = 0.9) -> None:
+        super().__init__(decay)
+        self.linear = nn.Linear(features, 1)
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """Normalised values, (B, 1)."""
+        normalised: th.Tensor = self.linear(features)
+        return normalised
+
+    @th.no_grad()
+    def update(self, returns: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+        """Take in a rollout's returns and keep the values predicted as they were."""
+        ratio, shift = super().update(returns)
+        self.linear.weight.mul_(ratio)
+        self.linear.bias.mul_(ratio).add_(shift)
+        return ratio, shift

@@ -15,12 +15,13 @@ from torch.nn import functional
 from uavaou.algorithms.common.memory import keep_freed_memory
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
+from uavaou.algorithms.common.safe_io import SafeSaveLoad
 from uavaou.errors import InputError, unknown
 
 ADVANTAGES = ("none", "rollout", "batch")
 
 
-class MAPPO(PPO):
+class MAPPO(SafeSaveLoad, PPO):
     """Multi-agent PPO with parameters shared by all UAVs (Yu et al. 2022, arXiv 2103.01955).
 
     The actor reads a UAV's local observation, the critic the global state, once a slot. Arguments not

@@ -1,0 +1,119 @@
+"""Composite actions by branches: a MultiDiscrete action valued one component at a time.
+
+The utility of a joint choice a = (a_1, ..., a_M) is the mean of its branch values,
+Q(s, a) = 1/M sum_b Q_b(s, a_b) (Seyde et al. 2023, arXiv 2210.12566). Its maximum over all
+prod(n_b) choices is then found exactly, branch by branch, in time sum(n_b); masks apply likewise.
+A Discrete action is the case of one branch.
+
+Values of all branches lie side by side in one tensor (B, sum(n_b)), the first branch first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+
+from uavaou.errors import InputError
+
+
+@dataclass(frozen=True)
+class Run:
+    """Neighbouring branches of one size, which are computed together."""
+
+    branches: slice
+    columns: slice
+    count: int
+    size: int
+
+
+class Branches:
+    """The branches of a composite action.
+
+    Args:
+        sizes: options of each branch, n_b.
+    """
+
+    def __init__(self, sizes: Sequence[int]) -> None:
+        self.sizes = tuple(int(size) for size in sizes)
+        if not self.sizes or min(self.sizes) < 1:
+            raise InputError(f"sizes = {self.sizes}: expected one branch or more, each with one option or more")
+        self.count = len(self.sizes)
+        self.total = sum(self.sizes)
+        self.runs = tuple(self._runs())
+
+    @classmethod
+    def of_space(cls, space: spaces.Space[Any]) -> Branches:
+        """The branches of a ``MultiDiscrete`` or ``Discrete`` action space.
+
+        Raises:
+            InputError: another space, or one that does not count from 0.
+        """
+        if isinstance(space, spaces.Discrete) and space.start == 0:
+            return cls([int(space.n)])
+        if isinstance(space, spaces.MultiDiscrete) and space.nvec.ndim == 1 and not np.any(space.start):
+            return cls(space.nvec.tolist())
+        raise InputError(f"action space {space}: expected Discrete(n) or MultiDiscrete([n, ...]), counted from 0")
+
+    def _runs(self) -> Iterator[Run]:
+        branch = column = 0
+        for size, group in groupby(self.sizes):
+            count = len(list(group))
+            yield Run(slice(branch, branch + count), slice(column, column + count * size), count, size)
+            branch, column = branch + count, column + count * size
+
+    def _split(self, values: th.Tensor) -> Iterator[tuple[Run, th.Tensor]]:
+        for run in self.runs:
+            yield run, values[:, run.columns].reshape(len(values), run.count, run.size)  # (B, branches, options)
+
+    def greedy(self, values: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
+        """The best allowed choice, (B, M); of equal options the first.
+
+        Args:
+            values: (B, sum(n_b)).
+            allowed: bool, of the same shape, with one option or more in each branch; None allows all.
+        """
+        if allowed is not None:
+            values = values.masked_fill(~allowed, -th.inf)
+        best = [
+            (options[..., 1] > options[..., 0]).long() if run.size == 2 else options.argmax(dim=2)
+            for run, options in self._split(values)
+        ]
+        return th.cat(best, dim=1)
+
+    def mean(self, values: th.Tensor, actions: th.Tensor) -> th.Tensor:
+        """Q(s, a), the mean over branches of the values of ``actions`` (B, M); (B,)."""
+        total = values.new_zeros(len(values))
+        for run, options in self._split(values):
+            total = total + options.gather(2, actions[:, run.branches, None])[..., 0].sum(dim=1)
+        return total / self.count
+
+    def uniform(self, uniforms: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
+        """Choices drawn uniformly from what each branch allows, (B, M).
+
+        Args:
+            uniforms: (B, M) in [0, 1).
+            allowed: bool (B, sum(n_b)); None allows all.
+        """
+        if allowed is None:
+            allowed = th.ones((len(uniforms), self.total), dtype=th.bool, device=uniforms.device)
+        drawn = []
+        for run, options in self._split(allowed):
+            ordinal = options.cumsum(dim=2)  # of each allowed option, from 1
+            rank = (uniforms[:, run.branches, None] * ordinal[..., -1:]).long()  # how many allowed options to pass by
+            drawn.append((ordinal <= rank).sum(dim=2).clamp_max(run.size - 1))
+        return th.cat(drawn, dim=1)
+
+    def centre(self, values: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
+        """Advantages: values less their mean over the allowed options of their branch, (B, sum(n_b))."""
+        weights = th.ones_like(values) if allowed is None else allowed.to(values.dtype)
+        centred = []
+        for (run, options), (_, weight) in zip(self._split(values), self._split(weights), strict=True):
+            mean = (options * weight).sum(dim=2, keepdim=True) / weight.sum(dim=2, keepdim=True).clamp_min(1.0)
+            centred.append((options - mean).reshape(len(values), run.count * run.size))
+        return th.cat(centred, dim=1)

@@ -1,0 +1,41 @@
+"""The flattened rows without their global part, for learners that have no centralised critic."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnvWrapper
+
+from uavaou.envs.flatten import MissionVecEnv
+
+
+class LocalRows(VecEnvWrapper):
+    """Rows ``[local]`` of an environment whose rows are ``[local | global]``: what a UAV sees, and no more.
+
+    Any SB3 algorithm that learns on it can fly, since no UAV knows the global state.
+
+    Args:
+        env: what :func:`uavaou.flatten` returns.
+    """
+
+    def __init__(self, env: MissionVecEnv) -> None:
+        self._size = env.local_size
+        super().__init__(env, observation_space=spaces.Box(-np.inf, np.inf, (self._size,), np.float32))
+
+    def reset(self) -> NDArray[np.float32]:
+        """Start a mission in every lane; rows (N * U, local)."""
+        return self._local(self.venv.reset())
+
+    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """One slot of every mission."""
+        rows, rewards, dones, infos = self.venv.step_wait()
+        for row in np.flatnonzero(dones):
+            last = infos[row]["terminal_observation"]
+            infos[row] = infos[row] | {"terminal_observation": self._local(last)}
+        return self._local(rows), rewards, dones, infos
+
+    def _local(self, rows: Any) -> NDArray[np.float32]:
+        return np.ascontiguousarray(rows[..., : self._size])

@@ -1,0 +1,55 @@
+"""Numbers that went bad: a training that has met NaN or infinity is stopped, not saved."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch as th
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from uavaou.errors import InputError
+from uavaou.experiments.folder import RunFolder
+
+
+class BadNumberError(InputError):
+    """A loss, a reward or a weight is no longer finite."""
+
+
+def check_rewards(rewards: Any, slots: int, kept: str) -> None:
+    """Refuse rewards of one slot, (N * U,), that are not finite.
+
+    Args:
+        rewards: of all rows.
+        slots: of all missions, when they were given.
+        kept: :func:`last_good`.
+
+    Raises:
+        BadNumberError: naming the first of them.
+    """
+    finite = np.isfinite(rewards)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise BadNumberError(f"stopped at slot {slots:,}: the reward of row {row} is {rewards[row]}; {kept}")
+
+
+def check_learner(model: BaseAlgorithm, slots: int, kept: str) -> None:
+    """Refuse a learner whose last update left a loss or a weight that is not finite.
+
+    Raises:
+        BadNumberError: naming it.
+    """
+    for name, value in model.logger.name_to_value.items():
+        if "loss" in name and isinstance(value, int | float) and not math.isfinite(value):
+            raise BadNumberError(f"stopped at slot {slots:,}: {name} is {value}; {kept}")
+    for name, tensor in model.policy.state_dict().items():
+        if not bool(th.isfinite(tensor).all()):
+            bad = tensor[~th.isfinite(tensor)][0].item()
+            raise BadNumberError(f"stopped at slot {slots:,}: the weights hold {bad} in {name}; {kept}")
+
+
+def last_good(folder: RunFolder, slots: int) -> str:
+    """Where the last checkpoint is, and what usually helps."""
+    checkpoint = f"last good checkpoint: {folder.last}, at slot {slots:,}" if slots else "no checkpoint yet"
+    return f"{checkpoint}; a lower algorithm.learning_rate usually helps"

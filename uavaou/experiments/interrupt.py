@@ -1,0 +1,52 @@
+"""Ctrl-C and SIGTERM while training: the first asks for a last checkpoint, the second gets its way at once."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+_ASKED = b"\nuavaou: finishing the present update and saving; once more leaves at once\n"
+
+
+class Interrupted(Exception):  # noqa: N818 - nothing went wrong
+    """The training stopped because it was asked to, after a checkpoint."""
+
+
+class Interrupts:
+    """Notes the first SIGINT or SIGTERM in ``received`` and leaves the next to whoever had it before.
+
+    A signal that is ignored stays so. Outside of the main thread nothing is noted: Python allows no handlers there.
+
+    Args:
+        quiet: say nothing.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        self.received: signal.Signals | None = None
+        self._quiet = quiet
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                if signal.getsignal(number) not in (signal.SIG_IGN, None):
+                    self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._restore()
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.received = signal.Signals(number)
+        self._restore()
+        if not self._quiet:
+            os.write(2, _ASKED)  # print is not allowed to be interrupted by itself
+
+    def _restore(self) -> None:
+        while self._before:
+            signal.signal(*self._before.popitem())

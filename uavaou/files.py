@@ -1,0 +1,99 @@
+"""Files that are written whole or not at all, and folders from strangers that lead nowhere else."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from uavaou.errors import InputError
+
+
+@contextmanager
+def replacing(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
+    """Open a file that takes the place of ``path`` when the block ends well, after it has reached the disk.
+
+    Until then, and for ever where the block fails, ``path`` is what it was. Text is UTF-8.
+
+    Args:
+        path: the file to replace or to make.
+        mode: ``w`` or ``wb``.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    partial = path.with_name(path.name + ".partial")
+    partial.unlink(missing_ok=True)  # of a process that was killed
+    encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
+    try:
+        with partial.open(mode.replace("w", "x"), encoding=encoding, newline=newline) as file:
+            yield file
+            flush_to_disk(file)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+    partial.replace(path)
+
+
+def flush_to_disk(file: IO[Any]) -> None:
+    """Wait until what was written would survive a loss of power."""
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def refuse_links(folder: Path) -> None:
+    """Refuse a folder that holds anything but plain files and folders, through which a write could end elsewhere.
+
+    Raises:
+        InputError: naming the link, pipe or device.
+    """
+    if not folder.is_dir():
+        return
+    try:
+        for entry in os.scandir(folder):
+            kind = entry.stat(follow_symlinks=False).st_mode
+            if stat.S_ISDIR(kind):
+                refuse_links(Path(entry.path))
+            elif not stat.S_ISREG(kind):
+                what = "a symbolic link" if stat.S_ISLNK(kind) else "no regular file"
+                raise InputError(f"'{entry.path}' is {what}: a run folder holds plain files and folders alone")
+    except OSError as error:
+        raise InputError(f"'{folder}' cannot be read: {error.strerror or error}") from error
+
+
+def read_text(path: Path, most_bytes: int) -> str:
+    """Read a UTF-8 text file of at most ``most_bytes``.
+
+    Raises:
+        InputError: the file cannot be read, is no regular file, is larger, or is not UTF-8.
+    """
+    try:
+        state = path.stat()
+        if not stat.S_ISREG(state.st_mode):
+            raise InputError(f"{path}: cannot be read: it is not a regular file")
+        if state.st_size > most_bytes:
+            raise InputError(f"{path}: {state.st_size:,} bytes, at most {most_bytes:,} are read")
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        raise InputError(f"{path}: cannot be read: {reason}") from error
+
+
+def read_json(path: Path, most_bytes: int = 512_000_000) -> Any:
+    """Read a JSON file of at most ``most_bytes``.
+
+    Raises:
+        InputError: as :func:`read_text`, or the file is no JSON.
+    """
+    try:
+        return json.loads(read_text(path, most_bytes))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: cannot be read as JSON: {error}") from error
