@@ -14,7 +14,7 @@ def main() -> None:
     name, rollouts = sys.argv[1], int(sys.argv[2])
     config = load_config(name)
     env = flatten("paper", missions=config.missions, collection=config.collection)
-    model = make_model(config, env, env.row_layout, 0, "cpu")
+    model = make_model(config, env, seed=0, device="cpu")
     steps = 125 * env.num_envs  # a rollout of MAPPO's
     peaks = []
     for done in range(rollouts):

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import torch as th
@@ -22,7 +22,7 @@ from uavaou.algorithms.config import MappoConfig
 from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
-ALGORITHMS = ("mappo",)  # whose training is measured, by name
+ALGORITHMS = ("mappo", "vdn", "qmix")  # whose training is measured, by name
 STOCK = "stock SB3 PPO on SuperSuit's stage"
 
 
@@ -125,10 +125,10 @@ def _work(layers: list[nn.Module]) -> tuple[float, float]:
     return forward, 3 * forward - 2 * sizes[0]
 
 
-def memory(rollouts: int = 6) -> list[Measurement]:
+def memory(rollouts: int = 6, algorithms: Sequence[str] = ALGORITHMS) -> list[Measurement]:
     """Peak memory of a training process, after its first rollout and update and after some more."""
     measurements = []
-    for name in ALGORITHMS:
+    for name in algorithms:
         done = subprocess.run(
             [sys.executable, "-m", "benchmarks.memory", name, str(rollouts)],
             cwd=Path(__file__).resolve().parents[1],
@@ -152,7 +152,7 @@ def _ours(scenario: Scenario, name: str, rollout_slots: int | None) -> BaseAlgor
     shortened = rollout_slots is not None and name == "mappo"
     config = _mappo(rollout_slots) if shortened else load_config(name)
     env = flatten(scenario, missions=config.missions, collection=config.collection)
-    return make_model(config, env, env.row_layout, 0, "cpu")
+    return make_model(config, env, seed=0, device="cpu")
 
 
 def _stock(scenario: Scenario, config: MappoConfig, processes: int) -> BaseAlgorithm:
