@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 from collections.abc import Iterator
@@ -82,3 +83,17 @@ def read_text(path: Path, most_bytes: int) -> str:
             raise
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise InputError(f"{path}: cannot be read: {reason}") from error
+
+
+def read_json(path: Path, most_bytes: int = 512_000_000) -> Any:
+    """Read a JSON file of at most ``most_bytes``.
+
+    Raises:
+        InputError: as :func:`read_text`, or the file is no JSON.
+    """
+    try:
+        return json.loads(read_text(path, most_bytes))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: cannot be read as JSON: {error}") from error

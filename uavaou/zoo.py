@@ -8,7 +8,10 @@ from typing import Any
 import yaml
 
 from uavaou.errors import InputError, unknown
+from uavaou.files import read_text
 
+_MOST_BYTES = 32_000_000
+_MOST_NODES = 1_000_000  # a scenario of 100,000 devices has 700,000
 _PACKAGE = Path(__file__).resolve().parent
 
 
@@ -36,17 +39,30 @@ def zoo_path(kind: str, name: str) -> Path:
     return path
 
 
+class _BoundedLoader(yaml.SafeLoader):
+    """PyYAML's safe loader, without what lets a small file fill the memory."""
+
+    _nodes = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.composer.ComposerError(None, None, "aliases are not read", mark)
+        self._nodes += 1
+        if self._nodes > _MOST_NODES:
+            raise yaml.composer.ComposerError(None, None, f"more than {_MOST_NODES:,} values", mark)
+        return super().compose_node(parent, index)
+
+
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
     """Read a YAML file that must hold a mapping with string keys.
 
     Raises:
         InputError: the file cannot be read, is not YAML, or holds something else.
     """
+    text = read_text(path, _MOST_BYTES)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-        raise InputError(f"{path}: cannot be read: {reason}") from error
+        content = yaml.load(text, _BoundedLoader)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f" at line {mark.line + 1}" if mark is not None else ""

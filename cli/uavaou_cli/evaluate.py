@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from uavaou.errors import InputError
+from uavaou.files import read_json
 from uavaou_cli.checks import LARGEST_SEED, MOST_EPISODES, given_path, one_of, within, writable_file
 from uavaou_cli.overrides import Overrides, parse_overrides
 
@@ -193,7 +193,7 @@ def _write(
 def _missions_in(path: Path) -> int:
     """The missions of an evaluation written before; 0 where there is none that can be read."""
     try:
-        episodes = loads(path.read_text(encoding="utf-8"))["episodes"]
-    except (OSError, ValueError, KeyError, TypeError):
+        episodes = read_json(path)["episodes"]
+    except (ValueError, KeyError, TypeError):
         return 0
     return episodes if isinstance(episodes, int) else 0

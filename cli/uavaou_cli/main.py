@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
-from uavaou_cli import audit, evaluate, plan, plot, scenarios, train, tune
+from uavaou_cli import audit, evaluate, export, plan, plot, scenarios, train, tune
 
 BAD_INPUT = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
@@ -50,6 +50,7 @@ plots.command("figures", short_help="Draw the figures of training runs.")(plot.f
 plots.command("trajectories", short_help="Draw one mission of a run.")(plot.trajectories)
 app.add_typer(plots, name="plot")
 app.command("audit", short_help="Check a scenario's link budget and numbers.")(audit.audit)
+app.command("export", short_help="Write a trained run for another tool.")(export.export)
 app.command("scenarios", short_help="List the scenarios that come with uavaou.")(scenarios.scenarios)
 
 

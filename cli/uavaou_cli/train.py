@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from uavaou.experiments.folder import RunConfig, RunFolder
 
 DEVICES = ("auto", "cpu", "cuda")
-_ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # in the help, which must not import the registry; a test holds it so
+_ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # in the help, without the registry; tested
 BACKENDS = ("batched", "supersuit")  # of uavaou.envs.flatten, which is slow to import
 
 

@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from uavaou.algorithms.common.tensor_file import CHECKSUM, ArrayFile, write_arrays
+from uavaou.algorithms.common.weights import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
 from uavaou.errors import InputError
 from uavaou.experiments.folder import RunFolder
 
 SCHEMA = 2  # 1 had no checksum; its policies are still read
-_POLICY, _OPTIMIZER, _WORLD, _STREAM, _LEARNER, _REPLAY = (
-    "policy.", "optimizer.", "world.", "stream.", "learner.", "replay.",
-)  # fmt: skip
+_WORLD, _STREAM, _LEARNER, _REPLAY = "world.", "stream.", "learner.", "replay."
 _UNUSABLE = (KeyError, ValueError, TypeError, IndexError, RuntimeError, AttributeError, OverflowError)
 
 _MOST = 10**15  # of anything counted or measured
@@ -55,7 +54,7 @@ class DamagedCheckpointWarning(UserWarning):
 
 def save_policy(path: Path, model: BaseAlgorithm, progress: Progress) -> None:
     """Write the policy's weights."""
-    _write(path, _policy_arrays(model), progress)
+    _write(path, policy_arrays(model), progress)
 
 
 def save_training(
@@ -73,9 +72,7 @@ def save_training(
     Raises:
         OSError: it cannot be written; what was there before is untouched.
     """
-    arrays = _policy_arrays(model)
-    for index, slots in model.policy.optimizer.state_dict()["state"].items():
-        arrays |= {f"{_OPTIMIZER}{index}.{name}": _to_numpy(value) for name, value in slots.items()}
+    arrays = policy_arrays(model) | optimizer_arrays(model)
     arrays |= {_WORLD + name: array for name, array in world.items()}
     arrays |= {_LEARNER + name: _to_numpy(value) for name, value in _learner_state(model).items()}
     arrays |= _streams(model)
@@ -103,7 +100,7 @@ def load_policy(path: Path, model: BaseAlgorithm) -> None:
     Raises:
         InputError: the file cannot be read, or its shapes are not the model's.
     """
-    _load_policy(ArrayFile(path), model)
+    load_policy_arrays(ArrayFile(path), model)
 
 
 def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[Progress, Arrays]:
@@ -157,25 +154,11 @@ def _progress(file: ArrayFile, oldest: int) -> Progress:
     return progress
 
 
-def _load_policy(file: ArrayFile, model: BaseAlgorithm) -> None:
-    wanted = model.policy.state_dict()
-    names = {name.removeprefix(_POLICY) for name in file.shapes if name.startswith(_POLICY)}
-    if names != set(wanted):
-        raise InputError(f"{file.path}: does not hold this policy's tensors (was it trained with other settings?)")
-    for name, tensor in wanted.items():
-        shape = file.shapes[_POLICY + name]
-        if shape != tuple(tensor.shape):
-            raise InputError(
-                f"{file.path}: {name} has shape {shape}, this scenario and configuration need {tuple(tensor.shape)}"
-            )
-    model.policy.load_state_dict({name: th.from_numpy(file.read(_POLICY + name)) for name in wanted})
-
-
 def _load_state(file: ArrayFile, model: BaseAlgorithm) -> Arrays:
     """Load everything but the missions, which are returned."""
-    _load_policy(file, model)
+    load_policy_arrays(file, model)
     try:
-        _load_optimizer(file, model)
+        load_optimizer_arrays(file, model)
         state = _part(file, _LEARNER)
         if state:
             model.load_training_state(state)  # type: ignore[attr-defined]
@@ -190,23 +173,6 @@ def _load_state(file: ArrayFile, model: BaseAlgorithm) -> Arrays:
 
 def _part(file: ArrayFile, prefix: str) -> Arrays:
     return {name.removeprefix(prefix): file.read(name) for name in file.shapes if name.startswith(prefix)}
-
-
-def _policy_arrays(model: BaseAlgorithm) -> Arrays:
-    return {_POLICY + name: _to_numpy(tensor) for name, tensor in model.policy.state_dict().items()}
-
-
-def _load_optimizer(file: ArrayFile, model: BaseAlgorithm) -> None:
-    optimizer = model.policy.optimizer
-    content = optimizer.state_dict()
-    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
-    content["state"] = {}
-    for key, array in _part(file, _OPTIMIZER).items():
-        index, name = key.split(".", 1)
-        if array.shape not in ((), tuple(parameters[int(index)].shape)):
-            raise InputError(f"{file.path}: {_OPTIMIZER}{key} has shape {array.shape}, which is not its parameter's")
-        content["state"].setdefault(int(index), {})[name] = th.from_numpy(array)
-    optimizer.load_state_dict(content)
 
 
 def _learner_state(model: BaseAlgorithm) -> dict[str, Any]:

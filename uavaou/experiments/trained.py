@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,13 +13,14 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 
+from uavaou.algorithms.common.tensor_file import ArrayFile
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.actions import split_actions
 from uavaou.envs.flatten import flatten
 from uavaou.errors import InputError
 from uavaou.experiments.checkpoint import load_policy, read_progress
-from uavaou.experiments.folder import RunFolder
+from uavaou.experiments.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.world import Views, World
 from uavaou.world.views import MOVES
@@ -107,11 +110,23 @@ def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | No
     progress = read_progress(checkpoint)
     algorithm = config.algorithm
     env = flatten(scenario, missions=1, observation=algorithm.observation, collection=algorithm.collection)
-    model = make_model(algorithm, env, config.seed, device="cpu")
+    _check_size(checkpoint, config)
+    try:
+        model = make_model(algorithm, env, config.seed, device="cpu")
+    except MemoryError as error:
+        raise InputError(f"{path.config}: states a learner that does not fit the memory") from error
     load_policy(checkpoint, model)
     model.policy.set_training_mode(False)
     views = Views(scenario, algorithm.observation, algorithm.collection)
     return TrainedPolicy(model, views, action or progress.best_action)
+
+
+def _check_size(checkpoint: Path, config: RunConfig) -> None:
+    """Refuse to build networks larger than the checkpoint that is to fill them."""
+    hidden = getattr(config.algorithm, "hidden", ())
+    elements = ArrayFile(checkpoint).elements
+    if sum(a * b for a, b in pairwise(hidden)) > elements:
+        raise InputError(f"{checkpoint}: holds {elements:,} numbers, too few for hidden = {list(hidden)}")
 
 
 def _check_shape(path: RunFolder, trained: Scenario, wanted: Scenario, algorithm: AlgorithmConfig) -> None:

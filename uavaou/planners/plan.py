@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.errors import InputError
+from uavaou.files import read_json
 from uavaou.planners.base import Moves, Selections
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
@@ -71,13 +71,13 @@ class Plan:
             InputError: the file is no plan, or its routes break a rule of flight.
         """
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = read_json(path)
             scenario = Scenario.from_dict(content["scenario"], source=str(path))
             routes = np.asarray(content["routes"], dtype=np.int64).swapaxes(0, 1)
             fields = {name: content[name] for name in ("planner", "mean_aou_s", "bound_s", "interrupted")}
         except InputError:
             raise
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise InputError(f"'{path}' is not a plan: {error!r}") from error
         broken = broken_rule(scenario, routes)
         if broken is not None:

@@ -7,7 +7,6 @@ the seeds; with one seed, the central 95 % of the missions.
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from uavaou.errors import InputError
 from uavaou.experiments.statistics import Interval, interval, intervals
+from uavaou.files import read_json, read_text
 from uavaou.reports import style
 from uavaou.zoo import read_yaml_mapping
 
@@ -31,6 +31,7 @@ Floats = NDArray[np.float64]
 
 EPISODE_COLUMNS = ("slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
 MOST_BINS = 100
+_MOST_BYTES = 1_000_000_000  # of episodes.csv: some billion slots
 _MISSIONS_A_BIN = 8  # fewer would make a band of noise
 _FEWEST_BINS = 10  # a short run is still a line
 _STEPS = [1, 2, 5, 10]  # ticks at multiples that are read at a glance
@@ -100,11 +101,9 @@ def _name(stated: Any, folder_name: str) -> str:
 
 def _read_episodes(path: Path) -> dict[str, Floats]:
     """The columns of ``episodes.csv``, (M,) each."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not UTF-8 text'}") from error
-    lines = text.split("\n")[:-1]  # a run stopped while it wrote leaves a last line without an end
+    lines = read_text(path, _MOST_BYTES).split("\n")[
+        :-1
+    ]  # a run stopped while it wrote leaves a last line without an end
     rows = list(csv.reader(lines))
     header = [cell.strip() for cell in rows[0]] if rows else []
     for column in EPISODE_COLUMNS:
@@ -129,10 +128,7 @@ def _read_column(path: Path, rows: list[list[str]], place: int, column: str) -> 
 
 
 def _read_evaluation(path: Path, algorithm: str) -> dict[str, PolicyResult]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as JSON: {error}") from error
+    content = read_json(path)
     policies = content.get("policies") if isinstance(content, dict) else None
     if not isinstance(policies, dict):
         raise InputError(f"{path}: field 'policies' is missing or not a mapping")

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import torch as th
 from gymnasium import spaces
-from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.common.utils import polyak_update
 from torch import nn
@@ -16,12 +15,13 @@ from torch import nn
 from uavaou.algorithms.common.branches import Branches
 from uavaou.algorithms.common.mixers import make_mixer
 from uavaou.algorithms.common.networks import ACTIVATIONS, UtilityNetwork, with_state
+from uavaou.algorithms.common.safe_io import NoPickledPolicy
 from uavaou.algorithms.common.value_norm import ReturnStatistics
 from uavaou.errors import unknown
 from uavaou.world.views import MOVES, RowLayout
 
 
-class JointQPolicy(BasePolicy):
+class JointQPolicy(NoPickledPolicy):
     """Utilities that all UAVs share and a mixer, over rows ``[local | global]``.
 
     Flying needs the utilities alone, which read ``local``; the mixer reads the global state and is for training.

@@ -16,12 +16,13 @@ from torch.nn import functional
 
 from uavaou.algorithms.common.joint_policy import JointQPolicy
 from uavaou.algorithms.common.joint_replay import JointBatch, JointReplay
+from uavaou.algorithms.common.safe_io import SafeSaveLoad
 from uavaou.errors import InputError
 
 _STATISTICS_INTERVAL = 20  # gradient steps between updates of the targets' statistics
 
 
-class JointQLearning(OffPolicyAlgorithm):
+class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
     """Double Q-learning of Q_tot from joint transitions, with target networks and parameters shared by all agents.
 
     Subclasses name the mixer. Values are normalised by running statistics of their targets; what the networks

@@ -122,22 +122,3 @@ class JointReplay(BaseBuffer):
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """What is held, as arrays (T, N, ...); entries from ``pos`` on are unused until ``full``."""
         return {name: getattr(self, name) for name in ("local", "states", "actions", "rewards", "ends")}
-
-    @property
-    def position(self) -> int:
-        """Where the next slot goes."""
-        return self.pos
-
-    def load_state(self, arrays: dict[str, NDArray[Any]], position: int, full: bool) -> None:
-        """Hold again what :meth:`state_arrays` gave; of arrays shorter than T, the first entries.
-
-        Raises:
-            InputError: the arrays are not of this replay's shape.
-        """
-        for name, own in self.state_arrays().items():
-            given = arrays.get(name)
-            if given is None or given.shape[1:] != own.shape[1:] or len(given) > len(own) or given.dtype != own.dtype:
-                found = None if given is None else (given.dtype.name, given.shape)
-                raise InputError(f"replay.{name}: expected {own.dtype.name} {own.shape}, got {found}")
-            own[: len(given)] = given
-        self.pos, self.full = position, full

@@ -16,6 +16,7 @@ from uavaou.algorithms.common.branches import Branches
 from uavaou.world.views import RowLayout
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
+_HAS_ONEDNN = bool(th.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
 
 
 class Linear(nn.Linear):
@@ -29,6 +30,8 @@ class Linear(nn.Linear):
         """x W^T + b for features x (B, inputs)."""
         if not _takes_onednn(features):
             return functional.linear(features, self.weight, self.bias)
+        if not th.is_grad_enabled():
+            return _product(features, self.weight, self.bias)
         product: th.Tensor = _OneDnnLinear.apply(features, self.weight, self.bias)  # type: ignore[no-untyped-call]
         return product
 
@@ -38,7 +41,7 @@ def _takes_onednn(features: th.Tensor) -> bool:
         return False
     # Where a graph is recorded, standard operators are wanted.
     recorded = th.jit.is_tracing() or th.compiler.is_compiling()  # type: ignore[attr-defined, no-untyped-call]
-    return not recorded and bool(th.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
+    return _HAS_ONEDNN and not recorded
 
 
 class _OneDnnLinear(th.autograd.Function):

@@ -13,6 +13,7 @@ from torch import nn
 
 from uavaou.algorithms.common.action_head import MoveSelectionDistribution
 from uavaou.algorithms.common.networks import ACTIVATIONS, mlp, with_state
+from uavaou.algorithms.common.safe_io import NoPickledPolicy
 from uavaou.algorithms.common.value_norm import PopArt
 from uavaou.errors import unknown
 from uavaou.world.views import RowLayout
@@ -20,7 +21,7 @@ from uavaou.world.views import RowLayout
 CRITIC_INPUTS = ("global", "local")
 
 
-class CentralizedValuePolicy(ActorCriticPolicy):
+class CentralizedValuePolicy(NoPickledPolicy, ActorCriticPolicy):
     """A decentralised actor and a centralised critic over rows ``[local | global]``.
 
     All UAVs share the parameters. Masks are read from the row where the observation has them.

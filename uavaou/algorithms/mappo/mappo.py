@@ -15,12 +15,13 @@ from torch.nn import functional
 from uavaou.algorithms.common.memory import keep_freed_memory
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
+from uavaou.algorithms.common.safe_io import SafeSaveLoad
 from uavaou.errors import InputError, unknown
 
 ADVANTAGES = ("none", "rollout", "batch")
 
 
-class MAPPO(PPO):
+class MAPPO(SafeSaveLoad, PPO):
     """Multi-agent PPO with parameters shared by all UAVs (Yu et al. 2022, arXiv 2103.01955).
 
     The actor reads a UAV's local observation, the critic the global state, once a slot. Arguments not
@@ -91,6 +92,11 @@ class MAPPO(PPO):
     def _setup_model(self) -> None:
         keep_freed_memory()
         super()._setup_model()
+
+    def _update_info_buffer(self, infos: list[dict[str, Any]], dones: NDArray[np.bool_] | None = None) -> None:
+        # SB3 looks through all infos in every slot for what stands in those of a mission's last slot alone.
+        if dones is None or dones.any():
+            super()._update_info_buffer(infos, dones)
 
     def train(self) -> None:
         """Update actor and critic from the rollout just collected."""

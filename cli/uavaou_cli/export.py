@@ -1,0 +1,47 @@
+"""``uavaou export``: a trained run in the format of another tool."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from uavaou.errors import InputError
+from uavaou_cli.checks import given_path, one_of, writable_file
+
+FORMATS = ("safetensors", "sb3")
+
+
+def export(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="The folder of a training run.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="What to write.")],
+    format: Annotated[
+        str,
+        typer.Option(metavar="safetensors|sb3", help="safetensors: for LEARNER.load; sb3: Stable-Baselines3's zip."),
+    ] = "safetensors",
+) -> None:
+    """Write the best policy of a run as one file.
+
+    The zip of Stable-Baselines3 is made of pickles: whoever loads such a file runs what is in it, so load none that
+    a stranger gave you. uavaou itself reads none.
+    """
+    one_of("--format", format, FORMATS)
+    if format == "sb3" and out.suffix != ".zip":
+        raise InputError(f"--out {out}: a file for Stable-Baselines3 ends in .zip")
+    writable_file(out)
+    from uavaou.experiments.folder import RunFolder
+    from uavaou.experiments.trained import load_run
+
+    folder = RunFolder(given_path("RUN", run))
+    model: Any = load_run(folder).model
+    ours = hasattr(model, "save_sb3")
+    if format == "safetensors" and not ours:
+        raise InputError(f"'{run}': a {type(model).__name__} has no format but its own: --format sb3")
+    write = model.save_sb3 if ours and format == "sb3" else model.save
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write(out)
+    except OSError as error:
+        raise InputError(f"cannot write '{out}': {error.strerror or error}") from error
+    print(out)
