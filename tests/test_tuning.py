@@ -427,6 +427,11 @@ def test_the_best_of_one_search_are_played_on_another_scenario(
         settings = config.algorithm.model_dump()
         assert all(settings[name] == value for name, value in record.values.items())
         assert (settings["hidden"], settings["slots"]) == ((8,), 700)
+    code, _, err = call(capsys, f"tune --from {source} --top 2 --slots 500 --scenario tiny --out results/tune")
+    assert code == 0  # this one's folder is named by its own overrides, of which there are none
+    code, _, err = call(capsys, f"tune --from {source.with_name('mappo')} --top 2 --slots 9 --scenario tiny")
+    assert code == 2
+    assert "its own folder" in err
     code, _, err = call(capsys, f"tune --from {source} --top 60 --scenario quickstart --slots 7")
     assert code == 2
     assert f"--top 60: '{source}' holds {states(SearchFolder(source)).count('complete')} trials" in err

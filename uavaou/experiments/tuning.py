@@ -49,7 +49,7 @@ _STARTUP_TRIALS = 6  # drawn at random before the sampler learns from them
 # Learning curves cross early, and a learning rate that falls to the end pays late: nothing is pruned before
 # three trials were played to the end, nor in the first third of a trial.
 _PRUNE_AFTER_TRIALS, _PRUNE_AFTER_REPORTS = 3, REPORTS // 3
-_PROBE_SHARE = 0.05  # of a trial's seconds: what its rate is measured in
+_PROBE_SHARE, _LEAST_PROBE_S = 0.05, 1.0  # of a trial's seconds: what its rate is measured in
 _OVERSHOOT = 1.1  # a first rollout that takes more than its trial's seconds, by this factor, is no trial
 _LOOK_EVERY_S = 0.5
 _PATIENCE_S = 20.0  # for workers to end by themselves after an interrupt
@@ -276,7 +276,7 @@ class _Rate:
             self._first = standing if standing.updates else None
             return
         spent = standing.cpu_s - self._first.cpu_s
-        if spent >= _PROBE_SHARE * self._seconds:
+        if spent >= max(_PROBE_SHARE * self._seconds, min(_LEAST_PROBE_S, self._seconds / 4)):
             rate = (standing.slots - self._first.slots) / spent
             slots = self._first.slots + rate * (self._seconds - self._first.cpu_s)
             raise _Measured(max(int(slots / self._rollout), 1) * self._rollout)
