@@ -93,8 +93,8 @@ def mean_reward(model: VDN, calls: int = 100) -> float:
 
 if __name__ == "__main__":
     model = VDN(
-        "JointQPolicy", Switchboards(teams=32), gamma=0.0, n_steps=1, buffer_size=20_000, learning_starts=500, batch_size=256,
-        train_freq=1, learning_rate=2e-3, policy_kwargs={"net_arch": [64, 64]}, seed=0, device="cpu",
+        "JointQPolicy", Switchboards(teams=32), gamma=0.0, n_steps=1, buffer_size=20_000, learning_starts=500,
+        batch_size=256, train_freq=1, learning_rate=2e-3, policy_kwargs={"net_arch": [64, 64]}, seed=0, device="cpu",
     )  # fmt: skip
     print(f"before: {mean_reward(model):.3f} of 1 a call")
     model.learn(32 * OPERATORS * 1_000)
