@@ -26,7 +26,7 @@ from uavaou.experiments.folder import RunConfig, RunFolder
 from uavaou.experiments.run import Outcome, train
 from uavaou.experiments.search import Search, SearchFolder, ranked
 from uavaou.experiments.search_space import SearchSpace
-from uavaou.experiments.tuning import affordable_slots, read_trials, work
+from uavaou.experiments.tuning import affordable_slots, read_trials, warm_up, work
 from uavaou.zoo import zoo_names
 from uavaou_cli.main import main
 from uavaou_cli.tables import WIDTH
@@ -281,9 +281,10 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
     before = th.get_num_threads()
     th.set_num_threads(1)
     own = {"mappo": SMALL, "vdn": {"missions": 4, "slots_per_update": 8, "learning_starts": 200, "replay_slots": 2000}}
-    config = load_config(algorithm, own[algorithm] | {"hidden": [16], "evaluation_missions": 2})
+    config = load_config(algorithm, own[algorithm] | {"hidden": [16], "evaluation_missions": 2, "gamma": 0.99})
     space = SearchSpace.from_dict({"gamma": SPACE["gamma"]}, "space")
     search = Search(Scenario.load("tiny"), config, space, 1.0, None, 0, ())
+    warm_up(search)
     slots = affordable_slots(search, {"gamma": 0.99})
     rollout = 48 if algorithm == "mappo" else 8
     assert slots % rollout == 0
@@ -299,6 +300,7 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
 def test_cpu_seconds_are_those_of_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from uavaou.experiments import callback
 
+    warm_up(a_search())
     evaluate = callback.evaluate
 
     def costly(*arguments: Any) -> Any:
