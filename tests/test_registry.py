@@ -19,6 +19,7 @@ from uavaou import AlgorithmConfig, InputError, LocalRows, Scenario, flatten, re
 from uavaou.algorithms import registry
 from uavaou.experiments.evaluation import evaluate
 from uavaou.experiments.folder import RunConfig, RunFolder
+from uavaou.experiments.recording import EpisodesCsv
 from uavaou.experiments.run import train
 from uavaou.experiments.trained import load_run
 from uavaou_cli.main import main
@@ -226,7 +227,10 @@ class StoppedError(Exception):
 
 
 def stop_at(wanted: int) -> Any:
+    written = EpisodesCsv.write
+
     def write(self: Any, missions: Any, slots: int, wall_s: float) -> None:
+        written(self, missions, slots, wall_s)
         if slots >= wanted:
             raise StoppedError
 

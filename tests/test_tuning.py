@@ -26,7 +26,7 @@ from uavaou.experiments.folder import RunConfig, RunFolder
 from uavaou.experiments.run import Outcome, train
 from uavaou.experiments.search import Search, SearchFolder, ranked
 from uavaou.experiments.search_space import SearchSpace
-from uavaou.experiments.tuning import affordable_slots, read_trials, work
+from uavaou.experiments.tuning import affordable_slots, read_trials, warm_up, work
 from uavaou.zoo import zoo_names
 from uavaou_cli.main import main
 from uavaou_cli.tables import WIDTH
@@ -281,9 +281,10 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
     before = th.get_num_threads()
     th.set_num_threads(1)
     own = {"mappo": SMALL, "vdn": {"missions": 4, "slots_per_update": 8, "learning_starts": 200, "replay_slots": 2000}}
-    config = load_config(algorithm, own[algorithm] | {"hidden": [16], "evaluation_missions": 2})
+    config = load_config(algorithm, own[algorithm] | {"hidden": [16], "evaluation_missions": 2, "gamma": 0.99})
     space = SearchSpace.from_dict({"gamma": SPACE["gamma"]}, "space")
     search = Search(Scenario.load("tiny"), config, space, 1.0, None, 0, ())
+    warm_up(search)
     slots = affordable_slots(search, {"gamma": 0.99})
     rollout = 48 if algorithm == "mappo" else 8
     assert slots % rollout == 0
@@ -299,6 +300,7 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
 def test_cpu_seconds_are_those_of_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from uavaou.experiments import callback
 
+    warm_up(a_search())
     evaluate = callback.evaluate
 
     def costly(*arguments: Any) -> Any:
@@ -427,6 +429,11 @@ def test_the_best_of_one_search_are_played_on_another_scenario(
         settings = config.algorithm.model_dump()
         assert all(settings[name] == value for name, value in record.values.items())
         assert (settings["hidden"], settings["slots"]) == ((8,), 700)
+    code, _, err = call(capsys, f"tune --from {source} --top 2 --slots 500 --scenario tiny --out results/tune")
+    assert code == 0  # this one's folder is named by its own overrides, of which there are none
+    code, _, err = call(capsys, f"tune --from {source.with_name('mappo')} --top 2 --slots 9 --scenario tiny")
+    assert code == 2
+    assert "its own folder" in err
     code, _, err = call(capsys, f"tune --from {source} --top 60 --scenario quickstart --slots 7")
     assert code == 2
     assert f"--top 60: '{source}' holds {states(SearchFolder(source)).count('complete')} trials" in err

@@ -199,7 +199,10 @@ def tuning_lines(
     best = ranked(records)
     counted = [record for record in records if record.counts]
     states = [f"{sum(r.state == state for r in counted)} {state}" for state in ("complete", "pruned", "failed")]
-    lines = [f"{search.algorithm.name} on {search.scenario.name}: {len(counted)} trials, {', '.join(states)}"]
+    lines = [
+        f"{search.algorithm.name} on {search.scenario.name}: "
+        f"{len(counted)} {'trial' if len(counted) == 1 else 'trials'}, {', '.join(states)}"
+    ]
     if not best:
         reasons = {record.reason for record in counted if record.reason}
         return [*lines, *(f"failed: {reason}" for reason in sorted(reasons)), f"table:  {folder.table}"]

@@ -14,7 +14,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ import torch as th
 
 from uavaou.algorithms.registry import load_plugin
 from uavaou.errors import InputError
-from uavaou.experiments.callback import Standing
+from uavaou.experiments.callback import Standing, Watch
 from uavaou.experiments.folder import RunConfig, RunFolder
 from uavaou.experiments.run import train
 from uavaou.experiments.search import REPORTS, Search, SearchFolder, TrialRecord, write_results
@@ -49,7 +49,7 @@ _STARTUP_TRIALS = 6  # drawn at random before the sampler learns from them
 # Learning curves cross early, and a learning rate that falls to the end pays late: nothing is pruned before
 # three trials were played to the end, nor in the first third of a trial.
 _PRUNE_AFTER_TRIALS, _PRUNE_AFTER_REPORTS = 3, REPORTS // 3
-_PROBE_SHARE = 0.05  # of a trial's seconds: what its rate is measured in
+_PROBE_SHARE, _LEAST_PROBE_S = 0.05, 1.0  # of a trial's seconds: what its rate is measured in
 _OVERSHOOT = 1.1  # a first rollout that takes more than its trial's seconds, by this factor, is no trial
 _LOOK_EVERY_S = 0.5
 _PATIENCE_S = 20.0  # for workers to end by themselves after an interrupt
@@ -134,6 +134,8 @@ def _worker(path: Path, trials: int, plugins: Sequence[str]) -> None:
 def work(folder: SearchFolder, trials: int) -> None:
     """Play trials of a search, one after the other, until ``trials`` have ended or are being played."""
     search, study = folder.read(), _study(folder)
+    if search.seconds is not None:
+        warm_up(search)
     while (claimed := _claim(folder, search, study, trials)) is not None:
         trial, values, lock = claimed
         with lock:
@@ -245,12 +247,27 @@ def affordable_slots(search: Search, values: dict[str, Any]) -> int:
         InputError: the settings cannot be trained, or their first rollout takes more than the seconds.
     """
     assert search.seconds is not None
-    endless = search.config(values, slots=10**12).model_copy(update={"evaluation_missions": 1})
+    return _probe(search, values, _Rate(search.seconds))
+
+
+def warm_up(search: Search) -> None:
+    """Play and learn from one rollout: what a process does once, such as compiling, is on no trial's account."""
+
+    def stop(standing: Standing) -> None:
+        raise _Measured(standing.slots)
+
+    with suppress(InputError):  # these settings may not fit this machine, others may
+        _probe(search, {}, stop)
+
+
+def _probe(search: Search, values: dict[str, Any], watch: Watch) -> int:
+    """Train without end until the watch has measured, and forget the training."""
+    config = search.config(values, slots=10**12).model_copy(update={"evaluation_missions": 1})
     with tempfile.TemporaryDirectory() as place:
         try:
             train(
-                RunConfig(search.scenario, endless, search.seed), RunFolder(Path(place) / "probe"), device="cpu",
-                quiet=True, watch=_Rate(search.seconds), checkpoint_every_s=math.inf,
+                RunConfig(search.scenario, config, search.seed), RunFolder(Path(place) / "probe"), device="cpu",
+                quiet=True, watch=watch, checkpoint_every_s=math.inf,
             )  # fmt: skip
         except _Measured as measured:
             return measured.slots
@@ -276,7 +293,7 @@ class _Rate:
             self._first = standing if standing.updates else None
             return
         spent = standing.cpu_s - self._first.cpu_s
-        if spent >= _PROBE_SHARE * self._seconds:
+        if spent >= max(_PROBE_SHARE * self._seconds, min(_LEAST_PROBE_S, self._seconds / 4)):
             rate = (standing.slots - self._first.slots) / spent
             slots = self._first.slots + rate * (self._seconds - self._first.cpu_s)
             raise _Measured(max(int(slots / self._rollout), 1) * self._rollout)
