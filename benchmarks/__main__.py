@@ -1,4 +1,7 @@
-"""Measure everything and print the tables: ``python -m benchmarks [environment|training]``."""
+"""Measure everything and print the tables: ``python -m benchmarks [environment|training|endurance]``.
+
+``endurance`` takes a quarter of an hour and is measured only where it is named.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import sys
 
 import torch
 
+from benchmarks.endurance import endurance
 from benchmarks.environment import stepping
 from benchmarks.measure import report
 from benchmarks.training import training
@@ -17,8 +21,8 @@ PARTS = ["environment", "training"]
 
 def main() -> None:
     chosen = sys.argv[1:] or PARTS
-    if unknown_parts := set(chosen) - set(PARTS):
-        sys.exit(f"benchmarks: unknown part '{min(unknown_parts)}' (known: {', '.join(PARTS)})")
+    if unknown_parts := set(chosen) - {*PARTS, "endurance"}:
+        sys.exit(f"benchmarks: unknown part '{min(unknown_parts)}' (known: {', '.join(PARTS)}, endurance)")
     machine = describe_machine()
     print(
         f"{machine['processor']}, {os.cpu_count()} cores, torch {torch.__version__}, {torch.get_num_threads()} threads"
@@ -31,6 +35,8 @@ def main() -> None:
         rates = training()
         stock = max((rate for rate in rates if rate.name.startswith("stock")), key=lambda rate: rate.median)
         print("\n" + "\n".join(report(title, rates, stock.name)))
+    if "endurance" in chosen:
+        print("\n10,000,000 slots of `quickstart`, MAPPO, one thread\n" + "\n".join(endurance().lines()))
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from benchmarks.endurance import PARTS, endurance
 from benchmarks.environment import stepping
 from benchmarks.measure import Rate, report
 from benchmarks.training import training
@@ -24,6 +25,15 @@ def test_stepping_measures_every_contestant() -> None:
 @pytest.mark.slow
 def test_training_measures_every_contestant() -> None:
     assert len(training(repeats=1, rollout_slots=2)) == 3
+
+
+@pytest.mark.slow
+def test_endurance_measures_memory_and_rate_on_the_way() -> None:
+    measured = endurance(slots=PARTS * 8000)
+    assert len(measured.slots) == PARTS
+    assert (measured.memory_mib > 50).all()
+    assert (measured.slots_a_cpu_second > 0).all()
+    assert measured.lines()[-1].startswith("rate: ")
 
 
 def test_the_report_gives_ratios() -> None:
