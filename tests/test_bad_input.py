@@ -231,21 +231,15 @@ def spoil(path: Path, how: str) -> None:
 
 
 HOW = ["pickle", "zip", "link", "pipe", "folder", "empty", "header", "terabytes", "brackets", "noise"]
+READ = {command: ["config.yaml", "checkpoints/best.safetensors"] for command in POLICY_COMMANDS}
+READ["plot figures run"] = ["config.yaml", "episodes.csv", "eval/default.json"]
+CASES = [(command, name, how) for command, names in READ.items() for name in names for how in HOW]
+CASES += [(command, "progress.csv", how) for command in READ for how in ("link", "pipe")]  # where nobody looks
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", [*POLICY_COMMANDS, "plot figures run"])
-@pytest.mark.parametrize("how", HOW)
-@pytest.mark.parametrize("name", ["config.yaml", "checkpoints/best.safetensors", "episodes.csv", "eval/default.json"])
-def test_run_folders(refused: Callable[..., None], place: Path, command: str, how: str, name: str) -> None:
-    figures = command.startswith("plot figures")
-    reads = (
-        ("config.yaml", "episodes.csv", "eval/default.json")
-        if figures
-        else ("config.yaml", "checkpoints/best.safetensors")
-    )
-    if name not in reads and how not in ("link", "pipe"):
-        pytest.skip("the command does not read this file")
+@pytest.mark.parametrize(("command", "name", "how"), CASES)
+def test_run_folders(refused: Callable[..., None], place: Path, command: str, name: str, how: str) -> None:
     shutil.copytree(place / "run", place / "kept")
     try:
         spoil(place / "run" / name, how)
@@ -258,7 +252,7 @@ def test_run_folders(refused: Callable[..., None], place: Path, command: str, ho
 @pytest.mark.slow
 @settings(max_examples=250)
 @given(
-    command=st.sampled_from([*POLICY_COMMANDS, "plot figures run"]),
+    command=st.sampled_from(list(READ)),
     part=st.sampled_from(["scenario", "algorithm", None]),
     field=st.sampled_from(
         ["slots", "devices", "uavs", "missions", "hidden", "name", "learning_rate", "seed", "schema"]
