@@ -14,10 +14,12 @@ from uavaou.experiments.evaluation import evaluate
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal
 from uavaou.planners.bound import Prices, lower_bound
+from uavaou.planners.copies import Copies
 from uavaou.planners.exact import Exact, Program, gap_ages
 from uavaou.planners.plan import Plan, Progress, RoutePlanner, broken_rule
 from uavaou.planners.rolling import Rolling
 from uavaou.planners.search import expect, mean_aou_s, total_age, trial_age
+from uavaou.planners.stationary import stationary_start
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.ages import AgeLedger
@@ -77,8 +79,21 @@ def least_age(scenario: Scenario) -> int:
     return states["end"]  # type: ignore[index]
 
 
+def bounds(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The bounds in s by prices, and by copies with prices for each slot and with prices for all slots."""
+    layout = scenario.draw_layout()
+    found = [Prices(scenario, layout).ascend()]
+    for most in (10**6, 0):
+        monkeypatch.setattr("uavaou.planners.copies._MOST_PRICES", most)
+        copies = Copies(scenario, layout)
+        start = Prices(scenario, layout).as_charges() if copies.short else stationary_start(copies, layout)
+        assert start is not None
+        found.append(copies.ascend(*start, rounds=200))
+    return [total * scenario.slot_length_s / scenario.slots for total in found]
+
+
 @pytest.mark.parametrize("seed", range(30))
-def test_exact_is_the_optimum_by_dynamic_programming(seed: int) -> None:
+def test_exact_is_the_optimum_by_dynamic_programming(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = small(seed)
     plan = Exact().plan(scenario, scenario.draw_layout())
     optimum = least_age(scenario) * scenario.slot_length_s / scenario.slots
@@ -87,8 +102,8 @@ def test_exact_is_the_optimum_by_dynamic_programming(seed: int) -> None:
     assert broken_rule(scenario, plan.routes) is None
     assert evaluate(scenario, Exact(), 1, seed).mean_aou_s == pytest.approx(optimum, abs=1e-9)
     assert lower_bound(scenario, scenario.draw_layout()).mean_aou_s <= optimum
-    total = Prices(scenario, scenario.draw_layout()).ascend() * scenario.slot_length_s / scenario.slots
-    assert total <= optimum
+    for total in bounds(scenario, monkeypatch):
+        assert total <= optimum
 
 
 def test_exact_proves_tiny() -> None:
