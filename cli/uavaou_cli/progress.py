@@ -1,4 +1,4 @@
-"""What an evaluation shows while it runs: a bar on a terminal, a line now and then elsewhere, or nothing."""
+"""What evaluations and planners show while they run: a bar on a terminal, a line now and then elsewhere, or nothing."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
+    from uavaou.planners.plan import Progress
     from uavaou.world import World
 
 _BAR_EVERY_S = 0.5
@@ -36,7 +37,7 @@ class EvaluationProgress:
 
     def __enter__(self) -> Self:
         if not self._quiet and sys.stderr.isatty():
-            self._bar = _make_bar()
+            self._bar = _make_bar("rate", "aou")
             self._task = self._bar.add_task("", total=self._slots * len(self._names), rate="", aou="")
             self._bar.start()
         return self
@@ -74,15 +75,62 @@ class EvaluationProgress:
         print(f"{share:4.0%}  {self._name}: {rate:,.0f} slots/s, {aou}, {left:,.0f} s left", file=sys.stderr)
 
 
-def _make_bar() -> Any:
+class PlanningProgress:
+    """Shows the best routes so far, the bound on them, and the gap between the two.
+
+    Args:
+        slot_length_s: tau, in which ages are shown.
+        bound_s: what is known before planning, s; None where the planner finds it itself.
+        quiet: show nothing.
+    """
+
+    def __init__(self, slot_length_s: float, bound_s: float | None, quiet: bool) -> None:
+        self._slot_length_s = slot_length_s
+        self._bound_s = bound_s
+        self._quiet = quiet
+        self._bar: Any = None
+        self._next = time.monotonic() + _LINE_EVERY_S
+
+    def __enter__(self) -> Self:
+        if not self._quiet and sys.stderr.isatty():
+            self._bar = _make_bar("figures")
+            self._task = self._bar.add_task("planning", total=1.0, figures="")
+            self._bar.start()
+            self._next = time.monotonic()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def show(self, progress: Progress) -> None:
+        """Show how far the planning is; for :meth:`uavaou.planners.plan.RoutePlanner.plan`."""
+        now = time.monotonic()
+        if self._quiet or (now < self._next and progress.share < 1.0):
+            return
+        figures = f"mean AoU {progress.incumbent_s / self._slot_length_s:,.2f} slots"
+        bound_s = self._bound_s if progress.bound_s is None else progress.bound_s
+        if bound_s is not None:
+            gap = 1 - bound_s / progress.incumbent_s if progress.incumbent_s else 0.0
+            figures += f", bound {bound_s / self._slot_length_s:,.2f}, gap {gap:.1%}"
+        if self._bar is not None:
+            self._next = now + _BAR_EVERY_S
+            self._bar.update(self._task, completed=progress.share, figures=figures)
+            return
+        self._next = now + _LINE_EVERY_S
+        print(f"{progress.share:4.0%}  {figures}", file=sys.stderr, flush=True)
+
+
+def _make_bar(*figures: str) -> Any:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=None),
-        TextColumn("{task.fields[rate]}"),
-        TextColumn("{task.fields[aou]}"),
+        *(TextColumn(f"{{task.fields[{figure}]}}") for figure in figures),
         TimeRemainingColumn(compact=True),
         console=Console(stderr=True),
         expand=True,

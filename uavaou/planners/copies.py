@@ -134,7 +134,7 @@ def neighbours(columns: int, rows: int) -> tuple[Ints, NDArray[np.bool_]]:
     """The cell that each move leads to, (C, 5), the cell itself where that is off the grid; and where it is not."""
     cells = np.indices((columns, rows)).reshape(2, -1).T  # (C, 2)
     target = cells[:, None] + MOVES  # (C, 5, 2)
-    on_grid = ((target >= 0) & (target < [columns, rows])).all(axis=-1)
+    on_grid = np.asarray(((target >= 0) & (target < [columns, rows])).all(axis=-1))
     own = np.arange(len(cells))[:, None]
     return np.where(on_grid, target[..., 0] * rows + target[..., 1], own), on_grid
 

@@ -126,4 +126,5 @@ class _Stationary:
         return new
 
     def _enter(self, rows: Ints, columns: Ints, values: Floats | float) -> None:
-        self._entries.append(tuple(entry.ravel() for entry in np.broadcast_arrays(rows, columns, values)))
+        where, which, what = np.broadcast_arrays(rows, columns, values)
+        self._entries.append((where.ravel(), which.ravel(), what.ravel().astype(np.float64)))
