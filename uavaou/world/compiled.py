@@ -11,10 +11,13 @@ F = TypeVar("F", bound=Callable[..., object])
 
 
 def compiled(function: F) -> F:
-    """Compile a function of arrays and numbers on its first call; the machine code is kept on disk.
+    """Compile a function of arrays and numbers on its first call; the machine code is kept on disk where it can be.
 
     Compiled functions call none outside of their own file: Numba's store notices a change in the file of the
     function called, not in those of the functions that it calls. Floating-point rules are IEEE's: a lane's numbers
     must not depend on where in a batch it stands.
     """
-    return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+    try:
+        return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+    except RuntimeError:  # neither beside the file nor in the user's folder may anything be written
+        return cast(F, numba.njit(error_model="numpy")(function))
