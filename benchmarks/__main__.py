@@ -1,42 +1,72 @@
-"""Measure everything and print the tables: ``python -m benchmarks [environment|training|endurance]``.
-
-``endurance`` takes a quarter of an hour and is measured only where it is named.
-"""
+"""Measure everything, print the tables, write ``results/benchmarks``: ``python -m benchmarks [PART ...] [--quick]``."""
 
 from __future__ import annotations
 
+import argparse
+import csv
+import json
 import os
-import sys
+from collections.abc import Callable
+from itertools import groupby
+from pathlib import Path
 
 import torch
 
-from benchmarks.endurance import endurance
-from benchmarks.environment import stepping
-from benchmarks.measure import report
-from benchmarks.training import training
+from benchmarks.environment import scaling, stepping
+from benchmarks.measure import Measurement, report
+from benchmarks.training import STOCK, memory, parts, training
 from uavaou.experiments.folder import describe_machine
 
-PARTS = ["environment", "training"]
+Part = Callable[[], list[Measurement]]
+PARTS: dict[str, Part] = {
+    "stepping": stepping, "scaling": scaling, "parts": parts, "training": training, "memory": memory,
+}  # fmt: skip
+QUICK: dict[str, Part] = {
+    "stepping": lambda: stepping(slots=20, repeats=1),
+    "scaling": lambda: scaling(
+        batches=(1, 64, 1024), fleets=(1, 3, 8), devices=(5, 25, 250), repeats=1, agent_steps=10_000
+    ),
+    "parts": lambda: parts(repeats=1, rollout_slots=25),
+    "training": lambda: training(repeats=1, rollout_slots=25),
+    "memory": lambda: memory(rollouts=2),
+}
+REFERENCES = ("supersuit stage, 1 process",)
 
 
 def main() -> None:
-    chosen = sys.argv[1:] or PARTS
-    if unknown_parts := set(chosen) - {*PARTS, "endurance"}:
-        sys.exit(f"benchmarks: unknown part '{min(unknown_parts)}' (known: {', '.join(PARTS)}, endurance)")
-    machine = describe_machine()
-    print(
-        f"{machine['processor']}, {os.cpu_count()} cores, torch {torch.__version__}, {torch.get_num_threads()} threads"
-    )
-    if "environment" in chosen:
-        title = "Stepping 64 missions of `paper` (25 devices, 3 UAVs)"
-        print("\n" + "\n".join(report(title, stepping(), "supersuit stage, 1 process")), flush=True)
-    if "training" in chosen:
-        title = "Training on `paper`, 64 missions, the published rollout, minibatch, epochs and networks"
-        rates = training()
-        stock = max((rate for rate in rates if rate.name.startswith("stock")), key=lambda rate: rate.median)
-        print("\n" + "\n".join(report(title, rates, stock.name)))
-    if "endurance" in chosen:
-        print("\n10,000,000 slots of `quickstart`, MAPPO, one thread\n" + "\n".join(endurance().lines()))
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("part", nargs="*", choices=[[], *PARTS], help="what is measured (default: everything)")
+    parser.add_argument("--quick", action="store_true", help="small sizes, once: to see that it runs")
+    parser.add_argument("--out", type=Path, default=Path("results/benchmarks"), help="folder (default: %(default)s)")
+    arguments = parser.parse_args()
+    machine = {**describe_machine(), "threads": torch.get_num_threads()}
+    print(f"{machine['processor']}, {os.cpu_count()} cores, torch {torch.__version__}, {machine['threads']} threads")
+    for name in arguments.part or PARTS:
+        measured = (QUICK if arguments.quick else PARTS)[name]()
+        for title, table in groupby(measured, key=lambda m: m.table):
+            rows = list(table)
+            print("\n" + "\n".join(report(title, rows, _reference(rows))), flush=True)
+        if not arguments.quick:
+            write(arguments.out / f"{name}.csv", measured)
+            (arguments.out / "machine.json").write_text(json.dumps(machine, indent=1) + "\n", encoding="utf-8")
+
+
+def _reference(rows: list[Measurement]) -> str | None:
+    """What the table's ratios are to: SuperSuit's stage; the stock pipeline with its best process count."""
+    stock = [row for row in rows if row.name.startswith(STOCK)]
+    if stock:
+        return max(stock, key=lambda row: row.median).name
+    return next((row.name for row in rows if row.name in REFERENCES), None)
+
+
+def write(path: Path, measured: list[Measurement]) -> None:
+    """Write the figures as CSV."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["table", "name", "unit", "median", "lowest", "highest"])
+        for m in measured:
+            writer.writerow([m.table, m.name, m.unit, *(f"{value:.6g}" for value in (m.median, m.lowest, m.highest))])
 
 
 if __name__ == "__main__":

@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Rate:
-    """Agent steps a second of one contestant."""
+class Measurement:
+    """One figure of a table: the median over repeats, with the lowest and the highest."""
 
+    table: str
     name: str
+    unit: str
     median: float
     lowest: float
     highest: float
 
 
-def side_by_side(contestants: dict[str, tuple[Callable[[], None], int]], repeats: int) -> list[Rate]:
-    """Time each contestant ``repeats`` times, in turn, after one run that is not counted.
+def exactly(table: str, name: str, unit: str, value: float) -> Measurement:
+    """A figure that is computed, or measured once."""
+    return Measurement(table, name, unit, value, value, value)
+
+
+def side_by_side(table: str, contestants: dict[str, tuple[Callable[[], None], int]], repeats: int) -> list[Measurement]:
+    """Agent steps a second of each contestant, each timed ``repeats`` times, in turn, after a run that is not counted.
 
     Args:
+        table: the title that the figures stand under.
         contestants: name to (what is timed, the agent steps it makes).
         repeats: timed runs of each.
     """
@@ -31,19 +40,80 @@ def side_by_side(contestants: dict[str, tuple[Callable[[], None], int]], repeats
             started = time.perf_counter()
             work()
             seconds[name].append(time.perf_counter() - started)
-    rates = []
-    for name, (_, steps) in contestants.items():
-        counted = [steps / taken for taken in seconds[name][1:]]
-        rates.append(Rate(name, statistics.median(counted), min(counted), max(counted)))
-    return rates
+    rates = {name: [steps / taken for taken in seconds[name][1:]] for name, (_, steps) in contestants.items()}
+    return [
+        Measurement(table, name, "agent steps/s", statistics.median(of), min(of), max(of)) for name, of in rates.items()
+    ]
 
 
-def report(title: str, rates: list[Rate], reference: str) -> list[str]:
-    """Lines of a table with each contestant's rate and its ratio to the reference's."""
-    base = next(rate.median for rate in rates if rate.name == reference)
-    width = max(len(rate.name) for rate in rates)
-    lines = [title, f"{'':{width}}  agent steps/s (median, lowest - highest)   ratio"]
-    for rate in rates:
-        spread = f"{rate.median:>10,.0f}  ({rate.lowest:,.0f} - {rate.highest:,.0f})"
-        lines.append(f"{rate.name:{width}}  {spread:<42} {rate.median / base:>6.1f}x")
+def seconds_of(work: Callable[[], object], repeats: int) -> float:
+    """The median time of a call, after one that is not counted."""
+    work()
+    taken = []
+    for _ in range(repeats):
+        started = time.perf_counter()
+        work()
+        taken.append(time.perf_counter() - started)
+    return statistics.median(taken)
+
+
+def exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
+    """b of cost ~ size^b, by least squares on the logarithms."""
+    x, y = [math.log(size) for size in sizes], [math.log(cost) for cost in costs]
+    return statistics.linear_regression(x, y).slope
+
+
+class Stopwatch:
+    """Sums the time spent in functions, each wrapped in place until :meth:`stop`."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._wrapped: list[tuple[object, str, object, bool]] = []
+
+    def watch(self, part: str, owner: object, function: str) -> None:
+        """Count the time in ``owner.function`` (an iterator's included) as ``part``."""
+        original = getattr(owner, function)
+        self._wrapped.append((owner, function, original, function in vars(owner)))
+        self.seconds[part] = 0.0
+
+        def timed(*args: object, **kwargs: object) -> object:
+            started = time.perf_counter()
+            result = original(*args, **kwargs)
+            self.seconds[part] += time.perf_counter() - started
+            return self._each(part, result) if hasattr(result, "__next__") else result
+
+        setattr(owner, function, timed)
+
+    def _each(self, part: str, iterator: object) -> object:
+        while True:
+            started = time.perf_counter()
+            item = next(iterator, None)  # type: ignore[call-overload]
+            self.seconds[part] += time.perf_counter() - started
+            if item is None:
+                return
+            yield item
+
+    def stop(self) -> None:
+        """Unwrap everything."""
+        for owner, function, original, own in reversed(self._wrapped):
+            if own:
+                setattr(owner, function, original)
+            else:
+                delattr(owner, function)
+        self._wrapped.clear()
+
+
+def report(title: str, measurements: list[Measurement], reference: str | None = None) -> list[str]:
+    """Lines of a table, with the ratio to the reference's median where one is given."""
+    base = next((m.median for m in measurements if m.name == reference), None)
+    width = max(len(m.name) for m in measurements)
+    lines = [title]
+    for m in measurements:
+        spread = "" if m.lowest == m.highest else f"({_number(m.lowest)} - {_number(m.highest)})"
+        ratio = "" if base is None else f"{m.median / base:>9.1f}x"
+        lines.append(f"  {m.name:{width}}  {_number(m.median):>12} {m.unit:<15} {spread:<26}{ratio}".rstrip())
     return lines
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

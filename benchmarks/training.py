@@ -1,38 +1,158 @@
-"""Training on ``paper``: MAPPO against SB3's own PPO on SuperSuit's own stage, with the same networks and batches."""
+"""Training on ``paper``: side by side with SB3's own PPO on SuperSuit's own stage, split into parts, and its floor."""
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
+import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
+import torch as th
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
-from benchmarks.measure import Rate, side_by_side
-from uavaou import Scenario, flatten
+from benchmarks.measure import Measurement, Stopwatch, exactly, seconds_of, side_by_side
+from uavaou import MAPPO, Scenario, flatten
+from uavaou.algorithms.common.networks import Linear
 from uavaou.algorithms.config import MappoConfig
 from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
+ALGORITHMS = ("mappo", "vdn", "qmix")  # whose training is measured, by name
+STOCK = "stock SB3 PPO on SuperSuit's stage"
 
 
-def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Rate]:
-    """Agent steps a second of a rollout and its update, with the published rollout, minibatch and epochs."""
-    scenario = Scenario.load("paper")
-    config = load_config("mappo", {} if rollout_slots is None else {"rollout_slots": rollout_slots})
-    assert isinstance(config, MappoConfig)
+def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:
+    """Agent steps a second, updates included, with the published rollout, minibatch, epochs and networks."""
+    scenario, config = Scenario.load("paper"), _mappo(rollout_slots)
     rows = MISSIONS * scenario.uavs * config.rollout_slots
+    cores = th.get_num_threads()
     contestants = {
-        f"stock SB3 PPO on SuperSuit's stage, {processes} process{'es' if processes > 1 else ''}": (
-            _learner(_stock(scenario, config, processes), rows),
+        f"{STOCK}, {processes} process{'es' if processes > 1 else ''}": (
+            _learner(_stock(scenario, config, processes), rows, cores),
             rows,
         )
         for processes in (1, 2)
     }
-    env = flatten(scenario, missions=MISSIONS)
-    contestants["uavaou MAPPO"] = (_learner(make_model(config, env, 0, "cpu"), rows), rows)
-    return side_by_side(contestants, repeats)
+    for name in ALGORITHMS:
+        for threads in sorted({1, cores}):
+            model = _ours(scenario, name, rollout_slots)
+            label = f"uavaou {name}, {threads} thread{'s' if threads > 1 else ''}"
+            contestants[label] = (_learner(model, rows, threads), rows)
+    return side_by_side("training on paper, 64 missions", contestants, repeats)
+
+
+def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:
+    """Where the time of MAPPO's training goes, in microseconds an agent step, and the fraction of the floor reached."""
+    scenario, config = Scenario.load("paper"), _mappo(rollout_slots)
+    model = _ours(scenario, "mappo", rollout_slots)
+    assert isinstance(model, MAPPO)
+    rows = MISSIONS * scenario.uavs * config.rollout_slots
+    learn = _learner(model, rows, th.get_num_threads())
+    learn()
+    rollout = {
+        "rollout: World, rewards, rows": (model.env, "step"),
+        "rollout: networks and sampling": (model.policy, "forward"),
+        "rollout: buffer": (model.rollout_buffer, "add"),
+        "rollout: advantages": (model.rollout_buffer, "compute_returns_and_advantage"),
+        "update": (model, "train"),
+    }
+    update = {
+        "update: gathering minibatches": (model.rollout_buffer, "slot_batches"),
+        "update: actor forward": (model.policy, "action_distribution"),
+        "update: critic forward": (model.policy, "normalised_values"),
+        "update: backward": (th.Tensor, "backward"),
+        "update: clipping": (nn.utils, "clip_grad_norm_"),
+        "update: Adam": (model.policy.optimizer, "step"),
+    }
+    learning, seconds = _split(learn, rollout, repeats)
+    updating, in_update = _split(model.train, update, repeats)
+    seconds["rollout: the rest"] = learning - sum(seconds.values())
+    in_update["update: action head, loss, the rest"] = updating - sum(in_update.values())
+    whole = {"rollout": learning - seconds["update"], **seconds, **in_update, "all": learning}
+    table, unit = "MAPPO's time", "us/agent step"
+    measured = [exactly(table, part, unit, 1e6 * taken / rows) for part, taken in sorted(whole.items())]
+    return measured + _floor(model, config, learning / rows)
+
+
+def _split(
+    work: Callable[[], object], watched: Mapping[str, tuple[object, str]], repeats: int
+) -> tuple[float, dict[str, float]]:
+    """Mean seconds of a call, and of the functions watched in it."""
+    watch = Stopwatch()
+    for part, (owner, function) in watched.items():
+        watch.watch(part, owner, function)
+    started = time.perf_counter()
+    for _ in range(repeats):
+        work()
+    taken = time.perf_counter() - started
+    watch.stop()
+    return taken / repeats, {part: seconds / repeats for part, seconds in watch.seconds.items()}
+
+
+def _floor(model: MAPPO, config: MappoConfig, seconds_a_step: float) -> list[Measurement]:
+    """The floating-point work of an agent step over the machine's float32 product rate, and the fraction reached."""
+    policy, uavs = model.policy, model.rollout_buffer.row_layout.uavs
+    actor = _work([*policy.actor_body, policy.action_net])
+    critic = _work([*policy.critic_body, policy.value_net.linear])
+    forward, training = (actor[k] + critic[k] / uavs for k in (0, 1))  # FLOP an agent step
+    work = forward + config.epochs * training
+    left, right = th.randn(config.batch_rows, 128), th.randn(128, 128)
+    product = 2 * config.batch_rows * 128 * 128
+    layer = Linear(128, 128)
+    with th.no_grad():
+        rates = {
+            "float32 product, torch.mm": product / seconds_of(lambda: th.mm(left, right), 200),
+            "float32 product, oneDNN": product / seconds_of(lambda: layer(left), 200),
+        }
+    table = "MAPPO's floor"
+    shape = f"{config.batch_rows} x 128 x 128"
+    measured = [exactly(table, f"{name}, {shape}", "GFLOP/s", rate / 1e9) for name, rate in rates.items()]
+    measured.append(exactly(table, "work of an agent step, all epochs", "MFLOP", work / 1e6))
+    for name, rate in rates.items():
+        measured.append(exactly(table, f"fraction of the floor by {name}", "", work / rate / seconds_a_step))
+    return measured
+
+
+def _work(layers: list[nn.Module]) -> tuple[float, float]:
+    """FLOP of a row forward, and forward and backward; nobody asks for the gradient by the observation."""
+    sizes = [layer.in_features * layer.out_features for layer in layers if isinstance(layer, nn.Linear)]
+    forward = 2.0 * sum(sizes)
+    return forward, 3 * forward - 2 * sizes[0]
+
+
+def memory(rollouts: int = 6, algorithms: Sequence[str] = ALGORITHMS) -> list[Measurement]:
+    """Peak memory of a training process, after its first rollout and update and after some more."""
+    measurements = []
+    for name in algorithms:
+        done = subprocess.run(
+            [sys.executable, "-m", "benchmarks.memory", name, str(rollouts)],
+            cwd=Path(__file__).resolve().parents[1],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        first, last = json.loads(done.stdout)
+        for label, value in (("1 rollout", first), (f"{rollouts} rollouts", last)):
+            measurements.append(exactly("memory", f"uavaou {name}, peak after {label}", "MiB", value))
+    return measurements
+
+
+def _mappo(rollout_slots: int | None) -> MappoConfig:
+    config = load_config("mappo", {} if rollout_slots is None else {"rollout_slots": rollout_slots})
+    assert isinstance(config, MappoConfig)
+    return config
+
+
+def _ours(scenario: Scenario, name: str, rollout_slots: int | None) -> BaseAlgorithm:
+    shortened = rollout_slots is not None and name == "mappo"
+    config = _mappo(rollout_slots) if shortened else load_config(name)
+    env = flatten(scenario, missions=config.missions, collection=config.collection)
+    return make_model(config, env, seed=0, device="cpu")
 
 
 def _stock(scenario: Scenario, config: MappoConfig, processes: int) -> BaseAlgorithm:
@@ -53,8 +173,11 @@ def _stock(scenario: Scenario, config: MappoConfig, processes: int) -> BaseAlgor
         )
 
 
-def _learner(model: BaseAlgorithm, rows: int) -> Callable[[], None]:
+def _learner(model: BaseAlgorithm, rows: int, threads: int) -> Callable[[], None]:
     def learn() -> None:
+        before = th.get_num_threads()
+        th.set_num_threads(threads)
         model.learn(rows, reset_num_timesteps=model.num_timesteps == 0)
+        th.set_num_threads(before)
 
     return learn

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import csv
+import time
+from pathlib import Path
+
 import pytest
 
+from benchmarks.__main__ import write
 from benchmarks.endurance import PARTS, endurance
-from benchmarks.environment import stepping
-from benchmarks.measure import Rate, report
-from benchmarks.training import training
+from benchmarks.environment import scaling, stepping
+from benchmarks.measure import Measurement, Stopwatch, exponent, report
+from benchmarks.training import ALGORITHMS, memory, parts, training
 
 
 def test_stepping_measures_every_contestant() -> None:
     rates = stepping(slots=2, repeats=1)
     assert [rate.name for rate in rates] == [
         "World.step alone",
+        "World.step, local views and masks, global state",
         "batched stage, 1 process",
         "batched stage, 2 processes",
         "supersuit stage, 1 process",
@@ -22,9 +28,72 @@ def test_stepping_measures_every_contestant() -> None:
     assert all(rate.median > 0 for rate in rates)
 
 
+def test_scaling_gives_rates_and_exponents() -> None:
+    measured = scaling(batches=(1, 8), fleets=(1, 4), devices=(5, 40), repeats=1, agent_steps=100)
+    assert len(measured) == 2 * 3 * (2 + 1)
+    assert sum(m.unit == "exponent" for m in measured) == 6
+
+
 @pytest.mark.slow
 def test_training_measures_every_contestant() -> None:
-    assert len(training(repeats=1, rollout_slots=2)) == 3
+    names = [rate.name for rate in training(repeats=1, rollout_slots=2)]
+    assert sum(name.startswith("stock") for name in names) == 2
+    assert all(any(name.startswith(f"uavaou {algorithm}, 1 thread") for name in names) for algorithm in ALGORITHMS)
+
+
+@pytest.mark.slow
+def test_memory_is_measured_in_a_process_of_its_own() -> None:
+    first, last = memory(rollouts=2, algorithms=["mappo"])
+    assert 0 < first.median <= last.median
+
+
+def test_the_parts_add_up() -> None:
+    measured = {m.name: m.median for m in parts(repeats=1, rollout_slots=4)}
+    rollout = [value for name, value in measured.items() if name.startswith("rollout: ")]
+    assert measured["rollout"] == pytest.approx(sum(rollout))
+    assert measured["all"] == pytest.approx(measured["rollout"] + measured["update"])
+    assert all(measured[f"update: {part}"] > 0 for part in ("actor forward", "backward", "Adam"))
+    assert measured["fraction of the floor by float32 product, torch.mm"] > 0
+
+
+def test_the_stopwatch_counts_calls_and_iterators_and_leaves_no_trace() -> None:
+    class Sleeper:
+        def call(self, seconds: float) -> float:
+            time.sleep(seconds)
+            return seconds
+
+        def items(self) -> object:
+            for _ in range(2):
+                time.sleep(0.02)
+                yield 0
+
+    sleeper, watch = Sleeper(), Stopwatch()
+    watch.watch("call", sleeper, "call")
+    watch.watch("items", sleeper, "items")
+    assert sleeper.call(0.03) == 0.03
+    started = time.perf_counter()
+    for _ in sleeper.items():
+        time.sleep(0.05)
+    elapsed = time.perf_counter() - started
+    watch.stop()
+    assert watch.seconds["call"] >= 0.03
+    assert 0.04 <= watch.seconds["items"] <= elapsed - 2 * 0.05  # the caller's own time is not the iterator's
+    assert vars(sleeper) == {}
+
+
+def test_exponents() -> None:
+    assert exponent([1, 10, 100], [5, 50, 500]) == pytest.approx(1)
+    assert exponent([2, 4, 8], [7, 7, 7]) == pytest.approx(0)
+
+
+def test_the_report_gives_ratios_and_the_file_every_figure(tmp_path: Path) -> None:
+    measured = [Measurement("t", "slow", "x/s", 10, 9, 11), Measurement("t", "fast", "x/s", 205, 200, 210)]
+    assert report("title", measured, "slow")[-1].split()[-1] == "20.5x"
+    write(tmp_path / "folder" / "t.csv", measured)
+    with (tmp_path / "folder" / "t.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["median"] for row in rows] == ["10", "205"]
+    assert rows[0].keys() == {"table", "name", "unit", "median", "lowest", "highest"}
 
 
 @pytest.mark.slow
@@ -34,8 +103,3 @@ def test_endurance_measures_memory_and_rate_on_the_way() -> None:
     assert (measured.memory_mib > 50).all()
     assert (measured.slots_a_cpu_second > 0).all()
     assert measured.lines()[-1].startswith("rate: ")
-
-
-def test_the_report_gives_ratios() -> None:
-    lines = report("title", [Rate("slow", 10, 9, 11), Rate("fast", 205, 200, 210)], "slow")
-    assert lines[-1].split()[-1] == "20.5x"

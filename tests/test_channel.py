@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,16 +12,92 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from uavaou.scenario import Scenario
-from uavaou.world.channel import Channel, minimum_snr, rate, rician_power_gain
+from uavaou.world.channel import Channel, minimum_snr, random_bits, rate, uniform
 from uavaou.world.world import World
 
 DRAWS = 200_000
 
 
+def channel_above(factor: float, devices: int, missions: int = 1, seed: int = 0, **changes: Any) -> Channel:
+    """A channel to many devices straight below its UAVs, all at the same mean SNR."""
+    scenario = Scenario.load("quickstart").replace(rician_factor=factor, uavs=1, altitudes_m=[80], cds_m=[[0, 0]])
+    channel = Channel(scenario.replace(**changes), missions)
+    same = np.ones((1, devices))
+    channel.set_devices(np.zeros((1, devices, 2)), 15_000 * same, 1e-3 * same)
+    channel.start_missions([np.random.default_rng(seed + lane) for lane in range(missions)])
+    return channel
+
+
 def drawn_gains(factor: float, seed: int) -> np.ndarray:
     """Power gains |h|^2 d^2 / beta_0 as the library draws them, (DRAWS,)."""
-    normals = np.random.default_rng(seed).standard_normal((DRAWS, 2, 1, 1))
-    return rician_power_gain(normals, factor).ravel()
+    channel, above = channel_above(factor, DRAWS, seed=seed), np.zeros((1, 1, 2))
+    return (channel.snr(above, 1) / channel.mean_snr(above)).ravel()
+
+
+def splitmix64(seed: int, count: int) -> list[int]:
+    """The published generator, with Python's whole numbers."""
+    words, state, mask = [], seed, (1 << 64) - 1
+    for _ in range(count):
+        state = (state + 0x9E3779B97F4A7C15) & mask
+        z = state
+        z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
+        z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & mask
+        words.append(z ^ (z >> 31))
+    return words
+
+
+def test_random_bits_are_splitmix64() -> None:
+    published = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431]
+    assert splitmix64(1234567, 4) == published
+    for seed in (1234567, 0, 2**64 - 1, 0xDEADBEEFCAFEF00D):
+        drawn = [int(random_bits(np.uint64(seed), index)) for index in range(50)]
+        assert drawn == splitmix64(seed, 50)
+
+
+def test_uniforms_are_above_0_and_reach_1() -> None:
+    assert uniform(np.uint64(0)) == 2.0**-53
+    assert uniform(np.uint64(2**64 - 1)) == 1.0
+    drawn = np.array([uniform(np.uint64(random_bits(np.uint64(5), index))) for index in range(20_000)])
+    assert stats.kstest(drawn, stats.uniform.cdf).pvalue > 0.01
+
+
+@pytest.mark.parametrize("factor", [0.0, 1.0, 10.0, 1e8])
+def test_a_mission_s_fading_by_hand(factor: float) -> None:
+    """Two words of the mission's stream for each slot, UAV and device, in this order; Box-Muller; the paper's h."""
+    scenario = Scenario.load("quickstart").replace(rician_factor=factor)
+    world = World(scenario, missions=3, seed=4)
+    words = splitmix64(int(world.channel.keys[2]), 2 * 5 * 2 * 8)
+    for _ in range(3):
+        world.step(np.zeros((3, 2), dtype=np.int64))
+    assert world.slot == 4
+    gains = (world.snr / world.channel.mean_snr(world.positions))[2]  # (U, I)
+    for u in range(2):
+        for i in range(8):
+            at = 2 * ((4 * 2 + u) * 8 + i)
+            first, second = (((word >> 11) + 1) / 2**53 for word in words[at : at + 2])
+            scattered = math.sqrt(-2 * math.log(first)) * np.exp(2j * math.pi * second) / math.sqrt(2)  # CN(0, 1)
+            h = math.sqrt(factor / (factor + 1)) + math.sqrt(1 / (factor + 1)) * scattered
+            assert gains[u, i] == pytest.approx(abs(h) ** 2, rel=1e-12, abs=1e-15)
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.1, 1.0, 10.0, 1e3, 1e6, 1e12])
+@pytest.mark.parametrize("rate_min", [1.0, 120_000.0, 150_000.0, 165_000.0, 180_000.0, 1e6])
+def test_pairs_that_are_not_computed_are_out_of_range(factor: float, rate_min: float) -> None:
+    """From certain to hopeless: what is left out could not have reached R_min, to the bit."""
+    channel, rng = channel_above(factor, 3000, missions=3, rate_min_bit_s=rate_min), np.random.default_rng(1)
+    for slot in (1, 60):
+        positions = rng.uniform(0, 500, size=(3, 1, 2))
+        every = channel.snr(positions, slot)
+        assert np.array_equal(channel.snr_in_range(positions, slot), np.where(every >= channel.snr_min, every, 0.0))
+
+
+def test_devices_of_their_own_in_each_mission() -> None:
+    scenario = Scenario.load("quickstart").replace(layout="resample")
+    world = World(scenario, missions=3, seed=9)
+    for lane in range(3):
+        alone = World(scenario, seed=9 + lane)
+        assert np.array_equal(world.snr[lane], alone.snr[0])
+        assert np.array_equal(world.in_range[lane], alone.in_range[0])
 
 
 def literal_gains(factor: float, seed: int) -> np.ndarray:

@@ -99,17 +99,19 @@ def test_extreme_logits_have_finite_gradients() -> None:
     assert th.isfinite(th.autograd.grad((log_prob + entropy).sum(), logits)[0]).all()
 
 
-@pytest.mark.parametrize("rows", [1, 7, 300])
-def test_the_linear_layer_is_torchs(rows: int) -> None:
+@pytest.mark.parametrize("batch", [(1,), (7,), (300,), (40, 3), ()], ids=str)
+def test_the_linear_layer_is_torchs(batch: tuple[int, ...]) -> None:
     th.manual_seed(0)
-    layer, features = Linear(37, 19), th.randn(rows, 37, requires_grad=True)
-    weights = th.randn(rows, 19)
+    layer, features = Linear(37, 19), th.randn(*batch, 37, requires_grad=True)
+    weights = th.randn(*batch, 19)
     results = []
     for output in (layer(features), th.nn.functional.linear(features, layer.weight, layer.bias)):
         wanted = (features, layer.weight, layer.bias)
         results.append((output, *th.autograd.grad((weights * output).sum(), wanted)))
     for one, other in zip(*results, strict=True):
         th.testing.assert_close(one, other, rtol=1e-4, atol=1e-4)
+    with th.no_grad():
+        th.testing.assert_close(layer(features), results[0][0])
 
 
 def test_samples_have_the_distributions_frequencies_and_respect_masks() -> None:

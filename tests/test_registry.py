@@ -19,6 +19,7 @@ from uavaou import AlgorithmConfig, InputError, LocalRows, Scenario, flatten, re
 from uavaou.algorithms import registry
 from uavaou.experiments.evaluation import evaluate
 from uavaou.experiments.folder import RunConfig, RunFolder
+from uavaou.experiments.recording import EpisodesCsv
 from uavaou.experiments.run import train
 from uavaou.experiments.trained import load_run
 from uavaou_cli.main import main
@@ -213,9 +214,9 @@ def test_a_resumed_run_of_ones_own_is_the_run_never_stopped(
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
     train(config, whole, quiet=True)
     with monkeypatch.context() as patch:
-        patch.setattr("uavaou.experiments.run.EpisodesCsv.write", stop_at(300))
+        patch.setattr("uavaou.experiments.callback.EpisodesCsv.write", stop_at(300))
         with pytest.raises(StoppedError):
-            train(config, parted, quiet=True)
+            train(config, parted, quiet=True, checkpoint_every_s=0)
     train(config, parted, resume=True, quiet=True)
     one, other = load_file(whole.last), load_file(parted.last)
     assert all(th.equal(one[key], other[key]) for key in one)
@@ -226,7 +227,10 @@ class StoppedError(Exception):
 
 
 def stop_at(wanted: int) -> Any:
+    written = EpisodesCsv.write
+
     def write(self: Any, missions: Any, slots: int, wall_s: float) -> None:
+        written(self, missions, slots, wall_s)
         if slots >= wanted:
             raise StoppedError
 

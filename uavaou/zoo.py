@@ -45,12 +45,12 @@ class _BoundedLoader(yaml.SafeLoader):
     _nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
         if self.check_event(yaml.AliasEvent):
-            raise yaml.composer.ComposerError(None, None, "aliases are not read", self.peek_event().start_mark)
+            raise yaml.composer.ComposerError(None, None, "aliases are not read", mark)
         self._nodes += 1
         if self._nodes > _MOST_NODES:
-            problem = f"more than {_MOST_NODES:,} values"
-            raise yaml.composer.ComposerError(None, None, problem, self.peek_event().start_mark)
+            raise yaml.composer.ComposerError(None, None, f"more than {_MOST_NODES:,} values", mark)
         return super().compose_node(parent, index)
 
 

@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
-from uavaou_cli import audit, evaluate, export, plan, plot, scenarios, train
+from uavaou_cli import audit, evaluate, export, plan, plot, scenarios, train, tune
 
 BAD_INPUT = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
@@ -41,6 +41,7 @@ _STYLE: dict[str, Any] = {
 }
 app = typer.Typer(**_STYLE, add_completion=False, pretty_exceptions_enable=False)
 app.command("train", short_help="Train a policy.")(train.train)
+app.command("tune", short_help="Search for better settings of an algorithm.")(tune.tune)
 app.command("eval", short_help="Play trained runs and planners on the same missions.")(evaluate.evaluate)
 app.command("plan", short_help="Plan a fleet's routes before take-off.")(plan.plan)
 app.command("gap", short_help="Planners and runs between the lower bound and random.")(plan.gap)

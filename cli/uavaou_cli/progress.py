@@ -1,4 +1,4 @@
-"""What an evaluation shows while it runs: a bar on a terminal, a line now and then elsewhere, or nothing."""
+"""What a long job shows while it runs: a bar on a terminal, a line now and then elsewhere, or nothing."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
+    from uavaou.experiments.search import TrialRecord
     from uavaou.world import World
 
 _BAR_EVERY_S = 0.5
@@ -15,7 +16,34 @@ _LINE_EVERY_S = 10.0
 _NAME_WIDTH = 20
 
 
-class EvaluationProgress:
+class _Progress:
+    """A bar while it is entered, where there is a terminal and the user has not asked for quiet.
+
+    Args:
+        total: what the bar counts up to.
+        quiet: show nothing.
+    """
+
+    def __init__(self, total: int, quiet: bool) -> None:
+        self._total = total
+        self._quiet = quiet
+        self._bar: Any = None
+
+    def __enter__(self) -> Self:
+        if not self._quiet and sys.stderr.isatty():
+            self._bar = _make_bar()
+            self._task = self._bar.add_task("", total=self._total, rate="", aou="")
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+
+class EvaluationProgress(_Progress):
     """Shows how far the missions of several policies are.
 
     Args:
@@ -25,27 +53,13 @@ class EvaluationProgress:
     """
 
     def __init__(self, names: list[str], slots: int, quiet: bool) -> None:
+        super().__init__(slots * len(names), quiet)
         self._names = names
         self._slots = slots
-        self._quiet = quiet
-        self._bar: Any = None
         self._name = ""
         self._before = 0  # slots of the policies that have played
         self._started = time.monotonic()
         self._next = self._started
-
-    def __enter__(self) -> Self:
-        if not self._quiet and sys.stderr.isatty():
-            self._bar = _make_bar()
-            self._task = self._bar.add_task("", total=self._slots * len(self._names), rate="", aou="")
-            self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
 
     def start(self, name: str) -> None:
         """The next policy begins."""
@@ -69,8 +83,8 @@ class EvaluationProgress:
             return
         self._next = now + _LINE_EVERY_S
         done = self._before + slots
-        left = (self._slots * len(self._names) - done) / rate
-        share = done / (self._slots * len(self._names))
+        left = (self._total - done) / rate
+        share = done / self._total
         print(f"{share:4.0%}  {self._name}: {rate:,.0f} slots/s, {aou}, {left:,.0f} s left", file=sys.stderr)
 
 
@@ -88,3 +102,37 @@ def _make_bar() -> Any:
         expand=True,
         transient=True,
     )
+
+
+class TuningProgress(_Progress):
+    """Shows how the trials of a search stand: a bar on a terminal, a line for each that ends elsewhere.
+
+    Args:
+        trials: that are to end in all.
+        quiet: show nothing.
+    """
+
+    def __init__(self, trials: int, quiet: bool) -> None:
+        super().__init__(trials, quiet)
+        self._told: set[int] | None = None  # trials that ended before this command are not news
+
+    def show(self, records: list[TrialRecord]) -> None:
+        """The trials as they stand."""
+        if self._quiet:
+            return
+        ended = [record for record in records if record.counts]
+        scores = [record.score for record in ended if record.score is not None]
+        best = f"best mean AoU {min(scores):,.2f} s" if scores else ""
+        if self._bar is not None:
+            running = sum(record.state == "running" for record in records)
+            rate = f"{len(ended)} of {self._total} trials, {running} running"
+            self._bar.update(self._task, completed=len(ended), rate=rate, aou=best)
+            return
+        if self._told is None:
+            self._told = {record.number for record in ended}
+        for record in ended:
+            if record.number not in self._told:
+                self._told.add(record.number)
+                score = "" if record.score is None else f" {record.score:,.2f} s,"
+                detail = f": {record.reason}" if record.reason else f",{score} {best}"
+                print(f"{len(self._told)}/{self._total}  trial {record.number} {record.state}{detail}", file=sys.stderr)

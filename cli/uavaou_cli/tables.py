@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shlex
 import textwrap
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from uavaou.experiments.evaluation import Evaluation
     from uavaou.experiments.folder import RunConfig
     from uavaou.experiments.run import Outcome
+    from uavaou.experiments.search import Search, SearchFolder, TrialRecord
     from uavaou.experiments.statistics import Interval
     from uavaou.planners.bound import Bound
     from uavaou.planners.plan import Plan
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 _GAP = "  "
+_BEST_TRIALS = 5
 
 
 def scenario_lines(scenarios: Sequence[Scenario]) -> list[str]:
@@ -185,3 +188,62 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
         cells[0], cells[-1] = row[0].ljust(widths[0]), row[-1]
         lines.append(_GAP.join(cells))
     return lines
+
+
+def tuning_lines(
+    folder: SearchFolder, search: Search, records: Sequence[TrialRecord], scenario: str, plugins: Sequence[str]
+) -> list[str]:
+    """The best trials of a search, what they changed, and the command that trains with the best."""
+    from uavaou.experiments.search import ranked
+
+    best = ranked(records)
+    counted = [record for record in records if record.counts]
+    states = [f"{sum(r.state == state for r in counted)} {state}" for state in ("complete", "pruned", "failed")]
+    lines = [
+        f"{search.algorithm.name} on {search.scenario.name}: "
+        f"{len(counted)} {'trial' if len(counted) == 1 else 'trials'}, {', '.join(states)}"
+    ]
+    if not best:
+        reasons = {record.reason for record in counted if record.reason}
+        return [*lines, *(f"failed: {reason}" for reason in sorted(reasons)), f"table:  {folder.table}"]
+    start = search.space.values(search.algorithm)
+    rows = [("trial", "mean AoU (s)", "action", "slots", "CPU (s)")]
+    for record in best[:_BEST_TRIALS]:
+        assert record.score is not None
+        figures = _figure(record.score), str(record.action), f"{record.slots:,}", f"{record.cpu_s:,.1f}"
+        rows.append((str(record.number), *figures))
+    table = _aligned(rows)
+    lines += ["", table[0].rstrip()]
+    for line, record in zip(table[1:], best, strict=False):
+        changed = [f"{name}={_value(value)}" for name, value in record.values.items() if value != start[name]]
+        words = ", ".join(changed) or "as published"
+        lines += [line.rstrip(), *textwrap.wrap(words, WIDTH, initial_indent="    ", subsequent_indent="    ")]
+    return [
+        *lines,
+        "",
+        f"table:  {folder.table}",
+        f"best:   {folder.best}",
+        f"train:  {_train_command(search, best[0], scenario, plugins)}",
+    ]
+
+
+def _value(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _train_command(search: Search, best: TrialRecord, scenario: str, plugins: Sequence[str]) -> str:
+    """The command that trains with a trial's settings to the published budget."""
+    from uavaou.algorithms.registry import load_config
+    from uavaou.scenario import Scenario
+
+    name = search.algorithm.name
+    published = load_config(name).model_dump(mode="json")
+    settings = search.published(search.space.restored(best.values)).model_dump(mode="json")
+    command = ["uavaou", *(word for place in plugins for word in ("--plugin", place)), "train"]
+    command += ["--scenario", scenario, "--algorithm", name]
+    base, wanted = Scenario.load(scenario).to_dict(), search.scenario.to_dict()
+    for part, before, now in (("scenario", base, wanted), ("algorithm", published, settings)):
+        for field, value in now.items():
+            if value != before.get(field):
+                command += ["--set", f"{part}.{field}={json.dumps(value) if isinstance(value, list | dict) else value}"]
+    return shlex.join(command)

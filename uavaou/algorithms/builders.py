@@ -19,7 +19,8 @@ from uavaou.envs.flatten import MissionVecEnv
 
 def _linear(start: float, final_fraction: float) -> Callable[[float], float]:
     def schedule(progress_remaining: float) -> float:
-        return start * (final_fraction + (1 - final_fraction) * progress_remaining)
+        # The last rollout may go past the budget, where SB3 calls less than nothing remaining.
+        return start * (final_fraction + (1 - final_fraction) * max(progress_remaining, 0.0))
 
     return schedule
 

@@ -105,6 +105,9 @@ class JointQConfig(AlgorithmConfig):
             raise ValueError(
                 f"slots_per_update = {self.slots_per_update}: must divide missions = {self.missions}, or be a multiple"
             )
+        if self.replay_slots <= self.n_step * self.missions:
+            least = f"n_step * missions = {self.n_step * self.missions}"
+            raise ValueError(f"replay_slots = {self.replay_slots}: must be more than {least}")
         return self
 
 

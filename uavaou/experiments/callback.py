@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import signal
 import time
-from dataclasses import asdict, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,21 @@ MOST_SHARE = 0.025  # of the wall-clock, for checkpoints: a large replay is writ
 _ROWS_AN_EVALUATION = 50  # of progress.csv at most; learners that update every few slots would write millions
 
 
+@dataclass(frozen=True)
+class Standing:
+    """Where a training stands after an update."""
+
+    slots: int  # of all missions together
+    updates: int  # as SB3 counts them; 0 while nothing was learnt
+    cpu_s: float  # of this process, spent on playing and learning; without evaluation and saving
+    evaluated: bool  # whether the policy has just been evaluated
+    best_score: float | None  # so far, mean AoU on the validation missions, s
+    best_action: str  # the action that it was reached with
+
+
+Watch = Callable[[Standing], None]
+
+
 class Recorder(BaseCallback):
     """Writes episodes and figures, evaluates on the validation missions, keeps the best and the last checkpoint.
 
@@ -36,11 +52,12 @@ class Recorder(BaseCallback):
         display: shows it.
         interrupts: whether it was asked to stop.
         checkpoint_every_s: wall-clock between checkpoints; more where they are costly. 0: after every update.
+        watch: called after each update; an exception of its ends the training.
     """
 
     def __init__(
         self, config: RunConfig, folder: RunFolder, env: MissionVecEnv, progress: Progress, display: Display,
-        interrupts: Interrupts, checkpoint_every_s: float,
+        interrupts: Interrupts, checkpoint_every_s: float, watch: Watch | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
         self.progress = progress
@@ -61,6 +78,8 @@ class Recorder(BaseCallback):
         self._began = time.monotonic()
         self._next_checkpoint = self._began + checkpoint_every_s
         self._started = self._began - progress.wall_s
+        self._watch = watch
+        self._cpu_before = time.process_time()  # of this training: what is spent on other things moves it on
 
     @property
     def _slots(self) -> int:
@@ -103,6 +122,7 @@ class Recorder(BaseCallback):
 
     def _after_update(self, finished: bool) -> None:
         """Check, show and log the rollout and its update; evaluate and save where that is due."""
+        cpu_s = time.process_time() - self._cpu_before
         check_learner(self.model, self._slots, self.kept)
         self._display.update(self._slots, self._recent.mean)
         scores: dict[str, float] = {}
@@ -114,8 +134,15 @@ class Recorder(BaseCallback):
         asked = self._interrupts.received is not None
         if finished or asked or time.monotonic() >= self._next_checkpoint:
             self._save(finished)
+        if self._watch is not None:
+            self._watch(self._standing(cpu_s, evaluated=bool(scores)))
+        self._cpu_before = time.process_time() - cpu_s
         if asked and not finished:
             self._stop()
+
+    def _standing(self, cpu_s: float, evaluated: bool) -> Standing:
+        updates = getattr(self.model, "_n_updates", 0)
+        return Standing(self._slots, updates, cpu_s, evaluated, self.progress.best_score, self.progress.best_action)
 
     def _stop(self) -> None:
         self.stopped_by = self._interrupts.received

@@ -13,7 +13,7 @@ from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputF
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import MissionVecEnv, flatten
 from uavaou.errors import InputError
-from uavaou.experiments.callback import CHECKPOINT_EVERY_S, Recorder
+from uavaou.experiments.callback import CHECKPOINT_EVERY_S, Recorder, Watch
 from uavaou.experiments.checkpoint import Progress, load_training
 from uavaou.experiments.folder import RunConfig, RunFolder
 from uavaou.experiments.interrupt import Interrupted, Interrupts
@@ -42,6 +42,7 @@ def train(
     resume: bool = False,
     quiet: bool = False,
     checkpoint_every_s: float = CHECKPOINT_EVERY_S,
+    watch: Watch | None = None,
 ) -> Outcome:
     """Train to the budget, writing the run folder on the way.
 
@@ -54,6 +55,7 @@ def train(
         quiet: show nothing while training.
         checkpoint_every_s: wall-clock between checkpoints; more where writing them would take more than
             2.5 % of it. 0: after every update.
+        watch: called after each update; an exception of its ends the training.
 
     Raises:
         InputError: the folder holds a run already, holds another one, is written by another process or cannot be
@@ -72,7 +74,7 @@ def train(
             _claim(folder, config)
             started = Progress(next_evaluation=config.algorithm.evaluate_every_slots)
             progress = _restore(folder, model, env, config) if resuming else started
-            return _learn(config, folder, model, env, progress, quiet, checkpoint_every_s)
+            return _learn(config, folder, model, env, progress, quiet, checkpoint_every_s, watch)
     finally:
         env.close()
 
@@ -137,7 +139,7 @@ def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config
 
 def _learn(
     config: RunConfig, folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: Progress, quiet: bool,
-    checkpoint_every_s: float,
+    checkpoint_every_s: float, watch: Watch | None,
 ) -> Outcome:  # fmt: skip
     uavs = config.scenario.uavs
     remaining = config.algorithm.slots - progress.slots
@@ -147,7 +149,7 @@ def _learn(
         Interrupts(quiet) as interrupts,
         closing(Display(config.algorithm.slots, progress.slots, uavs, quiet)) as display,
     ):
-        recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s)
+        recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s, watch)
         writers: list[KVWriter] = [recorder.progress_csv, TensorBoardOutputFormat(str(folder.path / "tensorboard"))]
         model.set_logger(Logger(str(folder.path), writers))
         try:

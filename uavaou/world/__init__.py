@@ -1,4 +1,4 @@
-"""The physics: NumPy, batched over missions; knows nothing of learning."""
+"""The physics: arrays over missions, loops compiled; knows nothing of learning."""
 
 from uavaou.world.views import Views
 from uavaou.world.world import MissionMetrics, World

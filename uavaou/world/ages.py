@@ -10,6 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaou.world.compiled import compiled
+
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
 
 class AgeLedger:
     """Pending updates and age sums of I devices in N missions.
@@ -18,15 +23,15 @@ class AgeLedger:
     """
 
     def __init__(self, missions: int, devices: int) -> None:
-        self.pending: NDArray[np.int64] = np.ones((missions, devices), dtype=np.int64)  # (N, I)
-        self.age_slots: NDArray[np.int64] = np.zeros((missions, devices), dtype=np.int64)  # (N, I)
+        self.pending: Ints = np.ones((missions, devices), dtype=np.int64)  # (N, I)
+        self.age_slots: Ints = np.zeros((missions, devices), dtype=np.int64)  # (N, I)
 
     def reset(self) -> None:
         """Go back to the moment before slot 1."""
         self.pending.fill(1)
         self.age_slots.fill(0)
 
-    def advance(self, slot: int, update_period: NDArray[np.int64], collected: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def advance(self, slot: int, update_period: Ints, collected: Bools) -> Bools:
         """Play one slot: generate, age, deliver.
 
         Args:
@@ -37,10 +42,19 @@ class AgeLedger:
         Returns:
             Where a transfer carried at least one update, i.e. was a *communication*, (N, I).
         """
-        self.pending += slot % update_period == 0
-        communications: NDArray[np.bool_] = collected & (self.pending > 0)
-        self.age_slots += self.pending
-        kept = ~collected  # (N, I)
-        self.pending *= kept
-        self.age_slots *= kept
+        communications = np.empty(collected.shape, dtype=np.bool_)  # (N, I)
+        _advance(slot % update_period == 0, collected, self.pending, self.age_slots, communications)
         return communications
+
+
+@compiled
+def _advance(generated: Bools, collected: Bools, pending: Ints, age_slots: Ints, communications: Bools) -> None:
+    missions, devices = pending.shape
+    for n in range(missions):
+        place = n if len(generated) > 1 else 0
+        for i in range(devices):
+            waiting = pending[n, i] + generated[place, i]
+            communications[n, i] = collected[n, i] and waiting > 0
+            kept = 0 if collected[n, i] else 1
+            age_slots[n, i] = kept * (age_slots[n, i] + waiting)
+            pending[n, i] = kept * waiting

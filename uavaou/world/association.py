@@ -7,35 +7,58 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaou.world.compiled import compiled
+
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
 
 @dataclass(frozen=True)
 class Association:
     """The outcome of one slot in N missions."""
 
-    collected_by: NDArray[np.int64]  # (N, I), the u with alpha_iu = 1; -1 for none
-    rejected_rate: NDArray[np.int64]  # (N,), selections below R_min
-    rejected_association: NDArray[np.int64]  # (N,), selections that lost to a better rate
+    collected_by: Ints  # (N, I), the u with alpha_iu = 1; -1 for none
+    rejected_rate: Ints  # (N,), selections below R_min
+    rejected_association: Ints  # (N,), selections that lost to a better rate
 
 
-def associate(in_range: NDArray[np.bool_], snr: NDArray[np.float64], selected: NDArray[np.bool_] | None) -> Association:
+def associate(in_range: Bools, snr: Floats, selected: Bools | None) -> Association:
     """Give each device to the candidate with the largest rate, the lowest u on a tie.
 
     A device's bandwidth is the same towards every UAV, so the largest SNR is the largest rate.
 
     Args:
         in_range: R_iu >= R_min, (N, U, I).
-        snr: Gamma_iu, (N, U, I).
+        snr: Gamma_iu, (N, U, I); read where in range.
         selected: the devices that each UAV selected, (N, U, I); None selects every device in range.
     """
-    missions, uavs, devices = in_range.shape
-    candidates = in_range if selected is None else in_range & selected  # (N, U, I)
+    missions, _, devices = in_range.shape
     collected_by = np.full((missions, devices), -1, dtype=np.int64)  # (N, I)
-    best = np.full((missions, devices), -1.0)  # (N, I), SNRs are never negative
-    for u in range(uavs):
-        wins = candidates[:, u] & (snr[:, u] > best)  # strictly: a tie stays with the lower u
-        collected_by[wins] = u
-        np.copyto(best, snr[:, u], where=wins)
-    offered = np.count_nonzero(candidates, axis=(1, 2))  # (N,)
-    asked = offered if selected is None else np.count_nonzero(selected, axis=(1, 2))
-    won = np.count_nonzero(collected_by >= 0, axis=1)
-    return Association(collected_by, asked - offered, offered - won)
+    rejected_rate = np.zeros(missions, dtype=np.int64)  # (N,)
+    rejected_association = np.zeros(missions, dtype=np.int64)  # (N,)
+    asked = in_range if selected is None else selected
+    _associate(in_range, snr, asked, collected_by, rejected_rate, rejected_association)
+    return Association(collected_by, rejected_rate, rejected_association)
+
+
+@compiled
+def _associate(
+    in_range: Bools, snr: Floats, asked: Bools, collected_by: Ints, rejected_rate: Ints, rejected_association: Ints
+) -> None:
+    missions, uavs, devices = in_range.shape
+    best = np.empty(devices)
+    for n in range(missions):
+        best[:] = -1.0  # SNRs are never negative
+        offered = 0
+        for u in range(uavs):
+            for i in range(devices):
+                candidate = asked[n, u, i] and in_range[n, u, i]
+                offered += candidate
+                rejected_rate[n] += asked[n, u, i] and not candidate
+                wins = candidate and snr[n, u, i] > best[i]  # strictly: a tie stays with the lower u
+                best[i] = snr[n, u, i] if wins else best[i]
+                collected_by[n, i] = u if wins else collected_by[n, i]
+        rejected_association[n] = offered
+        for i in range(devices):
+            rejected_association[n] -= collected_by[n, i] >= 0

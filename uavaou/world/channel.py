@@ -2,18 +2,30 @@
 
 h = sqrt(beta_0) / d * ( sqrt(Phi/(Phi+1)) xi_LoS + sqrt(1/(Phi+1)) xi_NLoS ),
 Gamma = P |h|^2 / sigma^2, R = B log2(1 + Gamma).
+
+A mission's fading is a table that nobody writes down: the entry of slot t, UAV u and device i is a function of the
+mission's key and of (t, u, i). So it depends on no action and on no other mission, and an entry that cannot bring a
+device into range need not be computed.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.scenario import Scenario
+from uavaou.world.compiled import compiled
 
 Floats = NDArray[np.float64]
+Keys = NDArray[np.uint64]
 
-SLOTS_DRAWN_TOGETHER = 16  # fading is drawn in blocks of slots: one call a lane and block, not one a lane and slot
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_RIGHT_11, _RIGHT_27, _RIGHT_30, _RIGHT_31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
+_UNIT = 2.0**-53
+_MARGIN = 1e-9  # of the amplitude |h|, far above rounding: nearer to R_min than this, a pair is computed
 
 
 def rate(bandwidth: Floats, snr: Floats) -> Floats:
@@ -22,24 +34,95 @@ def rate(bandwidth: Floats, snr: Floats) -> Floats:
     return result
 
 
-def rician_power_gain(normals: Floats, rician_factor: float) -> Floats:
-    """|small-scale part of h|^2, of mean 1, from pairs of standard normals.
+@compiled
+def random_bits(key: np.uint64, index: int) -> np.uint64:
+    """Word ``index`` of the SplitMix64 stream that starts at ``key`` (Steele, Lea and Flood, OOPSLA 2014)."""
+    bits = key + _GOLDEN * np.uint64(index + 1)
+    bits = (bits ^ (bits >> _RIGHT_30)) * _MIX_1
+    bits = (bits ^ (bits >> _RIGHT_27)) * _MIX_2
+    return bits ^ (bits >> _RIGHT_31)
 
-    The phase of xi_LoS is taken as 0: xi_NLoS is circularly symmetric, so |h|^2 does not depend on it.
+
+@compiled
+def uniform(bits: np.uint64) -> float:
+    """A number in (0, 1], one of 2^53 equally likely ones."""
+    return (np.int64(bits >> _RIGHT_11) + 1) * _UNIT
+
+
+@compiled
+def rician_power_gain(first: float, second: float, line_of_sight: float, scattered: float) -> float:
+    """|small-scale part of h|^2, of mean 1, from two independent uniforms.
+
+    sqrt(-2 ln first) and 2 pi second are modulus and phase of two standard normals (Box and Muller, 1958). The phase of
+    xi_LoS is taken as 0: xi_NLoS is circularly symmetric, so |h|^2 does not depend on it.
 
     Args:
-        normals: real and imaginary part along axis -3, (..., 2, U, I).
-        rician_factor: Phi, linear.
-
-    Returns:
-        Power gains, (..., U, I).
+        first, second: in (0, 1].
+        line_of_sight: sqrt(Phi / (Phi + 1)).
+        scattered: sqrt(1 / (2 (Phi + 1))), the standard deviation of each part of the NLoS term.
     """
-    scattered = np.sqrt(0.5 / (rician_factor + 1.0))  # standard deviation of each part of the NLoS term
-    line_of_sight = np.sqrt(rician_factor / (rician_factor + 1.0))
-    in_phase = line_of_sight + scattered * normals[..., 0, :, :]
-    quadrature = scattered * normals[..., 1, :, :]
-    gain: Floats = in_phase * in_phase + quadrature * quadrature
-    return gain
+    modulus = scattered * math.sqrt(-2.0 * math.log(first))
+    cosine = math.cos(2.0 * math.pi * second)
+    in_phase = line_of_sight + modulus * cosine
+    return in_phase * in_phase + modulus * modulus * (1.0 - cosine) * (1.0 + cosine)
+
+
+@compiled
+def _within_reach(first: float, needed: float, line_of_sight: float, scattered: float) -> bool:
+    """Whether ``first`` can give an amplitude |h| of ``needed``; in doubt, True.
+
+    |h| <= LoS + s sqrt(-2 ln first) reaches it only where first <= exp(-x), x = ((needed - LoS) / s)^2 / 2; and
+    exp(x) >= (1 + x/8)^8 saves the exponential.
+    """
+    excess = max(needed - line_of_sight - _MARGIN, 0.0) / scattered
+    bound = 1.0 + excess * excess / 16.0
+    bound *= bound
+    bound *= bound
+    return first * bound * bound <= 1.0
+
+
+@compiled
+def _mean_snr(
+    positions: Floats, device_x: Floats, device_y: Floats, altitude_squared: Floats, snr_at_1_m: Floats, snr: Floats
+) -> None:
+    missions, uavs, devices = snr.shape
+    for n in range(missions):
+        place = n if len(device_x) > 1 else 0
+        for u in range(uavs):
+            for i in range(devices):
+                dx = positions[n, u, 0] - device_x[place, i]
+                dy = positions[n, u, 1] - device_y[place, i]
+                snr[n, u, i] = snr_at_1_m[place, i] / (dx * dx + dy * dy + altitude_squared[u])
+
+
+@compiled
+def _fade(keys: Keys, slot: int, rician_factor: float, snr_min: Floats, all_pairs: bool, snr: Floats) -> None:
+    """Turn mean SNRs into those of a slot; 0 for those below the least, unless ``all_pairs`` are asked for."""
+    missions, uavs, devices = snr.shape
+    line_of_sight = math.sqrt(rician_factor / (rician_factor + 1.0))
+    scattered = math.sqrt(0.5 / (rician_factor + 1.0))
+    first = np.empty(devices)
+    reached = np.empty(devices, dtype=np.bool_)
+    chosen = np.empty(devices, dtype=np.int64)
+    for n in range(missions):
+        least = snr_min[n if len(snr_min) > 1 else 0]  # (I,)
+        for u in range(uavs):
+            mean = snr[n, u].copy()  # (I,)
+            start = 2 * (slot * uavs + u) * devices  # where this UAV's words of the slot begin
+            # Three passes, because the first then runs in vectors and none guesses at branches.
+            for i in range(devices):
+                first[i] = uniform(random_bits(keys[n], start + 2 * i))
+                needed = math.sqrt(least[i] / mean[i])
+                reached[i] = _within_reach(first[i], needed, line_of_sight, scattered)
+                snr[n, u, i] = 0.0
+            count = 0
+            for i in range(devices):
+                chosen[count] = i
+                count += all_pairs or reached[i]
+            for i in chosen[:count]:
+                second = uniform(random_bits(keys[n], start + 2 * i + 1))
+                faded = mean[i] * rician_power_gain(first[i], second, line_of_sight, scattered)
+                snr[n, u, i] = faded if all_pairs or faded >= least[i] else 0.0
 
 
 def minimum_snr(bandwidth: Floats, rate_min: float) -> Floats:
@@ -65,64 +148,48 @@ def minimum_snr(bandwidth: Floats, rate_min: float) -> Floats:
 class Channel:
     """The SNR of every device at every UAV, slot by slot, in N missions.
 
-    Each mission draws its fading from the generator of its own lane, so that it does not depend on how
-    many missions are played beside it, and never on the actions taken.
+    Each mission's key comes from the generator of its own lane, so that its fading does not depend on how
+    many missions are played beside it.
     """
+
+    keys: Keys  # (N,), of the missions' fading
 
     def __init__(self, scenario: Scenario, missions: int) -> None:
         self._scenario = scenario
-        self._altitude_squared = scenario.altitudes[:, None] ** 2  # (U, 1) m^2
-        block = (missions, SLOTS_DRAWN_TOGETHER, 2, scenario.uavs, scenario.devices)
-        self._normals: Floats = np.empty(block if scenario.fading == "rician" else 0)
-        self._gains: Floats = np.empty((0, missions, scenario.uavs, scenario.devices))  # (slots of the block, N, U, I)
-        self._next_in_block = 0
+        self._altitude_squared = scenario.altitudes**2  # (U,) m^2
+        self.keys = np.zeros(missions, dtype=np.uint64)
 
     def set_devices(self, positions: Floats, bandwidth: Floats, transmit_power: Floats) -> None:
         """Place the devices: positions (L, I, 2) m, bandwidth (L, I) Hz, power (L, I) W; L is N, or 1 for all alike."""
-        self._device_x = positions[:, None, :, 0]  # (L, 1, I) m
-        self._device_y = positions[:, None, :, 1]  # (L, 1, I) m
+        self._device_x = np.ascontiguousarray(positions[..., 0])  # (L, I) m
+        self._device_y = np.ascontiguousarray(positions[..., 1])  # (L, I) m
         self.bandwidth = bandwidth  # (L, I) Hz
         self.transmit_power = transmit_power  # (L, I) W
-        self.snr_min = minimum_snr(bandwidth, self._scenario.rate_min_bit_s)[:, None, :]  # (L, 1, I)
-        snr_at_1_m = transmit_power * self._scenario.reference_gain / self._scenario.noise_power_w  # (L, I)
-        self._snr_at_1_m = snr_at_1_m[:, None, :]  # (L, 1, I)
+        self.snr_min = minimum_snr(bandwidth, self._scenario.rate_min_bit_s)  # (L, I)
+        self._snr_at_1_m = transmit_power * self._scenario.reference_gain / self._scenario.noise_power_w  # (L, I)
 
-    def start_mission(self) -> None:
-        """Forget the fading drawn ahead: the next slot is the first of a mission."""
-        self._gains = self._gains[:0]
-        self._next_in_block = 0
-
-    def ahead(self) -> Floats:
-        """The fading gains drawn and not yet used, (slots, N, U, I)."""
-        return self._gains[self._next_in_block :].copy()
-
-    def set_ahead(self, gains: Floats) -> None:
-        """Use these fading gains, as :meth:`ahead` gave them, before any is drawn."""
-        self._gains = gains.copy()
-        self._next_in_block = 0
+    def start_missions(self, rngs: list[np.random.Generator]) -> None:
+        """Draw each mission's key from its lane's generator."""
+        self.keys = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs])  # (N,)
 
     def mean_snr(self, positions: Floats) -> Floats:
         """The SNR without fading for UAVs at ``positions`` (N, U, 2) m; shape (N, U, I)."""
-        dx = positions[:, :, :1] - self._device_x  # (N, U, I) m
-        dy = positions[:, :, 1:] - self._device_y  # (N, U, I) m
-        distance_squared = dx * dx + dy * dy + self._altitude_squared  # (N, U, I) m^2
-        snr: Floats = self._snr_at_1_m / distance_squared
+        snr: Floats = np.empty((*positions.shape[:2], self._device_x.shape[1]))  # (N, U, I)
+        _mean_snr(positions, self._device_x, self._device_y, self._altitude_squared, self._snr_at_1_m, snr)
         return snr
 
-    def draw_snr(self, positions: Floats, rngs: list[np.random.Generator], slots_left: int) -> Floats:
-        """The SNR Gamma_iu of the coming slot, with a fresh fading draw for each pair; (N, U, I)."""
-        snr = self.mean_snr(positions)
+    def snr(self, positions: Floats, slot: int) -> Floats:
+        """The SNR Gamma_iu of every pair in a slot, for UAVs at ``positions`` (N, U, 2) m; (N, U, I)."""
+        return self._faded(positions, slot, all_pairs=True)
+
+    def snr_in_range(self, positions: Floats, slot: int) -> Floats:
+        """The same where R_iu >= R_min, and 0 elsewhere; (N, U, I). Pairs out of reach cost next to nothing."""
+        return self._faded(positions, slot, all_pairs=False)
+
+    def _faded(self, positions: Floats, slot: int, all_pairs: bool) -> Floats:
+        snr = self.mean_snr(positions)  # (N, U, I)
         if self._scenario.fading == "rician":
-            if self._next_in_block == len(self._gains):
-                self._draw_block(rngs, min(SLOTS_DRAWN_TOGETHER, slots_left))
-            snr *= self._gains[self._next_in_block]
-            self._next_in_block += 1
+            _fade(self.keys, slot, self._scenario.rician_factor, self.snr_min, all_pairs, snr)
+        elif not all_pairs:
+            snr *= snr >= self.snr_min[:, None, :]
         return snr
-
-    def _draw_block(self, rngs: list[np.random.Generator], slots: int) -> None:
-        normals = self._normals[:, :slots]  # (N, slots, 2, U, I); a lane's slots are contiguous
-        for lane, rng in enumerate(rngs):
-            rng.standard_normal(out=normals[lane])
-        gains = rician_power_gain(normals, self._scenario.rician_factor)  # (N, slots, U, I)
-        self._gains = np.ascontiguousarray(gains.swapaxes(0, 1))  # (slots, N, U, I)
-        self._next_in_block = 0

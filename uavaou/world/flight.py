@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.scenario import ZETA_TOLERANCE_S, Scenario
+from uavaou.world.compiled import compiled
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -18,7 +19,6 @@ Bools = NDArray[np.bool_]
 STAY, UP, DOWN, RIGHT, LEFT = range(5)
 MOVES: Ints = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]])  # (5, 2) cells: stay, +y, -y, +x, -x
 _UNLIMITED = 10**12  # moves; more than any mission has, and far from overflow
-_IS_MOVING: Ints = np.array([0, 1, 1, 1, 1])  # (5,)
 
 
 class Flight:
@@ -57,22 +57,15 @@ class Flight:
         Returns:
             Two (N, U, 5) arrays: on the grid and allowed by (CDS) and (Time); on the grid.
         """
-        targets = cells[:, :, None, :] + MOVES  # (N, U, 5, 2)
-        inside = (targets >= 0) & (targets <= self._last_cell)  # (N, U, 5, 2)
-        on_grid = inside[..., 0] & inside[..., 1]  # (N, U, 5)
-        if slot >= self._slots:
-            last = np.zeros_like(on_grid)
-            last[..., STAY] = True
-            return last, on_grid
-        home = np.abs(targets - self.cds[:, None, :]).sum(axis=-1)  # (N, U, 5) steps
-        in_time = home <= self._slots - (slot + 1)
-        afford = home + _IS_MOVING <= (self.budget - flown)[:, :, None]
-        return on_grid & in_time & afford, on_grid
+        allowed, on_grid = np.empty((2, *cells.shape[:2], len(MOVES)), dtype=np.bool_)  # (N, U, 5) each
+        _allowed(cells, flown, slot, self._slots, self._last_cell, self.cds, self.budget, allowed, on_grid)
+        return allowed, on_grid
 
     def resolve(self, moves: Ints, cells: Ints, allowed: Bools, on_grid: Bools) -> Ints:
         """The moves made, (N, U), of those asked for: off the grid means stay, not allowed means homewards."""
-        asked = np.where(_at(on_grid, moves), moves, STAY)
-        return np.where(_at(allowed, asked), asked, self.homeward(cells))
+        made = self.homeward(cells)  # (N, U)
+        _keep_allowed(moves, allowed, on_grid, made)
+        return made
 
     def homeward(self, cells: Ints) -> Ints:
         """The step towards the own CDS, (N, U)."""
@@ -87,6 +80,34 @@ def first_step(way: Ints) -> Ints:
     return step
 
 
-def _at(flags: Bools, moves: Ints) -> Bools:
-    """The flag of each UAV's move: flags (N, U, 5), moves (N, U)."""
-    return np.take_along_axis(flags, moves[..., None], axis=-1)[..., 0]
+@compiled
+def _allowed(
+    cells: Ints, flown: Ints, slot: int, slots: int, last_cell: Ints, cds: Ints, budget: Ints,
+    allowed: Bools, on_grid: Bools,
+) -> None:  # fmt: skip
+    missions, uavs, moves = allowed.shape
+    for n in range(missions):
+        for u in range(uavs):
+            for move in range(moves):
+                x = cells[n, u, 0] + MOVES[move, 0]
+                y = cells[n, u, 1] + MOVES[move, 1]
+                inside = 0 <= x <= last_cell[0] and 0 <= y <= last_cell[1]
+                on_grid[n, u, move] = inside
+                if slot >= slots:
+                    allowed[n, u, move] = move == STAY
+                    continue
+                home = abs(x - cds[u, 0]) + abs(y - cds[u, 1])  # grid steps
+                in_time = home <= slots - (slot + 1)
+                afford = home + (move != STAY) <= budget[u] - flown[n, u]
+                allowed[n, u, move] = inside and in_time and afford
+
+
+@compiled
+def _keep_allowed(moves: Ints, allowed: Bools, on_grid: Bools, made: Ints) -> None:
+    """Write the moves asked for into ``made`` (N, U), which holds the steps home, where they may be made."""
+    missions, uavs = made.shape
+    for n in range(missions):
+        for u in range(uavs):
+            asked = moves[n, u] if on_grid[n, u, moves[n, u]] else STAY
+            if allowed[n, u, asked]:
+                made[n, u] = asked

@@ -17,6 +17,7 @@ from uavaou.scenario import Layout, Scenario
 from uavaou.world.ages import AgeLedger
 from uavaou.world.association import Association, associate
 from uavaou.world.channel import Channel, rate
+from uavaou.world.compiled import compiled
 from uavaou.world.flight import MOVES, STAY, Flight
 
 Ints = NDArray[np.int64]
@@ -25,7 +26,7 @@ Bools = NDArray[np.bool_]
 
 
 _STATE = (
-    "cells", "flown", "snr", "last_collection", "last_collection_by",
+    "cells", "flown", "last_collection", "last_collection_by",
     "_age_total", "_communications", "_rejected_rate", "_rejected_association",
 )  # fmt: skip
 _WORD = (1 << 64) - 1
@@ -56,7 +57,7 @@ class Stepped:
     slot: int
     positions: Floats  # (N, U, 2) m, where the UAVs were in that slot
     flown: Ints  # (N, U) grid steps up to those positions
-    snr: Floats  # (N, U, I)
+    snr: Floats  # (N, U, I) Gamma_iu where R_iu >= R_min, 0 elsewhere
     association: Association
 
 
@@ -90,7 +91,7 @@ class MissionMetrics:
 class World:
     """N missions of one scenario, in lockstep.
 
-    ``reset`` and ``step`` leave the world in front of slot ``world.slot``: its channel is drawn, and
+    ``reset`` and ``step`` leave the world in front of slot ``world.slot``: its channel is known, and
     ``in_range`` and ``allowed_moves`` say what the UAVs may do in it. After slot K, ``world.done``.
 
     Mission j draws from a stream of its own, seeded with ``seed + j``: it equals, bit for bit, the
@@ -113,7 +114,6 @@ class World:
     cells: Ints  # (N, U, 2) column and row of each UAV in that slot
     positions: Floats  # (N, U, 2) m
     flown: Ints  # (N, U) grid steps so far
-    snr: Floats  # (N, U, I) Gamma_iu in that slot
     in_range: Bools  # (N, U, I) R_iu >= R_min in that slot
     allowed_moves: Bools  # (N, U, 5)
     last_collection: Ints  # (N, I) slot, 0 for never
@@ -154,7 +154,7 @@ class World:
         self._rejected_rate: Ints = np.zeros(lanes, dtype=np.int64)  # (N,)
         self._rejected_association: Ints = np.zeros(lanes, dtype=np.int64)  # (N,)
         self.stepped = None
-        self.channel.start_mission()
+        self.channel.start_missions(self._rngs)
         self._open_slot()
 
     def step(self, moves: Ints, selections: Bools | None = None) -> Floats:
@@ -176,17 +176,14 @@ class World:
         moves = np.asarray(moves)
         selections = None if selections is None else np.asarray(selections)
         self._check_actions(moves, selections)
-        association = associate(self.in_range, self.snr, selections)
+        association = associate(self.in_range, self._snr_in_range, selections)
         collected = association.collected_by >= 0  # (N, I)
-        communications = self.ages.advance(self.slot, self.update_period, collected)
+        self._communications += self.ages.advance(self.slot, self.update_period, collected)
         self._age_total += self.ages.age_slots
-        self._communications += communications
         self._rejected_rate += association.rejected_rate
         self._rejected_association += association.rejected_association
-        self.last_collection[collected] = self.slot
-        uav = np.arange(self.scenario.uavs)[:, None]  # (U, 1)
-        self.last_collection_by[association.collected_by[:, None, :] == uav] = self.slot
-        self.stepped = Stepped(self.slot, self.positions, self.flown, self.snr, association)
+        _remember(association.collected_by, self.slot, self.last_collection, self.last_collection_by)
+        self.stepped = Stepped(self.slot, self.positions, self.flown, self._snr_in_range, association)
         reward: Floats = -self.scenario.slot_length_s * self.ages.age_slots.sum(axis=1)
         self._move(moves)
         self.slot += 1
@@ -212,6 +209,11 @@ class World:
     def done(self) -> bool:
         """Whether slot K has been played (finite horizon: a termination, not a truncation)."""
         return self.slot > self.scenario.slots
+
+    @property
+    def snr(self) -> Floats:
+        """Gamma_iu of every pair in the slot to be played (once ``done``, in the last one), (N, U, I)."""
+        return self.channel.snr(self.positions, min(self.slot, self.scenario.slots))
 
     @property
     def pending(self) -> Ints:
@@ -251,6 +253,7 @@ class World:
             ``transmit_power`` (I,) W. Arrays are float64 or int64, and copies.
         """
         devices, last = self.scenario.devices, self.stepped
+        snr = self.snr if last is None else self.channel.snr(last.positions, last.slot)  # (N, U, I)
         bandwidth = self._of_mission(self.channel.bandwidth, mission)
         return {
             "slot": 0 if last is None else last.slot,
@@ -261,7 +264,7 @@ class World:
             "pending": self.pending[mission].copy(),
             "update_period": self._of_mission(self.update_period, mission),
             "collected_by": np.full(devices, -1) if last is None else last.association.collected_by[mission].copy(),
-            "rate": rate(bandwidth, (self.snr if last is None else last.snr)[mission]),
+            "rate": rate(bandwidth, snr[mission]),
             "flight_time": self.flight.flight_time((self.flown if last is None else last.flown)[mission]),
             "rejected_rate": 0 if last is None else int(last.association.rejected_rate[mission]),
             "rejected_association": 0 if last is None else int(last.association.rejected_association[mission]),
@@ -277,7 +280,7 @@ class World:
         arrays = {name: getattr(self, name).copy() for name in _STATE}
         arrays["slot"] = np.full(self.missions, self.slot)
         arrays["pending"], arrays["age_slots"] = self.ages.pending.copy(), self.ages.age_slots.copy()
-        arrays["fading_ahead"] = self.channel.ahead().swapaxes(0, 1)  # (N, slots, U, I)
+        arrays["fading_keys"] = self.channel.keys.copy()  # (N,)
         arrays["streams"] = np.stack([_pack_stream(rng) for rng in self._rngs])  # (N, 6)
         if not self._fixed_layout:
             arrays["device_positions"], arrays["update_period"] = self.device_positions, self.update_period
@@ -295,11 +298,9 @@ class World:
         if not self._fixed_layout:
             self.device_positions, self.update_period = arrays["device_positions"], arrays["update_period"]
             self.channel.set_devices(self.device_positions, arrays["bandwidth"], arrays["transmit_power"])
-        self.channel.set_ahead(arrays["fading_ahead"].swapaxes(0, 1))
+        self.channel.keys = arrays["fading_keys"].copy()
         self.stepped = None
-        self.positions = self._cell_positions()
-        self.in_range = self.snr >= self.channel.snr_min
-        self.allowed_moves, self._on_grid = self.flight.allowed(self.cells, self.flown, self.slot)
+        self._open_slot()
 
     def layout(self, mission: int = 0) -> Layout:
         """The devices of one mission."""
@@ -329,10 +330,10 @@ class World:
         )
 
     def _open_slot(self) -> None:
-        """Draw the slot's channel and find what the UAVs may do in it."""
+        """Find what the UAVs may do in the slot: its channel, its allowed moves."""
         self.positions = self._cell_positions()
-        self.snr = self.channel.draw_snr(self.positions, self._rngs, self.scenario.slots - self.slot + 1)
-        self.in_range = self.snr >= self.channel.snr_min
+        self._snr_in_range = self.channel.snr_in_range(self.positions, self.slot)  # (N, U, I)
+        self.in_range = self._snr_in_range > 0
         self.allowed_moves, self._on_grid = self.flight.allowed(self.cells, self.flown, self.slot)  # (N, U, 5)
 
     def _cell_positions(self) -> Floats:
@@ -344,3 +345,16 @@ class World:
         made = self.flight.resolve(moves, self.cells, self.allowed_moves, self._on_grid)  # (N, U)
         self.cells = self.cells + MOVES[made]
         self.flown = self.flown + (made != STAY)
+
+
+@compiled
+def _remember(collected_by: Ints, slot: int, last_collection: Ints, last_collection_by: Ints) -> None:
+    missions, uavs, devices = last_collection_by.shape
+    for n in range(missions):
+        for i in range(devices):
+            if collected_by[n, i] >= 0:
+                last_collection[n, i] = slot
+        for u in range(uavs):
+            for i in range(devices):
+                if collected_by[n, i] == u:
+                    last_collection_by[n, u, i] = slot

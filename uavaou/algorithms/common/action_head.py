@@ -46,13 +46,16 @@ class MoveSelectionDistribution(Distribution):
         """
         self.logits = logits
         self.allowed_moves = allowed_moves
+        self._move_log_probs: th.Tensor | None = None
         self.selectable = in_range
         return self
 
     @property
     def move_log_probs(self) -> th.Tensor:
         """log-probabilities of the moves, (B, 5)."""
-        return _move_log_probs(self.logits, self.allowed_moves).t()
+        if self._move_log_probs is None:
+            self._move_log_probs = _move_log_probs(self.logits, self.allowed_moves)
+        return self._move_log_probs.t()
 
     @property
     def selection_logits(self) -> th.Tensor:

@@ -7,6 +7,7 @@ the next entry in time.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,6 +62,8 @@ class JointReplay(BaseBuffer):
         self.gamma = gamma
         uavs, branches = row_layout.uavs, int(np.prod(action_space.shape)) or 1
         options = int(np.max(action_space.nvec if hasattr(action_space, "nvec") else action_space.n))
+        row_bytes = 4 * (uavs * row_layout.local_size + row_layout.global_size + 1)
+        _check_memory(capacity * missions, row_bytes)
         self.local: NDArray[np.float32] = np.zeros((capacity, missions, uavs, row_layout.local_size), np.float32)
         self.states: NDArray[np.float32] = np.zeros((capacity, missions, row_layout.global_size), np.float32)
         self.actions = np.zeros((capacity, missions, uavs, branches), np.min_scalar_type(options))
@@ -122,3 +125,12 @@ class JointReplay(BaseBuffer):
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """What is held, as arrays (T, N, ...); entries from ``pos`` on are unused until ``full``."""
         return {name: getattr(self, name) for name in ("local", "states", "actions", "rewards", "ends")}
+
+
+def _check_memory(slots: int, slot_bytes: int) -> None:
+    """Refuse what would be taken page by page until the machine has no more."""
+    machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if slots * slot_bytes > machine:
+        raise InputError(
+            f"replay of {slots} slots: needs {slots * slot_bytes / 1e9:,.1f} GB, this machine has {machine / 1e9:,.1f}"
+        )

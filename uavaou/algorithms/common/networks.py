@@ -16,6 +16,7 @@ from uavaou.algorithms.common.branches import Branches
 from uavaou.world.views import RowLayout
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
+_HAS_ONEDNN = bool(th.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
 
 
 class Linear(nn.Linear):
@@ -26,19 +27,23 @@ class Linear(nn.Linear):
     """
 
     def forward(self, features: th.Tensor) -> th.Tensor:
-        """x W^T + b for features x (B, inputs)."""
+        """x W^T + b for features x (..., inputs)."""
         if not _takes_onednn(features):
             return functional.linear(features, self.weight, self.bias)
-        product: th.Tensor = _OneDnnLinear.apply(features, self.weight, self.bias)  # type: ignore[no-untyped-call]
-        return product
+        rows = features.reshape(-1, self.in_features)
+        if not th.is_grad_enabled():
+            product = _product(rows, self.weight, self.bias)
+        else:
+            product = _OneDnnLinear.apply(rows, self.weight, self.bias)  # type: ignore[no-untyped-call]
+        return product.view(*features.shape[:-1], self.out_features)
 
 
 def _takes_onednn(features: th.Tensor) -> bool:
-    if features.device.type != "cpu" or features.dtype != th.float32 or features.dim() != 2:
+    if features.device.type != "cpu" or features.dtype != th.float32:
         return False
     # Where a graph is recorded, standard operators are wanted.
     recorded = th.jit.is_tracing() or th.compiler.is_compiling()  # type: ignore[attr-defined, no-untyped-call]
-    return not recorded and bool(th.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
+    return _HAS_ONEDNN and not recorded
 
 
 class _OneDnnLinear(th.autograd.Function):

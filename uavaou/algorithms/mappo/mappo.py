@@ -93,6 +93,11 @@ class MAPPO(SafeSaveLoad, PPO):
         keep_freed_memory()
         super()._setup_model()
 
+    def _update_info_buffer(self, infos: list[dict[str, Any]], dones: NDArray[np.bool_] | None = None) -> None:
+        # SB3 looks through all infos in every slot for what stands in those of a mission's last slot alone.
+        if dones is None or dones.any():
+            super()._update_info_buffer(infos, dones)
+
     def train(self) -> None:
         """Update actor and critic from the rollout just collected."""
         self.policy.set_training_mode(True)
