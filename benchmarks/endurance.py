@@ -16,7 +16,7 @@ import torch
 
 from uavaou import Scenario
 from uavaou.algorithms.registry import load_config
-from uavaou.experiments import callback
+from uavaou.experiments.callback import Standing
 from uavaou.experiments.folder import RunConfig, RunFolder
 from uavaou.experiments.run import train
 
@@ -62,21 +62,15 @@ def endurance(slots: int = 10_000_000) -> Endurance:
     scenario = Scenario.load("quickstart")
     algorithm = load_config("mappo", {"slots": slots, "evaluate_every_slots": slots // PARTS})
     measured: list[tuple[int, float, float]] = []
-    show = callback.Display.update
     every = slots // PARTS
 
-    def update(display: callback.Display, done: int, mean_aou_s: float | None) -> None:
-        show(display, done, mean_aou_s)
-        if done >= every * (len(measured) + 1):
-            measured.append((done, _resident(), time.process_time()))
+    def watch(standing: Standing) -> None:
+        if standing.slots >= every * (len(measured) + 1):
+            measured.append((standing.slots, _resident(), time.process_time()))
 
-    callback.Display.update = update  # type: ignore[method-assign]
     began = time.process_time()
-    try:
-        with tempfile.TemporaryDirectory() as place:
-            train(RunConfig(scenario, algorithm, seed=0), RunFolder(Path(place) / "run"))
-    finally:
-        callback.Display.update = show  # type: ignore[method-assign]
+    with tempfile.TemporaryDirectory() as place:
+        train(RunConfig(scenario, algorithm, seed=0), RunFolder(Path(place) / "run"), watch=watch)
     done, memory, cpu = np.array(measured).T
     rates = np.diff(done, prepend=0) / np.diff(cpu, prepend=began)
     return Endurance(done, memory, rates)
