@@ -1,4 +1,4 @@
-"""A long training of ``quickstart``: whether memory grows and whether it slows down.
+"""A long training of ``quickstart``, ``python -m benchmarks.endurance``: does memory grow, does it slow down?
 
 The machine may be busy with other things, so the rate is that of CPU time, not of wall-clock.
 """
@@ -16,8 +16,8 @@ import torch
 
 from uavaou import Scenario
 from uavaou.algorithms.registry import load_config
+from uavaou.experiments.callback import Standing
 from uavaou.experiments.folder import RunConfig, RunFolder
-from uavaou.experiments.recording import Display
 from uavaou.experiments.run import train
 
 PARTS = 40  # of the training, at the end of each of which is measured
@@ -62,21 +62,15 @@ def endurance(slots: int = 10_000_000) -> Endurance:
     scenario = Scenario.load("quickstart")
     algorithm = load_config("mappo", {"slots": slots, "evaluate_every_slots": slots // PARTS})
     measured: list[tuple[int, float, float]] = []
-    show = Display.update
     every = slots // PARTS
 
-    def update(display: Display, done: int, mean_aou_s: float | None) -> None:
-        show(display, done, mean_aou_s)
-        if done >= every * (len(measured) + 1):
-            measured.append((done, _resident(), time.process_time()))
+    def watch(standing: Standing) -> None:
+        if standing.slots >= every * (len(measured) + 1):
+            measured.append((standing.slots, _resident(), time.process_time()))
 
-    Display.update = update  # type: ignore[assignment, method-assign]
     began = time.process_time()
-    try:
-        with tempfile.TemporaryDirectory() as place:
-            train(RunConfig(scenario, algorithm, seed=0), RunFolder(Path(place) / "run"))
-    finally:
-        Display.update = show  # type: ignore[method-assign]
+    with tempfile.TemporaryDirectory() as place:
+        train(RunConfig(scenario, algorithm, seed=0), RunFolder(Path(place) / "run"), watch=watch)
     done, memory, cpu = np.array(measured).T
     rates = np.diff(done, prepend=0) / np.diff(cpu, prepend=began)
     return Endurance(done, memory, rates)
