@@ -46,7 +46,8 @@ def measured(slots: int, side: int, devices: int) -> list[str]:
     plan = exact.Exact(LIMIT_S).plan(scenario, layout)
     seconds = time.process_time() - begun
     size = exact.program_size(scenario, layout)
-    assert plan.bound_s is not None and plan.gap is not None
+    assert plan.bound_s is not None
+    assert plan.gap is not None
     figures = [f"{seconds:.1f}", f"{plan.mean_aou_s / tau:.4g}", f"{plan.bound_s / tau:.4g}", f"{plan.gap:.3f}"]
     return [str(slots), str(side * side), str(devices), str(scenario.uavs), str(size), *figures]
 
