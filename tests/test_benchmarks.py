@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.__main__ import write
+from benchmarks.endurance import PARTS, endurance
 from benchmarks.environment import scaling, stepping
 from benchmarks.measure import Measurement, Stopwatch, exponent, report
 from benchmarks.training import ALGORITHMS, memory, parts, training
@@ -93,3 +94,12 @@ def test_the_report_gives_ratios_and_the_file_every_figure(tmp_path: Path) -> No
         rows = list(csv.DictReader(file))
     assert [row["median"] for row in rows] == ["10", "205"]
     assert rows[0].keys() == {"table", "name", "unit", "median", "lowest", "highest"}
+
+
+@pytest.mark.slow
+def test_endurance_measures_memory_and_rate_on_the_way() -> None:
+    measured = endurance(slots=PARTS * 8000)
+    assert len(measured.slots) == PARTS
+    assert (measured.memory_mib > 50).all()
+    assert (measured.slots_a_cpu_second > 0).all()
+    assert measured.lines()[-1].startswith("rate: ")

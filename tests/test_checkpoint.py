@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import os
 import resource
@@ -259,28 +260,41 @@ def test_a_number_that_goes_bad_stops_the_training(
 # -- the interval --------------------------------------------------------------------------------------
 
 
-def test_costly_checkpoints_are_written_less_often(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = {"now": 1000.0}
-    written: list[float] = []
-    save = callback.save_training
+def test_costly_checkpoints_are_written_less_often() -> None:
+    assert callback.pause_s(30.0, 0.1) == 30.0
+    assert callback.pause_s(30.0, 2.0) == pytest.approx(2.0 / 0.025)
+    assert callback.pause_s(0.0, 2.0) == 0.0
 
-    def slow(*arguments: Any, **options: Any) -> None:
-        save(*arguments, **options)
-        written.append(clock["now"])
-        clock["now"] += 2.0  # s a checkpoint
 
-    check = callback.check_learner
+# -- learners with a replay ----------------------------------------------------------------------------
 
-    def take_time(*arguments: Any) -> None:
-        clock["now"] += 1.0  # s an update
-        check(*arguments)
 
-    monkeypatch.setattr(callback, "save_training", slow)
-    monkeypatch.setattr(callback, "check_learner", take_time)
-    monkeypatch.setattr(callback.time, "monotonic", lambda: clock["now"])
-    config = small(slots=48 * 300, evaluate_every_slots=10**6, epochs=1)
-    train(config, RunFolder(tmp_path / "run"), quiet=True, checkpoint_every_s=30)
-    gaps = np.diff(written[:-2])  # the last two are written when the training has ended
-    assert len(gaps) == 3
-    assert (gaps >= 2.0 / 0.025).all()
-    assert written[0] == pytest.approx(1030, abs=2)
+@pytest.mark.parametrize("algorithm", ["qmix", "vdn"])
+@pytest.mark.parametrize("update", [3, 20])  # before the ring of the replay is full, and after
+def test_a_replay_is_part_of_the_checkpoint(
+    algorithm: str, update: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = {name: value for name, value in SMALL.items() if name not in ("rollout_slots", "batch_rows")}
+    replay = {"replay_slots": 160, "learning_starts": 24, "batch_slots": 8, "slots_per_update": 8}
+    config = RunConfig(Scenario.load("tiny"), load_config(algorithm, settings | replay), seed=0)
+    whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
+    every_update(config, whole)
+    with monkeypatch.context() as patch:
+        stop_in_update(patch, update + 1)
+        with pytest.raises(StoppedError):
+            every_update(config, parted)
+    held = load_file(parted.last)
+    assert held["replay.position"].tolist() == [(2 * update) % 40, int(2 * update >= 40)]
+    assert len(held["replay.local"]) == min(2 * update, 40)
+    every_update(config, parted, resume=True)
+    assert_ends_as(parted, whole)
+    assert not any(name.startswith("replay.") for name in load_file(whole.last))  # it has no more use for it
+    for name in ("episodes.csv", "progress.csv"):
+        one, other = (_without_wall(folder.path / name) for folder in (whole, parted))
+        assert one == other
+        assert len(one) > 2
+
+
+def _without_wall(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return [{name: value for name, value in row.items() if "wall" not in name} for row in csv.DictReader(file)]

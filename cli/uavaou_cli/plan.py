@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +15,9 @@ from uavaou_cli.overrides import Overrides, parse_overrides
 
 if TYPE_CHECKING:
     from uavaou.planners.base import Planner
-    from uavaou.planners.plan import Progress
     from uavaou.scenario import Scenario
 
-_BOUND_S = 10.0  # for the bound that stands beside a plan; `uavaou gap` takes longer
-_EVERY_S = 10.0  # between two lines of progress
+_BOUND_S = 30.0  # for the bound that stands beside a plan; `uavaou gap` takes longer
 _GAP_PLANNERS = ("rolling", "anneal", "best-first", "greedy", "partition-tour", "tour", "random")
 
 
@@ -132,6 +129,7 @@ def _plan_and_report(
     from uavaou.planners import make_planner
     from uavaou.planners.bound import lower_bound
     from uavaou.planners.plan import RoutePlanner
+    from uavaou_cli.progress import PlanningProgress
     from uavaou_cli.tables import evaluation_lines, plan_lines
 
     planner = make_planner(name, time_limit)
@@ -139,7 +137,8 @@ def _plan_and_report(
     layout = scenario.draw_layout()
     begun = time.monotonic()
     bound_s = None if name == "exact" else lower_bound(scenario, layout, _BOUND_S).mean_aou_s  # it brings its own
-    plan = planner.plan(scenario, layout, _Lines(scenario, bound_s, quiet))
+    with PlanningProgress(scenario.slot_length_s, bound_s, quiet) as progress:
+        plan = planner.plan(scenario, layout, progress.show)
     took = time.monotonic() - begun
     plan = plan if bound_s is None else replace(plan, bound_s=bound_s)
     planner.keep(plan, scenario, layout)
@@ -148,30 +147,6 @@ def _plan_and_report(
     print("\n".join([*plan_lines(scenario, plan, took, folder / "plan.json"), ""]))
     print("\n".join(evaluation_lines(scenario, {name: found}, {name: None}, seed, {})))
     _draw(scenario, planner, seed, folder)
-
-
-class _Lines:
-    """Progress on stderr: the incumbent, the bound where there is one, and the gap between them."""
-
-    def __init__(self, scenario: Scenario, bound_s: float | None, quiet: bool) -> None:
-        self._bound_s = bound_s
-        self._in_slots = 1 / scenario.slot_length_s
-        self._quiet = quiet
-        self._terminal = sys.stderr.isatty()
-        self._next = time.monotonic() + (0.0 if self._terminal else _EVERY_S)
-
-    def __call__(self, progress: Progress) -> None:
-        now = time.monotonic()
-        if self._quiet or (now < self._next and progress.share < 1.0):
-            return
-        self._next = now + (0.5 if self._terminal else _EVERY_S)
-        line = f"{progress.share:4.0%}  mean AoU {progress.incumbent_s * self._in_slots:,.2f} slots"
-        bound_s = self._bound_s if progress.bound_s is None else progress.bound_s
-        if bound_s is not None:
-            gap = 1 - bound_s / progress.incumbent_s if progress.incumbent_s else 0.0
-            line += f", bound {bound_s * self._in_slots:,.2f}, gap {gap:.1%}"
-        end = "\r" if self._terminal and progress.share < 1.0 else "\n"
-        print(line, end=end, file=sys.stderr, flush=True)
 
 
 def _draw(scenario: Scenario, planner: Planner, seed: int, folder: Path) -> None:

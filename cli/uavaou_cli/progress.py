@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
     from uavaou.experiments.search import TrialRecord
+    from uavaou.planners.plan import Progress
     from uavaou.world import World
 
 _BAR_EVERY_S = 0.5
@@ -24,15 +25,17 @@ class _Progress:
         quiet: show nothing.
     """
 
-    def __init__(self, total: int, quiet: bool) -> None:
+    figures: tuple[str, ...] = ("rate", "aou")  # columns of the bar
+
+    def __init__(self, total: float, quiet: bool) -> None:
         self._total = total
         self._quiet = quiet
         self._bar: Any = None
 
     def __enter__(self) -> Self:
         if not self._quiet and sys.stderr.isatty():
-            self._bar = _make_bar()
-            self._task = self._bar.add_task("", total=self._total, rate="", aou="")
+            self._bar = _make_bar(*self.figures)
+            self._task = self._bar.add_task("", total=self._total, **dict.fromkeys(self.figures, ""))
             self._bar.start()
         return self
 
@@ -88,15 +91,49 @@ class EvaluationProgress(_Progress):
         print(f"{share:4.0%}  {self._name}: {rate:,.0f} slots/s, {aou}, {left:,.0f} s left", file=sys.stderr)
 
 
-def _make_bar() -> Any:
+class PlanningProgress(_Progress):
+    """Shows the best routes so far, the bound on them, and the gap between the two.
+
+    Args:
+        slot_length_s: tau, in which ages are shown.
+        bound_s: what is known before planning, s; None where the planner finds it itself.
+        quiet: show nothing.
+    """
+
+    figures = ("figures",)
+
+    def __init__(self, slot_length_s: float, bound_s: float | None, quiet: bool) -> None:
+        super().__init__(1.0, quiet)
+        self._slot_length_s = slot_length_s
+        self._bound_s = bound_s
+        self._next = time.monotonic() + (0.0 if sys.stderr.isatty() else _LINE_EVERY_S)
+
+    def show(self, progress: Progress) -> None:
+        """Show how far the planning is; for :meth:`uavaou.planners.plan.RoutePlanner.plan`."""
+        now = time.monotonic()
+        if self._quiet or (now < self._next and progress.share < 1.0):
+            return
+        figures = f"mean AoU {progress.incumbent_s / self._slot_length_s:,.2f} slots"
+        bound_s = self._bound_s if progress.bound_s is None else progress.bound_s
+        if bound_s is not None:
+            gap = 1 - bound_s / progress.incumbent_s if progress.incumbent_s else 0.0
+            figures += f", bound {bound_s / self._slot_length_s:,.2f}, gap {gap:.1%}"
+        if self._bar is not None:
+            self._next = now + _BAR_EVERY_S
+            self._bar.update(self._task, completed=progress.share, figures=figures)
+            return
+        self._next = now + _LINE_EVERY_S
+        print(f"{progress.share:4.0%}  {figures}", file=sys.stderr, flush=True)
+
+
+def _make_bar(*figures: str) -> Any:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=None),
-        TextColumn("{task.fields[rate]}"),
-        TextColumn("{task.fields[aou]}"),
+        *(TextColumn(f"{{task.fields[{figure}]}}") for figure in figures),
         TimeRemainingColumn(compact=True),
         console=Console(stderr=True),
         expand=True,

@@ -132,7 +132,7 @@ class Recorder(BaseCallback):
         if scores:
             self._note(scores)
         asked = self._interrupts.received is not None
-        if finished or asked or self._every_s == 0 or time.monotonic() >= self._next_checkpoint:
+        if finished or asked or time.monotonic() >= self._next_checkpoint:
             self._save(finished)
         if self._watch is not None:
             self._watch(self._standing(cpu_s, evaluated=bool(scores)))
@@ -206,7 +206,7 @@ class Recorder(BaseCallback):
         now = time.monotonic()
         self._checkpoints += 1
         self._checkpoints_s += now - began
-        self._next_checkpoint = now + max(self._every_s, (now - began) / MOST_SHARE)
+        self._next_checkpoint = now + pause_s(self._every_s, now - began)
 
     def close(self) -> None:
         """Close the files."""
@@ -232,3 +232,8 @@ class Recorder(BaseCallback):
             **stands,
         }
         write_json(self._folder.meta, content)
+
+
+def pause_s(every_s: float, cost_s: float) -> float:
+    """How long to wait after a checkpoint that took ``cost_s``: ``every_s``, and longer where it was costly."""
+    return max(every_s, cost_s / MOST_SHARE) if every_s else 0.0

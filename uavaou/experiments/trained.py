@@ -104,7 +104,7 @@ def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | No
     config = path.read_config()
     scenario = config.scenario if scenario is None else scenario
     _check_shape(path, config.scenario, scenario, config.algorithm)
-    checkpoint = path.best if path.best.is_file() else path.last
+    checkpoint = path.best if path.best.exists() else path.last
     if not checkpoint.is_file():
         raise InputError(f"'{path.path}' holds no checkpoint yet: its training has not reached the first one")
     progress = read_progress(checkpoint)

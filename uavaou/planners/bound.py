@@ -3,32 +3,28 @@
 In which sense: no policy that does not foresee the channel has a lower *expected* mean AoU, the expectation being
 over fading (a mean over finitely many missions scatters around it). Without fading, no mission is below it.
 
-Put a price pi_i[t] >= 0 on collecting device i in slot t. A policy's expected total age is at least
+Three relaxations give it, and the highest of those that apply is taken:
 
-    sum_i min over paths ( gap ages + prices paid ) - sum_u max over walks sum_t sum_i pi_i[t] P_iu(cell in t),
-
-for every choice of prices: a device's collections form a path through the slots, whose arcs weigh the age of the gap
-between two collections; and a slot's fading is independent of where the UAVs are in it, so that device i is
-collected in slot t with a probability of at most sum_u P(R_iu >= R_min) where they are. Both terms are found by
-dynamic programming, the walks with (CDS) and with steps on the grid. The best prices give the optimum of the linear
-relaxation of :class:`uavaou.planners.exact.Program` without (Time); any prices give a valid bound, so it does not
-matter that the ascent towards them, by averaged subgradients, stops early.
-
-What is relaxed: a fleet may be at several places by fractions, since each device's path meets only the probability
-of each cell. Where the program is small, its linear relaxation with (Time) is solved instead.
+* ``linear program``: that of :class:`uavaou.planners.exact.Program`, where it is small.
+* ``prices`` (:class:`Prices`): the same without (Time) at any size, by prices on collections.
+* ``copies`` (:mod:`uavaou.planners.copies`): a copy of each UAV for each device, which keeps the UAVs whole. In short
+  missions it starts from the prices, in long ones from a linear program of its own.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaou.planners.ascent import ascend
+from uavaou.planners.copies import Copies, neighbours
 from uavaou.planners.exact import LARGEST, Program, gap_ages, program_size
 from uavaou.planners.search import compiled
+from uavaou.planners.stationary import stationary_start
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import coverage_probability
 from uavaou.world.flight import Flight
@@ -36,13 +32,9 @@ from uavaou.world.flight import Flight
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_ROUNDS = 3000  # of the ascent, at most
+_ROUNDS = 3000  # of the ascent by prices, at most
 _PATIENCE = 150  # rounds
-_FALL = 100.0  # how far below the best, in the level's height above it, the bound may be on its way
-_FOLLOWS = 0.1  # share of the way to the level that counts as following it
-_CLOSE = 1e-4  # the level is this close above the best: what is left to gain is not worth the time
-_INERTIA = 0.6  # of the averaged subgradient
-_FLAT = 1e-9  # what is taken for nothing: squared lengths, and levels in slots squared
+_ROUNDS_SHORT, _ROUNDS_LONG = 2000, 300  # of the ascent by copies, at most
 _ROUNDING = 1e-9  # of the totals, far above what the sums can err by
 
 
@@ -51,7 +43,7 @@ class Bound:
     """A lower bound on the expected mean AoU, and how it was found."""
 
     mean_aou_s: float
-    method: str  # "linear program" or "prices"
+    method: str  # "linear program", "prices" or "copies"
 
 
 def lower_bound(scenario: Scenario, layout: Layout, time_limit_s: float | None = None) -> Bound:
@@ -60,18 +52,48 @@ def lower_bound(scenario: Scenario, layout: Layout, time_limit_s: float | None =
     Args:
         scenario: what is flown.
         layout: the devices.
-        time_limit_s: of the ascent by prices; None for a fixed number of rounds.
+        time_limit_s: about how long it may take; None for a fixed amount of work, a minute or two on ``paper``.
     """
     per_slot = scenario.slot_length_s / scenario.slots
+    found = []
     if program_size(scenario, layout) <= LARGEST:
         total = Program(scenario, layout).relaxation()
         # Solvers stop within a tolerance of 1e-7; what is certified is a little below.
-        return Bound(per_slot * max(0.0, total * (1 - 1e-6) - 1e-6), "linear program")
-    return Bound(per_slot * Prices(scenario, layout).ascend(time_limit_s), "prices")
+        found.append(Bound(per_slot * max(0.0, total * (1 - 1e-6) - 1e-6), "linear program"))
+    for total, method in _by_prices(scenario, layout, time_limit_s):
+        found.append(Bound(per_slot * total, method))
+    return max(found, key=lambda bound: bound.mean_aou_s)
+
+
+def _by_prices(scenario: Scenario, layout: Layout, time_limit_s: float | None) -> Iterator[tuple[float, str]]:
+    """Bounds on the total age in slots squared, and their methods."""
+    copies, begun = Copies(scenario, layout), time.monotonic()
+    half = None if time_limit_s is None else time_limit_s / 2
+    start = None if copies.short else stationary_start(copies, layout, half)
+    if start is None:
+        prices = Prices(scenario, layout)
+        yield prices.ascend(half), "prices"
+        if not copies.short:
+            return
+        start = prices.as_charges()
+    left = None if time_limit_s is None else max(0.0, time_limit_s - (time.monotonic() - begun))
+    yield copies.ascend(*start, _ROUNDS_SHORT if copies.short else _ROUNDS_LONG, left), "copies"
 
 
 class Prices:
-    """Prices on collections, and the bound that they give."""
+    """Prices on collections, and the bound that they give.
+
+    Put a price pi_i[t] >= 0 on collecting device i in slot t. A policy's expected total age is at least
+
+        sum_i min over paths ( gap ages + prices paid ) - sum_u max over walks sum_t sum_i pi_i[t] P_iu(cell in t),
+
+    for every choice of prices: a device's collections form a path through the slots, whose arcs weigh the age of the
+    gap between two collections; and a slot's fading is independent of where the UAVs are in it, so that device i is
+    collected in slot t with a probability of at most sum_u P(R_iu >= R_min) where they are. Both terms are found by
+    dynamic programming, the walks with (CDS) and with steps on the grid. The best prices give the optimum of the
+    linear relaxation of :class:`uavaou.planners.exact.Program` without (Time), in which a fleet may be at several
+    places by fractions.
+    """
 
     def __init__(self, scenario: Scenario, layout: Layout) -> None:
         probability = coverage_probability(scenario, layout)  # (U, X, Y, I)
@@ -81,12 +103,12 @@ class Prices:
         self._gap_ages = np.ascontiguousarray(gaps, dtype=np.float64)  # the search runs along s
         cds = Flight(scenario).cds  # (U, 2)
         self._homes = cds[:, 0] * scenario.rows + cds[:, 1]  # (U,)
-        self._neighbours = _neighbours(scenario.columns, scenario.rows)  # (C, 5)
+        self._neighbours, _ = neighbours(scenario.columns, scenario.rows)  # (C, 5)
         self.prices = np.zeros((scenario.slots + 1, scenario.devices))  # (K+1, I); row 0 is not a slot
 
     def value(self) -> tuple[float, Floats]:
         """The bound on the total age in slots squared, and its subgradient (K+1, I)."""
-        paid, collected = cheapest_paths(self.prices, self._gap_ages, self._gap_of)
+        paid, collected, _ = cheapest_paths(self.prices, self._gap_ages, self._gap_of)
         total = paid.sum()
         offered = np.zeros_like(self.prices)
         for probability, home in zip(self._probability, self._homes, strict=True):
@@ -97,52 +119,39 @@ class Prices:
         scale = paid.sum() + abs(total - paid.sum())
         return float(total - _ROUNDING * scale), collected - offered
 
-    def ascend(self, time_limit_s: float | None = None, on_round: Callable[[float], None] | None = None) -> float:
-        """The best bound met on the total age, in slots squared; ``on_round`` hears of it after each round.
+    def ascend(self, time_limit_s: float | None = None) -> float:
+        """The best bound met on the total age, in slots squared."""
+        best = 0.0  # of no prices
 
-        Polyak's steps along an averaged subgradient, towards a level above the best bound; the level comes closer
-        where the bound does not follow.
-        """
-        begun, best, since = time.monotonic(), 0.0, 0  # prices of 0 give a bound of 0
-        above = float(len(self.prices))  # of the level over the best: a slot of age for each slot
-        at_best, direction = self.prices.copy(), np.zeros_like(self.prices)
-        for _ in range(_ROUNDS):
-            value, slope = self.value()
-            since += 1
-            if value > best:
-                since = 0 if value > best + _FOLLOWS * above else since
-                best = value
-                at_best[:] = self.prices
-            if since >= _PATIENCE or value < best - _FALL * above:
-                above, since = above / 2, 0
-                self.prices[:] = at_best
-                direction[:] = 0.0
-            direction = slope if not direction.any() else _INERTIA * direction + (1 - _INERTIA) * slope
-            # An average that nearly cancels must not make a long step of a short way.
-            norm = max(float((direction**2).sum()), (1 - _INERTIA) ** 2 * float((slope**2).sum()))
-            late = time_limit_s is not None and time.monotonic() - begun > time_limit_s
-            if not slope.any() or norm < _FLAT or late or above < max(_CLOSE * best, _FLAT):
-                break
-            self.prices = np.maximum(0.0, self.prices + (best + above - value) / norm * direction)
-            if on_round is not None:
-                on_round(best)
+        def value(point: Floats) -> tuple[float, Floats]:
+            nonlocal best
+            prices = self.prices
+            self.prices = point.reshape(prices.shape)
+            found, slope = self.value()
+            if found >= best:
+                best = found
+            else:
+                self.prices = prices
+            return found, slope.ravel()
+
+        level = float(len(self.prices))  # a slot of age for each slot
+        ascend(value, self.prices.ravel(), level, _ROUNDS, _PATIENCE, 0.0, time_limit_s)
         return best
 
-
-def _neighbours(columns: int, rows: int) -> Ints:
-    """The cells from which a cell is reached in a slot, itself first, (C, 5); itself again for those off the grid."""
-    own = np.arange(columns * rows)  # (C,)
-    column, row = np.divmod(own, rows)
-    found = [own]
-    for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        x, y = column + dx, row + dy
-        found.append(np.where((x >= 0) & (x < columns) & (y >= 0) & (y < rows), x * rows + y, own))
-    return np.stack(found, axis=1)
+    def as_charges(self) -> tuple[Floats, Floats]:
+        """Charges (K, I) and prices (K+1, U, I, C, 5) with which :class:`Copies` begins at this bound."""
+        _, _, cost = cheapest_paths(self.prices, self._gap_ages, self._gap_of)
+        there = self._probability[:, self._neighbours]  # (U, C, 5, I)
+        prices = np.zeros((len(self.prices), *there.shape))
+        prices[1:-1] = there * self.prices[2:, None, None, None, :]  # a move's is that of the slot that it leads to
+        return np.diff(cost, axis=0), np.ascontiguousarray(np.moveaxis(prices, -1, 2))
 
 
 @compiled
-def cheapest_paths(prices: Floats, gap_ages: Floats, gap_of: Ints) -> tuple[Floats, Floats]:
+def cheapest_paths(prices: Floats, gap_ages: Floats, gap_of: Ints) -> tuple[Floats, Floats, Floats]:
     """For each device the path of least gap ages and prices: its cost (I,), and where it collects (K+1, I).
+
+    And the cost up to a collection in each slot, (K+1, I).
 
     Args:
         prices: (K+1, I).
@@ -151,7 +160,7 @@ def cheapest_paths(prices: Floats, gap_ages: Floats, gap_of: Ints) -> tuple[Floa
     """
     slots, devices = len(prices) - 1, prices.shape[1]
     paid = np.empty(devices)
-    collected = np.zeros((slots + 1, devices))
+    collected, costs = np.zeros((slots + 1, devices)), np.empty((slots + 1, devices))
     cost, before = np.empty(slots + 2), np.empty(slots + 2, dtype=np.int64)
     for i in range(devices):
         gaps = gap_ages[gap_of[i]]
@@ -167,11 +176,12 @@ def cheapest_paths(prices: Floats, gap_ages: Floats, gap_of: Ints) -> tuple[Floa
             cost[t] = least + (prices[t, i] if t <= slots else 0.0)
             before[t] = at
         paid[i] = cost[slots + 1]
+        costs[:, i] = cost[:-1]
         t = before[slots + 1]
         while t > 0:
             collected[t, i] = 1.0
             t = before[t]
-    return paid, collected
+    return paid, collected, costs
 
 
 @compiled

@@ -14,15 +14,19 @@ the objective is a whole number: its optimum is exact, not only within a toleran
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
+import highspy
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import Bounds, LinearConstraint, milp
-from scipy.sparse import coo_array
+from scipy.sparse import csc_array
 
 from uavaou.errors import InputError
+from uavaou.planners.anneal import Anneal
+from uavaou.planners.highs import passed, run_interruptibly
 from uavaou.planners.plan import Plan, Progress, Report, RoutePlanner
 from uavaou.planners.search import mean_aou_s
 from uavaou.scenario import Layout, Scenario
@@ -37,7 +41,10 @@ _WHOLE = 1e-6  # a bound this close below a whole number is that number
 
 
 class Exact(RoutePlanner):
-    """The optimal routes without fading, proven by HiGHS; under a time limit the best found and a bound."""
+    """The optimal routes without fading, proven by HiGHS, which starts from annealed routes.
+
+    Under a time limit, or after Ctrl-C, the best routes found and a bound.
+    """
 
     name: ClassVar[str] = "exact"
 
@@ -45,7 +52,7 @@ class Exact(RoutePlanner):
         """Solve; the plan's bound equals its mean AoU where optimality is proven.
 
         Raises:
-            InputError: the channel fades, the program is larger than ``LARGEST``, or the time limit found no routes.
+            InputError: the channel fades, or the program is larger than ``LARGEST``.
         """
         if scenario.fading != "none":
             raise InputError(f"exact: fading = {scenario.fading}: needs a deterministic channel, fading: none")
@@ -55,13 +62,33 @@ class Exact(RoutePlanner):
                 f"exact: scenario '{scenario.name}' needs {size:,} variables, at most {LARGEST:,} are taken on: "
                 "fewer slots, cells or devices, or another planner"
             )
-        program = Program(scenario, layout)
-        total, bound, routes = program.solve(self.time_limit_s)
+        start = Anneal().plan(scenario, layout)
+        if start.interrupted:
+            return replace(start, planner=self.name, bound_s=0.0)
         per_slot = scenario.slot_length_s / scenario.slots
-        plan = Plan(self.name, routes, mean_aou_s(scenario, layout, routes), min(bound, total) * per_slot)
+        incumbent, begun = start.mean_aou_s, time.monotonic()
+
+        def look(total: float, bound: float) -> None:
+            share = (time.monotonic() - begun) / self.time_limit_s if self.time_limit_s is not None else 0.0
+            if report is not None:
+                report(Progress(min(share, 1.0), min(total * per_slot, incumbent), max(bound, 0.0) * per_slot))
+
+        solution = Program(scenario, layout).solve(start.routes, self.time_limit_s, look)
+        mean = mean_aou_s(scenario, layout, solution.routes)
+        routes, mean = (solution.routes, mean) if mean <= incumbent else (start.routes, incumbent)
+        plan = Plan(self.name, routes, mean, min(solution.bound * per_slot, mean), solution.interrupted)
         if report is not None:
             report(Progress(1.0, plan.mean_aou_s, plan.bound_s))
         return plan
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What HiGHS found."""
+
+    routes: Ints  # (K, U, 2)
+    bound: float  # on the total age, in slots squared
+    interrupted: bool
 
 
 def gap_ages(update_period: int, slots: int) -> Ints:
@@ -138,33 +165,55 @@ class Program:
         for i in range(scenario.devices):
             self._collect(i, gap_ages(int(layout.update_period[i]), scenario.slots))
 
-    def solve(self, time_limit_s: float | None = None) -> tuple[int, float, Ints]:
-        """The total age in slots squared, a lower bound on it, and the routes (K, U, 2)."""
-        whole = np.zeros(self._variables, dtype=np.int64)
-        whole[: self.first_step[-1]] = 1
-        result = self._run(whole, time_limit_s)
-        if result.x is None:
-            raise InputError(f"exact: no routes found: {result.message}")
-        bound = float(np.ceil(result.mip_dual_bound - _WHOLE))  # the objective is whole
-        return round(result.fun), bound, self._routes(result.x)
+    def solve(
+        self,
+        start: Ints,
+        time_limit_s: float | None = None,
+        on_look: Callable[[float, float], None] = lambda total, bound: None,
+    ) -> Solution:
+        """The best routes found, from ``start`` (K, U, 2) on, and the bound proven.
+
+        Args:
+            start: routes within all constraints.
+            time_limit_s: seconds, at most.
+            on_look: hears now and then of the best total age and of the bound on it, in slots squared.
+        """
+        solver, steps = self._solver(), int(self.first_step[-1])
+        whole = np.arange(steps, dtype=np.int32)
+        solver.changeColsIntegrality(steps, whole, np.full(steps, highspy.HighsVarType.kInteger))
+        solver.setOptionValue("mip_rel_gap", 0.0)
+        solver.setOptionValue("mip_abs_gap", 1.0 - _WHOLE)  # the objective is whole
+        if time_limit_s is not None:
+            solver.setOptionValue("time_limit", time_limit_s)
+        solver.setSolution(steps, whole, self._steps_of(start))
+        interrupted = run_interruptibly(solver, on_look)
+        found = solver.getSolution()
+        routes = self._routes(np.asarray(found.col_value)) if found.value_valid else start
+        bound = float(np.ceil(solver.getInfo().mip_dual_bound - _WHOLE))
+        return Solution(routes, max(bound, 0.0), interrupted)
 
     def relaxation(self) -> float:
-        """The optimum of the linear relaxation, in slots squared."""
-        result = self._run(np.zeros(self._variables, dtype=np.int64), None)
-        return float(result.fun)
+        """The optimum of the linear relaxation, in slots squared; 0 where HiGHS finds none."""
+        solver = self._solver()
+        solver.run()
+        solved = solver.getModelStatus() == highspy.HighsModelStatus.kOptimal
+        return float(solver.getInfo().objective_function_value) if solved else 0.0
 
-    def _run(self, whole: Ints, time_limit_s: float | None) -> Any:
+    def _solver(self) -> highspy.Highs:
         rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
         shape = (self._constraints, self._variables)
-        matrix = coo_array((np.concatenate(self._values), (rows, columns)), shape=shape).tocsc()
-        limit = np.inf if time_limit_s is None else time_limit_s
-        return milp(
-            np.concatenate(self._costs),
-            integrality=whole,
-            bounds=Bounds(0, 1),
-            constraints=LinearConstraint(matrix, np.concatenate(self._low), np.concatenate(self._high)),
-            options={"mip_rel_gap": 0.0, "time_limit": limit},
-        )
+        matrix = csc_array((np.concatenate(self._values), (rows, columns)), shape=shape)
+        low, high = np.concatenate(self._low), np.concatenate(self._high)
+        return passed(np.concatenate(self._costs), np.ones(self._variables), matrix, low, high)
+
+    def _steps_of(self, routes: Ints) -> Floats:
+        """The steps' variables (E,) for routes (K, U, 2)."""
+        cells = routes[..., 0] * self._scenario.rows + routes[..., 1]  # (K, U)
+        taken = [
+            (cells[flow.slot - 1, u] == flow.here) & (cells[flow.slot, u] == flow.there)
+            for u, flow in enumerate(self._flows)
+        ]
+        return np.concatenate(taken).astype(np.float64)
 
     def _fly(self, uav: int) -> None:
         """One unit of flow from the CDS in slot 1 to it in slot K, within the budget."""

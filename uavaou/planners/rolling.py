@@ -38,7 +38,7 @@ class Rolling:
     def __init__(self, time_limit_s: float | None = None) -> None:
         self._anneal = Anneal(time_limit_s)
 
-    def start_from(self, plan: Plan, scenario: Scenario, layout: Layout) -> None:
+    def keep(self, plan: Plan, scenario: Scenario, layout: Layout) -> None:
         """Take off with these routes on this layout, annealed or not."""
         self._anneal.keep(plan, scenario, layout)
 

@@ -1,0 +1,108 @@
+"""The planners between random moves and the bound, on several scenarios: ``python -m benchmarks.planners``.
+
+Annealed plans are kept in results/planners/plans and flown again when they are there; delete one to anneal anew.
+Rolling takes off with the same plan. Writes results/planners/gap.csv, mean AoU in slots.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from uavaou.experiments.evaluation import evaluate
+from uavaou.experiments.statistics import interval
+from uavaou.planners import PLANNERS, make_planner
+from uavaou.planners.anneal import Anneal
+from uavaou.planners.base import Planner
+from uavaou.planners.bound import lower_bound
+from uavaou.planners.exact import LARGEST, program_size
+from uavaou.planners.plan import Plan
+from uavaou.planners.rolling import Rolling
+from uavaou.scenario import Scenario
+
+RESULTS = Path("results/planners")
+SCENARIOS = {"tiny": Scenario.load("tiny"), "quickstart": Scenario.load("quickstart")} | {
+    f"paper+layout_seed={seed}": Scenario.load("paper").replace(layout_seed=seed) for seed in range(1, 6)
+}
+STREAMS = 10_000  # mission j is seeded with this + j; no planner has seen these draws
+COLUMNS = ("scenario", "policy", "mean_aou_slots", "low", "high", "method", "seconds")
+POLICIES = ["bound", "exact", "rolling", "anneal", "best-first", "greedy", "tour", "partition-tour", "random"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--time-limit", type=float, default=600.0, help="seconds of annealing for a plan")
+    parser.add_argument("--episodes", type=int, default=64, help="missions that each policy plays")
+    parser.add_argument("--scenarios", choices=list(SCENARIOS), nargs="+", default=list(SCENARIOS))
+    parser.add_argument("--policies", choices=POLICIES, nargs="+", default=POLICIES, help="measured anew")
+    chosen = parser.parse_args()
+    for name in chosen.scenarios:
+        for row in measured(name, SCENARIOS[name], chosen):
+            print(*row.values(), flush=True)
+            _keep(row)
+
+
+def _keep(new: dict[str, str]) -> None:
+    """Put a row in its place in gap.csv."""
+    rows = {(row["scenario"], row["policy"]): row for row in [*_rows(), new]}
+    order = sorted(rows, key=lambda key: (list(SCENARIOS).index(key[0]), POLICIES.index(key[1])))
+    with (RESULTS / "gap.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows[key] for key in order)
+
+
+def _rows() -> list[dict[str, str]]:
+    path = RESULTS / "gap.csv"
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def measured(name: str, scenario: Scenario, chosen: argparse.Namespace) -> Iterator[dict[str, str]]:
+    """The rows of one scenario as they come: the bound, then each policy."""
+    layout, tau = scenario.draw_layout(), scenario.slot_length_s
+    begun = time.monotonic()
+    if "bound" in chosen.policies:
+        bound = lower_bound(scenario, layout)
+        mean = f"{bound.mean_aou_s / tau:.5g}"
+        seconds = f"{time.monotonic() - begun:.0f}"
+        yield dict(zip(COLUMNS, (name, "bound", mean, "", "", bound.method, seconds), strict=True))
+    for policy, planner in _policies(name, scenario, chosen).items():
+        begun = time.monotonic()
+        found = interval(evaluate(scenario, planner, chosen.episodes, STREAMS).values("mean_aou_s") / tau)
+        seconds = f"{time.monotonic() - begun:.0f}"
+        figures = (f"{found.mean:.5g}", f"{found.low:.5g}", f"{found.high:.5g}", "", seconds)
+        yield dict(zip(COLUMNS, (name, policy, *figures), strict=True))
+
+
+def _policies(name: str, scenario: Scenario, chosen: argparse.Namespace) -> dict[str, Planner]:
+    layout = scenario.draw_layout()
+    solvable = scenario.fading == "none" and program_size(scenario, layout) <= LARGEST
+    names = [policy for policy in chosen.policies if policy in PLANNERS and (policy != "exact" or solvable)]
+    planners = {policy: make_planner(policy) for policy in names}
+    for planner in planners.values():
+        if isinstance(planner, Anneal | Rolling):
+            plan = _annealed(RESULTS / "plans" / f"{name}.json", scenario, chosen.time_limit)
+            planner.keep(plan, scenario, layout)
+    return planners
+
+
+def _annealed(path: Path, scenario: Scenario, time_limit_s: float) -> Plan:
+    if path.is_file():
+        plan, planned_for = Plan.load(path)
+        if planned_for == scenario:
+            return plan
+    path.parent.mkdir(parents=True, exist_ok=True)
+    plan = Anneal(time_limit_s).plan(scenario, scenario.draw_layout())
+    path.write_text(json.dumps(plan.to_dict(scenario)) + "\n", encoding="utf-8")
+    return plan
+
+
+if __name__ == "__main__":
+    main()
