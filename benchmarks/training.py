@@ -9,6 +9,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch as th
 from stable_baselines3 import PPO
@@ -18,7 +19,7 @@ from torch import nn
 from benchmarks.measure import Measurement, Stopwatch, exactly, seconds_of, side_by_side
 from uavaou import MAPPO, Scenario, flatten
 from uavaou.algorithms.common.networks import Linear
-from uavaou.algorithms.config import MappoConfig
+from uavaou.algorithms.config import AlgorithmConfig, MappoConfig
 from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
@@ -40,16 +41,19 @@ def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Measure
     }
     for name in ALGORITHMS:
         for threads in sorted({1, cores}):
-            model = _ours(scenario, name, rollout_slots)
+            model = _ours(scenario, config if name == "mappo" else load_config(name))
             label = f"uavaou {name}, {threads} thread{'s' if threads > 1 else ''}"
             contestants[label] = (_learner(model, rows, threads), rows)
     return side_by_side("training on paper, 64 missions", contestants, repeats)
 
 
 def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:
-    """Where the time of MAPPO's training goes, in microseconds an agent step, and the fraction of the floor reached."""
-    scenario, config = Scenario.load("paper"), _mappo(rollout_slots)
-    model = _ours(scenario, "mappo", rollout_slots)
+    """Where the time of MAPPO's training goes, in microseconds an agent step, and the fraction of the floor reached.
+
+    Rollout, minibatch and epochs are the published ones, the networks 128-128.
+    """
+    scenario, config = Scenario.load("paper"), _mappo(rollout_slots, hidden=[128, 128])
+    model = _ours(scenario, config)
     assert isinstance(model, MAPPO)
     rows = MISSIONS * scenario.uavs * config.rollout_slots
     learn = _learner(model, rows, th.get_num_threads())
@@ -142,15 +146,15 @@ def memory(rollouts: int = 6, algorithms: Sequence[str] = ALGORITHMS) -> list[Me
     return measurements
 
 
-def _mappo(rollout_slots: int | None) -> MappoConfig:
-    config = load_config("mappo", {} if rollout_slots is None else {"rollout_slots": rollout_slots})
+def _mappo(rollout_slots: int | None, **changes: Any) -> MappoConfig:
+    if rollout_slots is not None:
+        changes["rollout_slots"] = rollout_slots
+    config = load_config("mappo", changes)
     assert isinstance(config, MappoConfig)
     return config
 
 
-def _ours(scenario: Scenario, name: str, rollout_slots: int | None) -> BaseAlgorithm:
-    shortened = rollout_slots is not None and name == "mappo"
-    config = _mappo(rollout_slots) if shortened else load_config(name)
+def _ours(scenario: Scenario, config: AlgorithmConfig) -> BaseAlgorithm:
     env = flatten(scenario, missions=config.missions, collection=config.collection)
     return make_model(config, env, seed=0, device="cpu")
 
