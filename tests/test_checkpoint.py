@@ -295,6 +295,22 @@ def test_a_replay_is_part_of_the_checkpoint(
         assert len(one) > 2
 
 
+@pytest.mark.parametrize(
+    ("before", "after"), [("batched", "batched"), ("supersuit", "batched"), ("batched", "supersuit")]
+)
+def test_missions_in_other_processes_are_part_of_it_too(
+    before: str, after: str, runs: tuple[RunFolder, RunFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = RunFolder(tmp_path / "run")
+    config = small(processes=2)
+    with monkeypatch.context() as patch:
+        stop_in_update(patch, 4)
+        with pytest.raises(StoppedError):
+            every_update(config, folder, backend=before)
+    every_update(config, folder, backend=after, resume=True)
+    assert_ends_as(folder, runs[0])  # which one process has stepped
+
+
 def _without_wall(path: Path) -> list[dict[str, str]]:
     with path.open(newline="", encoding="utf-8") as file:
         return [{name: value for name, value in row.items() if "wall" not in name} for row in csv.DictReader(file)]
