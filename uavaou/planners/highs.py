@@ -51,7 +51,7 @@ def run_interruptibly(solver: highspy.Highs, on_look: Callable[[float, float], N
         while not solver.wait(_LOOK_S)[0]:
             on_look(*seen)
     except KeyboardInterrupt:
-        solver.cancelSolve()
+        solver.cancelSolve()  # type: ignore[no-untyped-call]
         solver.wait()  # not Thread.join, which forgets a thread that it was interrupted in waiting for
         return True
     return False
