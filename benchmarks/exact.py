@@ -16,7 +16,18 @@ from uavaou.scenario import Scenario
 LIMIT_S = float(sys.argv[1]) if len(sys.argv) > 1 else 300.0
 TINY = Scenario.load("tiny")
 # slots, cells to a side, devices
-SIZES = [(12, 3, 4), (16, 3, 4), (24, 3, 4), (12, 4, 6), (16, 4, 6), (24, 4, 6), (16, 5, 8), (24, 5, 8), (36, 5, 8)]
+SIZES = [
+    (12, 3, 4),
+    (16, 3, 4),
+    (24, 3, 4),
+    (12, 4, 6),
+    (16, 4, 6),
+    (24, 4, 6),
+    (12, 5, 8),
+    (16, 5, 8),
+    (24, 5, 8),
+    (36, 5, 8),
+]
 COLUMNS = ("slots", "cells", "devices", "uavs", "variables", "seconds", "mean_aou_slots", "bound_slots", "gap")
 
 

@@ -92,6 +92,8 @@ class _Stationary:
         collected = self._variables(np.ones(len(costs), dtype=bool), costs)  # after a gap of 1, 2, ...
         charge = self._constraints(1, 1.0, 1.0)
         self._enter(charge, collected, np.arange(1.0, len(costs) + 1))
+        never = self._variables(np.ones(1, dtype=bool), costs[-1:] / len(costs))  # slots out of any UAV's reach
+        self._enter(charge, never, 1.0)
         self.charges.append(int(charge[0]))
         allowed = self._constraints(gaps, -np.inf, 0.0)
         for gap in range(gaps):  # of gap + 1 slots or more
