@@ -34,8 +34,9 @@ from uavaou_cli.tables import WIDTH
 pytest.importorskip("optuna")
 SMALL = {"missions": 4, "rollout_slots": 12, "batch_rows": 48, "hidden": [8], "evaluation_missions": 2}
 SET = " ".join(f"--set algorithm.{name}={str(value).replace(' ', '')}" for name, value in SMALL.items())
+PUBLISHED = load_config("mappo").model_dump()
 SPACE = {
-    "gamma": {"kind": "categorical", "choices": [0.5, 0.9, 0.99]},
+    "gamma": {"kind": "categorical", "choices": [0.5, 0.9, PUBLISHED["gamma"]]},
     "learning_rate": {"kind": "log-uniform", "low": 1e-4, "high": 1e-2},
     "epochs": {"kind": "integer", "low": 1, "high": 10},
 }
@@ -59,7 +60,8 @@ def a_folder(path: Path, **arguments: Any) -> SearchFolder:
 def score(config: RunConfig) -> float:
     """A made-up figure: the published settings are good."""
     settings = config.algorithm.model_dump()
-    return float(100 * abs(settings["learning_rate"] - 5e-4) + abs(settings["epochs"] - 10) + 10)
+    rate, epochs = (abs(settings[name] - PUBLISHED[name]) for name in ("learning_rate", "epochs"))
+    return float(100 * rate + epochs + 10)
 
 
 @pytest.fixture
@@ -281,15 +283,15 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
     before = th.get_num_threads()
     th.set_num_threads(1)
     own = {"mappo": SMALL, "vdn": {"missions": 4, "slots_per_update": 8, "learning_starts": 200, "replay_slots": 2000}}
-    config = load_config(algorithm, own[algorithm] | {"hidden": [16], "evaluation_missions": 2, "gamma": 0.99})
+    config = load_config(algorithm, own[algorithm] | {"hidden": [16], "evaluation_missions": 2, "gamma": 0.9})
     space = SearchSpace.from_dict({"gamma": SPACE["gamma"]}, "space")
     search = Search(Scenario.load("tiny"), config, space, 1.0, None, 0, ())
     warm_up(search)
-    slots = affordable_slots(search, {"gamma": 0.99})
+    slots = affordable_slots(search, {"gamma": 0.9})
     rollout = 48 if algorithm == "mappo" else 8
     assert slots % rollout == 0
     seen: list[Standing] = []
-    played = search.config({"gamma": 0.99}, slots)
+    played = search.config({"gamma": 0.9}, slots)
     train(RunConfig(search.scenario, played, 0), RunFolder(tmp_path), quiet=True, watch=seen.append)
     th.set_num_threads(before)
     assert seen[-1].slots == slots  # to the slot: schedules end with the budget
@@ -342,8 +344,14 @@ def test_shipped_spaces_hold_the_published_settings(name: str) -> None:
         ({"gamma": {"kind": "categorical", "choices": [0.9, 0.99, 0.9]}}, "0.9 stands there twice"),
         ({"gama": SPACE["gamma"]}, "has no field 'gama'; did you mean 'gamma'"),
         ({"slots": {"kind": "integer", "low": 1, "high": 9}}, "slots is set by the search itself"),
-        ({"gamma": {"kind": "categorical", "choices": [0.5, 0.6]}}, "gamma = 0.99, where the search starts"),
-        ({"epochs": {"kind": "integer", "low": 1, "high": 9}}, "epochs = 10, where the search starts"),
+        (
+            {"gamma": {"kind": "categorical", "choices": [0.5, 0.6]}},
+            f"gamma = {PUBLISHED['gamma']}, where the search starts",
+        ),
+        (
+            {"epochs": {"kind": "integer", "low": 90, "high": 99}},
+            f"epochs = {PUBLISHED['epochs']}, where the search starts",
+        ),
     ],
 )
 def test_bad_spaces_are_said_in_words(space: dict[str, Any], says: str) -> None:

@@ -187,9 +187,12 @@ def _about(file: ArrayFile, name: str) -> dict[str, Any]:
 
 def _layout(stated: dict[str, Any]) -> RowLayout:
     parts = {part: tuple(Columns(**columns) for columns in stated[part]) for part in ("local", "state")}
-    for columns in (*parts["local"], *parts["state"]):
-        if not (isinstance(columns.start, int) and isinstance(columns.stop, int) and columns.start <= columns.stop):
-            raise ValueError(f"columns {columns}")
+    for part in parts.values():
+        end = 0
+        for columns in part:  # one run of columns follows the other
+            if columns.start != end or not isinstance(columns.stop, int) or columns.stop < end:
+                raise ValueError(f"columns {columns}")
+            end = columns.stop
     return RowLayout(int(stated["uavs"]), int(stated["devices"]), str(stated["collection"]), **parts)
 
 
