@@ -31,8 +31,8 @@ demo: install
 	@$(BIN)/uavaou plot trajectories $(RUN) --out $(DEMO)/figures
 
 test: install
-	$(BIN)/python -m pytest -q -m "not slow"
-	$(BIN)/python -m pytest -q -m slow
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal -m "not slow"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal -m slow
 
 lint: install
 	$(BIN)/ruff check .

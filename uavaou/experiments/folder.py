@@ -109,7 +109,7 @@ class RunFolder:
             raise InputError(f"'{self.path}' is not a run folder: it holds no config.yaml")
         refuse_links(self.path)
         content = read_yaml_mapping(self.config)
-        if content.get("schema") != SCHEMA:
+        if content.get("schema") != SCHEMA or isinstance(content["schema"], bool | float):
             raise InputError(f"{self.config}: schema = {content.get('schema')!r}: this version reads schema {SCHEMA}")
         seed = content.get("seed")
         if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
