@@ -17,15 +17,18 @@ from uavaou.experiments.evaluation import evaluate
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal
 from uavaou.planners.bound import Prices, lower_bound
+from uavaou.planners.close_enough import close_enough_tours
 from uavaou.planners.copies import Copies
 from uavaou.planners.exact import Exact, Program, gap_ages
 from uavaou.planners.plan import Plan, Progress, RoutePlanner, broken_rule
 from uavaou.planners.rolling import Rolling
 from uavaou.planners.search import expect, mean_aou_s, total_age, trial_age
 from uavaou.planners.stationary import stationary_start
+from uavaou.planners.tour import laid
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.ages import AgeLedger
+from uavaou.world.coverage import coverage_probability
 
 TINY, QUICKSTART = Scenario.load("tiny"), Scenario.load("quickstart")
 MOVES = [(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)]
@@ -152,6 +155,60 @@ def test_plans_can_be_flown_as_they_are(name: str, scenario: Scenario) -> None:
         while not world.done:
             assert (world.cells == plan.routes[world.slot - 1]).all()
             world.step(*planner.act(world))
+
+
+def closed_length(cells: np.ndarray) -> int:
+    return int(np.abs(cells - np.roll(cells, -1, axis=0)).sum())
+
+
+def test_close_enough_tours_serve_every_device_and_are_near_the_shortest() -> None:
+    rng = np.random.default_rng(0)
+    coverages = [rng.random((4, 4, 5)) < 0.2 for _ in range(6)]
+    coverages[0][..., 2] = False  # out of reach everywhere
+    found = close_enough_tours(coverages)
+    again = close_enough_tours(coverages)
+    lengths, shortest = [], []
+    for served, (cells, device), (same, _) in zip(coverages, found, again, strict=True):
+        np.testing.assert_array_equal(cells, same)
+        assert served[cells[:, 0], cells[:, 1], device].all()
+        assert (served[cells[:, 0], cells[:, 1]].any(axis=0) == served.any(axis=(0, 1))).all()
+        choices = [np.argwhere(served[..., i]) for i in range(5) if served[..., i].any()]
+        tours = (np.array(order) for stops in itertools.product(*choices) for order in itertools.permutations(stops))
+        lengths.append(closed_length(cells))
+        shortest.append(min(map(closed_length, itertools.islice(tours, 100_000))))
+    assert sum(lengths) <= 1.2 * sum(shortest)
+
+
+def test_a_time_limit_lets_a_tour_search_on() -> None:
+    paper = Scenario.load("paper")
+    layout = paper.draw_layout()
+    served = coverage_probability(paper, layout).mean(axis=0) >= 0.5  # (X, Y, I)
+    (quick, _), (long, _) = (close_enough_tours([served], limit)[0] for limit in (None, 2.0))
+    assert closed_length(long) <= closed_length(quick)
+
+
+@pytest.mark.parametrize("name", ["tour", "partition-tour"])
+def test_tours_dwell_where_it_pays(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    layout, planner, seen = QUICKSTART.draw_layout(), make_planner(name), []
+    assert isinstance(planner, RoutePlanner)
+    plan = planner.plan(QUICKSTART, layout, seen.append)
+    assert seen[-1] == Progress(1.0, pytest.approx(plan.mean_aou_s))
+    assert (plan.routes[1:] == plan.routes[:-1]).all(axis=-1).any()
+    monkeypatch.setattr("uavaou.planners.tour._dwelt", lambda scenario, e, tours: undwelt(scenario, layout, tours))
+    assert plan.mean_aou_s < planner.plan(QUICKSTART, layout).mean_aou_s
+
+
+def undwelt(scenario: Scenario, layout: Layout, tours: list[np.ndarray]) -> tuple[np.ndarray, float]:
+    routes = laid(scenario, tours, [np.ones(len(tour), dtype=int) for tour in tours])
+    return routes, total_age(expect(scenario, layout, routes))
+
+
+def test_a_tour_stays_home_where_nothing_is_in_reach() -> None:
+    deaf = TINY.replace(rate_min_bit_s=1e9)
+    for name in ("tour", "partition-tour"):
+        planner = make_planner(name)
+        assert isinstance(planner, RoutePlanner)
+        assert (planner.plan(deaf, deaf.draw_layout()).routes == deaf.cds_cells).all()
 
 
 def test_the_expected_age_is_the_mean_over_missions() -> None:

@@ -298,14 +298,15 @@ class Scenario(BaseModel):
                 if not on_grid or not 0 <= round(steps) < cells:
                     raise ValueError(
                         f"cds_m[{u}] = [{x:g}, {y:g}]: {axis} is not on the grid "
-                        f"(0 to {(cells - 1) * self.grid_step_m:g} m in steps of {self.grid_step_m:g} m)"
+                        f"(0 to {(cells - 1) * self.grid_step_m:g} m in steps of {self.grid_step_m:g} m), "
+                        "which breaks constraint (CDS)"
                     )
         if self.flight_time == "enforce":
             needed = 2 * max(self.altitudes_m) / self.speed_m_s
             if needed > self.flight_time_budget_s + ZETA_TOLERANCE_S:
                 raise ValueError(
                     f"flight_time_budget_s = {self.flight_time_budget_s:g}: take-off and landing alone need "
-                    f"2 H / speed = {needed:g} s; raise it, or set flight_time: ignore"
+                    f"2 H / speed = {needed:g} s, which breaks constraint (Time); raise it, or set flight_time: ignore"
                 )
 
     def _check_devices(self) -> None:

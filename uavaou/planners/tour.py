@@ -1,13 +1,15 @@
 """Tours: the fleet goes round and round a closed way that passes every device closely enough.
 
-A close-enough travelling salesman: stops are chosen so that from one of them each device is in range likely enough
-(greedy set cover), ordered by nearest neighbour, improved by 2-opt and Or-opt, and slid to cells that shorten the
-way. ``tour`` spaces the UAVs evenly in time on one tour, which for the largest latency is within 2 (1 - 1/k) of the
-best cyclic schedule of k agents (Afshani et al., 2022); ``partition-tour`` cuts it into a tour for each UAV.
+A close-enough travelling salesman (:mod:`uavaou.planners.close_enough`) passes every device where it is in range
+likely enough. ``tour`` spaces the UAVs evenly in time on one tour, which for the largest latency is within
+2 (1 - 1/k) of the best cyclic schedule of k agents (Afshani et al., 2022); ``partition-tour`` cuts it into parts and
+lays a tour for each UAV over the devices of its part. A UAV dwells at a stop as long as that lowers the exact
+expected age of all its rounds; how likely is likely enough is what gives the lowest.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from itertools import pairwise
 from typing import ClassVar
 
@@ -15,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from uavaou.planners.plan import Plan, Report, RoutePlanner
-from uavaou.planners.search import mean_aou_s
+from uavaou.planners.close_enough import close_enough_tours
+from uavaou.planners.plan import Plan, Progress, Report, RoutePlanner
+from uavaou.planners.search import Expectation, expect, mean_aou_s, refresh, total_age
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import coverage_probability
 from uavaou.world.flight import Flight
@@ -25,180 +28,151 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-_LIKELY = 0.8  # P(R >= R_min) at a stop that serves a device, or this share of the best that any cell offers
+# P(R >= R_min) at a stop that serves a device, as a share of the best that any cell offers; each is tried.
+_LIKELY = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 
-class Tour(RoutePlanner):
+class _Rounds(RoutePlanner):
+    """Tours for one coverage of the devices after the other, with dwelling; the best of them."""
+
+    def plan(self, scenario: Scenario, layout: Layout, report: Report | None = None) -> Plan:
+        """Lay the tours; see :class:`RoutePlanner`. Ctrl-C keeps the best so far, in the end staying."""
+        probability = coverage_probability(scenario, layout).mean(axis=0)  # (X, Y, I)
+        best = probability.max(axis=(0, 1))  # (I,)
+        routes = np.tile(Flight(scenario).cds, (scenario.slots, 1, 1))  # (K, U, 2); stays where nobody is in reach
+        expectation = expect(scenario, layout, routes)
+        least, interrupted = total_age(expectation), False
+        try:
+            coverages = [(probability >= likely * best) & (best > 0.0) for likely in _LIKELY if best.any()]
+            for done, tours in enumerate(self._tours(scenario, coverages) if coverages else [], start=1):
+                found, age = _dwelt(scenario, expectation, tours)
+                routes, least = (found, age) if age < least else (routes, least)
+                if report is not None:
+                    report(Progress(done / len(_LIKELY), scenario.slot_length_s * least / scenario.slots))
+        except KeyboardInterrupt:
+            interrupted = True
+        return Plan(self.name, routes, mean_aou_s(scenario, layout, routes), interrupted=interrupted)
+
+    @abstractmethod
+    def _tours(self, scenario: Scenario, coverages: list[Bools]) -> list[list[Ints]]:
+        """For each coverage (X, Y, I) the stops of its tours, (S, 2) each: one for the whole fleet, or one per UAV."""
+
+
+class Tour(_Rounds):
     """One tour, the UAVs spaced evenly in time."""
 
     name: ClassVar[str] = "tour"
 
-    def plan(self, scenario: Scenario, layout: Layout, report: Report | None = None) -> Plan:
-        """Lay the tour and let UAV u fly u/U of its length ahead; takes well under a second on ``paper``."""
-        loop = _loop(shortest_tour(_served(scenario, layout)))
-        ahead = np.arange(scenario.uavs) * len(loop) // scenario.uavs
-        return _finished(self.name, scenario, layout, [np.roll(loop, -offset, axis=0) for offset in ahead])
+    def _tours(self, scenario: Scenario, coverages: list[Bools]) -> list[list[Ints]]:
+        return [[cells] for cells, _ in close_enough_tours(coverages, self.time_limit_s)]
 
 
-class PartitionTour(RoutePlanner):
-    """The tour's stops cut into one run for each UAV, about as long each, and a tour through each run."""
+class PartitionTour(_Rounds):
+    """The tour cut into one part for each UAV, about as long each, and a tour over the devices of each part."""
 
     name: ClassVar[str] = "partition-tour"
 
-    def plan(self, scenario: Scenario, layout: Layout, report: Report | None = None) -> Plan:
-        """Cut the tour and give each part to the UAV that has its CDS nearest."""
-        served = _served(scenario, layout)
-        runs = _cut(shortest_tour(served), scenario.uavs)
-        loops = [_loop(improve(run)) for run in runs]
+    def _tours(self, scenario: Scenario, coverages: list[Bools]) -> list[list[Ints]]:
+        half = None if self.time_limit_s is None else self.time_limit_s / 2
+        parts: list[list[Bools]] = []  # of each coverage, (X, Y, devices of the part) each
+        for served, (cells, device) in zip(coverages, close_enough_tours(coverages, half), strict=True):
+            part = _cut(cells, scenario.uavs)  # (V,)
+            parts.append([served[..., device[part == own]] for own in np.unique(part)])
+        tours = iter(close_enough_tours([served for own in parts for served in own], half))
         cds = Flight(scenario).cds  # (U, 2)
-        way = np.array([[np.abs(loop - home).sum(axis=1).min() for loop in loops] for home in cds])  # (U, runs)
-        uavs, parts = linear_sum_assignment(way)
-        of_uav = dict(zip(uavs.tolist(), parts.tolist(), strict=True))
-        own = [loops[of_uav[u]] if u in of_uav else cds[u : u + 1] for u in range(scenario.uavs)]
-        return _finished(self.name, scenario, layout, own)
+        return [_shared_out([next(tours)[0] for _ in own], cds) for own in parts]
 
 
-def _served(scenario: Scenario, layout: Layout) -> Bools:
-    """Whether a stop in a cell serves a device, (X, Y, I): likely enough, on average over the UAVs' altitudes."""
-    probability = coverage_probability(scenario, layout).mean(axis=0)  # (X, Y, I)
-    best = probability.max(axis=(0, 1))  # (I,)
-    served: Bools = (probability >= _LIKELY * np.minimum(1.0, best)) & (best > 0.0)
-    return served
+def _shared_out(tours: list[Ints], cds: Ints) -> list[Ints]:
+    """A tour (S, 2) for each UAV, nearest to its CDS (U, 2) on the whole; one without a tour stays there."""
+    way = np.array([[np.abs(tour - home).sum(axis=1).min() for tour in tours] for home in cds])  # (U, tours)
+    of_uav = dict(zip(*(found.tolist() for found in linear_sum_assignment(way)), strict=True))
+    return [tours[of_uav[u]] if u in of_uav else cds[u : u + 1] for u in range(len(cds))]
 
 
-def shortest_tour(served: Bools) -> Ints:
-    """The stops of a short closed tour that serves every device that can be, in order, (S, 2).
+def _cut(cells: Ints, parts: int) -> Ints:
+    """The part, counted from 0, that each stop of a tour (V, 2) belongs to; parts are runs about as long each."""
+    legs = np.abs(cells - np.roll(cells, -1, axis=0)).sum(axis=1)  # (V,) grid steps to the next
+    reached = np.cumsum(legs) - legs  # (V,)
+    part: Ints = reached * parts // max(int(legs.sum()), 1)
+    return part
+
+
+def _dwelt(scenario: Scenario, expectation: Expectation, tours: list[Ints]) -> tuple[Ints, float]:
+    """Routes (K, U, 2) over the tours with the slots at each stop that a descent one by one ends at, and their age.
 
     Args:
-        served: whether a stop in a cell serves a device, (X, Y, I).
+        scenario: whose rules of flight hold.
+        expectation: of any routes; room to work in.
+        tours: stops (S, 2), one tour for the whole fleet or one for each UAV.
     """
-    stops = improve(_cover(served))
-    for _ in range(4):  # sliding and ordering help each other; more rounds change nothing
-        before = _length(stops)
-        stops = improve(_slide(stops, served))
-        if _length(stops) == before:
-            break
-    return stops
-
-
-def _cover(served: Bools) -> Ints:
-    """Stops that serve all devices, those that serve most first, (S, 2); greedy set cover."""
-    left = served.any(axis=(0, 1))  # (I,)
-    stops = []
-    while left.any():
-        column, row = np.unravel_index((served & left).sum(axis=-1).argmax(), served.shape[:2])
-        stops.append((int(column), int(row)))
-        left = left & ~served[column, row]
-    return np.array(stops or [(0, 0)])
-
-
-def _slide(stops: Ints, served: Bools) -> Ints:
-    """Drop stops that serve nobody alone, and move the others to where the way is shorter."""
-    kept = list(map(tuple, stops.tolist()))
-    reachable = served.any(axis=(0, 1))  # (I,)
-    for stop in list(kept):
-        others = [cell for cell in kept if cell is not stop]
-        by_others = np.any([served[cell] for cell in others], axis=0) if others else np.zeros_like(reachable)
-        needed = reachable & ~by_others  # (I,)
-        at = next(k for k, cell in enumerate(kept) if cell is stop)
-        if not needed.any() and others:
-            kept.pop(at)
-            continue
-        columns, rows = np.nonzero(served[..., needed].all(axis=-1))
-        cells = np.stack([columns, rows], axis=1)  # (M, 2)
-        neighbours = np.array([kept[at - 1], kept[(at + 1) % len(kept)]])
-        way = np.abs(cells[:, None] - neighbours).sum(axis=(1, 2))  # (M,) grid steps there and on
-        kept[at] = tuple(cells[way.argmin()].tolist())
-    return np.array(kept)
-
-
-def _length(stops: Ints) -> int:
-    return int(np.abs(stops - np.roll(stops, -1, axis=0)).sum())
-
-
-def improve(stops: Ints) -> Ints:
-    """The stops (S, 2) in an order of a shorter closed way: nearest neighbour, 2-opt, Or-opt."""
-    order = [0]
-    left = set(range(1, len(stops)))
-    while left:
-        here = stops[order[-1]]
-        order.append(min(left, key=lambda k: (int(np.abs(stops[k] - here).sum()), k)))
-        left.remove(order[-1])
-    best, length = stops[order], _length(stops[order])
-    improved = True
+    dwell = [np.ones(len(tour), dtype=np.int64) for tour in tours]  # slots at each stop, (S,) each
+    routes = laid(scenario, tours, dwell)
+    least, improved = _age(scenario, expectation, routes), True
     while improved:
         improved = False
-        for candidate in _neighbours(best):
-            shorter = _length(candidate)
-            if shorter < length:
-                best, length, improved = candidate, shorter, True
-                break
-    return best
+        for slots, stop in [(one, stop) for one in dwell for stop in range(len(one))]:
+            slots[stop] += 1
+            longer = laid(scenario, tours, dwell)
+            age = _age(scenario, expectation, longer)
+            if age < least:
+                routes, least, improved = longer, age, True
+            else:
+                slots[stop] -= 1
+    return routes, least
 
 
-def _neighbours(stops: Ints) -> list[Ints]:
-    """All orders one 2-opt or one Or-opt move away."""
-    number, found = len(stops), []
-    for first in range(1, number):
-        for end in range(first + 2, number + 1):
-            found.append(np.concatenate([stops[:first], stops[first:end][::-1], stops[end:]]))
-    for first in range(number):
-        for end in range(first + 1, min(first + 3, number) + 1):
-            rest, moved = np.delete(stops, np.s_[first:end], axis=0), stops[first:end]
-            found += [np.concatenate([rest[:at], moved, rest[at:]]) for at in range(1, len(rest) + 1)]
-    return found
+def _age(scenario: Scenario, expectation: Expectation, routes: Ints) -> float:
+    """The total age of ``routes`` (K, U, 2), without computing the coverage anew."""
+    expectation.routes[:, 1:] = (routes[..., 0] * scenario.rows + routes[..., 1]).T  # row 0 is the CDS for all
+    refresh(expectation)
+    return total_age(expectation)
 
 
-def _loop(stops: Ints) -> Ints:
-    """The cells of one round over the stops, (L, 2), each a grid step from the one before; L >= 1."""
-    cells = [stops[0]]
-    for here, there in pairwise([*stops, stops[0]]):
-        cells += _way(here, there)
-    return np.array(cells[:-1] if len(cells) > 1 else cells)
+def laid(scenario: Scenario, tours: list[Ints], dwell: list[Ints]) -> Ints:
+    """Routes (K, U, 2) round the tours; on one for all, UAV u is u/U of its slots ahead."""
+    loops = [_loop(stops, slots) for stops, slots in zip(tours, dwell, strict=True)]
+    if len(loops) == 1:
+        ahead = np.arange(scenario.uavs) * len(loops[0]) // scenario.uavs
+        loops = [np.roll(loops[0], -offset, axis=0) for offset in ahead]
+    flight = Flight(scenario)
+    return np.stack([ride(flight, scenario.slots, u, loop) for u, loop in enumerate(loops)], axis=1)
 
 
-def _way(here: Ints, there: Ints) -> list[Ints]:
-    """The cells after ``here`` up to ``there``, along x first."""
-    way, cell = [], here.copy()
-    for axis in (0, 1):
-        while cell[axis] != there[axis]:
-            cell[axis] += np.sign(there[axis] - cell[axis])
-            way.append(cell.copy())
+def _loop(stops: Ints, dwell: Ints) -> Ints:
+    """The cells of one round over the stops (S, 2) with ``dwell`` (S,) slots at each, (L, 2)."""
+    round_trip = pairwise([*stops, stops[0]])
+    cells = []
+    for (here, there), slots in zip(round_trip, dwell, strict=True):
+        cells += [np.tile(here, (slots, 1)), _way(here, there)[:-1]]
+    return np.concatenate(cells)
+
+
+def _way(here: Ints, there: Ints) -> Ints:
+    """The cells after ``here`` up to ``there``, along x first, (n, 2)."""
+    (along_x, along_y), direction = np.abs(there - here), np.sign(there - here)
+    steps = np.repeat(np.diag(direction), [along_x, along_y], axis=0)  # (n, 2)
+    way: Ints = here + np.cumsum(steps, axis=0)
     return way
 
 
-def _cut(stops: Ints, parts: int) -> list[Ints]:
-    """The stops of a tour as at most ``parts`` runs of about the same length; the first stop begins a run."""
-    legs = np.abs(np.diff(stops, axis=0)).sum(axis=1)  # (S-1,)
-    reached = np.concatenate([[0], np.cumsum(legs)])  # (S,)
-    part = np.minimum(reached * parts // max(_length(stops), 1), parts - 1)
-    return [stops[part == number] for number in np.unique(part)]
-
-
-def _finished(name: str, scenario: Scenario, layout: Layout, loops: list[Ints]) -> Plan:
-    routes = np.stack([ride(scenario, u, loop) for u, loop in enumerate(loops)], axis=1)  # (K, U, 2)
-    return Plan(name, routes, mean_aou_s(scenario, layout, routes))
-
-
-def ride(scenario: Scenario, uav: int, loop: Ints) -> Ints:
+def ride(flight: Flight, slots: int, uav: int, loop: Ints) -> Ints:
     """The route of a UAV that is at ``loop[t mod L]`` in slot t from as soon to as late as its rules allow, (K, 2)."""
-    flight, slots = Flight(scenario), scenario.slots
-    home, budget = flight.cds[uav], int(flight.budget[uav])
-    route = np.tile(home, (slots, 1))  # row t - 1 is slot t
-    away = np.abs(loop - home).sum(axis=1)  # (L,) grid steps from and to the CDS
-    meeting = next((t for t in range(1, slots + 1) if away[t % len(loop)] <= t - 1), None)
-    if meeting is None or 2 * away[meeting % len(loop)] > budget or away[meeting % len(loop)] > slots - meeting:
-        return route
-    out = _way(home, loop[meeting % len(loop)])
-    route[meeting - 1 - len(out) : meeting] = [home, *out]
-    flown, t = len(out), meeting
-    while t < slots:
-        step = int(np.abs(loop[(t + 1) % len(loop)] - loop[t % len(loop)]).sum())
-        back = int(away[(t + 1) % len(loop)])
-        if back > slots - (t + 1) or flown + step + back > budget:
-            break
-        route[t], flown, t = loop[(t + 1) % len(loop)], flown + step, t + 1
-    back_home = _way(route[t - 1], home)
-    for cell in back_home:
-        route[t], t = cell, t + 1
-    return route
+    home, slot = flight.cds[uav], np.arange(slots + 1)
+    at = loop[slot % len(loop)]  # (K+1, 2)
+    away = np.abs(at - home).sum(axis=1)  # (K+1,) grid steps from and to the CDS
+    route = np.tile(home, (slots + 1, 1))  # (K+1, 2) row t is slot t
+    on_time = np.flatnonzero(away < slot)
+    if not len(on_time):
+        return route[1:]
+    meeting = int(on_time[0])
+    flown = np.cumsum(np.abs(np.diff(at[meeting:], axis=0)).sum(axis=1))  # (K-meeting,)
+    flown = away[meeting] + np.concatenate([[0], flown])  # (K-meeting+1,) up to slots meeting to K
+    home_in_time = (flown + away[meeting:] <= flight.budget[uav]) & (away[meeting:] <= slots - slot[meeting:])
+    end = meeting + int(np.append(home_in_time, False).argmin())  # the first slot elsewhere
+    if end == meeting:
+        return route[1:]
+    route[meeting:end] = at[meeting:end]
+    for way, first in ((_way(home, at[meeting])[:-1], meeting - away[meeting] + 1), (_way(at[end - 1], home), end)):
+        route[first : first + len(way)] = way
+    return route[1:]
