@@ -174,7 +174,7 @@ class Scenario(BaseModel):
         except ValidationError as error:
             raise InputError(f"{source}: {explain_validation(error, list(cls.model_fields))}") from None
 
-    def replace(self, **changes: Any) -> Scenario:
+    def replace(self, /, **changes: Any) -> Scenario:
         """Return a validated copy with some fields changed.
 
         Raises:
