@@ -10,6 +10,7 @@ expected age of all its rounds; how likely is likely enough is what gives the lo
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import ClassVar
 
@@ -36,25 +37,33 @@ class _Rounds(RoutePlanner):
     """Tours for one coverage of the devices after the other, with dwelling; the best of them."""
 
     def plan(self, scenario: Scenario, layout: Layout, report: Report | None = None) -> Plan:
-        """Lay the tours; see :class:`RoutePlanner`. Ctrl-C keeps the best so far, in the end staying."""
+        """Lay the tours; see :class:`RoutePlanner`. A time limit is for searching on after the tours laid without."""
         probability = coverage_probability(scenario, layout).mean(axis=0)  # (X, Y, I)
         best = probability.max(axis=(0, 1))  # (I,)
         routes = np.tile(Flight(scenario).cds, (scenario.slots, 1, 1))  # (K, U, 2); stays where nobody is in reach
         expectation = expect(scenario, layout, routes)
         least, interrupted = total_age(expectation), False
+        rounds = len(_LIKELY) * (1 if self.time_limit_s is None else 2)
         try:
             coverages = [(probability >= likely * best) & (best > 0.0) for likely in _LIKELY if best.any()]
-            for done, tours in enumerate(self._tours(scenario, coverages) if coverages else [], start=1):
+            for done, tours in enumerate(self._all_tours(scenario, coverages), start=1):
                 found, age = _dwelt(scenario, expectation, tours)
                 routes, least = (found, age) if age < least else (routes, least)
                 if report is not None:
-                    report(Progress(done / len(_LIKELY), scenario.slot_length_s * least / scenario.slots))
+                    report(Progress(done / rounds, scenario.slot_length_s * least / scenario.slots))
         except KeyboardInterrupt:
             interrupted = True
         return Plan(self.name, routes, mean_aou_s(scenario, layout, routes), interrupted=interrupted)
 
+    def _all_tours(self, scenario: Scenario, coverages: list[Bools]) -> Iterator[list[Ints]]:
+        """The tours of each coverage in turn; under a time limit once more, searched on for that long."""
+        if coverages:
+            yield from self._tours(scenario, coverages, None)
+            if self.time_limit_s is not None:
+                yield from self._tours(scenario, coverages, self.time_limit_s)
+
     @abstractmethod
-    def _tours(self, scenario: Scenario, coverages: list[Bools]) -> list[list[Ints]]:
+    def _tours(self, scenario: Scenario, coverages: list[Bools], time_limit_s: float | None) -> list[list[Ints]]:
         """For each coverage (X, Y, I) the stops of its tours, (S, 2) each: one for the whole fleet, or one per UAV."""
 
 
@@ -63,8 +72,8 @@ class Tour(_Rounds):
 
     name: ClassVar[str] = "tour"
 
-    def _tours(self, scenario: Scenario, coverages: list[Bools]) -> list[list[Ints]]:
-        return [[cells] for cells, _ in close_enough_tours(coverages, self.time_limit_s)]
+    def _tours(self, scenario: Scenario, coverages: list[Bools], time_limit_s: float | None) -> list[list[Ints]]:
+        return [[cells] for cells, _ in close_enough_tours(coverages, time_limit_s)]
 
 
 class PartitionTour(_Rounds):
@@ -72,8 +81,8 @@ class PartitionTour(_Rounds):
 
     name: ClassVar[str] = "partition-tour"
 
-    def _tours(self, scenario: Scenario, coverages: list[Bools]) -> list[list[Ints]]:
-        half = None if self.time_limit_s is None else self.time_limit_s / 2
+    def _tours(self, scenario: Scenario, coverages: list[Bools], time_limit_s: float | None) -> list[list[Ints]]:
+        half = None if time_limit_s is None else time_limit_s / 2
         parts: list[list[Bools]] = []  # of each coverage, (X, Y, devices of the part) each
         for served, (cells, device) in zip(coverages, close_enough_tours(coverages, half), strict=True):
             part = _cut(cells, scenario.uavs)  # (V,)
