@@ -251,7 +251,8 @@ def test_an_interrupted_annealing_keeps_its_best() -> None:
 
 
 FLY = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are started with it ignored
 from uavaou.planners import make_planner
 from uavaou.planners.plan import broken_rule
 from uavaou.scenario import Scenario
