@@ -127,6 +127,7 @@ TRAIN = (
 def command(arguments: str, stderr: Path) -> None:
     """The command line in a process group of its own, as a shell starts it."""
     os.setsid()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs are started with it ignored
     os.dup2(os.open(stderr, os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
     sys.exit(main(shlex.split(arguments)))
 
