@@ -503,7 +503,10 @@ ROOT = Path(__file__).resolve().parents[1]
 def start(place: Path, command: str) -> subprocess.Popen[str]:
     (place / "space.yaml").write_text(yaml.safe_dump(SPACE))
     search_path = os.pathsep.join([str(ROOT), str(ROOT / "cli")])
-    code = "import sys; from uavaou_cli.main import main; sys.exit(main(sys.argv[1:]))"
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "  # background jobs ignore it
+        "from uavaou_cli.main import main; sys.exit(main(sys.argv[1:]))"
+    )
     return subprocess.Popen(
         [sys.executable, "-c", code, *shlex.split(command)], cwd=place, text=True, stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, env=os.environ | {"PYTHONPATH": search_path, "OMP_NUM_THREADS": "1"},
