@@ -5,7 +5,6 @@ from __future__ import annotations
 from copy import deepcopy
 from typing import Any
 
-import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.type_aliases import Schedule
@@ -13,15 +12,15 @@ from stable_baselines3.common.utils import polyak_update
 from torch import nn
 
 from uavaou.algorithms.common.branches import Branches
+from uavaou.algorithms.common.local_policy import LocalPolicy
 from uavaou.algorithms.common.mixers import make_mixer
-from uavaou.algorithms.common.networks import ACTIVATIONS, UtilityNetwork, with_state
-from uavaou.algorithms.common.safe_io import NoPickledPolicy
+from uavaou.algorithms.common.networks import ACTIVATIONS, UtilityNetwork
 from uavaou.algorithms.common.value_norm import ReturnStatistics
 from uavaou.errors import unknown
 from uavaou.world.views import MOVES, RowLayout
 
 
-class JointQPolicy(NoPickledPolicy):
+class JointQPolicy(LocalPolicy):
     """Utilities that all UAVs share and a mixer, over rows ``[local | global]``.
 
     Flying needs the utilities alone, which read ``local``; the mixer reads the global state and is for training.
@@ -149,18 +148,6 @@ class JointQPolicy(NoPickledPolicy):
     def forward(self, obs: th.Tensor, deterministic: bool = False) -> th.Tensor:
         """Actions of rows."""
         return self._predict(obs, deterministic)
-
-    def predict(
-        self,
-        observation: np.ndarray | dict[str, np.ndarray],
-        state: tuple[np.ndarray, ...] | None = None,
-        episode_start: np.ndarray | None = None,
-        deterministic: bool = False,
-    ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
-        """As SB3's; also takes the local observation alone, which is all that a flying UAV has."""
-        if isinstance(observation, np.ndarray):
-            observation = with_state(observation, self.row_layout)
-        return super().predict(observation, state, episode_start, deterministic)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()

@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 import torch as th
-from numpy.typing import NDArray
 from torch import nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from uavaou.algorithms.common.branches import Branches
-from uavaou.world.views import RowLayout
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 _HAS_ONEDNN = bool(th.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
@@ -119,11 +116,3 @@ def rescale_linear(layer: nn.Linear, ratio: th.Tensor) -> None:
     """From now on give ``outputs * ratio``."""
     layer.weight.mul_(ratio)
     layer.bias.mul_(ratio)
-
-
-def with_state(observation: NDArray[np.float32], layout: RowLayout) -> NDArray[np.float32]:
-    """Rows for a policy that was given local observations alone: an unseen state of zeros is appended."""
-    if observation.shape[-1] != layout.local_size:
-        return observation
-    unseen = np.zeros((*observation.shape[:-1], layout.global_size), dtype=np.float32)
-    return np.concatenate([observation, unseen], axis=-1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import ActorCriticPolicy
@@ -12,8 +11,8 @@ from stable_baselines3.common.type_aliases import Schedule
 from torch import nn
 
 from uavaou.algorithms.common.action_head import MoveSelectionDistribution
-from uavaou.algorithms.common.networks import ACTIVATIONS, mlp, with_state
-from uavaou.algorithms.common.safe_io import NoPickledPolicy
+from uavaou.algorithms.common.local_policy import LocalPolicy
+from uavaou.algorithms.common.networks import ACTIVATIONS, mlp
 from uavaou.algorithms.common.value_norm import PopArt
 from uavaou.errors import unknown
 from uavaou.world.views import RowLayout
@@ -21,7 +20,7 @@ from uavaou.world.views import RowLayout
 CRITIC_INPUTS = ("global", "local")
 
 
-class CentralizedValuePolicy(NoPickledPolicy, ActorCriticPolicy):
+class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     """A decentralised actor and a centralised critic over rows ``[local | global]``.
 
     All UAVs share the parameters. Masks are read from the row where the observation has them.
@@ -155,18 +154,6 @@ class CentralizedValuePolicy(NoPickledPolicy, ActorCriticPolicy):
         self, observation: th.Tensor, deterministic: bool = False
     ) -> th.Tensor:
         return self.get_distribution(observation).get_actions(deterministic=deterministic)
-
-    def predict(
-        self,
-        observation: np.ndarray | dict[str, np.ndarray],
-        state: tuple[np.ndarray, ...] | None = None,
-        episode_start: np.ndarray | None = None,
-        deterministic: bool = False,
-    ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
-        """As SB3's; also takes the local observation alone, which is all that a flying UAV has."""
-        if isinstance(observation, np.ndarray):
-            observation = with_state(observation, self.row_layout)
-        return super().predict(observation, state, episode_start, deterministic)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
