@@ -18,15 +18,20 @@ TINY = Scenario.load("tiny")
 # slots, cells to a side, devices
 SIZES = [
     (12, 3, 4),
-    (16, 3, 4),
     (24, 3, 4),
+    (48, 3, 4),
+    (96, 3, 4),
     (12, 4, 6),
-    (16, 4, 6),
     (24, 4, 6),
+    (48, 4, 6),
     (12, 5, 8),
+    (14, 5, 8),
     (16, 5, 8),
+    (20, 5, 8),
     (24, 5, 8),
-    (36, 5, 8),
+    (48, 5, 8),
+    (48, 6, 12),
+    (60, 11, 25),
 ]
 COLUMNS = ("slots", "cells", "devices", "uavs", "variables", "seconds", "mean_aou_slots", "bound_slots", "gap")
 

@@ -18,8 +18,9 @@ from torch import nn
 
 from benchmarks.measure import Measurement, Stopwatch, exactly, seconds_of, side_by_side
 from uavaou import MAPPO, Scenario, flatten
-from uavaou.algorithms.common.networks import Linear
+from uavaou.algorithms.common.networks import Layers, Linear
 from uavaou.algorithms.config import AlgorithmConfig, MappoConfig
+from uavaou.algorithms.mappo import gradients
 from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
@@ -66,17 +67,17 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
         "update": (model, "train"),
     }
     update = {
-        "update: gathering minibatches": (model.rollout_buffer, "slot_batches"),
-        "update: actor forward": (model.policy, "action_distribution"),
-        "update: critic forward": (model.policy, "normalised_values"),
-        "update: backward": (th.Tensor, "backward"),
+        "update: networks forward": (Layers, "forward"),
+        "update: networks backward": (Layers, "backward"),
+        "update: loss of the actor": (gradients, "clipped_surrogate"),
+        "update: loss of the critic": (gradients, "squared_error"),
         "update: clipping": (nn.utils, "clip_grad_norm_"),
         "update: Adam": (model.policy.optimizer, "step"),
     }
     learning, seconds = _split(learn, rollout, repeats)
     updating, in_update = _split(model.train, update, repeats)
     seconds["rollout: the rest"] = learning - sum(seconds.values())
-    in_update["update: action head, loss, the rest"] = updating - sum(in_update.values())
+    in_update["update: gathering minibatches, the rest"] = updating - sum(in_update.values())
     whole = {"rollout": learning - seconds["update"], **seconds, **in_update, "all": learning}
     table, unit = "MAPPO's time", "us/agent step"
     measured = [exactly(table, part, unit, 1e6 * taken / rows) for part, taken in sorted(whole.items())]

@@ -52,7 +52,7 @@ def test_the_parts_add_up() -> None:
     rollout = [value for name, value in measured.items() if name.startswith("rollout: ")]
     assert measured["rollout"] == pytest.approx(sum(rollout))
     assert measured["all"] == pytest.approx(measured["rollout"] + measured["update"])
-    assert all(measured[f"update: {part}"] > 0 for part in ("actor forward", "backward", "Adam"))
+    assert all(measured[f"update: {part}"] > 0 for part in ("networks forward", "networks backward", "Adam"))
     assert measured["fraction of the floor by float32 product, torch.mm"] > 0
 
 

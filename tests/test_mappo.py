@@ -15,6 +15,7 @@ from uavaou import IPPO, MAPPO, InputError, Scenario, flatten
 from uavaou.algorithms.common.action_head import MoveSelectionDistribution
 from uavaou.algorithms.common.networks import Linear
 from uavaou.algorithms.common.value_norm import PopArt
+from uavaou.algorithms.mappo.gradients import WrittenGradients, can_write
 
 
 @pytest.fixture(autouse=True)
@@ -229,7 +230,8 @@ def test_minibatches_keep_slots_whole_and_cover_the_rollout_once(learner: type[M
     buffer = model.rollout_buffer
     layout = buffer.row_layout
     seen = []
-    for batch in buffer.slot_batches(5):
+    for slots in buffer.shuffled_slots(5):
+        batch = buffer.batch(slots)
         ids = batch.local[:, layout.local_columns("uav_id")].argmax(1)
         assert ids.tolist() == [0, 1] * (len(ids) // 2)
         positions = batch.local[:, layout.local_columns("position")].reshape(-1, 4)
@@ -243,6 +245,64 @@ def test_minibatches_keep_slots_whole_and_cover_the_rollout_once(learner: type[M
     stored = th.from_numpy(buffer.local.reshape(-1, layout.local_size))
     assert len(everything) == len(stored)
     assert sorted(map(bytes, everything.numpy())) == sorted(map(bytes, stored.numpy()))
+
+
+@pytest.mark.parametrize("learner", [MAPPO, IPPO])
+@pytest.mark.parametrize("collection", ["select", "auto"])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"policy_kwargs": {"activation": "relu", "net_arch": [24, 16]}},
+        {"policy_kwargs": {"activation": "tanh", "net_arch": [16]}, "advantage_normalization": "none"},
+        {"advantage_normalization": "rollout", "ent_coef": 0.5, "vf_coef": 2.0},
+    ],
+    ids=["relu", "tanh", "rollout"],
+)
+def test_written_gradients_are_those_of_the_loss(
+    learner: type[MAPPO], collection: str, arguments: dict[str, Any]
+) -> None:
+    model = small_model(learner, collection, **arguments)
+    model.learn(6 * 8)
+    buffer, clip_range, mean, std = model.rollout_buffer, 0.05, 0.3, 1.7
+    rng = np.random.default_rng(0)
+    buffer.log_probs += rng.normal(0, 0.1, buffer.log_probs.shape).astype(np.float32)  # half of them get clipped
+    slots = rng.permutation(24)[:9]
+    parameters = [*model.policy.actor_parameters(), *model.policy.critic_parameters()]
+    with th.no_grad():
+        for parameter in parameters:
+            parameter.add_(th.randn(parameter.shape, generator=th.Generator().manual_seed(1)) * 0.02)
+    figures = model.backward(model.loss(buffer.batch(slots), clip_range, mean, std))
+    expected = [parameter.grad.clone() for parameter in parameters]
+    assert can_write(model)
+    written = WrittenGradients(model, clip_range, mean, std)(slots)
+    assert 0.2 < float(figures[5]) < 1
+    th.testing.assert_close(written, figures, rtol=2e-5, atol=2e-6)
+    for parameter, gradient in zip(parameters, expected, strict=True):
+        th.testing.assert_close(parameter.grad, gradient, rtol=2e-4, atol=2e-6)
+
+
+def test_gradients_are_written_where_there_are_no_masks() -> None:
+    env = flatten(Scenario.load("quickstart").replace(slots=12), missions=4, observation="location")
+    model = MAPPO("CentralizedValuePolicy", env, n_steps=6, batch_size=16, seed=0, device="cpu")
+    model.learn(6 * 8)
+    slots, parameters = np.arange(7), model.policy.actor_parameters()
+    model.backward(model.loss(model.rollout_buffer.batch(slots), 0.2, 0.0, 1.0))
+    expected = [parameter.grad.clone() for parameter in parameters]
+    WrittenGradients(model, 0.2, 0.0, 1.0)(slots)
+    for parameter, gradient in zip(parameters, expected, strict=True):
+        th.testing.assert_close(parameter.grad, gradient, rtol=2e-4, atol=2e-6)
+
+
+def test_a_loss_of_ones_own_is_what_is_trained_on() -> None:
+    class Frozen(MAPPO):
+        def loss(self, *arguments: Any) -> th.Tensor:
+            return super().loss(*arguments) * 0
+
+    model = small_model(Frozen)
+    before = [parameter.clone() for parameter in model.policy.actor_parameters()]
+    model.learn(6 * 8)
+    for parameter, old in zip(model.policy.actor_parameters(), before, strict=True):
+        th.testing.assert_close(parameter, old)
 
 
 def test_value_normalisation_keeps_what_was_predicted() -> None:

@@ -18,6 +18,6 @@ def compiled(function: F) -> F:
     must not depend on where in a batch it stands.
     """
     try:
-        return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+        return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
     except RuntimeError:  # neither beside the file nor in the user's folder may anything be written
-        return cast(F, numba.njit(error_model="numpy")(function))
+        return cast(F, numba.njit(nogil=True, error_model="numpy")(function))

@@ -72,7 +72,14 @@ class MoveSelectionDistribution(Distribution):
 
     def log_prob(self, actions: th.Tensor) -> th.Tensor:
         """Log-probability of actions (B, 1 + I), the move first; (B,)."""
-        return self.log_prob_and_entropy(actions)[0]
+        if th.is_grad_enabled():
+            return self.log_prob_and_entropy(actions)[0]
+        actions = actions.reshape(len(self.logits), -1)
+        log_prob = self.move_log_probs.gather(1, actions[:, :1].long())[:, 0]
+        if not self.devices:
+            return log_prob
+        z = self.selection_logits
+        return log_prob + _sum(functional.logsigmoid(z).sub_(z * (1 - actions[:, 1:])), self.selectable)
 
     def entropy(self) -> th.Tensor:
         """Entropy in nats, (B,)."""

@@ -61,13 +61,86 @@ class _OneDnnLinear(th.autograd.Function):
         )
 
 
-def _product(left: th.Tensor, right: th.Tensor, bias: th.Tensor | None = None) -> th.Tensor:
-    """``left @ right.T + bias``; the operator that torch's own compiler calls for a linear layer on the CPU."""
-    product: th.Tensor = th.ops.mkldnn._linear_pointwise(left, right, bias, "none", [], "")
+def _product(left: th.Tensor, right: th.Tensor, bias: th.Tensor | None = None, activation: str = "none") -> th.Tensor:
+    """``activation(left @ right.T + bias)``; the operator that torch's own compiler calls for a layer on the CPU."""
+    product: th.Tensor = th.ops.mkldnn._linear_pointwise(left, right, bias, activation, [], "")
     return product
 
 
-def mlp(inputs: int, hidden: list[int], activation: str) -> nn.Sequential:
+class Layers:
+    """Fully connected layers with their gradient written down, for where recording a graph costs more than the work.
+
+    Args:
+        body: what :func:`mlp` made.
+        head: the last layer, without an activation.
+    """
+
+    def __init__(self, body: Mlp, head: nn.Module) -> None:
+        self._linear = [layer for layer in (*body, head) if isinstance(layer, nn.Linear)]
+        self._activation = _activation_name(body[1])
+
+    @th.no_grad()
+    def forward(self, rows: th.Tensor) -> list[th.Tensor]:
+        """What goes into each layer, (B, inputs), and what the last gives, (B, outputs), of ``rows`` (B, inputs)."""
+        kept = [rows]
+        for layer in self._linear[:-1]:
+            kept.append(_layer(kept[-1], layer, self._activation))
+        return [*kept, _layer(kept[-1], self._linear[-1], "none")]
+
+    @th.no_grad()
+    def backward(self, kept: list[th.Tensor], gradient: th.Tensor) -> list[th.Tensor]:
+        """The gradient by weight and bias of each layer, in order, from that by the output, (B, outputs)."""
+        by_parameter: list[th.Tensor] = []
+        for number in reversed(range(len(self._linear))):
+            inputs, layer = kept[number], self._linear[number]
+            by_parameter += [gradient.sum(dim=0), _transposed_product(gradient, inputs)]
+            if number:
+                gradient = _input_gradient(gradient, layer)
+                if self._activation == "relu":
+                    th.ops.aten.threshold_backward.grad_input(gradient, inputs, 0, grad_input=gradient)
+                else:
+                    th.ops.aten.tanh_backward.grad_input(gradient, inputs, grad_input=gradient)
+        return by_parameter[::-1]
+
+
+def _layer(rows: th.Tensor, layer: nn.Linear, activation: str) -> th.Tensor:
+    if _takes_onednn(rows) and layer.out_features > 1:
+        return _product(rows, layer.weight, layer.bias, activation)
+    product = functional.linear(rows, layer.weight, layer.bias)
+    return product if activation == "none" else getattr(th, f"{activation}_")(product)
+
+
+def _transposed_product(left: th.Tensor, right: th.Tensor) -> th.Tensor:
+    if _takes_onednn(left) and left.shape[1] > 1:
+        return _product(left.t(), right.t())
+    return left.t() @ right
+
+
+def _input_gradient(gradient: th.Tensor, layer: nn.Linear) -> th.Tensor:
+    if _takes_onednn(gradient) and layer.out_features > 1:
+        return _product(gradient, layer.weight.t())
+    return gradient @ layer.weight
+
+
+class Mlp(nn.Sequential):
+    """Fully connected layers, an activation after each; where no graph is recorded, oneDNN applies it on the way."""
+
+    def forward(self, rows: th.Tensor) -> th.Tensor:
+        """Features (..., outputs) of rows (..., inputs)."""
+        if th.is_grad_enabled() or not _takes_onednn(rows) or rows.dim() != 2:
+            features: th.Tensor = super().forward(rows)  # type: ignore[no-untyped-call]
+            return features
+        for layer, activation in zip(list(self)[::2], list(self)[1::2], strict=True):
+            assert isinstance(layer, nn.Linear)
+            rows = _layer(rows, layer, _activation_name(activation))
+        return rows
+
+
+def _activation_name(activation: nn.Module) -> str:
+    return next(name for name, kind in ACTIVATIONS.items() if isinstance(activation, kind))
+
+
+def mlp(inputs: int, hidden: list[int], activation: str) -> Mlp:
     """Fully connected layers with an activation after each, orthogonal weights."""
     layers: list[nn.Module] = []
     gain = math.sqrt(2)
@@ -77,7 +150,7 @@ def mlp(inputs: int, hidden: list[int], activation: str) -> nn.Sequential:
         nn.init.zeros_(linear.bias)
         layers += [linear, ACTIVATIONS[activation]()]
         inputs = outputs
-    return nn.Sequential(*layers)
+    return Mlp(*layers)
 
 
 class UtilityNetwork(nn.Module):

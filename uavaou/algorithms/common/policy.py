@@ -95,6 +95,12 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         """Parameters of the critic."""
         return [*self.critic_body.parameters(), *self.value_net.parameters()]
 
+    @property
+    def mask_columns(self) -> tuple[int, int]:
+        """First local column of the allowed moves and of the devices in range; -1 where the action has no such mask."""
+        first = [-1 if columns is None else int(columns.start) for columns in (self._allowed_moves, self._in_range)]
+        return first[0], first[1]
+
     # -- the two networks ----------------------------------------------------------------------------
 
     def action_distribution(self, local: th.Tensor) -> MoveSelectionDistribution:

@@ -97,26 +97,25 @@ class SlotRolloutBuffer(RolloutBuffer):
             goes_on = 1.0 - self.episode_starts[step]
         np.add(self.advantages, self.values, out=self.returns)
 
-    def slot_batches(self, slots_in_batch: int, order: NDArray[np.int64] | None = None) -> Iterator[SlotBatch]:
-        """Yield minibatches of whole slots in random order; the last one may be smaller."""
-        total = self.buffer_size * self.state.shape[1]
-        order = np.random.permutation(total) if order is None else order
-        local, critic_rows = self._flat(self.local), self._flat(self.state if self.shared_critic else self.local)
-        actions, log_probs = self._flat(self.actions), self._flat(self.log_probs)
-        advantages, returns = self._flat(self.advantages), self._flat(self.returns)
-        uavs = self.row_layout.uavs
-        for start in range(0, total, slots_in_batch):
-            index = th.from_numpy(order[start : start + slots_in_batch]).to(self.device)
-            picked = advantages.index_select(0, index)  # (B, V)
-            yield SlotBatch(
-                local=local.index_select(0, index).flatten(0, 1),
-                critic_rows=critic_rows.index_select(0, index).reshape(-1, critic_rows.shape[-1]),
-                actions=actions.index_select(0, index).flatten(0, 1),
-                old_log_prob=log_probs.index_select(0, index).flatten(),
-                advantages=picked.expand(-1, uavs).flatten(),
-                returns=returns.index_select(0, index).flatten(),
-            )
+    def shuffled_slots(self, slots_in_batch: int) -> Iterator[NDArray[np.int64]]:
+        """Yield the T * N slots in minibatches (B,), in random order; the last one may be smaller."""
+        order = np.random.permutation(self.buffer_size * self.state.shape[1])
+        for start in range(0, len(order), slots_in_batch):
+            yield order[start : start + slots_in_batch]
 
-    def _flat(self, array: NDArray[np.float32]) -> th.Tensor:
-        """(T, N, ...) as (T * N, ...) on the learner's device."""
-        return th.from_numpy(array.reshape(-1, *array.shape[2:])).to(self.device)
+    def batch(self, slots: NDArray[np.int64]) -> SlotBatch:
+        """The minibatch of some ``slots`` (B,), numbered from 0 to T * N - 1, on the learner's device."""
+        index, uavs = th.from_numpy(slots).to(self.device), self.row_layout.uavs
+
+        def pick(array: NDArray[np.float32]) -> th.Tensor:  # (B, ...)
+            return th.from_numpy(array.reshape(-1, *array.shape[2:])).to(self.device).index_select(0, index)
+
+        critic_rows = pick(self.state if self.shared_critic else self.local)
+        return SlotBatch(
+            local=pick(self.local).flatten(0, 1),
+            critic_rows=critic_rows.reshape(-1, critic_rows.shape[-1]),
+            actions=pick(self.actions).flatten(0, 1),
+            old_log_prob=pick(self.log_probs).flatten(),
+            advantages=pick(self.advantages).expand(-1, uavs).flatten(),
+            returns=pick(self.returns).flatten(),
+        )

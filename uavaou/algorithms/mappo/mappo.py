@@ -16,6 +16,8 @@ from uavaou.algorithms.common.memory import keep_freed_memory
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
 from uavaou.algorithms.common.safe_io import SafeSaveLoad
+from uavaou.algorithms.common.threads import one_thread
+from uavaou.algorithms.mappo.gradients import WrittenGradients, can_write
 from uavaou.errors import InputError, unknown
 
 ADVANTAGES = ("none", "rollout", "batch")
@@ -93,6 +95,11 @@ class MAPPO(SafeSaveLoad, PPO):
         keep_freed_memory()
         super()._setup_model()
 
+    def collect_rollouts(self, *args: Any, **kwargs: Any) -> bool:
+        """As SB3's, with one thread."""
+        with one_thread():
+            return super().collect_rollouts(*args, **kwargs)
+
     def _update_info_buffer(self, infos: list[dict[str, Any]], dones: NDArray[np.bool_] | None = None) -> None:
         # SB3 looks through all infos in every slot for what stands in those of a mission's last slot alone.
         if dones is None or dones.any():
@@ -107,18 +114,29 @@ class MAPPO(SafeSaveLoad, PPO):
         explained = explained_variance(buffer.values.flatten(), buffer.returns.flatten())
         self.policy.value_net.update(th.from_numpy(buffer.returns).to(self.device))
         mean, std = self._advantage_statistics(buffer.advantages)
-        slots = max(self.batch_size // buffer.row_layout.uavs, 1)
+        slots_in_batch = max(self.batch_size // buffer.row_layout.uavs, 1)
+        written = can_write(self) and type(self).loss is MAPPO.loss
+        gradients = WrittenGradients(self, clip_range, mean, std) if written else None
         figures: list[th.Tensor] = []  # (6,) each
         for _ in range(self.n_epochs):
-            for batch in buffer.slot_batches(slots):
-                figures.append(self._update(batch, clip_range, mean, std))
+            for slots in buffer.shuffled_slots(slots_in_batch):
+                if gradients is not None:
+                    figures.append(gradients(slots))
+                else:
+                    figures.append(self.backward(self.loss(buffer.batch(slots), clip_range, mean, std)))
+                self._step()
             self._n_updates += 1
             if self.target_kl is not None and float(figures[-1][4]) > 1.5 * self.target_kl:
                 break
         self._log_training(th.stack(figures).mean(dim=0), explained, clip_range)
 
-    def _update(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> th.Tensor:
-        """One optimizer step; returns the figures to log."""
+    def loss(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> th.Tensor:
+        """PPO's loss on a minibatch with advantages ``(A - mean) / std``, where they are not normalised in it.
+
+        Returns:
+            The figures to log, (6,): policy loss, value loss, entropy, the whole loss (of which the gradient is
+            taken), estimated KL divergence, and share of rows where the ratio is clipped.
+        """
         policy = self.policy
         distribution = policy.action_distribution(batch.local)
         log_prob, entropies = distribution.log_prob_and_entropy(batch.actions)
@@ -136,16 +154,22 @@ class MAPPO(SafeSaveLoad, PPO):
             policy.normalised_values(batch.critic_rows), policy.value_net.normalise(batch.returns)
         )
         loss = policy_loss - self.ent_coef * entropy + self.vf_coef * value_loss
-        policy.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        # Separately: the critic's gradient, large at first, must not shrink the actor's.
-        th.nn.utils.clip_grad_norm_(policy.actor_parameters(), self.max_grad_norm)
-        th.nn.utils.clip_grad_norm_(policy.critic_parameters(), self.max_grad_norm)
-        policy.optimizer.step()
         with th.no_grad():
             kl = (ratio - 1 - log_ratio).mean()
             outside = ((ratio - 1).abs() > clip_range).float().mean()
-            return th.stack([policy_loss, value_loss, entropy, loss, kl, outside])
+        return th.stack([policy_loss, value_loss, entropy, loss, kl, outside])
+
+    def backward(self, figures: th.Tensor) -> th.Tensor:
+        """Set the parameters' gradient of the loss, figure 3; returns the figures without their graph."""
+        self.policy.optimizer.zero_grad()
+        figures[3].backward()  # type: ignore[no-untyped-call]
+        return figures.detach()
+
+    def _step(self) -> None:
+        # Separately: the critic's gradient, large at first, must not shrink the actor's.
+        for parameters in (self.policy.actor_parameters(), self.policy.critic_parameters()):
+            th.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm, foreach=True)
+        self.policy.optimizer.step()
 
     def _advantage_statistics(self, advantages: NDArray[np.float32]) -> tuple[float, float]:
         if self.advantage_normalization == "rollout":
