@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,8 @@ from uavaou import IPPO, MAPPO, InputError, Scenario, flatten
 from uavaou.algorithms.common.action_head import MoveSelectionDistribution
 from uavaou.algorithms.common.networks import Linear
 from uavaou.algorithms.common.value_norm import PopArt
-from uavaou.algorithms.mappo.gradients import WrittenGradients, can_write
+from uavaou.algorithms.mappo.gradients import Share, Terms, WrittenGradients, can_write
+from uavaou.algorithms.mappo.partners import Partner, share_out
 
 
 @pytest.fixture(autouse=True)
@@ -291,6 +294,59 @@ def test_gradients_are_written_where_there_are_no_masks() -> None:
     WrittenGradients(model, 0.2, 0.0, 1.0)(slots)
     for parameter, gradient in zip(parameters, expected, strict=True):
         th.testing.assert_close(parameter.grad, gradient, rtol=2e-4, atol=2e-6)
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    th.set_num_threads(2)
+    yield
+    th.set_num_threads(1)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs forked processes")
+@pytest.mark.usefixtures("two_threads")
+def test_shares_of_a_gradient_add_up_in_a_process_that_ends_with_the_training() -> None:
+    def trained() -> tuple[MAPPO, list[th.Tensor]]:
+        model = small_model(n_steps=150, batch_size=700)
+        model.learn(2 * 150 * 8)
+        return model, [parameter.detach().clone() for parameter in model.policy.parameters()]
+
+    model, shared = trained()
+    assert multiprocessing.active_children() == []
+    _, again = trained()
+    th.set_num_threads(1)
+    alone, single = trained()
+    for own, same, other in zip(shared, again, single, strict=True):
+        assert th.equal(own, same)  # the same numbers every time
+        th.testing.assert_close(own, other, rtol=1e-3, atol=1e-5)
+    th.set_num_threads(2)
+    partners = share_out(model)
+    assert len(partners) == 1
+    slots, terms = np.arange(600), Terms(0.1, 0.7, 0.2, 0.01, 0.5, -3.0, 2.0)
+    whole, figures = Share(alone.policy, model.rollout_buffer).gradient(slots, 600, terms)
+    first, figures_1 = Share(alone.policy, model.rollout_buffer).gradient(slots[:250], 600, terms)
+    partners[0].ask([*alone.policy.actor_parameters(), *alone.policy.critic_parameters()], slots[250:], 600, terms)
+    second, figures_2 = partners[0].answer()
+    partners[0].close()
+    np.testing.assert_allclose(figures, figures_1 + figures_2, rtol=1e-6)
+    for sum_of, one, two in zip(whole, first, second, strict=True):
+        th.testing.assert_close(sum_of, one + two, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs forked processes")
+@pytest.mark.usefixtures("two_threads")
+def test_a_partner_that_ended_is_an_error_and_not_a_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = small_model(n_steps=150, batch_size=700)
+    ask = Partner.ask
+
+    def kill_and_ask(self: Partner, *arguments: Any) -> None:
+        self._process.kill()
+        self._process.join()
+        ask(self, *arguments)
+
+    monkeypatch.setattr(Partner, "ask", kill_and_ask)
+    with pytest.raises(RuntimeError, match=r"exit code -9"):
+        model.learn(150 * 8)
 
 
 def test_a_loss_of_ones_own_is_what_is_trained_on() -> None:

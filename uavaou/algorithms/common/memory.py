@@ -1,9 +1,13 @@
-"""How the C library keeps the memory that a learner's tensors take and give back thousands of times a minute."""
+"""Memory: what the C library keeps of it between a learner's tensors, and what processes share."""
 
 from __future__ import annotations
 
 import ctypes
+import mmap
 import sys
+
+import numpy as np
+from numpy.typing import NDArray
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of glibc's malloc.h
 _KEPT = 512 << 20  # bytes
@@ -22,3 +26,9 @@ def keep_freed_memory() -> None:
     if mallopt is not None:
         mallopt(_MMAP_THRESHOLD, _LARGEST_FROM_HEAP)
         mallopt(_TRIM_THRESHOLD, _KEPT)
+
+
+def shared_zeros(shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """An array of zeros that processes forked later see and may write; it goes with the last that holds it."""
+    size = int(np.prod(shape))
+    return np.frombuffer(mmap.mmap(-1, max(4 * size, 1)), np.float32, count=size).reshape(shape)

@@ -11,6 +11,7 @@ import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.buffers import RolloutBuffer
 
+from uavaou.algorithms.common.memory import shared_zeros
 from uavaou.world.views import RowLayout
 
 
@@ -47,15 +48,15 @@ class SlotRolloutBuffer(RolloutBuffer):
         missions, uavs = self.n_envs // layout.uavs, layout.uavs
         critics = 1 if self.shared_critic else uavs
         bits = layout.devices if layout.selects else 0
-        self.local: NDArray[np.float32] = np.zeros((steps, missions, uavs, layout.local_size), np.float32)
-        self.state: NDArray[np.float32] = np.zeros((steps, missions, layout.global_size), np.float32)
-        self.actions = np.zeros((steps, missions, uavs, 1 + bits), np.float32)
-        self.log_probs = np.zeros((steps, missions, uavs), np.float32)
-        self.values = np.zeros((steps, missions, critics), np.float32)
-        self.rewards = np.zeros((steps, missions, 1), np.float32)
-        self.episode_starts = np.zeros((steps, missions, 1), np.float32)
-        self.advantages = np.zeros((steps, missions, critics), np.float32)
-        self.returns = np.zeros((steps, missions, critics), np.float32)
+        self.local = shared_zeros((steps, missions, uavs, layout.local_size))
+        self.state = shared_zeros((steps, missions, layout.global_size))
+        self.actions = shared_zeros((steps, missions, uavs, 1 + bits))
+        self.log_probs = shared_zeros((steps, missions, uavs))
+        self.values = shared_zeros((steps, missions, critics))
+        self.rewards = shared_zeros((steps, missions, 1))
+        self.episode_starts = shared_zeros((steps, missions, 1))
+        self.advantages = shared_zeros((steps, missions, critics))
+        self.returns = shared_zeros((steps, missions, critics))
 
     def add(
         self,

@@ -24,7 +24,8 @@ _MOVES = MOVES  # a global of this file is a constant to Numba
 @compiled
 def clipped_surrogate(
     logits: Floats, local: Floats, moves_at: int, range_at: int, slots: Ints, actions: Floats, old_log_prob: Floats,
-    advantages: Floats, mean: float, scale: float, clip_range: float, entropy_weight: float, gradient: Floats,
+    advantages: Floats, mean: float, scale: float, clip_range: float, entropy_weight: float, part: float,
+    gradient: Floats,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Write the gradient of ``-mean(min(A r, A clip(r))) - entropy_weight * mean(H)`` by the logits.
 
@@ -37,14 +38,16 @@ def clipped_surrogate(
         old_log_prob: (slots, U).
         advantages: (slots, 1) or (slots, U); ``A = (advantage - mean) * scale`` is taken.
         clip_range: of the ratio ``r = exp(log_prob - old_log_prob)``.
+        part: of the minibatch that these rows are; means are over the minibatch, and those of its parts add up.
         gradient: (B * U, 5 + I), written.
 
     Returns:
-        Means over the rows: the objective, the entropy in nats, the KL divergence from the old policy (estimated as
+        Means: the objective, the entropy in nats, the KL divergence from the old policy (estimated as
         r - 1 - log r), and the share of rows where the ratio is out of its range.
     """
     rows, uavs, devices = len(logits), actions.shape[1], actions.shape[2] - 1
-    by_entropy = -entropy_weight / rows
+    each = part / max(rows, 1)  # of a row in the means
+    by_entropy = -entropy_weight * each
     log_probs, probs = np.empty(_MOVES), np.empty(_MOVES)
     objectives, entropies, divergence, outside = 0.0, 0.0, 0.0, 0
     for row in range(rows):
@@ -67,7 +70,7 @@ def clipped_surrogate(
         advantage = (advantages[slot, uav % advantages.shape[1]] - mean) * scale
         objective = min(advantage * ratio, advantage * bounded)
         follows = ratio == bounded or advantage * ratio < advantage * bounded
-        by_log_prob = -advantage * ratio / rows if follows else 0.0
+        by_log_prob = -advantage * ratio * each if follows else 0.0
         objectives += objective
         entropies += entropy
         divergence += ratio - 1 - log_ratio
@@ -83,7 +86,7 @@ def clipped_surrogate(
                 gradient[row, _MOVES + i] = by_log_prob * (action[1 + i] - q) - by_entropy * z * q * (1 - q)
             else:
                 gradient[row, _MOVES + i] = 0.0
-    return objectives / rows, entropies / rows, divergence / rows, outside / rows
+    return objectives * each, entropies * each, divergence * each, outside * each
 
 
 @compiled
@@ -109,7 +112,7 @@ def _softmax(logits: Floats, local: Floats, moves_at: int, log_probs: Doubles, p
 
 @compiled
 def squared_error(
-    values: Floats, slots: Ints, returns: Floats, mean: float, std: float, weight: float, gradient: Floats
+    values: Floats, slots: Ints, returns: Floats, mean: float, std: float, weight: float, part: float, gradient: Floats
 ) -> float:
     """Write the gradient of ``weight * mean((value - (return - mean) / std) ** 2)`` by the values.
 
@@ -117,17 +120,18 @@ def squared_error(
         values: (B * V, 1), normalised.
         slots: (B,) which slots of the rollout these are.
         returns: (slots, V) of the whole rollout.
+        part: of the minibatch that these rows are.
         gradient: (B * V, 1), written.
 
     Returns:
         The mean squared error, without the weight.
     """
-    total, critics = 0.0, returns.shape[1]
+    total, critics, each = 0.0, returns.shape[1], part / max(len(values), 1)
     for row in range(len(values)):
         error = values[row, 0] - (returns[slots[row // critics], row % critics] - mean) / std
         total += error * error
-        gradient[row, 0] = 2 * weight * error / len(values)
-    return total / len(values)
+        gradient[row, 0] = 2 * weight * error * each
+    return total * each
 
 
 @compiled

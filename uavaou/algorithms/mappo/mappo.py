@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch as th
@@ -17,7 +19,8 @@ from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
 from uavaou.algorithms.common.safe_io import SafeSaveLoad
 from uavaou.algorithms.common.threads import one_thread
-from uavaou.algorithms.mappo.gradients import WrittenGradients, can_write
+from uavaou.algorithms.mappo.gradients import Slots, WrittenGradients, can_write
+from uavaou.algorithms.mappo.partners import Partner, share_out
 from uavaou.errors import InputError, unknown
 
 ADVANTAGES = ("none", "rollout", "batch")
@@ -90,10 +93,20 @@ class MAPPO(SafeSaveLoad, PPO):
             max_grad_norm=max_grad_norm, normalize_advantage=False, policy_kwargs=policy_kwargs, **kwargs,
         )  # fmt: skip
         self.batch_size = batch_size
+        self._partners: list[Partner] | None = None  # None: not started
 
     def _setup_model(self) -> None:
         keep_freed_memory()
         super()._setup_model()
+
+    def learn(self, *args: Any, **kwargs: Any) -> Self:
+        """As SB3's; the update is shared out among as many processes as torch has threads."""
+        try:
+            return super().learn(*args, **kwargs)
+        finally:
+            for partner in self._partners or ():
+                partner.close()
+            self._partners = None
 
     def collect_rollouts(self, *args: Any, **kwargs: Any) -> bool:
         """As SB3's, with one thread."""
@@ -115,20 +128,31 @@ class MAPPO(SafeSaveLoad, PPO):
         self.policy.value_net.update(th.from_numpy(buffer.returns).to(self.device))
         mean, std = self._advantage_statistics(buffer.advantages)
         slots_in_batch = max(self.batch_size // buffer.row_layout.uavs, 1)
-        written = can_write(self) and type(self).loss is MAPPO.loss
-        gradients = WrittenGradients(self, clip_range, mean, std) if written else None
         figures: list[th.Tensor] = []  # (6,) each
-        for _ in range(self.n_epochs):
-            for slots in buffer.shuffled_slots(slots_in_batch):
-                if gradients is not None:
+        with self._gradients(clip_range, mean, std) as gradients:
+            for _ in range(self.n_epochs):
+                for slots in buffer.shuffled_slots(slots_in_batch):
                     figures.append(gradients(slots))
-                else:
-                    figures.append(self.backward(self.loss(buffer.batch(slots), clip_range, mean, std)))
-                self._step()
-            self._n_updates += 1
-            if self.target_kl is not None and float(figures[-1][4]) > 1.5 * self.target_kl:
-                break
+                    self._step()
+                self._n_updates += 1
+                if self.target_kl is not None and float(figures[-1][4]) > 1.5 * self.target_kl:
+                    break
         self._log_training(th.stack(figures).mean(dim=0), explained, clip_range)
+
+    @contextmanager
+    def _gradients(self, clip_range: float, mean: float, std: float) -> Iterator[Callable[[Slots], th.Tensor]]:
+        """What sets the gradient of the loss on some slots of the rollout, and gives its figures."""
+        if not can_write(self):
+            yield lambda slots: self.backward(self.loss(self.rollout_buffer.batch(slots), clip_range, mean, std))
+            return
+        if self._partners is None:
+            self._partners = share_out(self)
+        written = WrittenGradients(self, clip_range, mean, std, self._partners)
+        if self._partners:  # each process with one thread
+            with one_thread():
+                yield written
+        else:
+            yield written
 
     def loss(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> th.Tensor:
         """PPO's loss on a minibatch with advantages ``(A - mean) / std``, where they are not normalised in it.
