@@ -114,7 +114,7 @@ BAD_INPUTS = [
     ("plan tiny --set scenario.layout=resample", "new layout each mission"),
     ("plan tiny --set algorithm.gamma=0.9", "algorithm.gamma"),
     ("plan paper --planner exact --out x", "fading = rician"),
-    ("plan paper --planner exact --out x --set scenario.fading=none", "4,049,460 variables, at most 20,000"),
+    ("plan paper --planner exact --out x --set scenario.fading=none", "4,049,460 variables, at most 120,000"),
     ("gap", "missing argument 'SCENARIO'"),
     ("gap nothing", "unknown scenario"),
     ("gap tiny nowhere", "'nowhere' does not exist"),

@@ -123,7 +123,7 @@ def test_exact_refuses_what_it_cannot_do() -> None:
     with pytest.raises(InputError, match="fading = rician: needs a deterministic channel"):
         Exact().plan(QUICKSTART, QUICKSTART.draw_layout())
     unfaded = Scenario.load("paper").replace(fading="none")
-    with pytest.raises(InputError, match=r"needs 4,049,460 variables, at most 20,000"):
+    with pytest.raises(InputError, match=r"needs 4,049,460 variables, at most 120,000"):
         Exact().plan(unfaded, unfaded.draw_layout())
 
 

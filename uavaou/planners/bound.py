@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from uavaou.planners.ascent import ascend
 from uavaou.planners.copies import Copies, neighbours
-from uavaou.planners.exact import LARGEST, Program, gap_ages, program_size
+from uavaou.planners.exact import Program, gap_ages, program_size
 from uavaou.planners.search import compiled
 from uavaou.planners.stationary import stationary_start
 from uavaou.scenario import Layout, Scenario
@@ -32,6 +32,7 @@ from uavaou.world.flight import Flight
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_LARGEST_PROGRAM = 20_000  # variables; beyond, the relaxation takes longer than prices, and says less
 _ROUNDS = 3000  # of the ascent by prices, at most
 _PATIENCE = 150  # rounds
 _ROUNDS_SHORT, _ROUNDS_LONG = 2000, 300  # of the ascent by copies, at most
@@ -56,7 +57,7 @@ def lower_bound(scenario: Scenario, layout: Layout, time_limit_s: float | None =
     """
     per_slot = scenario.slot_length_s / scenario.slots
     found = []
-    if program_size(scenario, layout) <= LARGEST:
+    if program_size(scenario, layout) <= _LARGEST_PROGRAM:
         total = Program(scenario, layout).relaxation()
         # Solvers stop within a tolerance of 1e-7; what is certified is a little below.
         found.append(Bound(per_slot * max(0.0, total * (1 - 1e-6) - 1e-6), "linear program"))
