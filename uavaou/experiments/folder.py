@@ -25,6 +25,7 @@ from uavaou.algorithms.registry import config_from_dict
 from uavaou.errors import InputError
 from uavaou.files import refuse_links, replacing
 from uavaou.scenario import Scenario
+from uavaou.world import Views
 from uavaou.zoo import read_yaml_mapping, zoo_folder, zoo_names
 
 SCHEMA = 1
@@ -39,6 +40,11 @@ class RunConfig:
     scenario: Scenario
     algorithm: AlgorithmConfig
     seed: int
+
+    def fits(self, scenario: Scenario) -> bool:
+        """Whether the policy can be flown in ``scenario``: as many UAVs and devices, hence rows of the same columns."""
+        seen = self.algorithm.observation, self.algorithm.collection
+        return Views(self.scenario, *seen).layout == Views(scenario, *seen).layout
 
     def to_yaml(self) -> str:
         """The content of ``config.yaml``."""
@@ -139,11 +145,12 @@ def run_folder(
     if base not in zoo_names("scenarios") or Scenario.load(preset) != scenario:
         digest = hashlib.sha256(scenario.to_yaml().encode()).hexdigest()[:8]
         base = f"{base}~{digest}"
-    named = _folder_name(base, scenario_overrides), _folder_name(algorithm, algorithm_overrides)
+    named = folder_name(base, scenario_overrides), folder_name(algorithm, algorithm_overrides)
     return RunFolder(out / named[0] / named[1] / f"seed-{seed}")
 
 
-def _folder_name(base: str, overrides: Mapping[str, str]) -> str:
+def folder_name(base: str, overrides: Mapping[str, str]) -> str:
+    """A name with overrides in a form that file systems take: ``paper+layout_seed=7``."""
     parts = [quote(base, safe=" ~")]
     if overrides:
         parts.append(",".join(f"{key}={quote(value, safe='.-_')}" for key, value in sorted(overrides.items())))
