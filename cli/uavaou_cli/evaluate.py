@@ -80,7 +80,8 @@ def evaluate(
     if suite is not None:
         _refuse_algorithm(overrides)
         request = Request(suite, scenario, overrides, episodes, seed, action, out, json, quiet)
-        return evaluate_suite(request, configs, made)
+        evaluate_suite(request, configs, made)
+        return
     missions = Missions(_choose_scenario(configs, scenario, overrides), episodes, seed)
     if json is not None:
         writable_file(json)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,9 +88,7 @@ def _plan(request: Request, configs: Mapping[str, RunConfig], planners: list[str
     assignments = assign(places, entries, base)
     wanted = assignments if configs or planners else needs(places, "mappo")
     missing = missing_runs(wanted, entries, source, base)
-    return Plan(
-        suite, name, base, places, entries, assignments, missing, suite_jobs(places, assignments, planners)
-    )
+    return Plan(suite, name, base, places, entries, assignments, missing, suite_jobs(places, assignments, planners))
 
 
 def _check_runs(plan: Plan, action: str | None) -> None:
@@ -140,21 +138,25 @@ def _write(plan: Plan, results: list[Result], request: Request) -> list[str]:
             notes.append(f"kept {path}: it is of more missions")
             continue
         try:
-            write_json(path, content)
+            write_json(path, content, indent=None)
             notes.append(f"wrote {path}")
         except OSError as error:
             notes.append(f"not written: {path}: {error.strerror or error}")
-    asked = [(request.json, lambda path: write_json(path, suite_json(plan.suite, plan.base, results, episodes, seed)))]
-    asked.append((request.out, lambda path: write_csv(path, csv_rows(plan.name, plan.suite, results))))
-    for wanted, write in asked:
-        if wanted is None:
-            continue
-        try:
-            write(wanted)
-        except OSError as error:
-            raise InputError(f"cannot write '{wanted}': {error.strerror or error}") from error
-        notes.append(f"wrote {wanted}")
+    if request.json is not None:
+        content = suite_json(plan.suite, plan.base, results, episodes, seed)
+        notes.append(_written(request.json, lambda path: write_json(path, content, indent=None)))
+    if request.out is not None:
+        rows = csv_rows(plan.name, plan.suite, results)
+        notes.append(_written(request.out, lambda path: write_csv(path, rows)))
     return notes
+
+
+def _written(path: Path, write: Callable[[Path], None]) -> str:
+    try:
+        write(path)
+    except OSError as error:
+        raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
+    return f"wrote {path}"
 
 
 def missions_in(path: Path) -> int:

@@ -37,7 +37,7 @@ def suite_lines(plan: Plan, results: Sequence[Result], episodes: int, seed: int)
     """The table of a suite, with what is missing, what cannot be flown, and what was flown out of its training."""
     count = "1 mission" if episodes == 1 else f"{episodes:,} missions"
     head = f"{plan.name} on {plan.base.name}: {plan.suite.axis.title}; {count} each, seeds from {seed}"
-    rows = [(plan.suite.axis.label, "policy", "how", "mean AoU", "interval", "comm.", "served")]
+    rows: list[tuple[str, ...]] = [(plan.suite.axis.label, "policy", "how", "mean AoU", "interval", "comm.", "served")]
     rows.append(("", "", "", "(slots)", "95 %", "", ""))
     rows += _rows(plan, results)
     lines = [*textwrap.wrap(head, WIDTH), "", *(line.rstrip() for line in aligned(rows, left=3))]
@@ -104,15 +104,19 @@ def _refusals(results: Sequence[Result]) -> list[str]:
 
 
 def _elsewhere(plan: Plan, results: Sequence[Result]) -> list[str]:
-    """In what the training of a run flown zero-shot differed from the suite's scenario, its point apart."""
+    """In what the training of a run flown zero-shot differed from the suite's scenario, what all points set apart."""
     from uavaou.experiments.suites import differences
 
     lines: list[str] = []
+    set_everywhere = set.intersection(*(set(place.point.set) for place in plan.places))
     flown = {id(r.job.entry): r.job.entry for r in results if r.job.how == "zero-shot"}
     for entry in flown.values():
-        if entry is None or not (changed := differences(entry.config.scenario, plan.base)):
+        if entry is None:
             continue
-        parts = ", ".join(f"{field} = {there} (here {here})" for field, (there, here) in changed.items())
+        changed = differences(entry.config.scenario, plan.base).items()
+        parts = ", ".join(f"{k} = {there} (here {here})" for k, (there, here) in changed if k not in set_everywhere)
+        if not parts:
+            continue
         words = textwrap.shorten(f"{entry.folder.path} was trained with {parts}", 400)
         lines += ["", *textwrap.wrap(words, WIDTH, break_on_hyphens=False)]
     return lines

@@ -145,12 +145,11 @@ def run_folder(
     if base not in zoo_names("scenarios") or Scenario.load(preset) != scenario:
         digest = hashlib.sha256(scenario.to_yaml().encode()).hexdigest()[:8]
         base = f"{base}~{digest}"
-    named = folder_name(base, scenario_overrides), folder_name(algorithm, algorithm_overrides)
+    named = _folder_name(base, scenario_overrides), _folder_name(algorithm, algorithm_overrides)
     return RunFolder(out / named[0] / named[1] / f"seed-{seed}")
 
 
-def folder_name(base: str, overrides: Mapping[str, str]) -> str:
-    """A name with overrides in a form that file systems take: ``paper+layout_seed=7``."""
+def _folder_name(base: str, overrides: Mapping[str, str]) -> str:
     parts = [quote(base, safe=" ~")]
     if overrides:
         parts.append(",".join(f"{key}={quote(value, safe='.-_')}" for key, value in sorted(overrides.items())))
@@ -178,11 +177,11 @@ def describe_machine() -> dict[str, Any]:
     }
 
 
-def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file, complete or not at all."""
+def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
+    """Write a JSON file, complete or not at all; without ``indent`` in one line."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as file:
-        file.write(json.dumps(content, indent=1) + "\n")
+        file.write(json.dumps(content, indent=indent) + "\n")
 
 
 def _commit() -> str | None:

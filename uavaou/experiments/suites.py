@@ -7,6 +7,7 @@ else zero-shot by a run whose network has the point's shape.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InfeasibleError, InputError, nearest, unknown
-from uavaou.experiments.folder import RunConfig, RunFolder, folder_name
+from uavaou.experiments.folder import RunConfig, RunFolder
 from uavaou.fields import Number, explain_validation, short
 from uavaou.scenario import Scenario
 from uavaou.world.coverage import best_probability
@@ -29,6 +30,7 @@ Text = Annotated[str, Field(min_length=1, max_length=200)]
 Scale = Literal["linear", "log", "category"]
 How = Literal["trained", "zero-shot", "planner"]
 _Model = TypeVar("_Model", bound=BaseModel)
+_LONGEST_NAME = 120
 _BUDGET = ("slots", "missions", "processes", "evaluate_every_slots", "evaluation_missions")  # make no other algorithm
 
 
@@ -274,7 +276,12 @@ def needs(places: Iterable[Place], policy: str) -> list[Assignment]:
 
 def suite_name(suite: Suite, changes: Mapping[str, str]) -> str:
     """The name of a suite on a changed scenario, as files bear it: ``fading+layout_seed=1``."""
-    return folder_name(suite.name, changes)
+    if not changes:
+        return suite.name
+    name = suite.name + "+" + ",".join(f"{key}={quote(value, safe='.-_')}" for key, value in sorted(changes.items()))
+    if len(name) <= _LONGEST_NAME:  # file systems end at 255 bytes
+        return name
+    return f"{name[:_LONGEST_NAME]}~{hashlib.sha256(name.encode()).hexdigest()[:12]}"
 
 
 def missing_runs(

@@ -57,8 +57,10 @@ def best_probability(scenario: Scenario, layout: Layout) -> Floats:
     parts = []
     for first in range(0, scenario.devices, size):
         some = slice(first, first + size)
-        columns = layout.positions, layout.bandwidth, layout.transmit_power, layout.update_period
-        parts.append(coverage_probability(scenario, Layout(*(column[some] for column in columns))).max(axis=(0, 1, 2)))
+        few = Layout(
+            layout.positions[some], layout.bandwidth[some], layout.transmit_power[some], layout.update_period[some]
+        )
+        parts.append(coverage_probability(scenario, few).max(axis=(0, 1, 2)))
     best: Floats = np.concatenate(parts)
     return best
 
