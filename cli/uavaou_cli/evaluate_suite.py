@@ -16,7 +16,8 @@ from uavaou_cli.overrides import Overrides
 if TYPE_CHECKING:
     from uavaou.experiments.folder import RunConfig, RunFolder
     from uavaou.experiments.suite_results import Job, Result
-    from uavaou.experiments.suites import Assignment, Entry, Missing, Place, Suite
+    from uavaou.experiments.suite_runs import Assignment, Entry, Missing
+    from uavaou.experiments.suites import Place, Suite
     from uavaou.planners.base import Planner
     from uavaou.scenario import Scenario
 
@@ -75,7 +76,8 @@ def evaluate_suite(request: Request, configs: Mapping[str, RunConfig], planners:
 
 def _plan(request: Request, configs: Mapping[str, RunConfig], planners: list[str]) -> Plan:
     from uavaou.experiments.suite_results import suite_jobs
-    from uavaou.experiments.suites import Suite, assign, missing_runs, name_entries, needs, suite_name, suite_places
+    from uavaou.experiments.suite_runs import assign, missing_runs, name_entries, needs
+    from uavaou.experiments.suites import Suite, suite_name, suite_places
     from uavaou.scenario import Scenario
 
     suite = Suite.load(request.suite)

@@ -12,7 +12,8 @@ from uavaou_cli.tables import WIDTH, aligned, figure
 
 if TYPE_CHECKING:
     from uavaou.experiments.suite_results import Result
-    from uavaou.experiments.suites import Missing, Place, Suite
+    from uavaou.experiments.suite_runs import Missing
+    from uavaou.experiments.suites import Place, Suite
     from uavaou.scenario import Scenario
     from uavaou_cli.evaluate_suite import Plan
 
@@ -105,7 +106,7 @@ def _refusals(results: Sequence[Result]) -> list[str]:
 
 def _elsewhere(plan: Plan, results: Sequence[Result]) -> list[str]:
     """In what the training of a run flown zero-shot differed from the suite's scenario, what all points set apart."""
-    from uavaou.experiments.suites import differences
+    from uavaou.experiments.suite_runs import differences
 
     lines: list[str] = []
     set_everywhere = set.intersection(*(set(place.point.set) for place in plan.places))

@@ -12,7 +12,8 @@ from uavaou.errors import InputError
 from uavaou.experiments.evaluation import evaluate, to_json
 from uavaou.experiments.folder import RunFolder
 from uavaou.experiments.statistics import Interval, interval
-from uavaou.experiments.suites import Assignment, Entry, How, Place, Suite
+from uavaou.experiments.suite_runs import Assignment, Entry, How
+from uavaou.experiments.suites import Place, Suite
 from uavaou.files import replacing
 from uavaou.planners.base import Planner
 from uavaou.scenario import Scenario

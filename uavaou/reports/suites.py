@@ -138,14 +138,14 @@ def _places(table: SuiteTable) -> dict[str, float]:
 def _draw_policy(
     axes: Axes, table: SuiteTable, places: dict[str, float], rows: Sequence[Row], shift: float, look: style.Look
 ) -> None:
-    named = False
+    named, above = False, 2.0 if rows and rows[0].how == "planner" else 3.0  # whether filled or hollow must be seen
     drawn = [(label, [row for row in rows if row.point == label]) for label in places]
     means = {label: _over_seeds(found) for label, found in drawn if found}
     if table.scale != "category":  # a line leads from one number to the next, and not to a point like `none`
         along = [label for label in means if _is_number(label)]
         axes.plot(
             [places[label] for label in along], [means[label].mean for label in along],
-            color=look.colour, linestyle=look.dash, linewidth=1.0,
+            color=look.colour, linestyle=look.dash, linewidth=1.0, zorder=above,
         )  # fmt: skip
     for label, found in drawn:
         if not found:
@@ -156,7 +156,7 @@ def _draw_policy(
             places[label] + shift, aou.mean, yerr=reach, color=look.colour, marker=look.marker, markersize=4,
             markerfacecolor="white" if found[0].how == "zero-shot" else look.colour,
             linestyle=look.dash if table.scale != "category" else "none", linewidth=1.0, elinewidth=1.0, capsize=1.8,
-            label=None if named else look.label,
+            label=None if named else look.label, zorder=above,
         )  # fmt: skip
         named = True
 
