@@ -43,6 +43,13 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
     "eval --policy random": {
         "--scenario": no_names, "--policy": no_names, "--episodes": no_counts | st.just("0"), "--seed": no_counts,
         "--action": no_names, "--json": st.sampled_from([".", "file/x", "/dev/null", "/proc/x"]),
+        "--suite": no_names, "--time-limit": no_numbers | st.sampled_from(["0", "-1", "nan", "inf", "5"]),
+        "--out": st.just("x.csv"),
+    },
+    "eval --policy random --suite fading": {
+        "--scenario": no_names, "--episodes": no_counts | st.just("0"), "--seed": no_counts, "--action": no_names,
+        "--set": st.sampled_from(["scenario.slots=x", "algorithm.gamma=1", "slots=3"]),
+        **dict.fromkeys(("--json", "--out"), st.sampled_from([".", "file/x", "/dev/null", "/proc/x"])),
     },
     "plan tiny": {
         "--planner": no_names, "--time-limit": no_numbers | st.sampled_from(["0", "-1", "nan", "inf"]),
@@ -54,6 +61,7 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
     },
     "export nowhere --out x": {"--format": no_names},
     "plot trajectories nowhere": {"--episode-seed": no_counts},
+    "plot suite nowhere.csv": {"--out": st.just("file")},
 }  # fmt: skip
 
 NUMBERS = [
@@ -73,6 +81,7 @@ BROKEN_YAML = [
     "a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\nbase: tiny",
 ]  # fmt: skip
 KEYS = st.sampled_from([f"scenario.{name}" for name in NUMBERS] + ["algorithm.learning_rate", "algorithm.missions"])
+SUITE_FIELDS = ["description", "scenario", "axis", "points", "name", "?"]
 SCENARIO_COMMANDS = ["audit {}", "train --scenario {}", "eval --policy random --scenario {}", "plan {}", "gap {}"]
 
 
@@ -196,9 +205,41 @@ def test_files_that_are_no_scenario(refused: Callable[..., None], place: Path, c
     refused(*command.format("scenario.yaml").split())
 
 
+# -- suite files ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@settings(max_examples=200)
+@given(field=st.sampled_from(SUITE_FIELDS), value=st.sampled_from(NONSENSE), inside=st.booleans())
+def test_suite_files(refused: Callable[..., None], place: Path, field: str, value: Any, inside: bool) -> None:
+    content: dict[str, Any] = {"description": "d", "scenario": "tiny", "axis": {"label": "x"}}
+    content["points"] = [{"label": "a", "x": 0, "set": {"slots": 12}}]
+    if inside:  # a point has none of the other fields
+        content["points"][0] |= {field if field not in ("points", "axis") else "set": value if value != {} else []}
+    elif field == "description" and isinstance(value, str) and value:  # any words will do
+        content["axis"] = value
+    else:
+        content[field] = value
+    (place / "suite.yaml").write_text(yaml.safe_dump(content))
+    refused("eval", "--policy", "stay", "--quiet", "--suite", "suite.yaml")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("text", BROKEN_YAML, ids=range(len(BROKEN_YAML)))
+def test_files_that_are_no_suite(refused: Callable[..., None], place: Path, text: str) -> None:
+    (place / "suite.yaml").write_text(text)
+    refused("eval", "--suite", "suite.yaml")
+
+
 # -- run folders ---------------------------------------------------------------------------------------
 
-POLICY_COMMANDS = ["eval run", "plot trajectories run", "export run --out x.safetensors", "gap tiny run"]
+POLICY_COMMANDS = [
+    "eval run",
+    "eval run --suite fading --scenario tiny",
+    "plot trajectories run",
+    "export run --out x.safetensors",
+    "gap tiny run",
+]
 
 
 def spoil(path: Path, how: str) -> None:

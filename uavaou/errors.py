@@ -17,6 +17,10 @@ class InputError(ValueError):
         super().__init__(" ".join(message.split()))
 
 
+class InfeasibleError(InputError):
+    """A scenario whose every flight breaks a constraint of the model; the message names the constraint."""
+
+
 def nearest(word: str, allowed: Iterable[str]) -> str:
     """Return a hint such as ``; did you mean 'slots'?``, or an empty string where nothing is near."""
     matches = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.5)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from uavaou.devices_csv import read_devices_csv
-from uavaou.errors import InputError, nearest
+from uavaou.errors import InfeasibleError, InputError, nearest
 from uavaou.fields import (
     DEVICE_COLUMNS,
     Decibels,
@@ -167,12 +167,15 @@ class Scenario(BaseModel):
         """Validate a mapping of field names to values.
 
         Raises:
-            InputError: naming the field, its value and what is allowed.
+            InputError: naming the field, its value and what is allowed; an InfeasibleError where the values are fine
+                and no flight keeps the constraints.
         """
         try:
             return cls.model_validate(fields)
         except ValidationError as error:
-            raise InputError(f"{source}: {explain_validation(error, list(cls.model_fields))}") from None
+            causes = [detail.get("ctx", {}).get("error") for detail in error.errors(include_url=False)]
+            kind = InfeasibleError if isinstance(causes[0], InfeasibleError) else InputError
+            raise kind(f"{source}: {explain_validation(error, list(cls.model_fields))}") from None
 
     def replace(self, /, **changes: Any) -> Scenario:
         """Return a validated copy with some fields changed.
@@ -296,7 +299,7 @@ class Scenario(BaseModel):
                 steps = value / self.grid_step_m
                 on_grid = abs(steps - round(steps)) <= _GRID_TOLERANCE * max(1.0, abs(steps))
                 if not on_grid or not 0 <= round(steps) < cells:
-                    raise ValueError(
+                    raise InfeasibleError(
                         f"cds_m[{u}] = [{x:g}, {y:g}]: {axis} is not on the grid "
                         f"(0 to {(cells - 1) * self.grid_step_m:g} m in steps of {self.grid_step_m:g} m), "
                         "which breaks constraint (CDS)"
@@ -304,7 +307,7 @@ class Scenario(BaseModel):
         if self.flight_time == "enforce":
             needed = 2 * max(self.altitudes_m) / self.speed_m_s
             if needed > self.flight_time_budget_s + ZETA_TOLERANCE_S:
-                raise ValueError(
+                raise InfeasibleError(
                     f"flight_time_budget_s = {self.flight_time_budget_s:g}: take-off and landing alone need "
                     f"2 H / speed = {needed:g} s, which breaks constraint (Time); raise it, or set flight_time: ignore"
                 )

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uavaou.errors import InputError
-from uavaou.files import read_json
 from uavaou_cli.checks import LARGEST_SEED, MOST_EPISODES, given_path, one_of, within, writable_file
+from uavaou_cli.evaluate_suite import Request, evaluate_suite, missions_in
 from uavaou_cli.overrides import Overrides, parse_overrides
 
 if TYPE_CHECKING:
@@ -49,7 +49,14 @@ def evaluate(
         str | None,
         typer.Option(metavar="greedy|sample", help="Of trained policies. [default: what was better in validation]"),
     ] = None,
+    suite: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Play every point of a suite; see docs/suites.md.")
+    ] = None,
+    time_limit: Annotated[
+        float | None, typer.Option(metavar="S", help="Seconds that planners which plan ahead may take.")
+    ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures of every mission.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write the table of a suite.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD. Repeatable.")
     ] = None,
@@ -57,7 +64,8 @@ def evaluate(
 ) -> None:
     """Evaluate trained runs and planners, all on the same missions.
 
-    A run evaluated on its own scenario also gets RUN/eval/default.json, which `uavaou plot figures` draws.
+    A run evaluated on its own scenario also gets RUN/eval/default.json, which `uavaou plot figures` draws; with
+    --suite, one that flew a point gets RUN/eval/SUITE.json. A suite without RUN and --policy says what it needs.
     """
     within("--episodes", episodes, 1, MOST_EPISODES)
     within("--seed", seed, 0, LARGEST_SEED)
@@ -65,21 +73,29 @@ def evaluate(
         one_of("--action", action, ACTIONS)
     overrides = parse_overrides(set_ or [])
     folders, planners = list(dict.fromkeys(run or [])), list(dict.fromkeys(policy or []))
-    configs = _read_configs(folders, planners)
+    if suite is None and out is not None:
+        raise InputError("--out: is for the table of a --suite; --json writes the figures of every mission")
+    configs = _read_configs(folders, planners, suite is not None)
+    made = _make_planners(planners, time_limit)  # a misspelled one fails before torch is imported
+    if suite is not None:
+        _refuse_algorithm(overrides)
+        request = Request(suite, scenario, overrides, episodes, seed, action, out, json, quiet)
+        evaluate_suite(request, configs, made)
+        return
     missions = Missions(_choose_scenario(configs, scenario, overrides), episodes, seed)
     if json is not None:
         writable_file(json)
     own = scenario is None and not overrides.scenario
     _play_and_report(
-        missions, _policies(configs, planners, missions, action), configs if own else {}, overrides, json, quiet
+        missions, _load_runs(configs, missions, action) | made, configs if own else {}, overrides, json, quiet
     )
 
 
-def _read_configs(folders: list[str], planners: list[str]) -> dict[str, RunConfig]:
+def _read_configs(folders: list[str], planners: list[str], suite: bool) -> dict[str, RunConfig]:
     from uavaou.experiments.folder import RunFolder
     from uavaou.planners import PLANNERS
 
-    if not folders and not planners:
+    if not folders and not planners and not suite:
         raise InputError(f"nothing to evaluate: give run folders, or --policy with one of {', '.join(PLANNERS)}")
     for name in folders:
         if name in PLANNERS and not Path(name).exists():
@@ -100,9 +116,7 @@ def _distinct_folders(folders: list[str]) -> list[str]:
 def _choose_scenario(configs: dict[str, RunConfig], name: str | None, overrides: Overrides) -> Scenario:
     from uavaou.scenario import Scenario
 
-    if overrides.algorithm:
-        key = next(iter(overrides.algorithm))
-        raise InputError(f"--set algorithm.{key}: a trained run is evaluated as it is; only scenario.* can be set here")
+    _refuse_algorithm(overrides)
     if name is not None or not configs:
         return overrides.of_scenario(Scenario.load(name or "paper"))
     first, *others = configs
@@ -114,18 +128,31 @@ def _choose_scenario(configs: dict[str, RunConfig], name: str | None, overrides:
     return overrides.of_scenario(configs[first].scenario)
 
 
-def _policies(
-    configs: dict[str, RunConfig], planners: list[str], missions: Missions, action: str | None
-) -> dict[str, Planner]:
-    from uavaou.planners import make_planner
+def _refuse_algorithm(overrides: Overrides) -> None:
+    if overrides.algorithm:
+        key = next(iter(overrides.algorithm))
+        raise InputError(f"--set algorithm.{key}: a trained run is evaluated as it is; only scenario.* can be set here")
 
-    made = {name: make_planner(name) for name in planners}  # a misspelled one fails before torch is imported
+
+def _make_planners(names: list[str], time_limit: float | None) -> dict[str, Planner]:
+    from uavaou.planners import ROUTE_PLANNERS, make_planner
+
+    ahead = (*ROUTE_PLANNERS, "rolling")
+    if time_limit is not None:
+        if not 0 < time_limit < float("inf"):
+            raise InputError(f"--time-limit {time_limit:g}: must be a positive number of seconds")
+        if not any(name in ahead for name in names):
+            raise InputError(f"--time-limit {time_limit:g}: needs a --policy that plans ahead: {', '.join(ahead)}")
+    return {name: make_planner(name, time_limit if name in ahead else None) for name in names}
+
+
+def _load_runs(configs: dict[str, RunConfig], missions: Missions, action: str | None) -> dict[str, Planner]:
     if not configs:
-        return made
+        return {}
     from uavaou.experiments.folder import RunFolder
     from uavaou.experiments.trained import load_run
 
-    return {name: load_run(RunFolder(Path(name)), missions.scenario, action) for name in configs} | made
+    return {name: load_run(RunFolder(Path(name)), missions.scenario, action) for name in configs}
 
 
 def _play_and_report(
@@ -173,7 +200,7 @@ def _write(
         # Under the algorithm's name, by which the figures know the run's own policy; planners stand beside it.
         beside = {name: entry for name, entry in content.items() if actions[name] is None}
         path = Path(run) / "eval" / "default.json"
-        if _missions_in(path) > missions.episodes:
+        if missions_in(path) > missions.episodes:
             notes.append(f"kept {path}: it is of more missions")
             continue
         try:
@@ -188,12 +215,3 @@ def _write(
             raise InputError(f"cannot write '{json}': {error.strerror or error}") from error
         notes.append(f"wrote {json}")
     return notes
-
-
-def _missions_in(path: Path) -> int:
-    """The missions of an evaluation written before; 0 where there is none that can be read."""
-    try:
-        episodes = read_json(path)["episodes"]
-    except (ValueError, KeyError, TypeError):
-        return 0
-    return episodes if isinstance(episodes, int) else 0

@@ -47,6 +47,7 @@ app.command("plan", short_help="Plan a fleet's routes before take-off.")(plan.pl
 app.command("gap", short_help="Planners and runs between the lower bound and random.")(plan.gap)
 plots = typer.Typer(**_STYLE, help="Draw the figures of training runs, or one mission.")
 plots.command("figures", short_help="Draw the figures of training runs.")(plot.figures)
+plots.command("suite", short_help="Draw the tables of evaluation suites.")(plot.suite)
 plots.command("trajectories", short_help="Draw one mission of a run.")(plot.trajectories)
 app.add_typer(plots, name="plot")
 app.command("audit", short_help="Check a scenario's link budget and numbers.")(audit.audit)

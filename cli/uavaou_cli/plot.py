@@ -35,6 +35,26 @@ def figures(
         print(f"figures 7 and 8 need an evaluation first: uavaou eval {run[0]}", file=sys.stderr)
 
 
+def suite(
+    file: Annotated[
+        list[Path] | None, typer.Argument(help="Tables of `uavaou eval --suite --out`. [default: results/suites/*.csv]")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where the pictures go. [default: beside each FILE]")
+    ] = None,
+) -> None:
+    """Draw the mean AoU of each policy over the points of a suite, as PNG and PDF."""
+    files = list(dict.fromkeys(file or sorted(Path("results/suites").glob("*.csv"))))
+    if not files:
+        raise InputError("no FILE, and no results/suites/*.csv here: uavaou eval --suite NAME --out FILE writes one")
+    for target in {out if out is not None else path.parent for path in files}:
+        writable_folder(target)
+    from uavaou.reports.suites import plot_suite, read_suite
+
+    for table in [read_suite(path) for path in files]:  # all are read before the first is drawn
+        print("\n".join(map(str, plot_suite(table, out if out is not None else table.path.parent))))
+
+
 def trajectories(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a training run.")],
     episode_seed: Annotated[int, typer.Option(metavar="N", help="The seed of the mission.")] = 10_000,

@@ -47,6 +47,7 @@ def mappo(config: MappoConfig, env: MissionVecEnv, seed: int, device: str) -> Ba
             "row_layout": env.row_layout,
             "net_arch": list(config.hidden),
             "activation": config.activation,
+            "masks": config.masks,
             "selection_bias": config.selection_bias,
             "optimizer_kwargs": {"eps": 1e-5, "fused": True},
         },
@@ -81,6 +82,7 @@ def joint_q(config: JointQConfig, env: MissionVecEnv, seed: int, device: str) ->
         policy_kwargs={
             "net_arch": list(config.hidden),
             "activation": config.activation,
+            "masks": config.masks,
             "selection_bias": config.selection_bias,
             "optimizer_kwargs": {"fused": True},
             **mixer,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, ValidationError, model_validator
 
 from uavaou.errors import InputError
 from uavaou.fields import NonNegative, Positive, PositiveWhole, explain_validation
@@ -56,6 +56,7 @@ class MappoConfig(AlgorithmConfig):
     name: Literal["mappo", "ippo"] = "mappo"
     hidden: HiddenSizes  # units of each hidden layer, actor and critic alike
     activation: Literal["relu", "tanh"]
+    masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
     selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit of selecting a device in range
     rollout_slots: Annotated[PositiveWhole, Field(le=1_000_000)]  # slots a mission between updates
     batch_rows: PositiveWhole  # agent steps in a minibatch
@@ -78,6 +79,7 @@ class JointQConfig(AlgorithmConfig):
     name: Literal["vdn", "iql", "qmix"] = "vdn"
     hidden: HiddenSizes  # units of each hidden layer of the utility network
     activation: Literal["relu", "tanh"]
+    masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
     selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial advantage of selecting a device in range
     replay_slots: PositiveWhole  # slots of all missions together that are remembered
     learning_starts: PositiveWhole  # slots of all missions together before the first gradient step

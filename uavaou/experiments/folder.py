@@ -25,6 +25,7 @@ from uavaou.algorithms.registry import config_from_dict
 from uavaou.errors import InputError
 from uavaou.files import refuse_links, replacing
 from uavaou.scenario import Scenario
+from uavaou.world import Views
 from uavaou.zoo import read_yaml_mapping, zoo_folder, zoo_names
 
 SCHEMA = 1
@@ -39,6 +40,11 @@ class RunConfig:
     scenario: Scenario
     algorithm: AlgorithmConfig
     seed: int
+
+    def fits(self, scenario: Scenario) -> bool:
+        """Whether the policy can be flown in ``scenario``: as many UAVs and devices, hence rows of the same columns."""
+        seen = self.algorithm.observation, self.algorithm.collection
+        return Views(self.scenario, *seen).layout == Views(scenario, *seen).layout
 
     def to_yaml(self) -> str:
         """The content of ``config.yaml``."""
@@ -171,11 +177,11 @@ def describe_machine() -> dict[str, Any]:
     }
 
 
-def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file, complete or not at all."""
+def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
+    """Write a JSON file, complete or not at all; without ``indent`` in one line."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as file:
-        file.write(json.dumps(content, indent=1) + "\n")
+        file.write(json.dumps(content, indent=indent) + "\n")
 
 
 def _commit() -> str | None:

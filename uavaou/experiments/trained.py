@@ -14,7 +14,6 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from uavaou.algorithms.common.tensor_file import ArrayFile
-from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.actions import split_actions
 from uavaou.envs.flatten import flatten
@@ -103,7 +102,7 @@ def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | No
     """
     config = path.read_config()
     scenario = config.scenario if scenario is None else scenario
-    _check_shape(path, config.scenario, scenario, config.algorithm)
+    _check_shape(path, config, scenario)
     checkpoint = path.best if path.best.exists() else path.last
     if not checkpoint.is_file():
         raise InputError(f"'{path.path}' holds no checkpoint yet: its training has not reached the first one")
@@ -129,9 +128,9 @@ def _check_size(checkpoint: Path, config: RunConfig) -> None:
         raise InputError(f"{checkpoint}: holds {elements:,} numbers, too few for hidden = {list(hidden)}")
 
 
-def _check_shape(path: RunFolder, trained: Scenario, wanted: Scenario, algorithm: AlgorithmConfig) -> None:
-    shapes = [Views(s, algorithm.observation, algorithm.collection).layout for s in (trained, wanted)]
-    if shapes[0] != shapes[1]:
+def _check_shape(path: RunFolder, config: RunConfig, wanted: Scenario) -> None:
+    if not config.fits(wanted):
+        trained = config.scenario
         raise InputError(
             f"'{path.path}' was trained with {trained.uavs} uavs and {trained.devices} devices; "
             f"scenario '{wanted.name}' has {wanted.uavs} and {wanted.devices}, which its network does not fit"

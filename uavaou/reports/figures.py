@@ -7,7 +7,7 @@ the seeds; with one seed, the central 95 % of the missions.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -87,7 +87,7 @@ def read_run(folder: Path) -> Run:
         mission_slots=float(stated.get("slots", episodes["slots"][-1] / len(episodes["slots"]))),
         slot_length_s=float(stated["slot_length_s"]) if "slot_length_s" in stated else None,
         devices=int(stated["devices"]) if "devices" in stated else None,
-        evaluations={path.stem: _read_evaluation(path, name) for path in sorted(folder.glob("eval/*.json"))},
+        evaluations={path.stem: found for path, found in _evaluations(folder, name) if found is not None},
     )
 
 
@@ -127,8 +127,20 @@ def _read_column(path: Path, rows: list[list[str]], place: int, column: str) -> 
     return values
 
 
-def _read_evaluation(path: Path, algorithm: str) -> dict[str, PolicyResult]:
+def _evaluations(folder: Path, algorithm: str) -> Iterator[tuple[Path, dict[str, PolicyResult] | None]]:
+    for path in sorted(folder.glob("eval/*.json")):
+        yield path, _read_evaluation(path, algorithm)
+
+
+def _read_evaluation(path: Path, algorithm: str) -> dict[str, PolicyResult] | None:
+    """The policies of an evaluation; None for a suite, unless its one point is what the run was trained for."""
     content = read_json(path)
+    if isinstance(content, dict) and "points" in content:
+        points = content["points"]
+        whole = isinstance(points, list) and len(points) == 1 and isinstance(points[0], dict)
+        if not whole or "trained" not in dict(points[0].get("how") or {}).values():
+            return None
+        content = points[0]
     policies = content.get("policies") if isinstance(content, dict) else None
     if not isinstance(policies, dict):
         raise InputError(f"{path}: field 'policies' is missing or not a mapping")

@@ -18,6 +18,7 @@ from uavaou.world.channel import Channel, minimum_snr
 Floats = NDArray[np.float64]
 
 _TAIL = 9.0  # standard deviations of the Rice amplitude, beyond which there is less than 1e-17
+_BLOCK = 2_000_000  # probabilities held at a time
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 
 
@@ -48,6 +49,20 @@ def coverage_radius(scenario: Scenario, layout: Layout) -> Floats:
         headroom = mean_snr(scenario, below, np.zeros(2)) / snr_min  # (U, I)
         radius: Floats = scenario.altitudes[:, None] * np.sqrt(headroom - 1.0)  # (U, I) m
     return radius
+
+
+def best_probability(scenario: Scenario, layout: Layout) -> Floats:
+    """The largest P(R_iu >= R_min) in a slot that any UAV has at any grid cell, (I,)."""
+    size = max(1, _BLOCK // (scenario.uavs * scenario.columns * scenario.rows))  # devices at a time
+    parts = []
+    for first in range(0, scenario.devices, size):
+        some = slice(first, first + size)
+        few = Layout(
+            layout.positions[some], layout.bandwidth[some], layout.transmit_power[some], layout.update_period[some]
+        )
+        parts.append(coverage_probability(scenario, few).max(axis=(0, 1, 2)))
+    best: Floats = np.concatenate(parts)
+    return best
 
 
 def coverage_probability(scenario: Scenario, layout: Layout) -> Floats:

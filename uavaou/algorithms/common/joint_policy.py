@@ -35,6 +35,8 @@ class JointQPolicy(LocalPolicy):
         activation: ``relu`` or ``tanh``.
         selection_bias: by how much selecting a device in range is valued above not selecting it, at first;
             collecting costs nothing in this model.
+        masks: whether options that are not allowed are left out, of choices, targets and exploration alike;
+            without, the World rejects them. What is observed is the same.
         mixer_width, hypernet_width: hidden units of the monotonic mixer and of the networks that give its weights.
     """
 
@@ -48,6 +50,7 @@ class JointQPolicy(LocalPolicy):
         net_arch: list[int] | None = None,
         activation: str = "relu",
         selection_bias: float = 0.1,
+        masks: bool = True,
         mixer_width: int = 32,
         hypernet_width: int = 64,
         optimizer_class: type[th.optim.Optimizer] = th.optim.Adam,
@@ -63,6 +66,7 @@ class JointQPolicy(LocalPolicy):
         self._hidden = list(net_arch or [128, 128])
         self._activation = activation
         self.selection_bias = selection_bias
+        self.masks = masks
         self.utilities = UtilityNetwork(row_layout.local_size, self._hidden, activation, self.branches)
         if row_layout.selects:
             with th.no_grad():
@@ -82,6 +86,8 @@ class JointQPolicy(LocalPolicy):
 
     def allowed(self, local: th.Tensor) -> th.Tensor | None:
         """Which options are allowed, (B, sum(n_b)), from the masks in ``local`` (B, local); None where it has none."""
+        if not self.masks:
+            return None
         whole = self.row_layout.local_columns("action_mask")
         if whole is not None:
             return local[:, whole] > 0.5
@@ -153,6 +159,6 @@ class JointQPolicy(LocalPolicy):
         data = super()._get_constructor_parameters()
         data.update(
             row_layout=self.row_layout, net_arch=self._hidden, activation=self._activation,
-            selection_bias=self.selection_bias, **self._mixer,
+            selection_bias=self.selection_bias, masks=self.masks, **self._mixer,
         )  # fmt: skip
         return data

@@ -32,6 +32,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         net_arch: hidden layer sizes of actor and critic.
         activation: ``relu`` or ``tanh``.
         selection_bias: initial logit of selecting a device in range; collecting costs nothing in this model.
+        masks: whether moves that are not allowed and devices out of range have probability 0, in training and in
+            flight; without, the policy may choose them and the World rejects them. What it observes is the same.
     """
 
     action_dist: MoveSelectionDistribution
@@ -47,6 +49,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         net_arch: list[int] | None = None,
         activation: str = "tanh",
         selection_bias: float = 2.0,
+        masks: bool = True,
         **kwargs: Any,
     ) -> None:
         if critic_input not in CRITIC_INPUTS:
@@ -56,11 +59,12 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         self.row_layout = row_layout
         self.critic_input = critic_input
         self.selection_bias = selection_bias
+        self.masks = masks
         self._hidden = list(net_arch or [128, 128])
         self._activation = activation
         allowed, in_range = row_layout.local_columns("allowed_moves"), row_layout.local_columns("in_range")
-        self._allowed_moves = allowed
-        self._in_range = in_range if row_layout.selects else None
+        self._allowed_moves = allowed if masks else None
+        self._in_range = in_range if masks and row_layout.selects else None
         super().__init__(
             observation_space, action_space, lr_schedule, net_arch=self._hidden,
             activation_fn=ACTIVATIONS[activation], **kwargs,
@@ -165,7 +169,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         data = super()._get_constructor_parameters()
         data.update(
             row_layout=self.row_layout, critic_input=self.critic_input, net_arch=self._hidden,
-            activation=self._activation, selection_bias=self.selection_bias,
+            activation=self._activation, selection_bias=self.selection_bias, masks=self.masks,
         )  # fmt: skip
         data.pop("activation_fn", None)
         return data

@@ -1,0 +1,170 @@
+"""``uavaou eval --suite``: trained runs and planners at every point of an evaluation suite."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uavaou.errors import InputError
+from uavaou.files import read_json
+from uavaou_cli.checks import writable_file
+from uavaou_cli.overrides import Overrides
+
+if TYPE_CHECKING:
+    from uavaou.experiments.folder import RunConfig, RunFolder
+    from uavaou.experiments.suite_results import Job, Result
+    from uavaou.experiments.suite_runs import Assignment, Entry, Missing
+    from uavaou.experiments.suites import Place, Suite
+    from uavaou.planners.base import Planner
+    from uavaou.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the command line asked for."""
+
+    suite: str
+    scenario: str | None
+    overrides: Overrides
+    episodes: int
+    seed: int
+    action: str | None
+    out: Path | None
+    json: Path | None
+    quiet: bool
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Who plays what."""
+
+    suite: Suite
+    name: str  # of the suite, with what was changed in its scenario
+    base: Scenario
+    places: list[Place]
+    entries: list[Entry]
+    assignments: list[Assignment]
+    missing: list[Missing]
+    jobs: list[Job]
+
+
+def evaluate_suite(request: Request, configs: Mapping[str, RunConfig], planners: Mapping[str, Planner]) -> None:
+    """Play a suite, print its table, and write the files; without policies, say what it needs."""
+    from uavaou_cli.suite_tables import suite_lines, suite_points
+
+    plan = _plan(request, configs, list(planners))
+    for path in (request.out, request.json):
+        if path is not None:
+            writable_file(path)
+    if not configs and not planners:
+        print("\n".join(suite_points(plan.suite, plan.base, plan.places, plan.missing)))
+        return
+    _check_runs(plan, request.action)
+    results: list[Result] = []
+    notes: list[str] = []
+    try:
+        _play(plan, planners, request, results)
+        notes = _write(plan, results, request)
+    finally:  # what has been played is shown even where Ctrl-C ended it, or a disk has filled
+        print("\n".join(suite_lines(plan, results, request.episodes, request.seed)))
+    for note in notes if not request.quiet else []:
+        print(note, file=sys.stderr)
+
+
+def _plan(request: Request, configs: Mapping[str, RunConfig], planners: list[str]) -> Plan:
+    from uavaou.experiments.suite_results import suite_jobs
+    from uavaou.experiments.suite_runs import assign, missing_runs, name_entries, needs
+    from uavaou.experiments.suites import Suite, suite_name, suite_places
+    from uavaou.scenario import Scenario
+
+    suite = Suite.load(request.suite)
+    source = request.scenario or suite.scenario
+    base = request.overrides.of_scenario(Scenario.load(source))
+    changed = {} if request.scenario is None else {"scenario": Scenario.load(source).name}
+    name = suite_name(suite, changed | request.overrides.scenario)
+    places = suite_places(suite, base)
+    entries = name_entries({Path(run): config for run, config in configs.items()}, suite)
+    assignments = assign(places, entries, base)
+    wanted = assignments if configs or planners else needs(places, "mappo")
+    missing = missing_runs(wanted, entries, source, base)
+    return Plan(suite, name, base, places, entries, assignments, missing, suite_jobs(places, assignments, planners))
+
+
+def _check_runs(plan: Plan, action: str | None) -> None:
+    """Load every run that will play once: a damaged one is found before hours are spent."""
+    if any(job.entry is not None for job in plan.jobs):
+        load = _loader(action)
+        for entry in {id(job.entry): job.entry for job in plan.jobs}.values():
+            if entry is not None:
+                load(entry.folder, entry.config.scenario)
+
+
+def _loader(action: str | None) -> Any:
+    def load(folder: RunFolder, scenario: Scenario) -> Planner:
+        from uavaou.experiments.trained import load_run  # imports torch, which planners do without
+
+        return load_run(folder, scenario, action)
+
+    return load
+
+
+def _play(plan: Plan, planners: Mapping[str, Planner], request: Request, results: list[Result]) -> None:
+    from uavaou.experiments.suite_results import play_suite
+    from uavaou_cli.progress import EvaluationProgress
+
+    slots = max((job.place.scenario.slots for job in plan.jobs if job.place.scenario is not None), default=0)
+    names = [job.name for job in plan.jobs]
+    with EvaluationProgress(names, request.episodes * slots, request.quiet) as progress:
+        load = _loader(request.action)
+        for result in play_suite(
+            plan.jobs, planners, load, request.episodes, request.seed, progress.start, progress.after_slot
+        ):
+            results.append(result)
+
+
+def _write(plan: Plan, results: list[Result], request: Request) -> list[str]:
+    """Write the files; returns a note on each."""
+    from uavaou.experiments.folder import write_json
+    from uavaou.experiments.suite_results import csv_rows, suite_json, write_csv
+
+    episodes, seed, notes = request.episodes, request.seed, []
+    for entry in plan.entries:
+        content = suite_json(plan.suite, plan.base, results, episodes, seed, entry)
+        path = entry.folder.path / "eval" / f"{plan.name}.json"
+        if not content["points"]:
+            continue
+        if missions_in(path) > episodes:
+            notes.append(f"kept {path}: it is of more missions")
+            continue
+        try:
+            write_json(path, content, indent=None)
+            notes.append(f"wrote {path}")
+        except OSError as error:
+            notes.append(f"not written: {path}: {error.strerror or error}")
+    if request.json is not None:
+        content = suite_json(plan.suite, plan.base, results, episodes, seed)
+        notes.append(_written(request.json, lambda path: write_json(path, content, indent=None)))
+    if request.out is not None:
+        rows = csv_rows(plan.name, plan.suite, results)
+        notes.append(_written(request.out, lambda path: write_csv(path, rows)))
+    return notes
+
+
+def _written(path: Path, write: Callable[[Path], None]) -> str:
+    try:
+        write(path)
+    except OSError as error:
+        raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
+    return f"wrote {path}"
+
+
+def missions_in(path: Path) -> int:
+    """The missions of an evaluation written before; 0 where there is none that can be read."""
+    try:
+        episodes = read_json(path)["episodes"]
+    except (ValueError, KeyError, TypeError):
+        return 0
+    return episodes if isinstance(episodes, int) else 0

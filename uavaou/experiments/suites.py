@@ -1,0 +1,181 @@
+"""Evaluation suites: a scenario and a list of changes to it, each a point on an axis.
+
+A suite is YAML: ``zoo_configs/suites/``, or a file of your own. Its points change the scenario or name an observation.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+from urllib.parse import quote
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from uavaou.errors import InfeasibleError, InputError, nearest, unknown
+from uavaou.fields import Number, explain_validation, short
+from uavaou.scenario import Scenario
+from uavaou.world.coverage import best_probability
+from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
+
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+Scale = Literal["linear", "log", "category"]
+_Model = TypeVar("_Model", bound=BaseModel)
+_LONGEST_NAME = 120
+
+
+class Axis(BaseModel):
+    """What the points differ in: the x axis of the suite's figure."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    label: Text
+    unit: str = ""
+    scale: Scale = "linear"  # category: points side by side, with no way from one to the next
+
+    @property
+    def title(self) -> str:
+        """The label with its unit."""
+        return f"{self.label} ({self.unit})" if self.unit else self.label
+
+
+class Point(BaseModel):
+    """One point: how the scenario is changed there, or what the UAVs see."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    label: Text
+    x: Number  # in the axis' unit
+    set: dict[str, Any] = {}  # fields of the scenario
+    observation: Literal["location", "local", "shared"] | None = None  # None: whatever a run was trained with
+
+    @field_validator("set")
+    @classmethod
+    def _known_fields(cls, value: dict[str, Any]) -> dict[str, Any]:
+        known = [name for name in Scenario.model_fields if name not in ("name", "description")]
+        for name in value:
+            if name not in known:
+                raise ValueError(f"the scenario has no '{name}'{nearest(name, known)}")
+        return value
+
+
+class Suite(BaseModel):
+    """A named list of points; load one with :meth:`load`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Text
+    description: Text
+    scenario: Text = "paper"  # what the points change: a preset's name or a path
+    axis: Axis
+    points: Annotated[tuple[Point, ...], Field(min_length=1, max_length=1000)]
+
+    @model_validator(mode="after")
+    def _points_differ(self) -> Suite:
+        labels: set[str] = set()
+        for point in self.points:
+            if point.label in labels:
+                raise ValueError(f"points: two are labelled '{point.label}'")
+            labels.add(point.label)
+        return self
+
+    @property
+    def varies_observation(self) -> bool:
+        """Whether some point asks for an observation."""
+        return any(point.observation is not None for point in self.points)
+
+    @classmethod
+    def load(cls, source: str) -> Suite:
+        """Load a suite that is shipped by name, or a YAML file by path.
+
+        Raises:
+            InputError: there is none of that name, or a field cannot be used; the message names it.
+        """
+        if source in zoo_names("suites"):
+            path = zoo_path("suites", source)
+        elif source.endswith((".yaml", ".yml")) or "/" in source:
+            path = Path(source)
+        else:
+            raise unknown("suite", source, zoo_names("suites"))
+        return cls.from_dict(read_yaml_mapping(path), path.stem, str(path))
+
+    @classmethod
+    def from_dict(cls, fields: Mapping[str, Any], name: str, source: str) -> Suite:
+        """Validate the content of a suite's file.
+
+        Raises:
+            InputError: naming the field, its value and what is allowed.
+        """
+        if "name" in fields:
+            raise InputError(f"{source}: unknown field 'name': a suite is named as its file is")
+        parts = dict(fields)
+        if isinstance(parts.get("points"), list):
+            points = enumerate(parts["points"])
+            parts["points"] = [_validated(Point, point, f"{source}: points[{k}]") for k, point in points]
+        if "axis" in parts:
+            parts["axis"] = _validated(Axis, parts["axis"], f"{source}: axis")
+        return _validated(cls, parts | {"name": name}, source)
+
+
+def _validated(kind: type[_Model], content: Any, source: str) -> _Model:
+    if not isinstance(content, dict):
+        raise InputError(f"{source} = {short(content)}: expected a mapping with {', '.join(kind.model_fields)}")
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{source}: {explain_validation(error, list(kind.model_fields))}") from None
+
+
+# -- points on a scenario ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Place:
+    """A point on a base scenario."""
+
+    point: Point
+    scenario: Scenario | None  # None: it cannot be flown
+    problem: str = ""  # why it cannot, naming the constraint
+    remark: str = ""  # what keeps some devices from being served, where it can
+
+
+def suite_places(suite: Suite, base: Scenario) -> list[Place]:
+    """The points of a suite on ``base``, those that break a constraint with the reason in words.
+
+    Raises:
+        InputError: a point's change is no change that ``base`` can take.
+    """
+    return [_place(suite, point, base) for point in suite.points]
+
+
+def _place(suite: Suite, point: Point, base: Scenario) -> Place:
+    try:
+        scenario = base.replace(**point.set)
+    except InfeasibleError as error:
+        return Place(point, None, str(error))
+    except InputError as error:
+        raise InputError(f"suite '{suite.name}', point '{point.label}': {error}") from None
+    if scenario.layout == "resample":  # each mission has its own link budget
+        return Place(point, scenario)
+    best = best_probability(scenario, scenario.draw_layout())  # (I,)
+    hopeless = best * scenario.slots < 1  # not one success expected from hovering at the best cell for a mission
+    if not hopeless.any():
+        return Place(point, scenario)
+    share = "no device" if hopeless.all() else f"{hopeless.sum()} of {scenario.devices} devices never"
+    words = (
+        f"{share} can be served: R_min = {scenario.rate_min_bit_s / 1000:g} kbit/s is met with probability "
+        f"{best[hopeless].max():.2g} a slot at the best cell (constraint Rate)"
+    ).replace("never can", "can never")
+    return Place(point, None, words) if hopeless.all() else Place(point, scenario, remark=words)
+
+
+def suite_name(suite: Suite, changes: Mapping[str, str]) -> str:
+    """The name of a suite on a changed scenario, as files bear it: ``fading+layout_seed=1``."""
+    if not changes:
+        return suite.name
+    name = suite.name + "+" + ",".join(f"{key}={quote(value, safe='.-_')}" for key, value in sorted(changes.items()))
+    if len(name) <= _LONGEST_NAME:  # file systems end at 255 bytes
+        return name
+    return f"{name[:_LONGEST_NAME]}~{hashlib.sha256(name.encode()).hexdigest()[:12]}"

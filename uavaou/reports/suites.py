@@ -1,0 +1,205 @@
+"""The figure of an evaluation suite: mean AoU of each policy over the suite's points, from its CSV table."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.ticker import FuncFormatter, NullLocator
+
+from uavaou.errors import InputError
+from uavaou.experiments.statistics import Interval, interval
+from uavaou.files import read_text
+from uavaou.reports import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_COLUMNS = ("suite", "point", "x", "policy", "trained", "seed", "mean_aou_slots", "low", "high", "axis", "scale")
+_MOST_BYTES = 50_000_000
+_SCALES = ("linear", "log", "category")
+_HOW = ("trained", "zero-shot", "planner")
+_MOST_TICKS = 12
+_SPREAD = 0.7  # of the way from one category to the next, that its policies take side by side
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: a policy with one training seed at one point."""
+
+    point: str
+    x: float
+    policy: str
+    how: str
+    aou: Interval  # slots; low and high are nan where there was one mission
+
+
+@dataclass(frozen=True)
+class SuiteTable:
+    """The table that ``uavaou eval --suite NAME --out FILE`` writes."""
+
+    path: Path
+    suite: str
+    axis: str
+    scale: str
+    rows: list[Row] = field(repr=False)
+
+    @property
+    def points(self) -> dict[str, float]:
+        """Label -> x of each point, by x."""
+        found = {row.point: row.x for row in self.rows}
+        return dict(sorted(found.items(), key=lambda item: item[1]))
+
+
+def read_suite(path: Path) -> SuiteTable:
+    """Read a suite's table.
+
+    Raises:
+        InputError: it cannot be read, or a column is missing or malformed; the message names the line.
+    """
+    reader = csv.DictReader(StringIO(read_text(path, _MOST_BYTES)))
+    header = reader.fieldnames or []
+    for column in _COLUMNS:
+        if column not in header:
+            raise InputError(f"{path}: column '{column}' is missing: no table of uavaou eval --suite")
+    lines = list(reader)
+    if not lines:
+        raise InputError(f"{path}: holds no row: nothing was played")
+    for column in ("suite", "axis", "scale"):
+        if len({line[column] for line in lines}) > 1:
+            raise InputError(f"{path}: column '{column}' differs from row to row: a table is of one suite")
+    first = lines[0]
+    if first["scale"] not in _SCALES:
+        raise InputError(f"{path}: line 2, column 'scale': '{first['scale']}' is none of {', '.join(_SCALES)}")
+    rows = [_row(path, number, line) for number, line in enumerate(lines, start=2)]
+    return SuiteTable(path, first["suite"], first["axis"], first["scale"], rows)
+
+
+def _row(path: Path, number: int, line: dict[str, str]) -> Row:
+    if line["trained"] not in _HOW:
+        raise InputError(f"{path}: line {number}, column 'trained': '{line['trained']}' is none of {', '.join(_HOW)}")
+    x, mean = (_number(path, number, line, column) for column in ("x", "mean_aou_slots"))
+    ends = [_number(path, number, line, column) if line[column] else math.nan for column in ("low", "high")]
+    return Row(line["point"], x, line["policy"], line["trained"], Interval(mean, *ends))
+
+
+def _number(path: Path, number: int, line: dict[str, str], column: str) -> float:
+    try:
+        value = float(line[column])
+    except (ValueError, TypeError):
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{path}: line {number}, column '{column}': '{line[column]}' is not a finite number")
+    return value
+
+
+# -- the figure ----------------------------------------------------------------------------------------
+
+
+def plot_suite(table: SuiteTable, out_dir: Path) -> list[Path]:
+    """Draw a table as ``suite-<name>.png`` and ``.pdf``: filled where trained for the point, hollow where zero-shot.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with style.house_style():
+        return style.save(_figure(table), out_dir, f"suite-{table.suite}")
+
+
+def _figure(table: SuiteTable) -> Figure:
+    figure, axes = style.new_axes(height_in=3.0)
+    policies = list(dict.fromkeys(row.policy for row in table.rows))
+    policies.sort(key=style.is_planner)  # learned ones first, otherwise as played
+    looks = style.looks(policies)
+    places = _places(table)
+    for turn, policy in enumerate(policies):
+        rows = [row for row in table.rows if row.policy == policy]
+        shift = _SPREAD * ((turn + 0.5) / len(policies) - 0.5) if table.scale == "category" else 0.0
+        _draw_policy(axes, table, places, rows, shift, looks[policy])
+    _finish(axes, table, places)
+    style.legend_below(figure, axes, _title(table))
+    return figure
+
+
+def _places(table: SuiteTable) -> dict[str, float]:
+    """Where each point stands on the x axis: categories side by side, whatever their x."""
+    if table.scale == "category":
+        return {label: float(place) for place, label in enumerate(table.points)}
+    return table.points
+
+
+def _draw_policy(
+    axes: Axes, table: SuiteTable, places: dict[str, float], rows: Sequence[Row], shift: float, look: style.Look
+) -> None:
+    named, above = False, 2.0 if rows and rows[0].how == "planner" else 3.0  # whether filled or hollow must be seen
+    drawn = [(label, [row for row in rows if row.point == label]) for label in places]
+    means = {label: _over_seeds(found) for label, found in drawn if found}
+    if table.scale != "category":  # a line leads from one number to the next, and not to a point like `none`
+        along = [label for label in means if _is_number(label)]
+        axes.plot(
+            [places[label] for label in along], [means[label].mean for label in along],
+            color=look.colour, linestyle=look.dash, linewidth=1.0, zorder=above,
+        )  # fmt: skip
+    for label, found in drawn:
+        if not found:
+            continue
+        aou = means[label]
+        reach = np.nan_to_num(np.array([[aou.mean - aou.low], [aou.high - aou.mean]]))  # (2, 1)
+        axes.errorbar(
+            places[label] + shift, aou.mean, yerr=reach, color=look.colour, marker=look.marker, markersize=4,
+            markerfacecolor="white" if found[0].how == "zero-shot" else look.colour,
+            linestyle=look.dash if table.scale != "category" else "none", linewidth=1.0, elinewidth=1.0, capsize=1.8,
+            label=None if named else look.label, zorder=above,
+        )  # fmt: skip
+        named = True
+
+
+def _over_seeds(rows: Sequence[Row]) -> Interval:
+    """The mean over training seeds with its interval over them; of one seed, the interval over its missions."""
+    return rows[0].aou if len(rows) == 1 else interval([row.aou.mean for row in rows])
+
+
+def _is_number(label: str) -> bool:
+    try:
+        return math.isfinite(float(label))
+    except ValueError:
+        return False
+
+
+def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
+    axes.set(xlabel=table.axis, ylabel="mean AoU (slots)")
+    if table.scale == "log" and min(places.values()) > 0:
+        axes.set_xscale("log")
+        axes.xaxis.set_minor_locator(NullLocator())
+    if len(places) <= _MOST_TICKS or table.scale == "category":
+        axes.set_xticks(list(places.values()), list(places), rotation=90 if _crowded(places) else 0)
+    if table.scale == "category":
+        axes.set_xlim(-0.6, len(places) - 0.4)
+        axes.grid(axis="x", visible=False)
+    if not style.log_scale_if_wide(axes, [row.aou.mean for row in table.rows]):
+        axes.set_ylim(bottom=0)
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.compact(value)))
+
+
+def _crowded(labels: Sequence[str] | dict[str, float]) -> bool:
+    return sum(len(label) + 1 for label in labels) > 46
+
+
+def _title(table: SuiteTable) -> str:
+    """What markers and bars mean."""
+    kinds = {row.how for row in table.rows}
+    words = []
+    if {"trained", "zero-shot"} <= kinds:
+        words.append("filled: trained for the point; hollow: zero-shot")
+    elif "zero-shot" in kinds:
+        words.append("hollow: zero-shot, not trained for the point")
+    seeds = len(table.rows) > len({(row.point, row.policy) for row in table.rows})
+    words.append("bars: 95 % interval over " + ("seeds; planners: over missions" if seeds else "missions"))
+    return "\n".join(words)
