@@ -345,7 +345,7 @@ def test_a_partner_that_ended_is_an_error_and_not_a_wait(monkeypatch: pytest.Mon
         ask(self, *arguments)
 
     monkeypatch.setattr(Partner, "ask", kill_and_ask)
-    with pytest.raises(RuntimeError, match=r"exit code -9"):
+    with pytest.raises(EOFError, match=r"exit code -9"):
         model.learn(150 * 8)
 
 

@@ -16,6 +16,9 @@ from uavaou.experiments.folder import RunFolder
 class BadNumberError(InputError):
     """A loss, a reward or a weight is no longer finite."""
 
+    def __init__(self, slots: int, what: str, kept: str) -> None:
+        super().__init__(f"stopped at slot {slots:,}: {what}; {kept}; a lower algorithm.learning_rate usually helps")
+
 
 def check_rewards(rewards: Any, slots: int, kept: str) -> None:
     """Refuse rewards of one slot, (N * U,), that are not finite.
@@ -31,7 +34,7 @@ def check_rewards(rewards: Any, slots: int, kept: str) -> None:
     finite = np.isfinite(rewards)
     if not finite.all():
         row = int(np.argmin(finite))
-        raise BadNumberError(f"stopped at slot {slots:,}: the reward of row {row} is {rewards[row]}; {kept}")
+        raise BadNumberError(slots, f"the reward of row {row} is {rewards[row]}", kept)
 
 
 def check_learner(model: BaseAlgorithm, slots: int, kept: str) -> None:
@@ -42,14 +45,13 @@ def check_learner(model: BaseAlgorithm, slots: int, kept: str) -> None:
     """
     for name, value in model.logger.name_to_value.items():
         if "loss" in name and isinstance(value, int | float) and not math.isfinite(value):
-            raise BadNumberError(f"stopped at slot {slots:,}: {name} is {value}; {kept}")
+            raise BadNumberError(slots, f"{name} is {value}", kept)
     for name, tensor in model.policy.state_dict().items():
         if not bool(th.isfinite(tensor).all()):
             bad = tensor[~th.isfinite(tensor)][0].item()
-            raise BadNumberError(f"stopped at slot {slots:,}: the weights hold {bad} in {name}; {kept}")
+            raise BadNumberError(slots, f"the weights hold {bad} in {name}", kept)
 
 
 def last_good(folder: RunFolder, slots: int) -> str:
-    """Where the last checkpoint is, and what usually helps."""
-    checkpoint = f"last good checkpoint: {folder.last}, at slot {slots:,}" if slots else "no checkpoint yet"
-    return f"{checkpoint}; a lower algorithm.learning_rate usually helps"
+    """Where the last checkpoint is."""
+    return f"last good checkpoint: {folder.last}, at slot {slots:,}" if slots else "no checkpoint yet"

@@ -84,9 +84,9 @@ class Partner:
             raise self._ended() from None
         return self._gradients, self._figures
 
-    def _ended(self) -> RuntimeError:
+    def _ended(self) -> EOFError:
         self._process.join(1.0)
-        return RuntimeError(f"a process that took gradients ended (exit code {self._process.exitcode})")
+        return EOFError(f"a process that took gradients ended (exit code {self._process.exitcode})")
 
     def close(self) -> None:
         """End the process."""
