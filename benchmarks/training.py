@@ -24,14 +24,19 @@ from uavaou.algorithms.mappo import gradients
 from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
+ROLLOUTS = 4  # in one measurement of a training: what starts a training should not count
 ALGORITHMS = ("mappo", "vdn", "qmix")  # whose training is measured, by name
 STOCK = "stock SB3 PPO on SuperSuit's stage"
 
 
 def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:
-    """Agent steps a second, updates included, with the published rollout, minibatch, epochs and networks."""
-    scenario, config = Scenario.load("paper"), _mappo(rollout_slots)
-    rows = MISSIONS * scenario.uavs * config.rollout_slots
+    """Agent steps a second, updates included, with the published rollout, minibatch and epochs, on two sizes of network."""
+    return [measured for hidden in ([128, 128], [256, 256]) for measured in _training(repeats, rollout_slots, hidden)]
+
+
+def _training(repeats: int, rollout_slots: int | None, hidden: list[int]) -> list[Measurement]:
+    scenario, config = Scenario.load("paper"), _mappo(rollout_slots, hidden=hidden)
+    rows = ROLLOUTS * MISSIONS * scenario.uavs * config.rollout_slots
     cores = th.get_num_threads()
     contestants = {
         f"{STOCK}, {processes} process{'es' if processes > 1 else ''}": (
@@ -42,10 +47,10 @@ def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Measure
     }
     for name in ALGORITHMS:
         for threads in sorted({1, cores}):
-            model = _ours(scenario, config if name == "mappo" else load_config(name))
+            model = _ours(scenario, config if name == "mappo" else load_config(name, {"hidden": hidden}))
             label = f"uavaou {name}, {threads} thread{'s' if threads > 1 else ''}"
             contestants[label] = (_learner(model, rows, threads), rows)
-    return side_by_side("training on paper, 64 missions", contestants, repeats)
+    return side_by_side(f"training on paper, 64 missions, networks {hidden[0]}-{hidden[1]}", contestants, repeats)
 
 
 def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:

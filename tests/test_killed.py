@@ -155,6 +155,41 @@ def ended(process: Any) -> int | None:
     return code
 
 
+def play_with_two_threads(config: RunConfig, path: Path) -> None:
+    import torch as th
+
+    th.set_num_threads(2)
+    train(config, RunFolder(path), resume=True, quiet=True, checkpoint_every_s=0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs forked processes")
+def test_a_killed_training_leaves_no_process_behind_and_resumes_with_as_many(tmp_path: Path) -> None:
+    config = configuration("mappo", slots=40_000, rollout_slots=150, batch_rows=600, evaluate_every_slots=40_000)
+
+    def started(path: Path) -> Any:
+        process = forked.Process(target=play_with_two_threads, args=(config, path))
+        process.start()
+        return process
+
+    whole = started(tmp_path / "whole")
+    assert ended(whole) == 0
+    broken = started(tmp_path / "broken")
+    run = RunFolder(tmp_path / "broken")
+    deadline = time.monotonic() + 120
+    while not run.last.is_file() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    children = Path(f"/proc/{broken.pid}/task/{broken.pid}/children").read_text().split()
+    broken.kill()
+    assert ended(broken) == -signal.SIGKILL
+    assert len(children) == 1
+    while Path(f"/proc/{children[0]}").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not Path(f"/proc/{children[0]}").exists()
+    assert ended(started(tmp_path / "broken")) == 0
+    assert_the_same(RunFolder(tmp_path / "whole"), run)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("processes", [1, 2])

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import mmap
 import multiprocessing
+import os
 import signal
 import sys
-from multiprocessing.connection import Connection
+import time
+from collections.abc import Callable
+from multiprocessing.synchronize import Semaphore
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,99 +28,96 @@ if TYPE_CHECKING:
     from uavaou.algorithms.mappo.mappo import MAPPO
 
 LEAST_ROWS = 256  # of a share: fewer are not worth a process
-_DONE = b"1"
+SPIN_S = 0.002  # waking a core that sleeps costs as much as a tenth of a share
+LOOK_S = 0.5  # how often a side that waits sees whether the other still lives
 
 
 def share_out(model: MAPPO) -> list[Partner]:
     """Start a partner for each thread of torch's but one, as far as a minibatch has rows for them.
 
-    Needs a system that forks processes: elsewhere there are none.
+    Needs a system that forks processes, and a process that may: elsewhere there are none.
     """
-    if not sys.platform.startswith("linux"):
+    if not sys.platform.startswith("linux") or multiprocessing.current_process().daemon:
         return []
     shares = min(th.get_num_threads(), model.batch_size // LEAST_ROWS)
     partners: list[Partner] = []
     for _ in range(shares - 1):
-        partners.append(Partner(model.policy, model.rollout_buffer, partners))
+        partners.append(Partner(model.policy, model.rollout_buffer))
     return partners
 
 
 class Partner:
     """A process that holds a copy of the networks and sees the rollout.
 
-    It keeps nothing between minibatches, so that there is nothing to save or to lose, and ends when its pipe does.
+    It keeps nothing between minibatches, so that there is nothing to save or to lose, and ends with its parent.
 
     Args:
         policy, buffer: as :class:`Share`'s; the buffer's arrays must lie in shared memory.
-        earlier: those started before, whose pipes the new process must not hold.
     """
 
-    def __init__(self, policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer, earlier: list[Partner]) -> None:
+    def __init__(self, policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> None:
         slots = buffer.buffer_size * buffer.state.shape[1]
         context = multiprocessing.get_context("fork")
-        self._pipe, theirs = context.Pipe()
+        self._asked, self._answered = context.Semaphore(0), context.Semaphore(0)
+        self._parent = os.getpid()
         self._slots: Slots = np.frombuffer(mmap.mmap(-1, 8 * slots), np.int64)
+        self._question = np.frombuffer(mmap.mmap(-1, 8 * (2 + len(Terms._fields))), np.float64)
         self._figures: Figures = np.frombuffer(mmap.mmap(-1, 8 * FIGURES), np.float64)
-        parameters = _parameters(policy)
         self._weights, self._gradients = (
-            [th.from_numpy(shared_zeros(tuple(parameter.shape))) for parameter in parameters] for _ in range(2)
+            [th.from_numpy(shared_zeros(tuple(parameter.shape))) for parameter in _parameters(policy)] for _ in range(2)
         )
-        not_theirs = [self._pipe, *(partner._pipe for partner in earlier)]
-        self._process = context.Process(target=self._work, args=(policy, buffer, theirs, not_theirs), daemon=True)
+        self._process = context.Process(target=self._work, args=(policy, buffer), daemon=True)
         self._process.start()
-        theirs.close()
 
     def ask(self, parameters: list[th.Tensor], slots: Slots, slots_in_batch: int, terms: Terms) -> None:
         """Have the gradient taken on ``slots`` (B,) at ``parameters``; :meth:`answer` waits for it."""
         th._foreach_copy_(self._weights, parameters)
         self._slots[: len(slots)] = slots
-        try:
-            self._pipe.send_bytes(np.array([len(slots), slots_in_batch, *terms]).tobytes())
-        except OSError:
-            raise self._ended() from None
+        self._question[:] = (len(slots), slots_in_batch, *terms)
+        self._asked.release()
 
     def answer(self) -> tuple[list[th.Tensor], Figures]:
-        """The gradient by each parameter, and the figures; valid until the next question."""
-        try:
-            self._pipe.recv_bytes()
-        except (EOFError, OSError):
-            raise self._ended() from None
-        return self._gradients, self._figures
+        """The gradient by each parameter, and the figures; valid until the next question.
 
-    def _ended(self) -> EOFError:
-        self._process.join(1.0)
-        return EOFError(f"a process that took gradients ended (exit code {self._process.exitcode})")
+        Raises:
+            EOFError: the process has ended.
+        """
+        if not _acquire(self._answered, self._process.is_alive):
+            raise EOFError(f"a process that took gradients ended (exit code {self._process.exitcode})")
+        return self._gradients, self._figures
 
     def close(self) -> None:
         """End the process."""
-        self._pipe.close()
-        self._process.join(5.0)
-        if self._process.is_alive():
-            self._process.kill()
+        self._process.kill()
+        self._process.join()
 
-    def _work(
-        self, policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer, pipe: Connection, not_ours: list[Connection]
-    ) -> None:
+    def _work(self, policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> None:
         """What the process does."""
         # The main process decides when to stop; a terminal and a process group send their signals to all.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        for connection in not_ours:
-            connection.close()
         th.set_num_threads(1)
         for parameter, weight in zip(_parameters(policy), self._weights, strict=True):
             parameter.data = weight
         share = Share(policy, buffer)
-        while True:
-            try:
-                question = np.frombuffer(pipe.recv_bytes())
-            except (EOFError, OSError):
-                return
-            count, slots_in_batch = int(question[0]), int(question[1])
-            gradients, figures = share.gradient(self._slots[:count], slots_in_batch, Terms(*question[2:].tolist()))
+        while _acquire(self._asked, lambda: os.getppid() == self._parent):
+            count, slots_in_batch, *terms = self._question.tolist()
+            gradients, figures = share.gradient(self._slots[: int(count)], int(slots_in_batch), Terms(*terms))
             th._foreach_copy_(self._gradients, gradients)
             self._figures[:] = figures
-            pipe.send_bytes(_DONE)
+            self._answered.release()
+
+
+def _acquire(semaphore: Semaphore, alive: Callable[[], bool]) -> bool:
+    """Wait for the other side, at first without giving up the core; False where it has ended."""
+    patience = time.perf_counter() + SPIN_S
+    while time.perf_counter() < patience:
+        if semaphore.acquire(block=False):
+            return True
+    while not semaphore.acquire(timeout=LOOK_S):
+        if not alive():
+            return False
+    return True
 
 
 def _parameters(policy: CentralizedValuePolicy) -> list[th.nn.Parameter]:
