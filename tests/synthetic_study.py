@@ -11,7 +11,12 @@ from typing import Any
 import numpy as np
 import yaml
 
-K, SLOT_S, DEVICES = 60, 2.0, 10  # slots a mission, seconds a slot, devices
+from uavaou.experiments.study_results import COLUMNS
+from uavaou.scenario import Scenario
+
+DEVICES = 10
+SCENARIO = Scenario.load("quickstart").replace(devices=DEVICES)
+K, SLOT_S = SCENARIO.slots, SCENARIO.slot_length_s
 BUDGET, EVALUATIONS, GROUPS = 60_000, 30, 20
 PERIODS = 1 + np.arange(DEVICES) % 5  # k_i
 
@@ -41,18 +46,6 @@ class _Tables:
     rows: dict[str, list[list[Any]]] = field(default_factory=lambda: {name: [] for name in COLUMNS})
 
 
-COLUMNS = {
-    "runs": "variant,algorithm,scenario,seed,slots,agent_steps,wall_s,cpu_s,best_slots,mean_aou_slots,low,high,"
-    "violations,commit",
-    "curves": "variant,scenario,seed,slots,wall_s,reward_s,mean_aou_slots,communications,devices_served",
-    "validation": "variant,scenario,seed,slots,wall_s,mean_aou_slots,sampled_aou_slots",
-    "missions": "variant,scenario,seed,mission,mean_aou_slots,reward_s,communications,devices_served",
-    "execution": "variant,scenario,seed,slot,mean_aou_slots",
-    "devices": "variant,scenario,seed,device,x_m,y_m,update_period_slots,communications,mean_aou_slots",
-    "bounds": "scenario,bound_slots,method",
-}
-
-
 def write_study(
     folder: Path,
     variants: Mapping[str, Variant] = DEFAULT,
@@ -76,10 +69,11 @@ def write_study(
         if bound is not None:
             tables.rows["bounds"].append([scenario, bound, "copies"])
     for name, header in COLUMNS.items():
-        _write(folder / f"{name}.csv", header.split(","), tables.rows[name])
+        _write(folder / f"{name}.csv", header, tables.rows[name])
     stated = {
-        "description": "synthetic", "slots": BUDGET, "seeds": list(range(seeds)), "scenarios": list(scenarios),
-        "variants": list(variants), "planners": list(planners),
+        "description": "synthetic", "seeds": list(range(seeds)), "planners": list(planners),
+        "scenarios": {name: SCENARIO.to_dict() for name in scenarios},
+        "variants": {name: {"name": variant.algorithm or name} for name, variant in variants.items()},
     }  # fmt: skip
     (folder / "study.yaml").write_text(yaml.safe_dump(stated), encoding="utf-8")
     return folder
@@ -98,7 +92,7 @@ def _train(tables: _Tables, name: str, variant: Variant, scenario: str, seed: in
         tables.rows["curves"].append(row)
     for slots in np.linspace(BUDGET / EVALUATIONS, BUDGET, EVALUATIONS).astype(int):
         aou = own * _learning(slots, variant.converges)
-        tables.rows["validation"].append([name, scenario, seed, slots, 1e-3 * slots, aou, ""])
+        tables.rows["validation"].append([name, scenario, seed, slots, 1e-3 * slots, aou, aou])
 
 
 def _learning(slots: float, converges: float) -> float:

@@ -50,8 +50,9 @@ def trajectories(
     scenario = folder.read_config().scenario
     target = out if out is not None else run / "figures"
     writable_folder(target)
+    from uavaou.experiments.missions import record_mission
     from uavaou.experiments.trained import load_run
-    from uavaou.reports.trajectories import plot_trajectories, record_mission
+    from uavaou.reports.trajectories import plot_trajectories
 
     recording = record_mission(scenario, load_run(folder), episode_seed)
     print("\n".join(map(str, plot_trajectories(scenario, recording, target, f"mission-{episode_seed}"))))

@@ -122,7 +122,8 @@ def performance_profile(scores: Scores, thresholds: ArrayLike, confidence: float
     place = np.searchsorted(values[order], np.asarray(thresholds, dtype=np.float64), side="right")  # (T,)
 
     def shares(draws: _Draws) -> Floats:
-        return _cumulative(_pooled(draws)[:, order])[:, place] / len(values)  # (r, T)
+        reached: Floats = _cumulative(_pooled(draws)[:, order])[:, place] / len(values)  # (r, T)
+        return reached
 
     value, low, high = _bootstrap(shares, [tables], confidence)
     return Profile(value, low, high)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +22,7 @@ from uavaou.envs.map import (
     uav_colour,
     uav_offset,
 )
-from uavaou.planners.base import Planner
+from uavaou.experiments.missions import Recording
 from uavaou.reports.style import (
     COLUMN_WIDTH_IN,
     GREY,
@@ -36,8 +33,7 @@ from uavaou.reports.style import (
     new_figure,
     save,
 )
-from uavaou.scenario import Layout, Scenario
-from uavaou.world import World
+from uavaou.scenario import Scenario
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,50 +47,6 @@ _DEVICE_AREA = (12.0, 75.0)  # square points, of the least and the most collecte
 _LINE_WIDTH = (0.6, 2.4)  # points, of a step flown once and of the one flown most
 _LEGEND_UAVS = 8  # colours repeat beyond
 _LEGEND_COLUMNS = 4
-
-
-@dataclass(frozen=True)
-class Recording:
-    """One mission, slot by slot; row t - 1 is slot t."""
-
-    positions: Floats  # (K, U, 2) m, where the UAVs were in the slot
-    collected_by: Ints  # (K, I), the u with alpha_iu = 1; -1 for none
-    age_sum: Floats  # (K, I) s, sum_n A_i^n at the slot's end
-    pending: Ints  # (K, I) updates at the slot's end
-    layout: Layout
-
-    @classmethod
-    def from_snapshots(cls, snapshots: Sequence[dict[str, Any]]) -> Recording:
-        """Stack what :meth:`uavaou.world.World.snapshot` gave after each slot, from the first on."""
-        first = snapshots[0]
-        return cls(
-            positions=np.stack([shot["positions"] for shot in snapshots]),
-            collected_by=np.stack([shot["collected_by"] for shot in snapshots]),
-            age_sum=np.stack([shot["age_sum"] for shot in snapshots]),
-            pending=np.stack([shot["pending"] for shot in snapshots]),
-            layout=Layout(first["devices"], first["bandwidth"], first["transmit_power"], first["update_period"]),
-        )
-
-    @cached_property
-    def communications(self) -> NDArray[np.bool_]:
-        """Whether a transfer carried at least one update, (K, I)."""
-        slot = np.arange(1, len(self.pending) + 1)[:, None]  # (K, 1)
-        generated = slot % self.layout.update_period == 0  # (K, I)
-        at_start = np.ones((1, self.pending.shape[1]), dtype=np.int64)  # every device holds update 0 before slot 1
-        before = np.concatenate([at_start, self.pending[:-1]])  # (K, I)
-        carried: NDArray[np.bool_] = (self.collected_by >= 0) & (before + generated > 0)
-        return carried
-
-
-def record_mission(scenario: Scenario, policy: Planner, seed: int) -> Recording:
-    """Play one mission, seeded, and keep what every slot looked like."""
-    world = World(scenario, missions=1, seed=seed)
-    policy.reset(world, seed)
-    snapshots = []
-    while not world.done:
-        world.step(*policy.act(world))
-        snapshots.append(world.snapshot())
-    return Recording.from_snapshots(snapshots)
 
 
 def plot_trajectories(scenario: Scenario, recording: Recording, out_dir: Path, name: str) -> list[Path]:
