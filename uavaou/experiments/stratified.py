@@ -100,7 +100,8 @@ def probability_of_improvement(x: Scores, y: Scores, confidence: float = 0.95) -
 
     def wins(of_x: _Draws, of_y: _Draws) -> Floats:
         each = [pair.wins(a, b) for pair, a, b in zip(pairs, of_x, of_y, strict=True)]
-        return np.mean(each, axis=0)  # (r,)
+        shares: Floats = np.mean(each, axis=0)  # (r,)
+        return shares
 
     return _estimate(wins, tables, confidence)
 

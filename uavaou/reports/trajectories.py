@@ -71,14 +71,14 @@ def _map(scenario: Scenario, recording: Recording) -> Figure:
     draw_ground(axes, scenario)
     _shade_visits(axes, visit_bar, scenario, recording)
     for u in range(scenario.uavs):
-        _draw_steps(axes, scenario, recording.positions[:, u], u)
+        draw_steps(axes, scenario, recording.positions[:, u], u)
     mean_age = recording.age_sum.mean(axis=0)  # (I,) s
     counts = recording.communications.sum(axis=0)  # (I,)
     scale = age_scale(scenario, recording.layout, mean_age)
-    draw_devices(axes, recording.layout, mean_age, scale, _device_area(counts, int(counts.max())))
+    draw_devices(axes, recording.layout, mean_age, scale, device_area(counts, int(counts.max())))
     add_age_bar(axes, scale, "mean age sum (s)", cax=age_bar)
     label_log_axis(age_bar.yaxis, *age_bar.get_ylim())
-    figure.legend(handles=_fleet_handles(scenario), loc="upper center", ncols=_LEGEND_COLUMNS, borderpad=0)
+    figure.legend(handles=fleet_handles(scenario), loc="upper center", ncols=_LEGEND_COLUMNS, borderpad=0)
     title = "communications of the device"
     figure.legend(handles=_count_handles(counts), loc="lower center", ncols=3, title=title, borderpad=0)
     return figure
@@ -127,7 +127,7 @@ def _shade_visits(axes: Axes, bar_axes: Axes, scenario: Scenario, recording: Rec
     bar_axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
 
 
-def _draw_steps(axes: Axes, scenario: Scenario, way: Floats, uav: int) -> None:
+def draw_steps(axes: Axes, scenario: Scenario, way: Floats, uav: int) -> None:
     """Each step between two cells once, as wide as it was flown often; ``way`` is (K, 2) m."""
     ends = np.stack([way[:-1], way[1:]], axis=1)  # (K-1, 2 ends, 2) m
     ends = ends[np.any(ends[:, 0] != ends[:, 1], axis=1)]  # without the slots stayed
@@ -148,13 +148,15 @@ def _draw_steps(axes: Axes, scenario: Scenario, way: Floats, uav: int) -> None:
     axes.add_collection(lines, autolim=False)
 
 
-def _device_area(counts: NDArray[Any], most: int) -> Floats:
+def device_area(counts: NDArray[Any], most: int) -> Floats:
+    """The area of a device's marker in square points, (I,), from its communications and the ``most`` of any."""
     small, large = _DEVICE_AREA
     area: Floats = small + (large - small) * np.asarray(counts, dtype=np.float64) / max(most, 1)
     return area
 
 
-def _fleet_handles(scenario: Scenario) -> list[Line2D]:
+def fleet_handles(scenario: Scenario) -> list[Line2D]:
+    """The legend's entry of each UAV."""
     shown = range(min(scenario.uavs, _LEGEND_UAVS))
     return [Line2D([], [], color=uav_colour(u), marker="s", mfc="none", ms=5, mew=1.2, label=f"UAV {u}") for u in shown]
 
@@ -163,7 +165,7 @@ def _count_handles(counts: Ints) -> list[Line2D]:
     """The size of a device for the least, a middle and the largest number of communications."""
     most = int(counts.max())
     sizes = np.unique([int(counts.min()), round((int(counts.min()) + most) / 2), most])
-    diameters = np.sqrt(_device_area(sizes, most))
+    diameters = np.sqrt(device_area(sizes, most))
     return [
         Line2D([], [], ls="", marker="o", mfc="white", mec=BLACK, mew=0.6, ms=float(d), label=f"{n:,}")
         for n, d in zip(sizes, diameters, strict=True)
@@ -185,7 +187,7 @@ def _ages(scenario: Scenario, recording: Recording) -> Figure:
     upper.set_ylabel("total age (s)")
     upper.set_xlim(0.5, len(slots) + 0.5)
     scale = age_scale(scenario, recording.layout, recording.age_sum)
-    _draw_strip(lower, recording, scale)
+    draw_strip(lower, recording, scale)
     bar = add_age_bar(lower, scale, "age sum (s)")
     label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
     handles = [
@@ -195,7 +197,7 @@ def _ages(scenario: Scenario, recording: Recording) -> Figure:
     return figure
 
 
-def _draw_strip(axes: Axes, recording: Recording, scale: LogNorm) -> None:
+def draw_strip(axes: Axes, recording: Recording, scale: LogNorm) -> None:
     """Each device's age over the slots, devices in rows by update period, a tick for each communication."""
     slots, devices = recording.age_sum.shape
     order = np.argsort(recording.layout.update_period, kind="stable")  # (I,)
