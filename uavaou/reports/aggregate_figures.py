@@ -93,12 +93,12 @@ def _draw_bars(axes: Axes, estimates: Sequence[Estimate], looks: Sequence[style.
 def _improvement_figure(scores: Scores, own: str, others: list[str], looks: Looks, note: str) -> Figure:
     """How often a mission of ``own`` is fresher than one of each other policy."""
     estimates = [probability_of_improvement(scores[own], scores[other]) for other in others]
-    figure, axes = style.new_axes(height_in=0.9 + _ROW_IN * len(others))
+    figure, axes = style.new_axes(height_in=1.05 + _ROW_IN * len(others))
     _draw_bars(axes, estimates, [looks[other] for other in others])
     axes.axvline(0.5, color=style.GREY, linewidth=0.8, linestyle=(0, (4, 1.5)))
     axes.set_yticks(range(len(others)), [f"than {looks[other].label}" for other in others])
     axes.set_xlim(-0.02, 1.02)
-    axes.set_xlabel(f"probability that {looks[own].label} has the lower AoU in a mission\n{note}")
+    axes.set_xlabel(f"probability of a lower AoU in a mission\nwith {looks[own].label}\n{note}")
     return figure
 
 

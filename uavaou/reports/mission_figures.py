@@ -67,9 +67,10 @@ def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Fig
         _draw_map(axes, missions[place], scale, most)
         axes.set_title(_title(missions[place], labels))
         axes.label_outer()
-    bar = add_age_bar(panels[0, 0], scale, "mean age sum of the device (s)", ax=panels, fraction=0.03)
+    bar = add_age_bar(panels[0, 0], scale, "mean age sum of the device (s)", ax=panels, fraction=0.03, shrink=0.85)
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
-    figure.legend(handles=fleet_handles(scenario), loc="outside lower center", ncols=4)
+    title = "line: wider where flown more often; device: larger with more communications"
+    figure.legend(handles=fleet_handles(scenario), loc="outside lower center", ncols=4, title=title)
     return figure
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,8 @@ def plot_study(folder: Path, out_dir: Path) -> list[Path]:
     paths = []
     with style.house_style():
         for scenario in study.scenarios:
-            place = Path(out_dir) / scenario if len(study.scenarios) > 1 else Path(out_dir)
+            own = Path(out_dir) / quote(scenario, safe=" +=,.-_~()")
+            place = own if len(study.scenarios) > 1 else Path(out_dir)
             for name, figure in scenario_figures(study, scenario).items():
                 paths += style.save(figure, place, name)
         for name, figure in aggregate_figures(study).items():
