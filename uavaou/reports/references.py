@@ -22,7 +22,7 @@ def best_planner(study: StudyTables, scenarios: Sequence[str]) -> str | None:
     levels = {}
     for name in study.planners:
         flown = study.missions(name, "mean_aou_slots", scenarios)
-        if name not in FIXED_RULES and len(flown) == len(scenarios):
+        if name not in FIXED_RULES and scenarios and len(flown) == len(scenarios):
             means = np.array([table.mean() for table in flown.values()])
             levels[name] = float(np.log(np.maximum(means, 1e-300)).mean())
     return min(levels, key=lambda name: levels[name]) if levels else None
