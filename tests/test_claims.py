@@ -232,12 +232,18 @@ def test_markers_without_a_pair_lose_nothing(tmp_path: Path, text: str) -> None:
 Break = Callable[[Path], object]
 
 
+def rename_scenario(folder: Path, name: str) -> None:
+    for path in folder.glob("*.csv"):
+        path.write_text(path.read_text().replace("paper", name))
+
+
 @pytest.mark.parametrize(
     ("break_it", "words"),
     [
         (lambda folder: (folder / "study.yaml").write_text("scenarios: [paper]"), "'scenarios' is missing"),
         (lambda folder: (folder / "study.yaml").write_text("scenarios: {paper: {slots: 3}}"), "slot_length_s = None"),
         (lambda folder: (folder / "missions.csv").unlink(), "missions.csv"),
+        (lambda folder: rename_scenario(folder, "../up"), "'../up' cannot name a folder"),
     ],
 )
 def test_a_damaged_study_is_an_input_error(tmp_path: Path, break_it: Break, words: str) -> None:

@@ -129,6 +129,8 @@ def _scenarios(results: StudyResults) -> dict[str, dict[str, Any]]:
         raise InputError(f"{where}: field 'scenarios' is missing or not a mapping")
     found = set(results.missions["scenario"].tolist())
     for name in sorted(found):
+        if name.startswith(".") or set(name) & set("/\\\0"):  # pictures go to folders of these names
+            raise InputError(f"{results.path / 'missions.csv'}: scenario {name!r} cannot name a folder")
         for field in ("slots", "slot_length_s", "devices"):
             value = stated[name].get(field) if isinstance(stated.get(name), dict) else None
             if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:

@@ -70,13 +70,18 @@ def _iqm_figure(scores: Scores, unit: str, looks: Looks, note: str) -> Figure:
     if values.min() > 0 and values.max() > 10 * values.min():
         axes.set_xscale("log")
         style.label_log_axis(axes.xaxis, *axes.get_xlim())
-    axes.set_xlabel(f"AoU, interquartile mean, {unit}\n{note}")
+    _label(figure, f"AoU, interquartile mean, {unit}", note)
     return figure
 
 
 def _row_label(look: style.Look, tables: Mapping[str, Floats]) -> str:
     runs = {len(table) for table in tables.values()}
     return look.label + (f" ({max(runs)} seeds)" if max(runs) > 1 else "")
+
+
+def _label(figure: Figure, text: str, note: str) -> None:
+    """What the x axis shows and what the bars mean, across the figure: long names of rows leave the axes little."""
+    figure.supxlabel(f"{text}\n{note}", fontsize=7, linespacing=1.3)
 
 
 def _draw_bars(axes: Axes, estimates: Sequence[Estimate], looks: Sequence[style.Look]) -> None:
@@ -98,7 +103,7 @@ def _improvement_figure(scores: Scores, own: str, others: list[str], looks: Look
     axes.axvline(0.5, color=style.GREY, linewidth=0.8, linestyle=(0, (4, 1.5)))
     axes.set_yticks(range(len(others)), [f"than {looks[other].label}" for other in others])
     axes.set_xlim(-0.02, 1.02)
-    axes.set_xlabel(f"probability of a lower AoU in a mission\nwith {looks[own].label}\n{note}")
+    _label(figure, f"probability of a lower AoU in a mission with {looks[own].label}", note)
     return figure
 
 

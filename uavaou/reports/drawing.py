@@ -75,8 +75,10 @@ def measure_figure(
     """Lines with bands, levels as horizontal lines; the x axis and the legend are the caller's."""
     figure, axes = style.new_axes(height_in=3.0)
     sign = -1.0 if measure.mirrored else 1.0
+    alike = len({line.seeds for line in lines.values()}) == 1  # the legend's title says how many
     for name, line in lines.items():
-        _draw_line(axes, line, sign, looks[name])
+        seeds = "" if alike else f" ({line.seeds} seed{'s' if line.seeds > 1 else ''})"
+        _draw_line(axes, line, sign, looks[name], looks[name].label + seeds)
     for name, level in levels.items():
         _draw_level(axes, level, sign, looks[name])
     shown = [sign * line.mean for line in lines.values()] + [np.array([sign * level.mean]) for level in levels.values()]
@@ -85,9 +87,8 @@ def measure_figure(
     return figure, axes
 
 
-def _draw_line(axes: Axes, line: Line, sign: float, look: style.Look) -> None:
+def _draw_line(axes: Axes, line: Line, sign: float, look: style.Look, label: str) -> None:
     axes.fill_between(line.x, sign * line.low, sign * line.high, color=look.colour, alpha=0.18, linewidth=0)
-    label = f"{look.label} ({line.seeds} seed{'s' if line.seeds > 1 else ''})"
     every = max(1, len(line.x) // 8)
     marks: dict[str, Any] = {"marker": look.marker, "markevery": every, "linestyle": look.dash}
     axes.plot(line.x, sign * line.mean, color=look.colour, label=label, **marks)
@@ -204,8 +205,10 @@ def _draw_by_period(axes: Axes, group: ByPeriod, shift: float, look: style.Look)
 def bands_title(seeds: Sequence[int], one_seed: str, planners: bool) -> str:
     """What the bands of a figure mean; ``one_seed`` says it for algorithms of one seed."""
     counts = set(seeds)
-    meanings = [OVER_SEEDS] if counts - {1} else []
+    meanings = []
+    if counts - {1}:
+        meanings.append(f"95 % interval over {seeds[0]} seeds" if len(counts) == 1 else OVER_SEEDS)
     if 1 in counts:
-        meanings.append(one_seed + (" (1 seed)" if meanings else ""))
+        meanings.append(f"{one_seed} (1 seed)")
     title = "bands: " + "; ".join(meanings)
-    return title + (f"\nplanners: {OVER_MISSIONS}" if planners and meanings != [OVER_MISSIONS] else "")
+    return title + (f"\nplanners: {OVER_MISSIONS}" if planners else "")

@@ -53,7 +53,7 @@ _TRAINING_FIGURES = {
     "figure-6-devices-served": DEVICES_SERVED,
 }
 _VALIDATION = Measure("mean_aou_slots", "AoU on validation\nmissions ($\\tau$)", log=True)
-_NO_INTERVAL = "no interval from one seed"
+_NO_INTERVAL = "none"
 
 
 def plot_study(folder: Path, out_dir: Path) -> list[Path]:
@@ -182,7 +182,7 @@ def _execution_figure(study: StudyTables, scenario: str, flown: list[str], looks
         lines[name] = Line(slot, *intervals(table), len(table))
     figure = execution_figure(lines, looks, "$\\tau$", study.slot_length_s(scenario))
     seeds = [line.seeds for name, line in lines.items() if name in study.algorithms]
-    style.legend_below(figure, figure.axes[0], bands_title(seeds or [1], _NO_INTERVAL, False))
+    style.legend_below(figure, figure.axes[0], bands_title(seeds or [1], _NO_INTERVAL, planners=False))
     return figure
 
 

@@ -29,6 +29,8 @@ COLUMN_WIDTH_IN = 3.5  # one column of a two-column paper
 PAGE_WIDTH_IN = 7.16  # both columns
 HEIGHT_IN = 2.5
 PNG_DPI = 200
+_LEGEND_ROWS = 3  # that a figure's height allows for
+_LEGEND_ROW_IN = 0.15
 GREY = "#7F7F7F"
 LIGHT_GREY = "#DDDDDD"
 
@@ -106,7 +108,7 @@ def is_planner(name: str) -> bool:
 def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> dict[str, Look]:
     """Give every name a look, the known algorithms always the same one.
 
-    Variants of one algorithm (``mappo+gamma=0.9``) share its colour, differ in their dashes and show their
+    Variants of one algorithm (``mappo+gamma=0.9``) share its colour, differ in dashes and markers and show their
     overrides, which an algorithm without a second variant need not; unknown names take spare colours in
     alphabetical order.
 
@@ -137,7 +139,8 @@ def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> 
         turn = variants.get(base, 0)
         variants[base] = turn + 1
         if turn:
-            look = replace(look, dash=_VARIANT_DASHES[turn % len(_VARIANT_DASHES)])
+            marker = _SPARE_MARKERS[(turn - 1) % len(_SPARE_MARKERS)]
+            look = replace(look, dash=_VARIANT_DASHES[turn % len(_VARIANT_DASHES)], marker=marker)
         overrides = "" if base in alone else name.partition("+")[2]
         label = name if name in stated else look.label + (f" {overrides}" if overrides else "")
         given[name] = replace(look, label=label)
@@ -210,10 +213,15 @@ def _write_whole(figure: Figure, path: Path, metadata: dict[str, Any]) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes, title: str) -> None:
-    """The legend under the axes, in as many columns as its longest label leaves room for."""
+    """The legend under the axes, in as many columns as its longest label leaves room for.
+
+    The figure grows for a long legend, so that the axes keep their size.
+    """
     handles, labels = axes.get_legend_handles_labels()
     longest = max(map(len, labels), default=0)
     columns = 1 if longest > 24 else 2 if longest > 14 else 3
+    rows = -(-len(labels) // columns)
+    figure.set_figheight(figure.get_figheight() + _LEGEND_ROW_IN * max(0, rows - _LEGEND_ROWS))
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, title=title)
 
 
