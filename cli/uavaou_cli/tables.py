@@ -32,7 +32,7 @@ def scenario_lines(scenarios: Sequence[Scenario]) -> list[str]:
     for scenario in scenarios:
         area = f"{scenario.area_x_m:g} m x {scenario.area_y_m:g} m"
         rows.append((scenario.name, str(scenario.uavs), str(scenario.devices), str(scenario.slots), area))
-    sizes = _aligned(rows)
+    sizes = aligned(rows)
     lines = sizes[:1]
     for line, scenario in zip(sizes[1:], scenarios, strict=True):
         lines += [line, *textwrap.wrap(scenario.description, WIDTH, initial_indent="  ", subsequent_indent="  ")]
@@ -50,7 +50,7 @@ def training_lines(outcome: Outcome, config: RunConfig, plugins: Sequence[str] =
     if progress.best_score is not None:
         in_slots = progress.best_score / config.scenario.slot_length_s
         lines.append(
-            f"best validation: mean AoU {_figure(progress.best_score)} s = {_figure(in_slots)} slots, "
+            f"best validation: mean AoU {figure(progress.best_score)} s = {figure(in_slots)} slots, "
             f"{progress.best_action} actions"
         )
     named = [word for place in plugins for word in ("--plugin", place)]
@@ -95,11 +95,11 @@ def plan_lines(scenario: Scenario, plan: Plan, took_s: float, path: Path) -> lis
     ended = "interrupted after" if plan.interrupted else "in"
     lines = [
         f"planned {scenario.name} with {plan.planner} {ended} {_duration(took_s)}",
-        f"expected mean AoU: {_figure(plan.mean_aou_s)} s = {_figure(in_slots)} slots",
+        f"expected mean AoU: {figure(plan.mean_aou_s)} s = {figure(in_slots)} slots",
     ]
     if plan.gap is not None and plan.bound_s is not None:
         proven = "proven optimal" if plan.gap < 1e-9 else f"gap {plan.gap:.1%}"
-        lines.append(f"lower bound:       {_figure(plan.bound_s)} s, {proven}")
+        lines.append(f"lower bound:       {figure(plan.bound_s)} s, {proven}")
     return [*lines, f"plan:              {path}"]
 
 
@@ -109,13 +109,13 @@ def gap_lines(scenario: Scenario, bound: Bound, results: Mapping[str, Evaluation
     tau, least = scenario.slot_length_s, bound.mean_aou_s
     best = min(result.mean_aou_s for result in results.values())
     rows = [("policy", "mean AoU (s)", "(slots)", "over bound", "over best", "")]
-    rows.append(("lower bound", _figure(least), _figure(least / tau), "1.00", _ratio(least, best), bound.method))
+    rows.append(("lower bound", figure(least), figure(least / tau), "1.00", _ratio(least, best), bound.method))
     for name, result in sorted(results.items(), key=lambda item: item[1].mean_aou_s):
         mean = result.mean_aou_s
-        rows.append((name, _figure(mean), _figure(mean / tau), _ratio(mean, least), _ratio(mean, best), ""))
+        rows.append((name, figure(mean), figure(mean / tau), _ratio(mean, least), _ratio(mean, best), ""))
     head = f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}"
     note = "no policy that does not foresee the channel has an expected mean AoU below the bound"
-    return [head, "", *(line.rstrip() for line in _aligned(rows)), "", *textwrap.wrap(note, WIDTH)]
+    return [head, "", *(line.rstrip() for line in aligned(rows)), "", *textwrap.wrap(note, WIDTH)]
 
 
 def _ratio(value: float, base: float) -> str:
@@ -158,11 +158,11 @@ def _two_line_table(heads: Sequence[tuple[str, str]], rows: Sequence[tuple[str, 
 
 def _with_interval(found: Interval) -> tuple[str, str]:
     if math.isnan(found.low):
-        return _figure(found.mean), ""
-    return _figure(found.mean), f"{_figure(found.low, found.mean)}-{_figure(found.high, found.mean)}"
+        return figure(found.mean), ""
+    return figure(found.mean), f"{figure(found.low, found.mean)}-{figure(found.high, found.mean)}"
 
 
-def _figure(value: float, like: float | None = None) -> str:
+def figure(value: float, like: float | None = None) -> str:
     """Four digits or a little more, in the form that suits ``like``: ``12.34``, ``1,234``, ``1.234M``."""
     size = abs(value if like is None else like)
     if size >= 1e6:
@@ -179,7 +179,7 @@ def _duration(seconds: float) -> str:
     return f"{hours} h {rest // 60} min" if hours else f"{rest // 60} min {rest % 60} s"
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """Columns of text: the first and the last to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
@@ -210,9 +210,9 @@ def tuning_lines(
     rows = [("trial", "mean AoU (s)", "action", "slots", "CPU (s)")]
     for record in best[:_BEST_TRIALS]:
         assert record.score is not None
-        figures = _figure(record.score), str(record.action), f"{record.slots:,}", f"{record.cpu_s:,.1f}"
+        figures = figure(record.score), str(record.action), f"{record.slots:,}", f"{record.cpu_s:,.1f}"
         rows.append((str(record.number), *figures))
-    table = _aligned(rows)
+    table = aligned(rows)
     lines += ["", table[0].rstrip()]
     for line, record in zip(table[1:], best, strict=False):
         changed = [f"{name}={_value(value)}" for name, value in record.values.items() if value != start[name]]
