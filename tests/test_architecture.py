@@ -82,6 +82,7 @@ def test_the_physics_knows_nothing_of_learning(path: Path) -> None:
         ("import uavaou", {"torch", "numpy", "pydantic"}),
         ("from uavaou import Scenario, World", {"torch", "gymnasium", "matplotlib"}),
         ("import uavaou.reports.figures, uavaou.reports.trajectories, uavaou.reports.audit", {"torch"}),
+        ("import uavaou.reports.study_figures, uavaou.reports.claims_table, uavaou.experiments.marl_eval", {"torch"}),
         ("import uavaou_cli.main", {"torch", "matplotlib", "scipy", "pydantic"}),
     ],
 )

@@ -95,7 +95,7 @@ BAD_INPUTS = [
     ("eval --policy random --set scenario.slots=1", "slots = 1"),
     ("eval --policy random --set algorithm.gamma=0.9", "algorithm.gamma"),
     # plot
-    ("plot figures", "missing argument RUN"),
+    ("plot figures", "uavaou study run paper"),
     ("plot figures nowhere", "'nowhere' does not exist"),
     ("plot figures .", "not a run folder"),
     ("plot trajectories", "missing argument 'RUN'"),

@@ -17,10 +17,12 @@ from matplotlib.image import imread
 
 from uavaou.envs.map import FRAME_SHAPE, render_frame
 from uavaou.errors import InputError
+from uavaou.experiments.missions import Recording
 from uavaou.experiments.statistics import interval, intervals
 from uavaou.reports import style
-from uavaou.reports.figures import Run, plot_figures, read_run, training_curve
-from uavaou.reports.trajectories import Recording, plot_trajectories
+from uavaou.reports.figures import plot_figures, training_curve
+from uavaou.reports.run_results import Run, read_run
+from uavaou.reports.trajectories import plot_trajectories
 from uavaou.scenario import Scenario
 from uavaou.world import World
 

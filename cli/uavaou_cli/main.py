@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
-from uavaou_cli import audit, evaluate, export, plan, plot, scenarios, train, tune
+from uavaou_cli import audit, evaluate, export, plan, plot, scenarios, study, train, tune
 
 BAD_INPUT = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
@@ -45,11 +45,16 @@ app.command("tune", short_help="Search for better settings of an algorithm.")(tu
 app.command("eval", short_help="Play trained runs and planners on the same missions.")(evaluate.evaluate)
 app.command("plan", short_help="Plan a fleet's routes before take-off.")(plan.plan)
 app.command("gap", short_help="Planners and runs between the lower bound and random.")(plan.gap)
-plots = typer.Typer(**_STYLE, help="Draw the figures of training runs, or one mission.")
-plots.command("figures", short_help="Draw the figures of training runs.")(plot.figures)
+plots = typer.Typer(**_STYLE, help="Draw the figures of studies and training runs, or one mission.")
+plots.command("figures", short_help="Draw the figures of studies or training runs.")(plot.figures)
 plots.command("suite", short_help="Draw the tables of evaluation suites.")(plot.suite)
 plots.command("trajectories", short_help="Draw one mission of a run.")(plot.trajectories)
 app.add_typer(plots, name="plot")
+studies = typer.Typer(**_STYLE, help="Many runs: algorithms, seeds and scenarios, resumable, with condensed results.")
+studies.command("run", short_help="Do what is left of a study.")(study.run)
+studies.command("status", short_help="Show how its runs stand.")(study.status)
+studies.command("report", short_help="Rewrite its condensed results and print the table.")(study.report)
+app.add_typer(studies, name="study")
 app.command("audit", short_help="Check a scenario's link budget and numbers.")(audit.audit)
 app.command("export", short_help="Write a trained run for another tool.")(export.export)
 app.command("scenarios", short_help="List the scenarios that come with uavaou.")(scenarios.scenarios)
@@ -88,6 +93,11 @@ def _root(
 
 @plots.callback()
 def _plots(ctx: typer.Context) -> None:
+    _help_when_alone(ctx)
+
+
+@studies.callback()
+def _studies(ctx: typer.Context) -> None:
     _help_when_alone(ctx)
 
 

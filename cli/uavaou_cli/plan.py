@@ -150,15 +150,8 @@ def _plan_and_report(
 
 
 def _draw(scenario: Scenario, planner: Planner, seed: int, folder: Path) -> None:
-    from uavaou.reports.trajectories import Recording, plot_trajectories
-    from uavaou.world import World
+    from uavaou.experiments.missions import record_mission
+    from uavaou.reports.trajectories import plot_trajectories
 
-    world = World(scenario, missions=1, seed=seed)
-    planner.reset(world, seed)
-    snapshots = []
-    while not world.done:
-        world.step(*planner.act(world))
-        snapshots.append(world.snapshot())
-    print(
-        "\n".join(map(str, plot_trajectories(scenario, Recording.from_snapshots(snapshots), folder, f"mission-{seed}")))
-    )
+    recording = record_mission(scenario, planner, seed)
+    print("\n".join(map(str, plot_trajectories(scenario, recording, folder, f"mission-{seed}"))))

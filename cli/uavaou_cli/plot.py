@@ -1,4 +1,4 @@
-"""``uavaou plot``: the figures of training runs, and the pictures of one mission."""
+"""``uavaou plot``: the figures of studies and training runs, and the pictures of one mission."""
 
 from __future__ import annotations
 
@@ -8,31 +8,54 @@ from typing import Annotated
 
 import typer
 
-from uavaou.errors import InputError
 from uavaou_cli.checks import LARGEST_SEED, within, writable_folder
 
 
 def figures(
-    run: Annotated[list[Path] | None, typer.Argument(help="Folders of training runs.")] = None,
+    run: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Folders of training runs, or of studies. [default: every study in results/studies]"),
+    ] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where the pictures go. [default: the first RUN's figures/]")
+        Path | None,
+        typer.Option(metavar="DIR", help="Where the pictures go. [default: figures/ in the study or the first RUN]"),
     ] = None,
 ) -> None:
-    """Draw the training and evaluation figures of runs, as PNG and PDF; seeds of one algorithm become one line."""
-    if not run:
-        raise InputError("missing argument RUN: give at least one run folder, such as results/paper/mappo/seed-0")
+    """Draw figures as PNG and PDF: of studies from their committed results, or of the runs given.
+
+    Without RUN, every study in results/studies is drawn anew. Seeds of one algorithm become one line.
+    """
+    given = list({folder.resolve(): folder for folder in run or []}.values())  # a run given twice is not two seeds
+    studies = [folder for folder in given if (folder / "study.yaml").is_file()]
+    runs = [folder for folder in given if folder not in studies]
+    if not given:
+        from uavaou.experiments.study_tables import study_folders
+
+        studies = study_folders(Path("results"))
+    if runs:
+        _draw_runs(runs, out if out is not None else runs[0] / "figures")
+    for study in studies:
+        _draw_study(study, study / "figures" if out is None else out / study.name if len(studies) > 1 else out)
+
+
+def _draw_runs(runs: list[Path], target: Path) -> None:
     from uavaou.experiments.folder import RunFolder
 
-    run = list({folder.resolve(): folder for folder in run}.values())  # a run given twice is not two seeds
-    for folder in run:
+    for folder in runs:
         RunFolder(folder).read_config()
-    target = out if out is not None else run[0] / "figures"
     writable_folder(target)
     from uavaou.reports.figures import plot_figures
 
-    print("\n".join(map(str, plot_figures(run, target))))
-    if not any(folder.glob("eval/*.json") for folder in run):
-        print(f"figures 7 and 8 need an evaluation first: uavaou eval {run[0]}", file=sys.stderr)
+    print("\n".join(map(str, plot_figures(runs, target))))
+    if not any(folder.glob("eval/*.json") for folder in runs):
+        print(f"figures 7 and 8 need an evaluation first: uavaou eval {runs[0]}", file=sys.stderr)
+
+
+def _draw_study(study: Path, target: Path) -> None:
+    writable_folder(target)
+    from uavaou.reports.study_figures import plot_study
+
+    print("\n".join(map(str, plot_study(study, target))), flush=True)
 
 
 def suite(
@@ -70,8 +93,9 @@ def trajectories(
     scenario = folder.read_config().scenario
     target = out if out is not None else run / "figures"
     writable_folder(target)
+    from uavaou.experiments.missions import record_mission
     from uavaou.experiments.trained import load_run
-    from uavaou.reports.trajectories import plot_trajectories, record_mission
+    from uavaou.reports.trajectories import plot_trajectories
 
     recording = record_mission(scenario, load_run(folder), episode_seed)
     print("\n".join(map(str, plot_trajectories(scenario, recording, target, f"mission-{episode_seed}"))))

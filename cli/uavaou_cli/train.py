@@ -24,14 +24,21 @@ BACKENDS = ("batched", "supersuit")  # of uavaou.envs.flatten, which is slow to 
 def train(
     ctx: typer.Context,
     scenario: Annotated[
-        str, typer.Option(metavar="NAME", help="A preset (see `uavaou scenarios`) or a YAML file.")
-    ] = "paper",
+        str | None,
+        typer.Option(metavar="NAME", help="A preset (see `uavaou scenarios`) or a YAML file. [default: paper]"),
+    ] = None,
     algorithm: Annotated[
-        str, typer.Option(metavar="NAME", help=f"What learns: {_ALGORITHMS}, or one of your own.")
-    ] = "mappo",
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the training; two seeds never share a mission.")] = 0,
+        str | None,
+        typer.Option(metavar="NAME", help=f"What learns: {_ALGORITHMS}, or one of your own. [default: mappo]"),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Of the training; two seeds never share a mission. [default: 0]")
+    ] = None,
     slots: Annotated[
         int | None, typer.Option(metavar="N", help="Budget, in slots of all missions. [default: as published]")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The config.yaml of a run, trained again as it was.")
     ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder of all results.")] = Path("results"),
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")] = False,
@@ -54,9 +61,13 @@ def train(
     """
     one_of("--device", device, DEVICES)
     one_of("--backend", backend, BACKENDS)
-    within("--seed", seed, 0, LARGEST_SEED)
+    within("--seed", seed or 0, 0, LARGEST_SEED)
     within("--checkpoint-every", checkpoint_every, 1, 86_400)
-    config, folder = _plan(scenario, algorithm, seed, slots, out, set_ or [])
+    if config is None:
+        plan, folder = _plan(scenario or "paper", algorithm or "mappo", seed or 0, slots, out, set_ or [])
+    else:
+        given = {"--scenario": scenario, "--algorithm": algorithm, "--seed": seed, "--slots": slots, "--set": set_}
+        plan, folder = _again(config, out, given)
     writable_folder(folder.path)
     available_device(device)
     if resume and not folder.exists() and not quiet:
@@ -65,14 +76,14 @@ def train(
         from uavaou.experiments.run import train as run_training
         from uavaou_cli.tables import training_lines
 
-        outcome = run_training(config, folder, device, backend, resume, quiet, checkpoint_every)
+        outcome = run_training(plan, folder, device, backend, resume, quiet, checkpoint_every)
     except KeyboardInterrupt:
         _say_how_to_resume(folder, ctx.obj["arguments"])
         raise typer.Exit(130) from None
     if outcome.stopped_by is not None:
         _say_how_to_resume(folder, ctx.obj["arguments"], outcome.progress.slots)
         raise typer.Exit(128 + outcome.stopped_by)
-    print("\n".join(training_lines(outcome, config, ctx.obj["plugins"])))
+    print("\n".join(training_lines(outcome, plan, ctx.obj["plugins"])))
 
 
 def _plan(
@@ -91,6 +102,17 @@ def _plan(
     base = Scenario.load(scenario)
     config = RunConfig(overrides.of_scenario(base), overrides.of_algorithm(algorithm), seed)
     return config, run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)
+
+
+def _again(path: Path, out: Path, given: dict[str, object]) -> tuple[RunConfig, RunFolder]:
+    """The training of a ``config.yaml``, which nothing is added to, and its folder."""
+    from uavaou.experiments.folder import config_folder, read_config
+
+    for option, value in given.items():
+        if value is not None and value != []:
+            raise InputError(f"--config and {option}: give one of them; the file says everything")
+    config = read_config(path)
+    return config, config_folder(out, config)
 
 
 def _say_how_to_resume(folder: RunFolder, arguments: list[str], slots: int | None = None) -> None:

@@ -24,7 +24,7 @@ with atheris.instrument_imports(include=["uavaou"]):
     from uavaou.experiments.checkpoint import Progress, _progress
     from uavaou.experiments.folder import RunConfig, RunFolder
     from uavaou.files import read_json
-    from uavaou.reports.figures import read_run
+    from uavaou.reports.run_results import read_run
     from uavaou.scenario import Scenario
 
 PLACE = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))

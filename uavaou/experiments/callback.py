@@ -36,6 +36,7 @@ class Standing:
     evaluated: bool  # whether the policy has just been evaluated
     best_score: float | None  # so far, mean AoU on the validation missions, s
     best_action: str  # the action that it was reached with
+    mean_aou_s: float | None = None  # of recent training missions
 
 
 Watch = Callable[[Standing], None]
@@ -80,6 +81,8 @@ class Recorder(BaseCallback):
         self._started = self._began - progress.wall_s
         self._watch = watch
         self._cpu_before = time.process_time()  # of this training: what is spent on other things moves it on
+        self._cpu_s = 0.0  # of this process at the last update
+        self._cpu_s_earlier = progress.cpu_s  # of the processes before it
 
     @property
     def _slots(self) -> int:
@@ -122,7 +125,7 @@ class Recorder(BaseCallback):
 
     def _after_update(self, finished: bool) -> None:
         """Check, show and log the rollout and its update; evaluate and save where that is due."""
-        cpu_s = time.process_time() - self._cpu_before
+        self._cpu_s = time.process_time() - self._cpu_before
         check_learner(self.model, self._slots, self.kept)
         self._display.update(self._slots, self._recent.mean)
         scores: dict[str, float] = {}
@@ -135,14 +138,14 @@ class Recorder(BaseCallback):
         if finished or asked or time.monotonic() >= self._next_checkpoint:
             self._save(finished)
         if self._watch is not None:
-            self._watch(self._standing(cpu_s, evaluated=bool(scores)))
-        self._cpu_before = time.process_time() - cpu_s
+            self._watch(self._standing(evaluated=bool(scores)))
+        self._cpu_before = time.process_time() - self._cpu_s
         if asked and not finished:
             self._stop()
 
-    def _standing(self, cpu_s: float, evaluated: bool) -> Standing:
-        updates = getattr(self.model, "_n_updates", 0)
-        return Standing(self._slots, updates, cpu_s, evaluated, self.progress.best_score, self.progress.best_action)
+    def _standing(self, evaluated: bool) -> Standing:
+        updates, best = getattr(self.model, "_n_updates", 0), (self.progress.best_score, self.progress.best_action)
+        return Standing(self._slots, updates, self._cpu_s, evaluated, *best, self._recent.mean)
 
     def _stop(self) -> None:
         self.stopped_by = self._interrupts.received
@@ -187,6 +190,7 @@ class Recorder(BaseCallback):
             self.progress,
             slots=self._slots,
             wall_s=self._wall_s,
+            cpu_s=None if self._cpu_s_earlier is None else self._cpu_s_earlier + self._cpu_s,
             updates=getattr(self.model, "_n_updates", 0),
             figures=figures,
             budget_left=self.model._current_progress_remaining,
@@ -214,24 +218,34 @@ class Recorder(BaseCallback):
 
     def write_meta(self) -> None:
         """Write ``meta.json``."""
-        done = self._saved
-        stands = {name: value for name, value in asdict(self.progress).items() if name not in ("slots", "figures")}
         model = getattr(self, "model", None)  # an interrupt may come before SB3 has set it
-        content: dict[str, Any] = {
-            **self._machine,
-            "slots": done,
-            "agent_steps": done * self._uavs,
-            "slots_budget": self._config.algorithm.slots,
-            "finished": done >= self._config.algorithm.slots,
-            "device": None if model is None else str(model.device),
-            "checkpoints": {
-                "written": self._checkpoints,
-                "seconds": round(self._checkpoints_s, 3),
-                "of_wall_s": round(time.monotonic() - self._began, 3),
-            },
-            **stands,
+        checkpoints = {
+            "written": self._checkpoints,
+            "seconds": round(self._checkpoints_s, 3),
+            "of_wall_s": round(time.monotonic() - self._began, 3),
         }
-        write_json(self._folder.meta, content)
+        device = None if model is None else str(model.device)
+        stands = replace(self.progress, slots=self._saved)
+        write_meta(self._folder, self._config, stands, self._machine, device, checkpoints)
+
+
+def write_meta(
+    folder: RunFolder, config: RunConfig, progress: Progress, machine: dict[str, Any], device: str | None,
+    checkpoints: dict[str, float],
+) -> None:  # fmt: skip
+    """Write ``meta.json``: the machine, the budgets, and where the last checkpoint stands."""
+    stands = {name: value for name, value in asdict(progress).items() if name not in ("slots", "figures")}
+    content: dict[str, Any] = {
+        **machine,
+        "slots": progress.slots,
+        "agent_steps": progress.slots * config.scenario.uavs,
+        "slots_budget": config.algorithm.slots,
+        "finished": progress.slots >= config.algorithm.slots,
+        "device": device,
+        "checkpoints": checkpoints,
+        **stands,
+    }
+    write_json(folder.meta, content)
 
 
 def pause_s(every_s: float, cost_s: float) -> float:

@@ -46,6 +46,7 @@ class Progress:
     row_slots: int = 0  # slots at the last of them
     figures: dict[str, float | int] = field(default_factory=dict)  # logged since
     budget_left: float = 1.0  # what SB3's schedules go by
+    cpu_s: float | None = None  # of the training processes so far, playing and learning; None: not measured
 
 
 class DamagedCheckpointWarning(UserWarning):
@@ -144,7 +145,8 @@ def _progress(file: ArrayFile, oldest: int) -> Progress:
         progress = Progress(**stated)
         counts = (progress.slots, progress.missions, progress.updates, progress.next_evaluation, progress.rows)
         usable = all(isinstance(count, int) and 0 <= count <= _MOST for count in (*counts, progress.row_slots))
-        numbers = (progress.wall_s, progress.best_score or 0.0, progress.budget_left, *progress.figures.values())
+        measured = (progress.wall_s, progress.cpu_s or 0.0, progress.best_score or 0.0, progress.budget_left)
+        numbers = (*measured, *progress.figures.values())
         usable &= all(isinstance(number, int | float) and abs(number) <= _MOST for number in numbers)
         usable &= progress.best_action in ("greedy", "sample")
     except (TypeError, AttributeError) as error:

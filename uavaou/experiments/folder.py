@@ -21,7 +21,7 @@ from urllib.parse import quote
 import yaml
 
 from uavaou.algorithms.config import AlgorithmConfig
-from uavaou.algorithms.registry import config_from_dict
+from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
 from uavaou.files import refuse_links, replacing
 from uavaou.scenario import Scenario
@@ -114,17 +114,26 @@ class RunFolder:
         if not self.exists():
             raise InputError(f"'{self.path}' is not a run folder: it holds no config.yaml")
         refuse_links(self.path)
-        content = read_yaml_mapping(self.config)
-        if content.get("schema") != SCHEMA or isinstance(content["schema"], bool | float):
-            raise InputError(f"{self.config}: schema = {content.get('schema')!r}: this version reads schema {SCHEMA}")
-        seed = content.get("seed")
-        if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-            raise InputError(f"{self.config}: seed = {seed!r}: expected a whole number from 0 on")
-        for part in ("scenario", "algorithm"):
-            if not isinstance(content.get(part), dict):
-                raise InputError(f"{self.config}: the part '{part}' is missing")
-        scenario = Scenario.from_dict(content["scenario"], source=f"{self.config}: scenario")
-        return RunConfig(scenario, config_from_dict(content["algorithm"], self.config), seed)
+        return read_config(self.config)
+
+
+def read_config(path: Path) -> RunConfig:
+    """Read a ``config.yaml``.
+
+    Raises:
+        InputError: the file is none, or its configuration cannot be used.
+    """
+    content = read_yaml_mapping(path)
+    if content.get("schema") != SCHEMA or isinstance(content["schema"], bool | float):
+        raise InputError(f"{path}: schema = {content.get('schema')!r}: this version reads schema {SCHEMA}")
+    seed = content.get("seed")
+    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+        raise InputError(f"{path}: seed = {seed!r}: expected a whole number from 0 on")
+    for part in ("scenario", "algorithm"):
+        if not isinstance(content.get(part), dict):
+            raise InputError(f"{path}: the part '{part}' is missing")
+    scenario = Scenario.from_dict(content["scenario"], source=f"{path}: scenario")
+    return RunConfig(scenario, config_from_dict(content["algorithm"], path), seed)
 
 
 def run_folder(
@@ -140,13 +149,51 @@ def run_folder(
         algorithm: its name.
         seed: of the training.
     """
+    first = _scenario_folder(scenario, scenario_overrides)
+    return RunFolder(out / first / _folder_name(algorithm, algorithm_overrides) / f"seed-{seed}")
+
+
+def _scenario_folder(scenario: Scenario, overrides: Mapping[str, str]) -> str:
     base = scenario.name
     preset = zoo_folder("scenarios") / f"{base}.yaml"
     if base not in zoo_names("scenarios") or Scenario.load(preset) != scenario:
         digest = hashlib.sha256(scenario.to_yaml().encode()).hexdigest()[:8]
         base = f"{base}~{digest}"
-    named = _folder_name(base, scenario_overrides), _folder_name(algorithm, algorithm_overrides)
-    return RunFolder(out / named[0] / named[1] / f"seed-{seed}")
+    return _folder_name(base, overrides)
+
+
+def config_folder(out: Path, config: RunConfig) -> RunFolder:
+    """The folder that ``uavaou train`` gives a run: named by what differs from the preset and the published settings.
+
+    Args:
+        out: the folder of all results.
+        config: of the run.
+
+    Raises:
+        InputError: the algorithm is not registered.
+    """
+    name = config.algorithm.name
+    published = load_config(name).model_dump(mode="json")
+    overrides = _differences(published, config.algorithm.model_dump(mode="json"))
+    return RunFolder(out / scenario_folder(config.scenario) / _folder_name(name, overrides) / f"seed-{config.seed}")
+
+
+def scenario_folder(scenario: Scenario) -> str:
+    """The name of the folder of a scenario's runs, such as ``paper+layout_seed=1``."""
+    if scenario.name not in zoo_names("scenarios"):
+        return _scenario_folder(scenario, {})
+    preset = Scenario.load(zoo_folder("scenarios") / f"{scenario.name}.yaml")
+    return _scenario_folder(preset, _differences(preset.to_dict(), scenario.to_dict()))
+
+
+def _differences(base: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str, str]:
+    """The fields that differ from ``base``, as one would type them after ``--set``."""
+    changed = {name: value for name, value in fields.items() if name not in base or base[name] != value}
+    return {name: value if isinstance(value, str) else _typed(value) for name, value in changed.items()}
+
+
+def _typed(value: Any) -> str:
+    return json.dumps(value, separators=(",", ":"))
 
 
 def _folder_name(base: str, overrides: Mapping[str, str]) -> str:

@@ -6,6 +6,7 @@ import os
 import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from filelock import FileLock, Timeout
 
@@ -17,7 +18,14 @@ _PATIENCE_S = 1.0  # a writer killed a moment ago may have worker processes that
 
 @contextmanager
 def one_writer(folder: RunFolder) -> Iterator[None]:
-    """Hold a run folder as its only writer.
+    """Hold a run folder as its only writer; see :func:`only_writer`."""
+    with only_writer(folder.path, folder.lock):
+        yield
+
+
+@contextmanager
+def only_writer(folder: Path, path: Path) -> Iterator[None]:
+    """Hold a folder as its only writer, by a lock on the file ``path`` in it.
 
     The operating system holds the lock for the process: it ends with it, however that ends, and the file that is
     left behind means nothing.
@@ -25,23 +33,36 @@ def one_writer(folder: RunFolder) -> Iterator[None]:
     Raises:
         InputError: another process writes there, or the folder cannot be written.
     """
-    lock = FileLock(folder.lock)
+    lock = FileLock(path)
     try:
-        folder.path.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         lock.acquire(timeout=_PATIENCE_S)
-        folder.lock.write_text(f"process {os.getpid()} on {platform.node()}\n", encoding="utf-8")
+        path.write_text(f"process {os.getpid()} on {platform.node()}\n", encoding="utf-8")
     except Timeout:
-        raise InputError(f"'{folder.path}' is being written by {_holder(folder)}: wait for it, or stop it") from None
+        raise InputError(f"'{folder}' is being written by {_stated(path)}: wait for it, or stop it") from None
     except OSError as error:
-        raise InputError(f"cannot write to '{folder.path}': {error.strerror or error}") from error
+        raise InputError(f"cannot write to '{folder}': {error.strerror or error}") from error
     try:
         yield
     finally:
         lock.release()
 
 
-def _holder(folder: RunFolder) -> str:
+def holder(path: Path) -> str | None:
+    """Who holds the lock on the file ``path``; None where nobody does."""
+    if not path.is_file():
+        return None
     try:
-        return folder.lock.read_text(encoding="utf-8")[:200].strip() or "another process"
+        with FileLock(path, timeout=0):
+            return None
+    except Timeout:
+        return _stated(path)
+    except OSError:  # read-only: nobody writes here either
+        return None
+
+
+def _stated(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")[:200].strip() or "another process"
     except (OSError, UnicodeDecodeError):
         return "another process"

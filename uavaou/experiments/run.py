@@ -13,13 +13,13 @@ from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputF
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import MissionVecEnv, flatten
 from uavaou.errors import InputError
-from uavaou.experiments.callback import CHECKPOINT_EVERY_S, Recorder, Watch
+from uavaou.experiments.callback import CHECKPOINT_EVERY_S, Recorder, Watch, write_meta
 from uavaou.experiments.checkpoint import Progress, load_training
-from uavaou.experiments.folder import RunConfig, RunFolder
+from uavaou.experiments.folder import RunConfig, RunFolder, describe_machine
 from uavaou.experiments.interrupt import Interrupted, Interrupts
 from uavaou.experiments.lock import one_writer
 from uavaou.experiments.recording import Display
-from uavaou.files import refuse_links, replacing
+from uavaou.files import read_json, refuse_links, replacing
 
 LANE_SEEDS = 1_000_000  # a training's missions are seeded from LANE_SEEDS * (seed + 1) on
 
@@ -72,7 +72,9 @@ def train(
         with one_writer(folder):
             resuming = _check_folder(folder, config, resume)  # again: another process may have been here
             _claim(folder, config)
-            started = Progress(next_evaluation=config.algorithm.evaluate_every_slots)
+            # Of a process that only waits for those that step the missions, CPU seconds say little.
+            cpu_s = 0.0 if config.algorithm.processes == 1 else None
+            started = Progress(next_evaluation=config.algorithm.evaluate_every_slots, cpu_s=cpu_s)
             progress = _restore(folder, model, env, config) if resuming else started
             return _learn(config, folder, model, env, progress, quiet, checkpoint_every_s, watch)
     finally:
@@ -144,6 +146,8 @@ def _learn(
     uavs = config.scenario.uavs
     remaining = config.algorithm.slots - progress.slots
     if remaining <= 0:  # resumed, but finished before
+        if not _said_to_be_finished(folder):  # killed between its last checkpoint and its last word
+            write_meta(folder, config, progress, describe_machine(), str(model.device), {})
         return Outcome(folder, progress, model.num_timesteps)
     with (
         Interrupts(quiet) as interrupts,
@@ -167,3 +171,10 @@ def _learn(
                 with suppress(OSError):  # a full disk was told of above
                     end()
     return Outcome(folder, recorder.progress, model.num_timesteps, recorder.stopped_by)
+
+
+def _said_to_be_finished(folder: RunFolder) -> bool:
+    try:
+        return bool(read_json(folder.meta)["finished"])
+    except (InputError, KeyError, TypeError):
+        return False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,8 +26,11 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
 
 COLUMN_WIDTH_IN = 3.5  # one column of a two-column paper
+PAGE_WIDTH_IN = 7.16  # both columns
 HEIGHT_IN = 2.5
 PNG_DPI = 200
+_LEGEND_ROWS = 3  # that a figure's height allows for
+_LEGEND_ROW_IN = 0.15
 GREY = "#7F7F7F"
 LIGHT_GREY = "#DDDDDD"
 
@@ -83,6 +86,9 @@ _LOOKS = {
     "stay": Look(GREY, "_", (0, (5, 1.5, 1, 1.5)), "stay"),
     "greedy": Look(BLACK, "*", (0, (4, 1.5)), "greedy"),
     "best-first": Look(GREEN, "P", (0, (5, 1.5, 1, 1.5)), "best-first"),
+    "anneal": Look(PURPLE, "X", (0, (4, 1.5)), "anneal"),
+    "rolling": Look(BLACK, "p", (0, (2.5, 1)), "rolling"),
+    "bound": Look(BLACK, "", (0, (1, 1.5)), "lower bound"),
 }
 _SPARE_COLOURS = (GREEN, PURPLE, BLACK, SKY, ORANGE, VERMILLION, BLUE)
 _SPARE_MARKERS = ("X", "p", "<", ">", "d", "8", "1")
@@ -99,20 +105,27 @@ def is_planner(name: str) -> bool:
     return base_name(name) in PLANNERS
 
 
-def looks(names: Iterable[str]) -> dict[str, Look]:
+def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> dict[str, Look]:
     """Give every name a look, the known algorithms always the same one.
 
-    Variants of one algorithm (``mappo+gamma=0.9``) share its colour, differ in their dashes and show their
+    Variants of one algorithm (``mappo+gamma=0.9``) share its colour, differ in dashes and markers and show their
     overrides, which an algorithm without a second variant need not; unknown names take spare colours in
     alphabetical order.
+
+    Args:
+        names: of algorithms, their variants, planners.
+        algorithms: the algorithm of each name that does not tell it itself, as the variants of a study; such
+            a name is its own label.
     """
-    ordered = sorted(set(names))
-    alone = {base for base, count in Counter(base_name(name) for name in ordered).items() if count == 1}
+    stated = {name: base for name, base in (algorithms or {}).items() if name != base}
+    bases = {name: base_name(stated.get(name, name)) for name in sorted(set(names))}
+    ordered = sorted(bases, key=lambda name: (name in stated, name))  # an algorithm itself has the solid line
+    alone = {base for base, count in Counter(bases.values()).items() if count == 1}
     given: dict[str, Look] = {}
     variants: dict[str, int] = {}
-    spare = sorted({base_name(name) for name in ordered} - _LOOKS.keys())
+    spare = sorted(set(bases.values()) - _LOOKS.keys())
     for name in ordered:
-        base = base_name(name)
+        base = bases[name]
         if base in _LOOKS:
             look = _LOOKS[base]
         else:
@@ -126,9 +139,11 @@ def looks(names: Iterable[str]) -> dict[str, Look]:
         turn = variants.get(base, 0)
         variants[base] = turn + 1
         if turn:
-            look = replace(look, dash=_VARIANT_DASHES[turn % len(_VARIANT_DASHES)])
+            marker = _SPARE_MARKERS[(turn - 1) % len(_SPARE_MARKERS)]
+            look = replace(look, dash=_VARIANT_DASHES[turn % len(_VARIANT_DASHES)], marker=marker)
         overrides = "" if base in alone else name.partition("+")[2]
-        given[name] = replace(look, label=look.label + (f" {overrides}" if overrides else ""))
+        label = name if name in stated else look.label + (f" {overrides}" if overrides else "")
+        given[name] = replace(look, label=label)
     return given
 
 
@@ -141,9 +156,13 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def new_figure(height_in: float = HEIGHT_IN, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """An empty figure of a column's width on the Agg canvas."""
-    figure = Figure(figsize=(COLUMN_WIDTH_IN, height_in), layout=layout)
+def new_figure(
+    height_in: float = HEIGHT_IN,
+    layout: Literal["constrained"] | None = "constrained",
+    width_in: float = COLUMN_WIDTH_IN,
+) -> Figure:
+    """An empty figure, of a column's width unless said otherwise, on the Agg canvas."""
+    figure = Figure(figsize=(width_in, height_in), layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
@@ -194,10 +213,15 @@ def _write_whole(figure: Figure, path: Path, metadata: dict[str, Any]) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes, title: str) -> None:
-    """The legend under the axes, in as many columns as its longest label leaves room for."""
+    """The legend under the axes, in as many columns as its longest label leaves room for.
+
+    The figure grows for a long legend, so that the axes keep their size.
+    """
     handles, labels = axes.get_legend_handles_labels()
     longest = max(map(len, labels), default=0)
     columns = 1 if longest > 24 else 2 if longest > 14 else 3
+    rows = -(-len(labels) // columns)
+    figure.set_figheight(figure.get_figheight() + _LEGEND_ROW_IN * max(0, rows - _LEGEND_ROWS))
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, title=title)
 
 

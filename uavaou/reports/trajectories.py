@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +22,7 @@ from uavaou.envs.map import (
     uav_colour,
     uav_offset,
 )
-from uavaou.planners.base import Planner
+from uavaou.experiments.missions import Recording
 from uavaou.reports.style import (
     COLUMN_WIDTH_IN,
     GREY,
@@ -36,8 +33,7 @@ from uavaou.reports.style import (
     new_figure,
     save,
 )
-from uavaou.scenario import Layout, Scenario
-from uavaou.world import World
+from uavaou.scenario import Scenario
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,50 +47,6 @@ _DEVICE_AREA = (12.0, 75.0)  # square points, of the least and the most collecte
 _LINE_WIDTH = (0.6, 2.4)  # points, of a step flown once and of the one flown most
 _LEGEND_UAVS = 8  # colours repeat beyond
 _LEGEND_COLUMNS = 4
-
-
-@dataclass(frozen=True)
-class Recording:
-    """One mission, slot by slot; row t - 1 is slot t."""
-
-    positions: Floats  # (K, U, 2) m, where the UAVs were in the slot
-    collected_by: Ints  # (K, I), the u with alpha_iu = 1; -1 for none
-    age_sum: Floats  # (K, I) s, sum_n A_i^n at the slot's end
-    pending: Ints  # (K, I) updates at the slot's end
-    layout: Layout
-
-    @classmethod
-    def from_snapshots(cls, snapshots: Sequence[dict[str, Any]]) -> Recording:
-        """Stack what :meth:`uavaou.world.World.snapshot` gave after each slot, from the first on."""
-        first = snapshots[0]
-        return cls(
-            positions=np.stack([shot["positions"] for shot in snapshots]),
-            collected_by=np.stack([shot["collected_by"] for shot in snapshots]),
-            age_sum=np.stack([shot["age_sum"] for shot in snapshots]),
-            pending=np.stack([shot["pending"] for shot in snapshots]),
-            layout=Layout(first["devices"], first["bandwidth"], first["transmit_power"], first["update_period"]),
-        )
-
-    @cached_property
-    def communications(self) -> NDArray[np.bool_]:
-        """Whether a transfer carried at least one update, (K, I)."""
-        slot = np.arange(1, len(self.pending) + 1)[:, None]  # (K, 1)
-        generated = slot % self.layout.update_period == 0  # (K, I)
-        at_start = np.ones((1, self.pending.shape[1]), dtype=np.int64)  # every device holds update 0 before slot 1
-        before = np.concatenate([at_start, self.pending[:-1]])  # (K, I)
-        carried: NDArray[np.bool_] = (self.collected_by >= 0) & (before + generated > 0)
-        return carried
-
-
-def record_mission(scenario: Scenario, policy: Planner, seed: int) -> Recording:
-    """Play one mission, seeded, and keep what every slot looked like."""
-    world = World(scenario, missions=1, seed=seed)
-    policy.reset(world, seed)
-    snapshots = []
-    while not world.done:
-        world.step(*policy.act(world))
-        snapshots.append(world.snapshot())
-    return Recording.from_snapshots(snapshots)
 
 
 def plot_trajectories(scenario: Scenario, recording: Recording, out_dir: Path, name: str) -> list[Path]:
@@ -119,14 +71,14 @@ def _map(scenario: Scenario, recording: Recording) -> Figure:
     draw_ground(axes, scenario)
     _shade_visits(axes, visit_bar, scenario, recording)
     for u in range(scenario.uavs):
-        _draw_steps(axes, scenario, recording.positions[:, u], u)
+        draw_steps(axes, scenario, recording.positions[:, u], u)
     mean_age = recording.age_sum.mean(axis=0)  # (I,) s
     counts = recording.communications.sum(axis=0)  # (I,)
     scale = age_scale(scenario, recording.layout, mean_age)
-    draw_devices(axes, recording.layout, mean_age, scale, _device_area(counts, int(counts.max())))
+    draw_devices(axes, recording.layout, mean_age, scale, device_area(counts, int(counts.max())))
     add_age_bar(axes, scale, "mean age sum (s)", cax=age_bar)
     label_log_axis(age_bar.yaxis, *age_bar.get_ylim())
-    figure.legend(handles=_fleet_handles(scenario), loc="upper center", ncols=_LEGEND_COLUMNS, borderpad=0)
+    figure.legend(handles=fleet_handles(scenario), loc="upper center", ncols=_LEGEND_COLUMNS, borderpad=0)
     title = "communications of the device"
     figure.legend(handles=_count_handles(counts), loc="lower center", ncols=3, title=title, borderpad=0)
     return figure
@@ -175,7 +127,7 @@ def _shade_visits(axes: Axes, bar_axes: Axes, scenario: Scenario, recording: Rec
     bar_axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
 
 
-def _draw_steps(axes: Axes, scenario: Scenario, way: Floats, uav: int) -> None:
+def draw_steps(axes: Axes, scenario: Scenario, way: Floats, uav: int) -> None:
     """Each step between two cells once, as wide as it was flown often; ``way`` is (K, 2) m."""
     ends = np.stack([way[:-1], way[1:]], axis=1)  # (K-1, 2 ends, 2) m
     ends = ends[np.any(ends[:, 0] != ends[:, 1], axis=1)]  # without the slots stayed
@@ -196,13 +148,15 @@ def _draw_steps(axes: Axes, scenario: Scenario, way: Floats, uav: int) -> None:
     axes.add_collection(lines, autolim=False)
 
 
-def _device_area(counts: NDArray[Any], most: int) -> Floats:
+def device_area(counts: NDArray[Any], most: int) -> Floats:
+    """The area of a device's marker in square points, (I,), from its communications and the ``most`` of any."""
     small, large = _DEVICE_AREA
     area: Floats = small + (large - small) * np.asarray(counts, dtype=np.float64) / max(most, 1)
     return area
 
 
-def _fleet_handles(scenario: Scenario) -> list[Line2D]:
+def fleet_handles(scenario: Scenario) -> list[Line2D]:
+    """The legend's entry of each UAV."""
     shown = range(min(scenario.uavs, _LEGEND_UAVS))
     return [Line2D([], [], color=uav_colour(u), marker="s", mfc="none", ms=5, mew=1.2, label=f"UAV {u}") for u in shown]
 
@@ -211,7 +165,7 @@ def _count_handles(counts: Ints) -> list[Line2D]:
     """The size of a device for the least, a middle and the largest number of communications."""
     most = int(counts.max())
     sizes = np.unique([int(counts.min()), round((int(counts.min()) + most) / 2), most])
-    diameters = np.sqrt(_device_area(sizes, most))
+    diameters = np.sqrt(device_area(sizes, most))
     return [
         Line2D([], [], ls="", marker="o", mfc="white", mec=BLACK, mew=0.6, ms=float(d), label=f"{n:,}")
         for n, d in zip(sizes, diameters, strict=True)
@@ -233,7 +187,7 @@ def _ages(scenario: Scenario, recording: Recording) -> Figure:
     upper.set_ylabel("total age (s)")
     upper.set_xlim(0.5, len(slots) + 0.5)
     scale = age_scale(scenario, recording.layout, recording.age_sum)
-    _draw_strip(lower, recording, scale)
+    draw_strip(lower, recording, scale)
     bar = add_age_bar(lower, scale, "age sum (s)")
     label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
     handles = [
@@ -243,7 +197,7 @@ def _ages(scenario: Scenario, recording: Recording) -> Figure:
     return figure
 
 
-def _draw_strip(axes: Axes, recording: Recording, scale: LogNorm) -> None:
+def draw_strip(axes: Axes, recording: Recording, scale: LogNorm) -> None:
     """Each device's age over the slots, devices in rows by update period, a tick for each communication."""
     slots, devices = recording.age_sum.shape
     order = np.argsort(recording.layout.update_period, kind="stable")  # (I,)

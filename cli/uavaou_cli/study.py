@@ -1,0 +1,128 @@
+"""``uavaou study``: many trainings, resumable, with condensed results."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from uavaou.errors import InputError
+from uavaou_cli.checks import given_path, one_of, within, writable_folder
+
+if TYPE_CHECKING:
+    from uavaou.experiments.studies.engine import Engine
+    from uavaou.experiments.study import Study
+
+ENGINES = ("local", "ray")
+MOST_JOBS = 4096
+
+_FILE = Annotated[str, typer.Argument(metavar="STUDY", help="A study's name (paper, smoke), or a YAML file.")]
+_OUT = Annotated[Path, typer.Option(metavar="DIR", help="The folder of all results.")]
+
+
+def run(
+    ctx: typer.Context,
+    study: _FILE,
+    jobs: Annotated[
+        int | None, typer.Option(metavar="N", help="Runs at a time, of one core each. [default: all cores]")
+    ] = None,
+    engine: Annotated[
+        str, typer.Option(metavar="local|ray", help="Processes of this machine, or tasks of a Ray cluster.")
+    ] = "local",
+    address: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Of the Ray cluster. [default: one is started here]")
+    ] = None,
+    out: _OUT = Path("results"),
+    checkpoint_every: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Between the checkpoints of a run.")
+    ] = 30.0,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+) -> None:
+    """Do what is left of a study: finished runs are skipped, broken ones go on from their checkpoints.
+
+    Writes the run folders that `uavaou train` would, and DIR/studies/<name>/, the condensed results.
+    """
+    one_of("--engine", engine, ENGINES)
+    if jobs is not None:
+        within("--jobs", jobs, 1, MOST_JOBS)
+    within("--checkpoint-every", checkpoint_every, 0, 86_400)
+    if address is not None and (engine != "ray" or not address.strip()):
+        raise InputError(f"--address {address!r}: is that of a Ray cluster, for --engine ray")
+    chosen, folder = _study(study, out)
+    writable_folder(folder)
+    from uavaou.experiments.studies.runner import run_study
+    from uavaou_cli.study_progress import StudyProgress
+    from uavaou_cli.study_tables import study_lines
+
+    with ExitStack() as stack:
+        performer = _engine(stack, engine, jobs, address, ctx.obj["plugins"])
+        progress = stack.enter_context(StudyProgress(quiet))
+        try:
+            outcome = run_study(chosen, out, performer, progress.show, quiet, checkpoint_every)
+        except KeyboardInterrupt:
+            _say_how_to_go_on(ctx.obj["arguments"])
+            raise typer.Exit(130) from None
+    for key, reason in outcome.failed.items():
+        seed = "" if key.seed is None else f", seed {key.seed}"
+        print(f"uavaou: {key.variant} on {key.scenario}{seed} failed: {reason}", file=sys.stderr)
+    if outcome.stopped_by is not None:
+        _say_how_to_go_on(ctx.obj["arguments"], f" with {outcome.done} of {outcome.total} parts done")
+        raise typer.Exit(128 + outcome.stopped_by)
+    print("\n".join(study_lines(folder)))
+    if outcome.failed:
+        raise typer.Exit(1)
+
+
+def status(study: _FILE, out: _OUT = Path("results")) -> None:
+    """Show how the runs of a study stand."""
+    from uavaou.experiments.studies.status import study_status
+    from uavaou_cli.study_tables import status_lines
+
+    chosen, _ = _study(study, out)
+    print("\n".join(status_lines(chosen, study_status(chosen, out))))
+
+
+def report(study: _FILE, out: _OUT = Path("results")) -> None:
+    """Rewrite the condensed results of a study from its finished runs, and print the table."""
+    from uavaou.experiments.lock import only_writer
+    from uavaou.experiments.studies.runner import report_study
+    from uavaou.experiments.studies.store import study_folder
+    from uavaou_cli.study_tables import study_lines
+
+    chosen, folder = _study(study, out)
+    writable_folder(folder)
+    with only_writer(folder, study_folder(out, chosen).lock):
+        _, problems = report_study(chosen, out)
+    for key, reason in problems.items():
+        print(f"uavaou: left out: {key.variant} on {key.scenario}, seed {key.seed}: {reason}", file=sys.stderr)
+    print("\n".join(study_lines(folder)))
+
+
+def _study(name: str, out: Path) -> tuple[Study, Path]:
+    """The study, and the folder of its condensed results."""
+    from uavaou.experiments.studies.store import study_folder
+    from uavaou.experiments.study import Study
+
+    given_path("STUDY", name)
+    chosen = Study.load(name)
+    return chosen, study_folder(out, chosen).path
+
+
+def _engine(stack: ExitStack, name: str, jobs: int | None, address: str | None, plugins: list[str]) -> Engine:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if name == "local":
+        from uavaou.experiments.studies.processes import Processes
+
+        return Processes(jobs or cores, plugins)
+    from uavaou.experiments.studies.cluster import Cluster
+
+    return stack.enter_context(Cluster(jobs if address else jobs or cores, address, plugins))
+
+
+def _say_how_to_go_on(arguments: list[str], kept: str = "") -> None:
+    print(f"uavaou: interrupted{kept}; to go on: {shlex.join(['uavaou', *arguments])}", file=sys.stderr)

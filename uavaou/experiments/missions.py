@@ -1,0 +1,180 @@
+"""One mission, slot by slot: played, kept as a small file, read again without the policy that flew it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaou.errors import InputError
+from uavaou.files import read_json, replacing
+from uavaou.planners.base import Planner
+from uavaou.scenario import Layout, Scenario
+from uavaou.world import World
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SCHEMA = 1
+_MOST_BYTES = 50_000_000
+_LAYOUT = {
+    "devices_m": "positions",
+    "bandwidth_hz": "bandwidth",
+    "transmit_power_w": "transmit_power",
+    "update_period_slots": "update_period",
+}
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One mission; row t - 1 is slot t."""
+
+    positions: Floats  # (K, U, 2) m, where the UAVs were in the slot
+    collected_by: Ints  # (K, I), the u with alpha_iu = 1; -1 for none
+    age_sum: Floats  # (K, I) s, sum_n A_i^n at the slot's end
+    layout: Layout
+
+    @classmethod
+    def from_snapshots(cls, snapshots: Sequence[dict[str, Any]]) -> Recording:
+        """Stack what :meth:`uavaou.world.World.snapshot` gave after each slot, from the first on."""
+        first = snapshots[0]
+        return cls(
+            positions=np.stack([shot["positions"] for shot in snapshots]),
+            collected_by=np.stack([shot["collected_by"] for shot in snapshots]),
+            age_sum=np.stack([shot["age_sum"] for shot in snapshots]),
+            layout=Layout(first["devices"], first["bandwidth"], first["transmit_power"], first["update_period"]),
+        )
+
+    @cached_property
+    def communications(self) -> NDArray[np.bool_]:
+        """Whether a transfer carried at least one update, (K, I)."""
+        slot = np.arange(1, len(self.age_sum) + 1)[:, None]  # (K, 1)
+        generated = slot % self.layout.update_period == 0  # (K, I)
+        at_start = np.ones((1, self.age_sum.shape[1]), dtype=np.bool_)  # every device holds update 0 before slot 1
+        # What is pending at a slot's end has aged by a slot or more, so that an age of 0 means nothing pending.
+        before = np.concatenate([at_start, self.age_sum[:-1] > 0])  # (K, I)
+        carried: NDArray[np.bool_] = (self.collected_by >= 0) & (before | generated)
+        return carried
+
+
+@dataclass(frozen=True)
+class RecordedMission:
+    """A mission and who flew it."""
+
+    scenario: Scenario
+    policy: str  # a study's variant, or a planner
+    training_seed: int | None  # None for a planner
+    mission_seed: int
+    recording: Recording
+
+    @property
+    def mean_aou_slots(self) -> float:
+        """Mean over slots of sum_i sum_n A_i^n[t], in slots."""
+        return float(self.recording.age_sum.sum(axis=1).mean() / self.scenario.slot_length_s)
+
+
+def record_mission(scenario: Scenario, policy: Planner, seed: int) -> Recording:
+    """Play one mission, seeded, and keep what every slot looked like."""
+    world = World(scenario, missions=1, seed=seed)
+    policy.reset(world, seed)
+    snapshots = []
+    while not world.done:
+        world.step(*policy.act(world))
+        snapshots.append(world.snapshot())
+    return Recording.from_snapshots(snapshots)
+
+
+def write_mission(path: Path, mission: RecordedMission) -> None:
+    """Write a mission as JSON, a line for each slot and table: ages in whole slots, positions in m.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    recording = mission.recording
+    ages = np.rint(recording.age_sum / mission.scenario.slot_length_s).astype(np.int64)  # (K, I) whole slots
+    content: dict[str, Any] = {
+        "schema": SCHEMA,
+        "policy": mission.policy,
+        "training_seed": mission.training_seed,
+        "mission_seed": mission.mission_seed,
+        "scenario": mission.scenario.to_dict(),
+        "layout": {name: getattr(recording.layout, field).tolist() for name, field in _LAYOUT.items()},
+        "positions_m": recording.positions.tolist(),
+        "collected_by": recording.collected_by.tolist(),
+        "age_sum_slots": ages.tolist(),
+    }
+    parts = [f"{json.dumps(name)}: {_lines(part)}" for name, part in content.items()]
+    with replacing(path) as file:
+        file.write("{\n" + ",\n".join(parts) + "\n}\n")
+
+
+def _lines(part: Any) -> str:
+    """Compact JSON; a list of lists with a line for each of its rows, so that versions can be compared."""
+    if isinstance(part, list):
+        return "[\n" + ",\n".join(json.dumps(row, separators=(",", ":")) for row in part) + "\n]"
+    return json.dumps(part)
+
+
+def read_mission(path: Path) -> RecordedMission:
+    """Read what :func:`write_mission` wrote.
+
+    Raises:
+        InputError: the file cannot be read, or a field is missing or of another shape.
+    """
+    content = read_json(path, _MOST_BYTES)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise InputError(f"{path}: not a recorded mission of schema {SCHEMA}")
+    if not isinstance(content.get("scenario"), dict):
+        raise InputError(f"{path}: field 'scenario' is missing or not a mapping")
+    scenario = Scenario.from_dict(content["scenario"], source=f"{path}: scenario")
+    slots, uavs, devices = scenario.slots, scenario.uavs, scenario.devices
+    layout = content.get("layout")
+    if not isinstance(layout, dict):
+        raise InputError(f"{path}: field 'layout' is missing or not a mapping")
+    recording = Recording(
+        positions=_array(path, content, "positions_m", (slots, uavs, 2)),
+        collected_by=_whole(path, content, "collected_by", (slots, devices)),
+        age_sum=_array(path, content, "age_sum_slots", (slots, devices)) * scenario.slot_length_s,
+        layout=Layout(
+            _array(path, layout, "devices_m", (devices, 2)),
+            _array(path, layout, "bandwidth_hz", (devices,)),
+            _array(path, layout, "transmit_power_w", (devices,)),
+            _whole(path, layout, "update_period_slots", (devices,)),
+        ),
+    )
+    if not -1 <= recording.collected_by.min() <= recording.collected_by.max() < uavs:
+        raise InputError(f"{path}: field 'collected_by' names UAVs outside 0 to {uavs - 1}")
+    if recording.layout.update_period.min() < 1:
+        raise InputError(f"{path}: field 'update_period_slots' has a period below 1")
+    seed = content.get("training_seed")
+    return RecordedMission(
+        scenario,
+        str(content.get("policy", path.stem)),
+        seed if isinstance(seed, int) else None,
+        int(_array(path, content, "mission_seed", ())),
+        recording,
+    )
+
+
+def _array(path: Path, content: dict[str, Any], field: str, shape: tuple[int, ...]) -> Floats:
+    try:
+        values = np.asarray(content.get(field), dtype=np.float64)
+    except (ValueError, TypeError):
+        values = np.full(1, np.nan)
+    if values.shape != shape or not np.isfinite(values).all():
+        raise InputError(f"{path}: field '{field}' is missing or not an array of numbers of shape {shape}")
+    return values
+
+
+def _whole(path: Path, content: dict[str, Any], field: str, shape: tuple[int, ...]) -> Ints:
+    values = _array(path, content, field, shape)
+    whole = np.rint(values).astype(np.int64)
+    if (whole != values).any():
+        raise InputError(f"{path}: field '{field}' holds numbers that are not whole")
+    return whole

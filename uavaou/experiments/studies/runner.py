@@ -1,0 +1,353 @@
+"""Runs a study: what is left to do, in order, and the condensed results after each part of it."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from uavaou.errors import InputError
+from uavaou.experiments.folder import RunFolder, scenario_folder, write_json
+from uavaou.experiments.interrupt import Interrupts
+from uavaou.experiments.lock import only_writer
+from uavaou.experiments.studies.best import keep_best
+from uavaou.experiments.studies.condense import bound_rows, evaluation_rows, run_rows
+from uavaou.experiments.studies.engine import Advanced, Ended, Engine
+from uavaou.experiments.studies.jobs import (
+    PLAN,
+    Bounding,
+    Job,
+    Key,
+    Planning,
+    Playing,
+    Report,
+    Training,
+    find_evaluation,
+    reference_keys,
+    run_key,
+)
+from uavaou.experiments.studies.store import StudyStore, read_failures, study_folder, write_failures
+from uavaou.experiments.study import ANNEALED, BOUND, Study, StudyRun
+from uavaou.files import read_json
+from uavaou.planners.plan import Plan
+
+
+@dataclass
+class Standing:
+    """How a study stands, for the display.
+
+    Attributes:
+        total: trainings, planners and bounds of the study.
+        done: those that have results.
+        failed: why others have none.
+        running: the last report of each training that runs; None before the first.
+        budget: slots of each training.
+        slots: trained by this command.
+        left: slots still to be trained.
+        busy_s: how long trainings have been running.
+        tau_s: slot length of each scenario.
+        news: what has ended since the last look, in words.
+    """
+
+    total: int
+    budget: dict[Key, int]
+    tau_s: dict[str, float]
+    done: int = 0
+    failed: dict[Key, str] = field(default_factory=dict)
+    running: dict[Key, Report | None] = field(default_factory=dict)
+    slots: int = 0
+    left: int = 0
+    busy_s: float = 0.0
+    news: list[str] = field(default_factory=list)
+    _looked: float = field(default_factory=time.monotonic)
+
+    @property
+    def rate(self) -> float:
+        """Slots a second, of all runs together."""
+        return self.slots / max(self.busy_s, 1e-9)
+
+    def tick(self) -> None:
+        """Time has passed."""
+        now = time.monotonic()
+        if any(key.seed is not None for key in self.running):
+            self.busy_s += now - self._looked
+        self._looked = now
+
+
+@dataclass(frozen=True)
+class StudyOutcome:
+    """How the command ended."""
+
+    done: int
+    total: int
+    failed: dict[Key, str]
+    stopped_by: signal.Signals | None
+
+
+Show = Callable[[Standing], None]
+
+
+def run_study(
+    study: Study, out: Path, engine: Engine, show: Show, quiet: bool = False, checkpoint_every_s: float | None = None
+) -> StudyOutcome:
+    """Do what is left of a study.
+
+    Args:
+        study: what is run.
+        out: the folder of all results.
+        engine: what performs the jobs.
+        show: called whenever something has happened, and twice a second.
+        quiet: say nothing at an interrupt.
+        checkpoint_every_s: between checkpoints; None: as ``uavaou train`` does.
+
+    Raises:
+        InputError: the results folder holds another study's, is written by another process, or cannot be written.
+    """
+    folder = study_folder(out, study)
+    with only_writer(folder.path, folder.lock):
+        work = _Work(study, out, checkpoint_every_s)
+        with (
+            Interrupts(quiet) as interrupts,
+            closing(engine.events(work.take, lambda: interrupts.received is not None)) as events,
+        ):
+            show(work.standing)
+            for event in events:
+                if isinstance(event, Advanced):
+                    work.advance(event.key, event.report)
+                elif isinstance(event, Ended):
+                    work.end(event)
+                work.standing.tick()
+                show(work.standing)
+        standing = work.standing
+        return StudyOutcome(standing.done, standing.total, standing.failed, interrupts.received)
+
+
+class _Work:
+    """What is left of a study, and what has come of the rest.
+
+    Args:
+        study: what is run.
+        out: the folder of all results.
+        checkpoint_every_s: of trainings.
+    """
+
+    def __init__(self, study: Study, out: Path, checkpoint_every_s: float | None) -> None:
+        self._study = study
+        self._out = out
+        self._every_s = checkpoint_every_s
+        self._runs = {run_key(run): run for run in study.runs()}
+        self._store, _ = report_study(study, out)  # what is damaged is tried again, and says so then
+        self._plans: dict[str, Plan | None] = {}  # by scenario; None: being made
+        todo = [key for key in _order(study) if key not in self._store]
+        self._todo = todo
+        budget = {key: run.config.algorithm.slots for key, run in self._runs.items()}
+        tau_s = {name: scenario.slot_length_s for name, scenario in study.scenarios.items()}
+        done = len(self._runs) + len(reference_keys(study)) - len(todo)
+        self.standing = Standing(done + len(todo), budget, tau_s, done)
+        self._trained = {key: trained_slots(study.folder(out, self._runs[key])) for key in todo if key in self._runs}
+        self.standing.left = sum(max(budget[key] - slots, 0) for key, slots in self._trained.items())
+        write_failures(self._store.folder, {})
+
+    def take(self) -> Job | None:
+        """The next job whose plan, where it needs one, is there."""
+        for key in list(self._todo):
+            try:
+                job = self._job(key)
+            except InputError as problem:
+                self._todo.remove(key)
+                self._fail(key, str(problem))
+                continue
+            if job is not None:
+                if not isinstance(job, Planning):
+                    self._todo.remove(key)
+                    self.standing.running[key] = None
+                return job
+        return None
+
+    def _job(self, key: Key) -> Job | None:
+        if key in self._runs:
+            run = self._runs[key]
+            path = self._study.folder(self._out, run).path
+            return Training(key, run.config, path, self._study.episodes, self._every_s)
+        scenario = self._study.scenarios[key.scenario]
+        if key.variant == BOUND:
+            return Bounding(key, scenario)
+        plan = None
+        if key.variant in ANNEALED:
+            if key.scenario not in self._plans:
+                self._plans[key.scenario] = saved_plan(self._study, self._out, key.scenario)
+                if self._plans[key.scenario] is None:
+                    return Planning(Key(PLAN, key.scenario), scenario, self._study.planning_seconds)
+            plan = self._plans[key.scenario]
+            if plan is None:
+                return None  # it is being made
+        return Playing(key, scenario, self._study.episodes, self._study.planning_seconds, plan)
+
+    def advance(self, key: Key, report: Report) -> None:
+        """A training has made an update."""
+        self.standing.running[key] = report
+        step = max(report.slots - self._trained[key], 0)
+        self._trained[key] += step
+        self.standing.slots += step
+        self.standing.left = max(self.standing.left - step, 0)
+
+    def end(self, event: Ended) -> None:
+        """A job has ended: keep what came of it, before anything else."""
+        key = event.key
+        if key.variant == PLAN:
+            self._end_plan(event)
+            return
+        self.standing.running.pop(key, None)
+        if event.result is None:
+            if event.reason:
+                self._fail(key, event.reason)
+            return
+        try:
+            self._condense(key, event.result)
+        except InputError as problem:
+            self._fail(key, str(problem))
+            return
+        self.standing.done += 1
+        self.standing.news.append(f"{_label(key)}: {self._figure(key)}")
+
+    def _end_plan(self, event: Ended) -> None:
+        waiting = [key for key in self._todo if key.scenario == event.key.scenario and key.variant in ANNEALED]
+        if event.result is not None:
+            path = plan_path(self._out, self._study, event.key.scenario)
+            write_json(path, event.result)
+            self._plans[event.key.scenario], _ = Plan.load(path)
+        elif event.reason:
+            for key in waiting:
+                self._todo.remove(key)
+                self._fail(key, f"no plan: {event.reason}")
+
+    def _fail(self, key: Key, reason: str) -> None:
+        self.standing.failed[key] = reason
+        if key in self._runs:
+            self.standing.left -= max(self.standing.budget[key] - self._trained[key], 0)
+        self.standing.news.append(f"{_label(key)} failed: {reason}")
+        write_failures(self._store.folder, self.standing.failed)
+
+    def _condense(self, key: Key, result: dict[str, Any]) -> None:
+        scenario = self._study.scenarios[key.scenario]
+        if key in self._runs:
+            if not condense_run(self._store, self._study, self._out, self._runs[key]):
+                raise InputError(f"'{self._study.folder(self._out, self._runs[key]).path}' is not finished")
+        elif key.variant == BOUND:
+            self._store.put(key, bound_rows(key, scenario, result))
+        else:
+            self._store.put(key, evaluation_rows(key, scenario, result, key.variant))
+        self._store.write(self._study)
+        if key in self._runs:
+            keep_best(self._store, self._study, self._out)
+
+    def _figure(self, key: Key) -> str:
+        mean, low, high = self._store.mean(key)
+        return f"mean AoU {mean} slots" + (f" ({low} to {high})" if low else "")
+
+
+def _order(study: Study) -> list[Key]:
+    """Every variant with the first seed, then what stands beside them, then the other seeds."""
+    runs = [run_key(run) for run in study.runs()]
+    first = [key for key in runs if key.seed == study.seeds[0]]
+    return [*first, *reference_keys(study), *runs[len(first) :]]
+
+
+def _label(key: Key) -> str:
+    return f"{key.variant} on {key.scenario}" + ("" if key.seed is None else f", seed {key.seed}")
+
+
+def plan_path(out: Path, study: Study, scenario: str) -> Path:
+    """Where the annealed plan of a scenario is kept, for all studies."""
+    return out / "planners" / "plans" / f"{scenario_folder(study.scenarios[scenario])}.json"
+
+
+def saved_plan(study: Study, out: Path, scenario: str) -> Plan | None:
+    """The plan that is kept for a scenario; None where there is none, or one of less planning.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    path = plan_path(out, study, scenario)
+    if not path.is_file():
+        return None
+    plan, planned_for = Plan.load(path)
+    seconds = read_json(path).get("planning_seconds", study.planning_seconds)  # those of benchmarks do not say
+    enough = isinstance(seconds, int | float) and seconds >= study.planning_seconds
+    return plan if enough and not plan.interrupted and planned_for == study.scenarios[scenario] else None
+
+
+def trained_slots(folder: RunFolder) -> int:
+    """How far a run's training is, by its last finished mission or its last checkpoint."""
+    try:
+        stated = int(read_json(folder.meta)["slots"])
+    except (InputError, KeyError, TypeError, ValueError):
+        stated = 0
+    try:
+        with folder.episodes.open("rb") as file:
+            file.seek(max(file.seek(0, 2) - 4096, 0))
+            lines = file.read().decode("utf-8", "replace").split("\n")
+        return max(int(lines[-2].split(",")[1]), stated)  # the last line has no end yet, or is empty
+    except (OSError, ValueError, IndexError):
+        return stated
+
+
+def is_trained(folder: RunFolder, run: StudyRun) -> bool:
+    """Whether a run's folder holds this training, to the end of its budget.
+
+    Raises:
+        InputError: the folder holds something else.
+    """
+    if not folder.exists():
+        return False
+    if folder.read_config() != run.config:
+        raise InputError(f"'{folder.path}' holds a run with another configuration (see its config.yaml)")
+    try:
+        return bool(read_json(folder.meta)["finished"])
+    except (InputError, KeyError, TypeError):
+        return False
+
+
+def condense_run(store: StudyStore, study: Study, out: Path, run: StudyRun) -> bool:
+    """Take a run's figures from its folder; False where it is not trained and evaluated to the end.
+
+    Raises:
+        InputError: the folder holds another run, or a file of it is damaged.
+    """
+    folder, name = study.folder(out, run), run.config.algorithm.name
+    evaluation = find_evaluation(folder, name, study.episodes) if is_trained(folder, run) else None
+    if evaluation is None:
+        return False
+    store.put(run_key(run), run_rows(run_key(run), name, run.config.scenario, folder, evaluation))
+    store.write_config(run_key(run), run.config)
+    return True
+
+
+def report_study(study: Study, out: Path) -> tuple[StudyStore, dict[Key, str]]:
+    """(Re)write the condensed results from what has finished; runs that are not here keep the rows they have.
+
+    Returns:
+        The results, and why runs that are here could not be read.
+
+    Raises:
+        InputError: the results folder holds another study's, or cannot be written.
+    """
+    store, problems = StudyStore(study_folder(out, study)), {}
+    store.check(study)
+    for run in study.runs():
+        try:
+            condense_run(store, study, out, run)
+        except InputError as problem:
+            problems[run_key(run)] = str(problem)
+    store.write(study)
+    keep_best(store, study, out)
+    return store, problems
+
+
+def failures_of(study: Study, out: Path, keys: Sequence[Key]) -> dict[Key, str]:
+    """Why runs failed when they were last tried, of those that are still without results."""
+    return {key: why for key, why in read_failures(study_folder(out, study)).items() if key in keys}

@@ -1,0 +1,135 @@
+"""A study's policies over all its scenarios: interquartile means, probability of improvement, performance profiles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.ticker import FuncFormatter
+from numpy.typing import NDArray
+
+from uavaou.envs.map import BLACK
+from uavaou.experiments.stratified import (
+    Estimate,
+    interquartile_mean,
+    performance_profile,
+    probability_of_improvement,
+)
+from uavaou.experiments.study_tables import StudyTables
+from uavaou.reports import style
+from uavaou.reports.drawing import Looks
+from uavaou.reports.references import FIXED_RULES, comparable, in_all_scenarios
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+Scores = Mapping[str, Mapping[str, Floats]]  # variant -> scenario -> (S, M)
+
+OWN = "mappo"  # the algorithm that the others are compared with
+_THRESHOLDS = 120
+_ROW_IN = 0.2  # of a bar
+
+
+def aggregate_figures(study: StudyTables) -> dict[str, Figure]:
+    """``aou-iqm``, ``probability-of-improvement`` and ``performance-profile``, as far as there are scores for them.
+
+    Policies that have not flown in every scenario are left out, and so are ``random`` and ``stay``, beside which
+    no difference between the others would show.
+    """
+    planners = [name for name in study.planners if name not in FIXED_RULES]
+    found = in_all_scenarios(study, [*study.algorithms, *planners])
+    if not found:
+        return {}
+    scores, unit = comparable(study, found)
+    looks = style.looks([*study.algorithms, *study.planners], study.algorithms)
+    note = f"95 % stratified bootstrap interval over\nseeds and missions of {_counted(study)}"
+    figures = {"aou-iqm": _iqm_figure(scores, unit, looks, note)}
+    own = OWN if OWN in scores else next(iter(scores))
+    others = [name for name in scores if name != own]
+    if others:
+        figures["probability-of-improvement"] = _improvement_figure(scores, own, others, looks, note)
+    figures["performance-profile"] = _profile_figure(scores, unit, looks, note)
+    return figures
+
+
+def _counted(study: StudyTables) -> str:
+    number = len(study.scenarios)
+    return "1 scenario" if number == 1 else f"{number} scenarios"
+
+
+def _iqm_figure(scores: Scores, unit: str, looks: Looks, note: str) -> Figure:
+    estimates = {name: interquartile_mean(tables) for name, tables in scores.items()}
+    order = sorted(estimates, key=lambda name: estimates[name].value)
+    figure, axes = style.new_axes(height_in=0.9 + _ROW_IN * len(order))
+    _draw_bars(axes, [estimates[name] for name in order], [looks[name] for name in order])
+    axes.set_yticks(range(len(order)), [_row_label(looks[name], scores[name]) for name in order])
+    values = np.array([estimates[name].value for name in order])
+    if values.min() > 0 and values.max() > 10 * values.min():
+        axes.set_xscale("log")
+        style.label_log_axis(axes.xaxis, *axes.get_xlim())
+    _label(figure, f"AoU, interquartile mean, {unit}", note)
+    return figure
+
+
+def _row_label(look: style.Look, tables: Mapping[str, Floats]) -> str:
+    runs = {len(table) for table in tables.values()}
+    return look.label + (f" ({max(runs)} seeds)" if max(runs) > 1 else "")
+
+
+def _label(figure: Figure, text: str, note: str) -> None:
+    """What the x axis shows and what the bars mean, across the figure: long names of rows leave the axes little."""
+    figure.supxlabel(f"{text}\n{note}", fontsize=7, linespacing=1.3)
+
+
+def _draw_bars(axes: Axes, estimates: Sequence[Estimate], looks: Sequence[style.Look]) -> None:
+    """A row for each estimate from the top: its interval as a bar, its value as a line in it."""
+    for row, (estimate, look) in enumerate(zip(estimates, looks, strict=True)):
+        if np.isfinite(estimate.low):
+            axes.barh(row, estimate.high - estimate.low, 0.6, estimate.low, color=look.colour, alpha=0.6)
+        axes.vlines(estimate.value, row - 0.36, row + 0.36, color=BLACK, linewidth=1.2)
+    axes.set_ylim(len(estimates) - 0.4, -0.6)
+    axes.grid(axis="y", visible=False)
+    axes.tick_params(axis="y", length=0)
+
+
+def _improvement_figure(scores: Scores, own: str, others: list[str], looks: Looks, note: str) -> Figure:
+    """How often a mission of ``own`` is fresher than one of each other policy."""
+    estimates = [probability_of_improvement(scores[own], scores[other]) for other in others]
+    figure, axes = style.new_axes(height_in=1.05 + _ROW_IN * len(others))
+    _draw_bars(axes, estimates, [looks[other] for other in others])
+    axes.axvline(0.5, color=style.GREY, linewidth=0.8, linestyle=(0, (4, 1.5)))
+    axes.set_yticks(range(len(others)), [f"than {looks[other].label}" for other in others])
+    axes.set_xlim(-0.02, 1.02)
+    _label(figure, f"probability of a lower AoU in a mission with {looks[own].label}", note)
+    return figure
+
+
+def _profile_figure(scores: Scores, unit: str, looks: Looks, note: str) -> Figure:
+    """The share of missions flown with an AoU of at most x."""
+    values = np.concatenate([table.ravel() for tables in scores.values() for table in tables.values()])
+    low, high = float(values.min()), float(values.max())
+    wide = low > 0 and high > 5 * low
+    margin = (high / low) ** 0.03 if wide else 0.03 * (high - low) or 1.0
+    thresholds = (
+        np.geomspace(low / margin, high * margin, _THRESHOLDS)
+        if wide
+        else np.linspace(low - margin, high + margin, _THRESHOLDS)
+    )
+    figure, axes = style.new_axes(height_in=3.0)
+    for name, tables in scores.items():
+        share, bottom, top = performance_profile(tables, thresholds)
+        look = looks[name]
+        axes.fill_between(thresholds, bottom, top, color=look.colour, alpha=0.18, linewidth=0)
+        axes.plot(thresholds, share, color=look.colour, linestyle=look.dash, label=look.label)
+    if wide:
+        axes.set_xscale("log")
+        style.label_log_axis(axes.xaxis, low, high)
+    else:
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.compact(value)))
+    axes.set(xlim=(thresholds[0], thresholds[-1]), ylim=(-0.02, 1.02))
+    axes.set(xlabel=f"AoU $x$, {unit}", ylabel="share of missions\nwith AoU $\\leq x$")
+    style.legend_below(figure, axes, "bands: " + note)
+    return figure

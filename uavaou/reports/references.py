@@ -1,0 +1,61 @@
+"""What a study's policies are measured against: the best planner, the lower bound."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaou.experiments.study_tables import StudyTables
+
+Floats = NDArray[np.float64]
+
+FIXED_RULES = ("random", "stay")  # planners that look at nothing; all the others see every device's true age
+
+
+def best_planner(study: StudyTables, scenarios: Sequence[str]) -> str | None:
+    """The full-information planner of the lowest AoU, by the geometric mean over the scenarios; None without one.
+
+    Planners that have not flown in all the scenarios are not compared.
+    """
+    levels = {}
+    for name in study.planners:
+        flown = study.missions(name, "mean_aou_slots", scenarios)
+        if name not in FIXED_RULES and scenarios and len(flown) == len(scenarios):
+            means = np.array([table.mean() for table in flown.values()])
+            levels[name] = float(np.log(np.maximum(means, 1e-300)).mean())
+    return min(levels, key=lambda name: levels[name]) if levels else None
+
+
+def in_all_scenarios(study: StudyTables, variants: Sequence[str]) -> dict[str, dict[str, Floats]]:
+    """Variant -> scenario -> AoU of its missions (S, M) in slots, of the variants that flew in every scenario."""
+    found = {name: study.missions(name, "mean_aou_slots") for name in variants}
+    return {name: tables for name, tables in found.items() if len(tables) == len(study.scenarios)}
+
+
+def comparable(
+    study: StudyTables, scores: Mapping[str, Mapping[str, Floats]]
+) -> tuple[dict[str, dict[str, Floats]], str]:
+    """Scores of several scenarios in one unit, and the unit's name.
+
+    One scenario: slots. Several: multiples of each scenario's lower bound, where each has one; else of its best
+    planner; else of the mean of all its scores.
+    """
+    names = list(study.scenarios)
+    if len(names) == 1:
+        return {name: dict(tables) for name, tables in scores.items()}, "in slots $\\tau$"
+    best = best_planner(study, names)
+    if all(study.bounds.get(name, 0) > 0 for name in names):
+        levels, unit = {name: study.bounds[name] for name in names}, "as a multiple of the lower bound"
+    elif best is not None:
+        flown = study.missions(best, "mean_aou_slots")
+        levels, unit = {name: float(flown[name].mean()) for name in names}, f"as a multiple of {best}'s"
+    else:
+        levels = {name: float(np.mean([tables[name].mean() for tables in scores.values()])) for name in names}
+        unit = "as a multiple of the mean of all"
+    shared = {
+        name: {scenario: table / levels[scenario] for scenario, table in tables.items()}
+        for name, tables in scores.items()
+    }
+    return shared, unit
