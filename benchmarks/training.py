@@ -30,7 +30,7 @@ STOCK = "stock SB3 PPO on SuperSuit's stage"
 
 
 def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:
-    """Agent steps a second, updates included, with the published rollout, minibatch and epochs, with two sizes of networks."""
+    """Agent steps a second, updates included, with the published rollout, minibatch, epochs; two sizes of networks."""
     return [measured for hidden in ([128, 128], [256, 256]) for measured in _training(repeats, rollout_slots, hidden)]
 
 

@@ -60,6 +60,12 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
         "--episodes": no_counts,
     },
     "export nowhere --out x": {"--format": no_names},
+    "study run smoke": {
+        "--jobs": no_counts | st.just("0"), "--engine": no_names, "--address": no_names, "--out": st.just("file"),
+        "--checkpoint-every": no_numbers | st.just("-1"),
+    },
+    "study status smoke": {"--out": st.just("file")},
+    "study report smoke": {"--out": st.just("file")},
     "plot trajectories nowhere": {"--episode-seed": no_counts},
     "plot suite nowhere.csv": {"--out": st.just("file")},
 }  # fmt: skip
@@ -229,6 +235,39 @@ def test_suite_files(refused: Callable[..., None], place: Path, field: str, valu
 def test_files_that_are_no_suite(refused: Callable[..., None], place: Path, text: str) -> None:
     (place / "suite.yaml").write_text(text)
     refused("eval", "--suite", "suite.yaml")
+
+
+# -- study files ---------------------------------------------------------------------------------------
+
+STUDY = {"seeds": 1, "scenarios": ["tiny"], "variants": {"mappo": {}}, "planners": ["greedy"], "episodes": 2}
+
+
+@pytest.mark.slow
+@settings(max_examples=300)
+@given(
+    command=st.sampled_from(["run", "status", "report"]),
+    field=st.sampled_from([*STUDY, "slots", "bound", "planning_seconds", "description", "sedes"]),
+    value=st.sampled_from(NONSENSE),
+    cut=st.none() | st.integers(1, 40),
+)
+def test_study_files(
+    refused: Callable[..., None], place: Path, command: str, field: str, value: Any, cut: int | None
+) -> None:
+    harmless = {"description": ("text", "", "1e5x"), "planners": ([],), "bound": (True,), "seeds": ()}
+    if value in harmless.get(field, ()) and type(value) in (str, list, bool):
+        value = None
+    text = yaml.safe_dump(STUDY | {field: value}, sort_keys=False)
+    if cut is not None:
+        text = text[: len(text) * cut // 100]
+    (place / "study.yaml").write_text(text)
+    refused("study", command, "study.yaml")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("text", [text for text in BROKEN_YAML if "base: tiny" not in text], ids=lambda text: text[:12])
+def test_files_that_are_no_study(refused: Callable[..., None], place: Path, text: str) -> None:
+    (place / "study.yaml").write_text(text)
+    refused("study", "run", "study.yaml")
 
 
 # -- run folders ---------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from uavaou.errors import InputError
 from uavaou_cli.checks import LARGEST_SEED, within, writable_folder
 
 

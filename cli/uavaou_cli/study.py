@@ -90,7 +90,7 @@ def status(study: _FILE, out: _OUT = Path("results")) -> None:
 def report(study: _FILE, out: _OUT = Path("results")) -> None:
     """Rewrite the condensed results of a study from its finished runs, and print the table."""
     from uavaou.experiments.lock import only_writer
-    from uavaou.experiments.studies.runner import report_study
+    from uavaou.experiments.studies.finished import report_study
     from uavaou.experiments.studies.store import study_folder
     from uavaou_cli.study_tables import study_lines
 
@@ -109,6 +109,8 @@ def _study(name: str, out: Path) -> tuple[Study, Path]:
     from uavaou.experiments.study import Study
 
     given_path("STUDY", name)
+    if out.exists() and not out.is_dir():
+        raise InputError(f"--out {out}: is not a folder")
     chosen = Study.load(name)
     return chosen, study_folder(out, chosen).path
 

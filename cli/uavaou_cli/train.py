@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -104,7 +105,7 @@ def _plan(
     return config, run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)
 
 
-def _again(path: Path, out: Path, given: dict[str, object]) -> tuple[RunConfig, RunFolder]:
+def _again(path: Path, out: Path, given: Mapping[str, object]) -> tuple[RunConfig, RunFolder]:
     """The training of a ``config.yaml``, which nothing is added to, and its folder."""
     from uavaou.experiments.folder import config_folder, read_config
 

@@ -1,7 +1,7 @@
 """What a study is: variants of algorithms, scenarios and seeds, and the planners and bounds beside them.
 
-``zoo_configs/studies/*.yaml`` and a user's own files have the fields of :class:`_Fields`; :meth:`Study.load` checks
-them and resolves every run's configuration before anything is trained.
+``zoo_configs/studies/*.yaml`` and a user's own files have the fields of ``StudyFields``; :meth:`Study.load` checks them
+and resolves every run's configuration before anything is trained.
 """
 
 from __future__ import annotations
@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, StrictStr, ValidationError
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, nearest
 from uavaou.experiments.folder import RunConfig, RunFolder, config_folder
-from uavaou.fields import Positive, PositiveWhole, explain_validation, short
+from uavaou.experiments.study_fields import MOST_RUNS, ScenarioEntry, StudyFields, VariantEntry, usable_name, validated
+from uavaou.fields import short
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
 from uavaou.scenario import Scenario
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
@@ -26,57 +26,8 @@ from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 SCHEMA = 1  # of study.yaml
 EVALUATION_SEED = 10_000  # mission j of every evaluation is seeded with this + j, as `uavaou eval` does
 BOUND = "bound"
-LARGEST_SEED = 2**32 - 1
-MOST_RUNS = 100_000
-_LONGEST_NAME = 60
 ANNEALED = ("anneal", "rolling")  # planners that take off with an annealed plan
 _PLAN_AHEAD = {*ROUTE_PLANNERS, *ANNEALED}
-
-
-def _seeds(value: Any) -> Any:
-    """A number of seeds, or the seeds."""
-    one = isinstance(value, int) and not isinstance(value, bool)
-    seeds = list(range(value)) if one and 0 <= value <= MOST_RUNS else value
-    if not isinstance(seeds, list) or not seeds or len(seeds) > MOST_RUNS:
-        raise ValueError("expected a number of seeds, such as 5 for 0 to 4, or a list of them")
-    for seed in seeds:
-        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= LARGEST_SEED:
-            raise ValueError(f"expected whole numbers from 0 to {LARGEST_SEED}, not {short(seed)}")
-    if len(set(seeds)) < len(seeds):
-        twice = next(seed for index, seed in enumerate(seeds) if seed in seeds[:index])
-        raise ValueError(f"seed {twice} stands there twice")
-    return tuple(seeds)
-
-
-class _Fields(BaseModel):
-    """The fields of a study's file; the entries of ``scenarios`` and ``variants`` are looked at one by one."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    description: StrictStr = ""
-    slots: PositiveWhole | None = None  # training budget of every run; None: each algorithm's published one
-    seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)]
-    scenarios: Annotated[list[Any], Field(min_length=1)]
-    variants: Annotated[dict[StrictStr, Any], Field(min_length=1)]
-    planners: list[StrictStr] = []
-    bound: StrictBool = False
-    planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of annealing, once a scenario
-    episodes: Annotated[PositiveWhole, Field(le=10_000)] = 100  # missions of the final evaluation
-
-
-class _ScenarioEntry(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    scenario: StrictStr
-    set: dict[StrictStr, Any] = {}
-    name: StrictStr | None = None
-
-
-class _VariantEntry(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    algorithm: StrictStr | None = None  # None: that of the variant's name
-    set: dict[StrictStr, Any] = {}
 
 
 @dataclass(frozen=True)
@@ -87,11 +38,6 @@ class StudyRun:
     scenario: str  # its name in the study
     seed: int
     config: RunConfig
-
-    @property
-    def label(self) -> str:
-        """How it is called in messages."""
-        return f"{self.variant} on {self.scenario}, seed {self.seed}"
 
 
 @dataclass(frozen=True)
@@ -141,17 +87,17 @@ class Study:
     def from_file(cls, path: Path) -> Study:
         """Load a study from a YAML file; scenario files are found beside it."""
         content = read_yaml_mapping(path)
-        fields = _validated(_Fields, content, str(path))
+        fields = validated(StudyFields, content, str(path))
         if fields.slots is None and "slots" in content:
             raise InputError(f"{path}: slots = None: expected a number; leave it out for the published budgets")
-        scenarios = dict(_scenario(entry, f"{path}: scenarios[{k}]", path) for k, entry in enumerate(fields.scenarios))
-        _check_distinct([_scenario_name(entry, path) for entry in fields.scenarios], f"{path}: scenarios")
+        entries = [_scenario(entry, f"{path}: scenarios[{k}]", path) for k, entry in enumerate(fields.scenarios)]
+        _check_distinct([name for name, _ in entries], f"{path}: scenarios")
         variants = {
             name: _variant(name, entry, fields.slots, f"{path}: variants.{short(name)}")
             for name, entry in fields.variants.items()
         }
         study = cls(
-            path.stem, fields.description, fields.seeds, scenarios, variants, tuple(fields.planners), fields.bound,
+            path.stem, fields.description, fields.seeds, dict(entries), variants, tuple(fields.planners), fields.bound,
             fields.planning_seconds, fields.episodes,
         )  # fmt: skip
         _check(study, str(path))
@@ -196,34 +142,20 @@ class _PlainDumper(yaml.SafeDumper):
         return True
 
 
-_Entry = TypeVar("_Entry", bound=BaseModel)
-
-
-def _validated(kind: type[_Entry], content: Any, source: str) -> _Entry:
-    if not isinstance(content, dict):
-        raise InputError(f"{source} = {short(content)}: expected a mapping with {', '.join(kind.model_fields)}")
-    try:
-        return kind.model_validate(content)
-    except ValidationError as error:
-        raise InputError(f"{source}: {explain_validation(error, list(kind.model_fields))}") from None
-
-
-def _scenario_entry(entry: Any, source: str) -> _ScenarioEntry:
-    return _validated(_ScenarioEntry, {"scenario": entry} if isinstance(entry, str) else entry, source)
-
-
 def _scenario(entry: Any, source: str, path: Path) -> tuple[str, Scenario]:
-    """The name and the scenario of an entry."""
-    stated = _scenario_entry(entry, source)
-    scenario = _load_scenario(stated.scenario, source, path)
+    """The name in the study and the scenario of an entry: a name or a path, or a mapping that changes it."""
+    stated = validated(ScenarioEntry, {"scenario": entry} if isinstance(entry, str) else entry, source)
     if "name" in stated.set:
         raise InputError(f"{source}: set.name: write name beside set")
+    scenario = _load_scenario(stated.scenario, source, path)
+    changed = ",".join(f"{key}={value}" for key, value in sorted(stated.set.items()))
+    name = stated.name or (f"{scenario.name}+{changed}" if changed else scenario.name)
     if stated.set:
         try:
             scenario = scenario.replace(**stated.set)
         except InputError as error:
             raise InputError(f"{source}: set: {error}") from None
-    return _usable_name(_scenario_name(entry, path), f"{source}: name"), scenario
+    return usable_name(name, f"{source}: name"), scenario
 
 
 def _load_scenario(name: str, source: str, path: Path) -> Scenario:
@@ -234,19 +166,9 @@ def _load_scenario(name: str, source: str, path: Path) -> Scenario:
         raise InputError(f"{source}: {error}") from None
 
 
-def _scenario_name(entry: Any, path: Path) -> str:
-    """What an entry's scenario is called: its stated name, or by what is changed of it."""
-    stated = _scenario_entry(entry, str(path))
-    if stated.name is not None:
-        return stated.name
-    base = _load_scenario(stated.scenario, str(path), path).name
-    changed = ",".join(f"{key}={value}" for key, value in sorted(stated.set.items()))
-    return f"{base}+{changed}" if changed else base
-
-
 def _variant(name: str, entry: Any, slots: int | None, source: str) -> AlgorithmConfig:
-    stated = _validated(_VariantEntry, {} if entry is None else entry, source)
-    _usable_name(name, source)
+    stated = validated(VariantEntry, {} if entry is None else entry, source)
+    usable_name(name, source)
     if name in PLANNERS or name == BOUND:
         raise InputError(f"{source}: a planner or the bound has that name: choose another")
     changes = dict(stated.set)
@@ -259,16 +181,6 @@ def _variant(name: str, entry: Any, slots: int | None, source: str) -> Algorithm
     except InputError as error:
         hint = "" if stated.algorithm else "; a variant of another name states its algorithm"
         raise InputError(f"{source}: {error}{hint if 'unknown algorithm' in str(error) else ''}") from None
-
-
-def _usable_name(name: str, source: str) -> str:
-    """Refuse a name that could not be a folder's and stand in one cell of a table."""
-    usable = name.isprintable() and name == name.strip() and not name.startswith(".") and not set(name) & set("/\\")
-    if not usable or not 0 < len(name) <= _LONGEST_NAME:
-        raise InputError(
-            f"{source} = {short(name)}: expected 1 to {_LONGEST_NAME} characters, no slash and no leading dot"
-        )
-    return name
 
 
 def _check_distinct(names: Sequence[str], source: str) -> None:

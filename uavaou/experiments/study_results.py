@@ -24,7 +24,8 @@ Table = dict[str, NDArray[Any]]  # column -> (rows,)
 # The order is that in which they are written: a run counts as condensed when it stands in the last.
 COLUMNS: dict[str, tuple[str, ...]] = {
     "devices": (
-        "variant", "scenario", "seed", "device", "x_m", "y_m", "update_period_slots", "communications", "mean_aou_slots",
+        "variant", "scenario", "seed", "device", "x_m", "y_m", "update_period_slots", "communications",
+        "mean_aou_slots",
     ),
     "execution": ("variant", "scenario", "seed", "slot", "mean_aou_slots"),
     "curves": (

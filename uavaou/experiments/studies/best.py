@@ -89,7 +89,6 @@ def card_lines(store: StudyStore, study: Study, key: Key, meta: Mapping[str, Any
     between = f" (95 % interval over the missions: {low} to {high})" if low else ""
     versions = meta.get("versions")
     packages = ", ".join(f"{name} {v}" for name, v in versions.items() if v) if isinstance(versions, dict) else "-"
-    place = store.folder.best(key)
     others = sum(Key(key.variant, key.scenario, seed) in store for seed in study.seeds)
     task = f"{scenario.uavs} UAVs, {scenario.devices} devices, {scenario.slots} slots"
     return [
@@ -112,11 +111,11 @@ def card_lines(store: StudyStore, study: Study, key: Key, meta: Mapping[str, Any
         "no obstacles and no failing radio, and is no flight controller.",
         f"- **Made with**: {packages}; Python {meta.get('python', '-')}, commit {meta.get('commit') or 'unknown'}.",
         "",
-        "AoU in units of the slot length, summed over devices and averaged over slots. To play it again:",
+        "AoU is in units of the slot length, summed over devices and averaged over slots. To play it, in this folder:",
         "",
         "```",
-        f'uavaou eval "{place.as_posix()}" --policy greedy',
-        f'OMP_NUM_THREADS=1 uavaou train --config "{place.as_posix()}/config.yaml" --out again',
+        "uavaou eval . --policy greedy",
+        "OMP_NUM_THREADS=1 uavaou train --config config.yaml --out again",
         "```",
         "",
         "The second command trains it anew.",

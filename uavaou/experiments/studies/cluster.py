@@ -212,7 +212,7 @@ class Keeper:
 
 
 def files_of(folder: Path, unless: dict[str, tuple[int, int]] | None = None) -> Files:
-    """The files below a run folder, those apart whose states are the ones in ``unless``, which is brought up to date."""
+    """The files below a run folder that differ from the states in ``unless``, which is brought up to date."""
     files: Files = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()

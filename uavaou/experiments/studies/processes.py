@@ -170,7 +170,5 @@ def outcome(job: Job, tell: Callable[[Report], None]) -> Ended:
         return Ended(job.key, None, str(problem))
     except Exception as error:  # a bug keeps its traceback, and stops no other run
         traceback.print_exc(file=sys.stderr)
-        first = str(error).split("\n")[0]
-        return Ended(
-            job.key, None, f"an error of the program, its traceback stands above: {type(error).__name__}: {first}"
-        )
+        said = f"{type(error).__name__}: {error}".split("\n")[0]
+        return Ended(job.key, None, f"an error of the program, whose traceback was printed: {said[:300]}")

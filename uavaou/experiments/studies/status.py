@@ -9,8 +9,8 @@ from pathlib import Path
 from uavaou.errors import InputError
 from uavaou.experiments.folder import RunFolder
 from uavaou.experiments.lock import holder
+from uavaou.experiments.studies.finished import is_trained, trained_slots
 from uavaou.experiments.studies.jobs import Key, reference_keys, run_key
-from uavaou.experiments.studies.runner import is_trained, trained_slots
 from uavaou.experiments.studies.store import StudyStore, read_failures, study_folder
 from uavaou.experiments.study import Study, StudyRun
 

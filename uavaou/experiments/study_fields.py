@@ -1,0 +1,95 @@
+"""The fields of a study's file, and what each may be."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, StrictStr, ValidationError
+
+from uavaou.errors import InputError
+from uavaou.fields import Positive, PositiveWhole, explain_validation, short
+
+LARGEST_SEED = 2**32 - 1  # what NumPy's and torch's global streams take
+MOST_RUNS = 100_000
+_LONGEST_NAME = 60
+
+
+def _seeds(value: Any) -> Any:
+    """A number of seeds, or the seeds."""
+    one = isinstance(value, int) and not isinstance(value, bool)
+    seeds = list(range(value)) if one and 0 <= value <= MOST_RUNS else value
+    if not isinstance(seeds, list) or not seeds or len(seeds) > MOST_RUNS:
+        raise ValueError("expected a number of seeds, such as 5 for 0 to 4, or a list of them")
+    for seed in seeds:
+        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= LARGEST_SEED:
+            raise ValueError(f"expected whole numbers from 0 to {LARGEST_SEED}, not {short(seed)}")
+    if len(set(seeds)) < len(seeds):
+        twice = next(seed for index, seed in enumerate(seeds) if seed in seeds[:index])
+        raise ValueError(f"seed {twice} stands there twice")
+    return tuple(seeds)
+
+
+class StudyFields(BaseModel):
+    """The fields of a study's file; the entries of ``scenarios`` and ``variants`` are looked at one by one."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    description: StrictStr = ""
+    slots: PositiveWhole | None = None  # training budget of every run; None: each algorithm's published one
+    seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)]
+    scenarios: Annotated[list[Any], Field(min_length=1)]
+    variants: Annotated[dict[StrictStr, Any], Field(min_length=1)]
+    planners: list[StrictStr] = []
+    bound: StrictBool = False
+    planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of annealing, once a scenario
+    episodes: Annotated[PositiveWhole, Field(le=10_000)] = 100  # missions of the final evaluation
+
+
+class ScenarioEntry(BaseModel):
+    """An entry of ``scenarios`` that changes one or names it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    scenario: StrictStr
+    set: dict[StrictStr, Any] = {}
+    name: StrictStr | None = None
+
+
+class VariantEntry(BaseModel):
+    """An entry of ``variants``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    algorithm: StrictStr | None = None  # None: that of the variant's name
+    set: dict[StrictStr, Any] = {}
+
+
+_Entry = TypeVar("_Entry", bound=BaseModel)
+
+
+def validated(kind: type[_Entry], content: Any, source: str) -> _Entry:
+    """Validate a mapping.
+
+    Raises:
+        InputError: naming the field, its value and what is allowed.
+    """
+    if not isinstance(content, dict):
+        raise InputError(f"{source} = {short(content)}: expected a mapping with {', '.join(kind.model_fields)}")
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{source}: {explain_validation(error, list(kind.model_fields))}") from None
+
+
+def usable_name(name: str, source: str) -> str:
+    """Refuse a name that could not be a folder's and stand in one cell of a table; returns it.
+
+    Raises:
+        InputError: saying what is expected.
+    """
+    usable = name.isprintable() and name == name.strip() and not name.startswith(".") and not set(name) & set("/\\")
+    if not usable or not 0 < len(name) <= _LONGEST_NAME:
+        raise InputError(
+            f"{source} = {short(name)}: expected 1 to {_LONGEST_NAME} characters, no slash and no leading dot"
+        )
+    return name
