@@ -24,7 +24,7 @@ from uavaou.algorithms.mappo import gradients
 from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
-ROLLOUTS = 4  # in one measurement of a training: what starts a training should not count
+ROLLOUTS = 4  # of ours in one measurement: what a training starts with, a process, should not count
 ALGORITHMS = ("mappo", "vdn", "qmix")  # whose training is measured, by name
 STOCK = "stock SB3 PPO on SuperSuit's stage"
 
@@ -36,7 +36,7 @@ def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Measure
 
 def _training(repeats: int, rollout_slots: int | None, hidden: list[int]) -> list[Measurement]:
     scenario, config = Scenario.load("paper"), _mappo(rollout_slots, hidden=hidden)
-    rows = ROLLOUTS * MISSIONS * scenario.uavs * config.rollout_slots
+    rows = MISSIONS * scenario.uavs * config.rollout_slots
     cores = th.get_num_threads()
     contestants = {
         f"{STOCK}, {processes} process{'es' if processes > 1 else ''}": (
@@ -49,7 +49,7 @@ def _training(repeats: int, rollout_slots: int | None, hidden: list[int]) -> lis
         for threads in sorted({1, cores}):
             model = _ours(scenario, config if name == "mappo" else load_config(name, {"hidden": hidden}))
             label = f"uavaou {name}, {threads} thread{'s' if threads > 1 else ''}"
-            contestants[label] = (_learner(model, rows, threads), rows)
+            contestants[label] = (_learner(model, ROLLOUTS * rows, threads), ROLLOUTS * rows)
     return side_by_side(f"training on paper, 64 missions, networks {hidden[0]}-{hidden[1]}", contestants, repeats)
 
 
