@@ -248,7 +248,7 @@ STUDY = {"seeds": 1, "scenarios": ["tiny"], "variants": {"mappo": {}}, "planners
     command=st.sampled_from(["run", "status", "report"]),
     field=st.sampled_from([*STUDY, "slots", "bound", "planning_seconds", "description", "sedes"]),
     value=st.sampled_from(NONSENSE),
-    cut=st.none() | st.integers(1, 40),
+    cut=st.none() | st.integers(1, 35),
 )
 def test_study_files(
     refused: Callable[..., None], place: Path, command: str, field: str, value: Any, cut: int | None
@@ -257,8 +257,8 @@ def test_study_files(
     if value in harmless.get(field, ()) and type(value) in (str, list, bool):
         value = None
     text = yaml.safe_dump(STUDY | {field: value}, sort_keys=False)
-    if cut is not None:
-        text = text[: len(text) * cut // 100]
+    if cut is not None:  # before the variants
+        text = text[:cut]
     (place / "study.yaml").write_text(text)
     refused("study", command, "study.yaml")
 

@@ -157,12 +157,11 @@ def test_the_shipped_studies_are_valid_and_balanced() -> None:
 def test_every_run_has_the_folder_that_train_gives_it(
     write: Write, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    one_uav = "[{scenario: tiny, set: {uavs: 1, altitudes_m: [80], cds_m: [[0, 0]], layout_seed: 3}}]"
-    study = Study.load(write(TINY.replace("seeds: 2", "seeds: [7]").replace("[tiny]", one_uav)))
+    changed = "[{scenario: tiny, set: {uavs: 1, altitudes_m: [80], cds_m: [[0, 0]], layout_seed: 3}}]"
+    study = Study.load(write(TINY.replace("seeds: 2", "seeds: [7]").replace("[tiny]", changed)))
     monkeypatch.chdir(tmp_path)
     (first, _) = study.runs()
-    text = SET.replace(": ", "=").replace("hidden=[8]", "hidden=[8]").split(", ")
-    sets = " ".join(f"--set algorithm.{item}" for item in text)
+    sets = " ".join(f"--set algorithm.{item}" for item in SET.replace(": ", "=").split(", "))
     changed = "--set scenario.uavs=1 --set scenario.altitudes_m=[80.0] --set scenario.cds_m=[[0.0,0.0]]"
     assert main(shlex.split(f"train --scenario tiny {changed} --set scenario.layout_seed=3 --seed 7 --slots 192 {sets} "
                             "--quiet")) == 0  # fmt: skip

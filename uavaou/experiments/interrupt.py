@@ -11,6 +11,18 @@ from typing import Any, Self
 _ASKED = b"\nuavaou: finishing the present update and saving; once more leaves at once\n"
 
 
+_repeats_count = True
+
+
+def ignore_repeats() -> None:
+    """From now on, a second signal means nothing in this process.
+
+    For worker processes: who stops a whole group of processes tells them, and their parent tells them again.
+    """
+    global _repeats_count
+    _repeats_count = False
+
+
 class Interrupted(Exception):  # noqa: N818 - nothing went wrong
     """The training stopped because it was asked to, after a checkpoint."""
 
@@ -43,7 +55,8 @@ class Interrupts:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.received = signal.Signals(number)
-        self._restore()
+        if _repeats_count:
+            self._restore()
         if not self._quiet:
             os.write(2, _ASKED)  # print is not allowed to be interrupted by itself
 

@@ -154,7 +154,9 @@ def prepare(plugins: Sequence[str]) -> None:
     import torch as th
 
     from uavaou.algorithms.registry import load_plugin
+    from uavaou.experiments.interrupt import ignore_repeats
 
+    ignore_repeats()
     th.set_num_threads(1)
     for place in plugins:
         load_plugin(place)
