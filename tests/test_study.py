@@ -504,7 +504,10 @@ def test_the_report_prints_every_variant_and_planner(
     shown = capsys.readouterr().out
     for name in (*study.variants, *study.planners, "lower bound"):
         assert any(line.startswith(f"{name} ") for line in shown.splitlines())
-    assert tables(out) == before
+    after = tables(out)
+    assert {name: after[name] for name in before} == before
+    missions = {f"mission-{variant}.json" for variant in study.variants}
+    assert after.keys() - before.keys() == {"README.md", "marl-eval.json", *missions}
 
 
 @pytest.mark.parametrize(

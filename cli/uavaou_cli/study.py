@@ -88,16 +88,24 @@ def status(study: _FILE, out: _OUT = Path("results")) -> None:
 
 
 def report(study: _FILE, out: _OUT = Path("results")) -> None:
-    """Rewrite the condensed results of a study from its finished runs, and print the table."""
+    """Rewrite the condensed results of a study from its finished runs, its page of tables, and print the table.
+
+    Writes README.md, marl-eval.json and one recorded mission of each variant into DIR/studies/<name>/, and the
+    verdicts on the paper's claims into DIR/README.md where the study judges them.
+    """
     from uavaou.experiments.lock import only_writer
     from uavaou.experiments.studies.finished import report_study
     from uavaou.experiments.studies.store import study_folder
+    from uavaou.experiments.study_missions import record_study_missions
+    from uavaou.reports.study_report import write_report
     from uavaou_cli.study_tables import study_lines
 
     chosen, folder = _study(study, out)
     writable_folder(folder)
     with only_writer(folder, study_folder(out, chosen).lock):
         _, problems = report_study(chosen, out)
+        record_study_missions(folder)
+        write_report(folder, out / "README.md")
     for key, reason in problems.items():
         print(f"uavaou: left out: {key.variant} on {key.scenario}, seed {key.seed}: {reason}", file=sys.stderr)
     print("\n".join(study_lines(folder)))

@@ -54,6 +54,8 @@ class Study:
         bound: whether each scenario's certified bound is computed.
         planning_seconds: that annealing may take, once a scenario.
         episodes: missions of every evaluation.
+        reference: the variant that the report holds the others against; None for no such table.
+        claims: whether the report judges the paper's claims.
     """
 
     name: str
@@ -65,6 +67,8 @@ class Study:
     bound: bool
     planning_seconds: float
     episodes: int
+    reference: str | None = None
+    claims: bool = False
 
     @classmethod
     def load(cls, source: str | Path) -> Study:
@@ -98,7 +102,7 @@ class Study:
         }
         study = cls(
             path.stem, fields.description, fields.seeds, dict(entries), variants, tuple(fields.planners), fields.bound,
-            fields.planning_seconds, fields.episodes,
+            fields.planning_seconds, fields.episodes, fields.reference, fields.claims,
         )  # fmt: skip
         _check(study, str(path))
         return study
@@ -126,6 +130,8 @@ class Study:
             "planners": list(self.planners),
             "bound": self.bound,
             "planning_seconds": self.planning_seconds,
+            "reference": self.reference,
+            "claims": self.claims,
             "variants": {name: config.model_dump(mode="json") for name, config in self.variants.items()},
             "scenarios": {name: scenario.to_dict() for name, scenario in self.scenarios.items()},
         }
@@ -201,6 +207,9 @@ def _check(study: Study, source: str) -> None:
             raise InputError(f"{source}: planners: unknown planner '{short(planner)}'{nearest(planner, PLANNERS)} "
                              f"(known: {known})")  # fmt: skip
     _check_distinct(study.planners, f"{source}: planners")
+    if study.reference is not None and study.reference not in study.variants:
+        hint = f"{nearest(study.reference, study.variants)} (variants: {', '.join(study.variants)})"
+        raise InputError(f"{source}: reference: no variant {short(study.reference)}{hint}")
     _check_layouts(study, source)
     _check_folders(study, source)
 

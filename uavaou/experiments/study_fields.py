@@ -43,6 +43,8 @@ class StudyFields(BaseModel):
     bound: StrictBool = False
     planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of annealing, once a scenario
     episodes: Annotated[PositiveWhole, Field(le=10_000)] = 100  # missions of the final evaluation
+    reference: StrictStr | None = None  # the variant that the others are held against in the report
+    claims: StrictBool = False  # the report judges the paper's claims from this study
 
 
 class ScenarioEntry(BaseModel):
