@@ -522,3 +522,19 @@ def test_a_runs_config_can_be_played_again(tmp_path: Path) -> None:
 def test_a_folder_is_no_scenario_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a folder"):
         Scenario.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"devices": 100_000, "uavs": 11}, r"devices = 100,000 with uavs = 11: at most 1,000,000 pairs"),
+        ({"grid_step_m": 0.1}, r"gives 10001 x 10001 cells, at most 4,000,000"),
+        ({"devices": 100_001}, r"devices = 100001"),
+        ({"slots": 1_000_001}, r"slots = 1000001"),
+    ],
+)
+def test_sizes_beyond_any_memory_are_refused(changes: dict[str, Any], message: str) -> None:
+    uavs = changes.get("uavs", 3)
+    fleet = {"altitudes_m": [80 + k for k in range(uavs)], "cds_m": [[0, 0]] * uavs}
+    with pytest.raises(InputError, match=message):
+        Scenario.load("paper").replace(**fleet | changes)

@@ -38,6 +38,7 @@ SPEED_OF_LIGHT_M_S = 299_792_458.0
 ZETA_TOLERANCE_S = 1e-6  # flight times are compared with this slack
 _GRID_TOLERANCE = 1e-9
 _MAX_CELLS = 4_000_000
+_MAX_PAIRS = 1_000_000  # an array of them in 64 missions takes half a gigabyte
 
 
 class Range(BaseModel):
@@ -289,6 +290,11 @@ class Scenario(BaseModel):
             )
 
     def _check_fleet(self) -> None:
+        if self.uavs * self.devices > _MAX_PAIRS:
+            raise ValueError(
+                f"devices = {self.devices:,} with uavs = {self.uavs:,}: at most {_MAX_PAIRS:,} pairs of a UAV and a "
+                "device are supported"
+            )
         for field, values in (("altitudes_m", self.altitudes_m), ("cds_m", self.cds_m)):
             if len(values) != self.uavs:
                 raise ValueError(f"{field}: has {len(values)} entries, needs one for each of the {self.uavs} uavs")
