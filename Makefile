@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := results/demo
-SLOTS := 500000
+SLOTS := 1000000
 RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 
 .PHONY: help install demo test lint types bench lock clean

@@ -45,7 +45,7 @@ def clipped_surrogate(
         Means: the objective, the entropy in nats, the KL divergence from the old policy (estimated as
         r - 1 - log r), and the share of rows where the ratio is out of its range.
     """
-    rows, uavs, devices = len(logits), actions.shape[1], actions.shape[2] - 1
+    rows, uavs = len(logits), actions.shape[1]
     each = part / max(rows, 1)  # of a row in the means
     by_entropy = -entropy_weight * each
     log_probs, probs = np.empty(_MOVES), np.empty(_MOVES)
@@ -54,25 +54,15 @@ def clipped_surrogate(
         slot, uav = slots[row // uavs], row % uavs
         action = actions[slot, uav]
         move_entropy = _softmax(logits[row], local[row], moves_at, log_probs, probs)
-        log_prob, entropy = log_probs[int(action[0])], move_entropy
-        for i in range(devices):
-            if range_at < 0 or local[row, range_at + i] > 0.5:
-                z = float(logits[row, _MOVES + i])
-                tail = math.exp(-abs(z))
-                q = 1 / (1 + tail) if z >= 0 else tail / (1 + tail)
-                log_q = min(z, 0.0) - math.log1p(tail)
-                log_prob += log_q - z * (1 - action[1 + i])
-                entropy += z * (1 - q) - log_q
-                gradient[row, _MOVES + i] = q  # kept for the second pass
-        log_ratio = log_prob - old_log_prob[slot, uav]
+        selection, selection_entropy = _selection(logits[row], local[row], range_at, action, gradient[row])
+        log_ratio = log_probs[int(action[0])] + selection - old_log_prob[slot, uav]
         ratio = math.exp(log_ratio)
         bounded = min(max(ratio, 1 - clip_range), 1 + clip_range)
         advantage = (advantages[slot, uav % advantages.shape[1]] - mean) * scale
-        objective = min(advantage * ratio, advantage * bounded)
         follows = ratio == bounded or advantage * ratio < advantage * bounded
         by_log_prob = -advantage * ratio * each if follows else 0.0
-        objectives += objective
-        entropies += entropy
+        objectives += min(advantage * ratio, advantage * bounded)
+        entropies += move_entropy + selection_entropy
         divergence += ratio - 1 - log_ratio
         outside += abs(ratio - 1) > clip_range
         for k in range(_MOVES):
@@ -80,12 +70,7 @@ def clipped_surrogate(
             if probs[k] > 0:
                 gradient[row, k] = -probs[k] * (by_log_prob + by_entropy * (log_probs[k] + move_entropy))
         gradient[row, int(action[0])] += by_log_prob
-        for i in range(devices):
-            if range_at < 0 or local[row, range_at + i] > 0.5:
-                z, q = float(logits[row, _MOVES + i]), float(gradient[row, _MOVES + i])
-                gradient[row, _MOVES + i] = by_log_prob * (action[1 + i] - q) - by_entropy * z * q * (1 - q)
-            else:
-                gradient[row, _MOVES + i] = 0.0
+        _selection_gradient(logits[row], local[row], range_at, action, by_log_prob, by_entropy, gradient[row])
     return objectives * each, entropies * each, divergence * each, outside * each
 
 
@@ -108,6 +93,44 @@ def _softmax(logits: Floats, local: Floats, moves_at: int, log_probs: Doubles, p
         if probs[k] > 0:
             entropy -= probs[k] * log_probs[k]
     return entropy
+
+
+@compiled
+def _selection(logits: Floats, local: Floats, range_at: int, action: Floats, selected: Floats) -> tuple[float, float]:
+    """Log-probability and entropy of selecting devices; writes each one's probability q into ``selected``.
+
+    With z the logit, log q = -softplus(-z), and the entropy is z (1 - q) - log q.
+    """
+    log_prob, entropy = 0.0, 0.0
+    for i in range(len(action) - 1):
+        if range_at < 0 or local[range_at + i] > 0.5:
+            z = float(logits[_MOVES + i])
+            tail = math.exp(-abs(z))
+            q = 1 / (1 + tail) if z >= 0 else tail / (1 + tail)
+            log_q = min(z, 0.0) - math.log1p(tail)
+            log_prob += log_q - z * (1 - action[1 + i])
+            entropy += z * (1 - q) - log_q
+            selected[_MOVES + i] = q
+    return log_prob, entropy
+
+
+@compiled
+def _selection_gradient(
+    logits: Floats,
+    local: Floats,
+    range_at: int,
+    action: Floats,
+    by_log_prob: float,
+    by_entropy: float,
+    gradient: Floats,
+) -> None:
+    """Write the gradient by the devices' logits over their probabilities."""
+    for i in range(len(action) - 1):
+        if range_at < 0 or local[range_at + i] > 0.5:
+            z, q = float(logits[_MOVES + i]), float(gradient[_MOVES + i])
+            gradient[_MOVES + i] = by_log_prob * (action[1 + i] - q) - by_entropy * z * q * (1 - q)
+        else:
+            gradient[_MOVES + i] = 0.0
 
 
 @compiled
