@@ -49,8 +49,8 @@ def _title(mission: RecordedMission, labels: Mapping[str, str]) -> str:
 
 def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Figure:
     """One map a mission, with one colour scale and one scale of sizes for all."""
-    columns = min(_PANELS_A_ROW, len(missions))
-    rows = math.ceil(len(missions) / columns)
+    rows = math.ceil(len(missions) / _PANELS_A_ROW)
+    columns = math.ceil(len(missions) / rows)  # four in two rows of two
     scenario = missions[0].scenario
     shape = (scenario.area_y_m + scenario.grid_step_m) / (scenario.area_x_m + scenario.grid_step_m)
     width = style.PAGE_WIDTH_IN if columns > 1 else style.COLUMN_WIDTH_IN
