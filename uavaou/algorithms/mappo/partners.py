@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from multiprocessing.synchronize import Semaphore
 from typing import TYPE_CHECKING
@@ -67,7 +68,10 @@ class Partner:
             [th.from_numpy(shared_zeros(tuple(parameter.shape))) for parameter in _parameters(policy)] for _ in range(2)
         )
         self._process = context.Process(target=self._work, args=(policy, buffer), daemon=True)
-        self._process.start()
+        with warnings.catch_warnings():
+            # Python 3.12 warns of other threads, whose locks the child might wait for: it takes none of theirs.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            self._process.start()
 
     def ask(self, parameters: list[th.Tensor], slots: Slots, slots_in_batch: int, terms: Terms) -> None:
         """Have the gradient taken on ``slots`` (B,) at ``parameters``; :meth:`answer` waits for it."""
@@ -106,6 +110,7 @@ class Partner:
             th._foreach_copy_(self._gradients, gradients)
             self._figures[:] = figures
             self._answered.release()
+        os._exit(0)  # what a process does at its end, flushing streams, might wait for a thread that was not forked
 
 
 def _acquire(semaphore: Semaphore, alive: Callable[[], bool]) -> bool:
