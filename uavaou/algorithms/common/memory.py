@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import mmap
 import sys
 
@@ -29,6 +30,14 @@ def keep_freed_memory() -> None:
 
 
 def shared_zeros(shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """An array of zeros that processes forked later see and may write; it goes with the last that holds it."""
-    size = int(np.prod(shape))
-    return np.frombuffer(mmap.mmap(-1, max(4 * size, 1)), np.float32, count=size).reshape(shape)
+    """An array of zeros that processes forked later see and may write; it goes with the last that holds it.
+
+    Raises:
+        MemoryError: the system has not as much.
+    """
+    size = math.prod(shape)
+    try:
+        memory = mmap.mmap(-1, max(4 * size, 1))
+    except (OSError, OverflowError):
+        raise MemoryError(f"{4 * size:,} bytes of shared memory") from None
+    return np.frombuffer(memory, np.float32, count=size).reshape(shape)
