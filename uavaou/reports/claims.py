@@ -91,6 +91,7 @@ def _reduction(study: StudyTables, other: str, share: str, words: str, quote: st
 
 
 def _more(study: StudyTables, other: str, column: str) -> Claim:
+    digits = 5 if column == "communications" else 3
     what = {"communications": "communications", "devices_served": "devices served at least once"}[column]
     text = f"MAPPO makes more communications than {other.upper()}"
     if column == "devices_served":
@@ -100,7 +101,7 @@ def _more(study: StudyTables, other: str, column: str) -> Claim:
         return not_measured(text, MORE_DEVICES, f"missions of both '{OWN}' and '{other}' with {what}")
     ratio = ratio_of_means(own, theirs)
     verdict = by_trainings(direction_verdict(ratio, 1, lower=False), own, theirs)
-    measured = f"{what} a mission: {means(own, theirs, other.upper(), digits=5)}; ratio"
+    measured = f"{what} a mission: {means(own, theirs, other.upper(), digits=digits)}; ratio"
     return Claim(text, MORE_DEVICES, verdict, measured, ratio)
 
 
