@@ -14,9 +14,10 @@ from synthetic_study import BUDGET, DEFAULT, MAPPO, PLANNERS, QMIX, VDN, Variant
 from uavaou.errors import InputError
 from uavaou.experiments.stratified import Estimate
 from uavaou.experiments.study_results import read_study, rows_of
-from uavaou.reports.claims import Claim, direction_verdict, judge, size_verdict
+from uavaou.reports.claims import judge
 from uavaou.reports.claims_table import BEGIN, END, claims_markdown, write_claims
 from uavaou.reports.convergence import converged, reached, smooth
+from uavaou.reports.verdicts import Claim, direction_verdict, size_verdict
 
 MANY = 9  # seeds
 
@@ -36,9 +37,9 @@ def of(claims: list[Claim], *words: str) -> Claim:
 
 def test_every_claim_is_supported_where_it_is_true(tmp_path: Path) -> None:
     claims = verdicts(tmp_path / "true")
-    assert len(claims) == 14
+    assert len(claims) == 19
     assert {claim.verdict for claim in claims} == {"supported"}
-    assert all(claim.command == "uavaou study run true" for claim in claims)
+    assert all(claim.command == "uavaou study run true.yaml" for claim in claims)
     reduced = of(claims, "reduced by 1/2")
     assert reduced.estimate is not None
     assert reduced.estimate.value == pytest.approx(0.4, rel=0.05)
@@ -74,7 +75,7 @@ def test_claims_are_partly_supported(tmp_path: Path, changes: dict[str, object],
 
 @pytest.mark.parametrize(
     ("missing", "unmeasured"),
-    [({"vdn": None}, 5), ({"vdn": None, "qmix": None}, 11), ({"mappo": None}, 14), ({"bound": None}, 1)],
+    [({"vdn": None}, 7), ({"vdn": None, "qmix": None}, 16), ({"mappo": None}, 19), ({"bound": None}, 1)],
 )
 def test_what_is_missing_is_not_measured(tmp_path: Path, missing: dict[str, object], unmeasured: int) -> None:
     claims = verdicts(tmp_path / "study", **missing)
@@ -85,12 +86,17 @@ def test_what_is_missing_is_not_measured(tmp_path: Path, missing: dict[str, obje
 
 def test_one_seed_supports_no_claim_on_seeds(tmp_path: Path) -> None:
     claims = verdicts(tmp_path / "study", seeds=1)
-    for words in (("converges", "VDN"), ("generate more often",)):
+    for words in (("converges", "VDN"), ("generate more often",), ("higher rewards", "QMIX")):
         claim = of(claims, *words)
         assert claim.verdict == "partly supported"
         assert claim.estimate is not None
         assert np.isnan(claim.estimate.low)
-    assert of(claims, "reduced by 1/2").verdict == "supported"  # over missions
+    for words in (("reduced by 1/2",), ("lower than VDN",), ("best planner",)):  # an interval over missions alone
+        claim = of(claims, *words)
+        assert claim.verdict == "partly supported"
+        assert claim.estimate is not None
+        assert claim.estimate.high < 1
+    assert of(claims, "lower bound").verdict == "supported"
 
 
 def test_the_planner_beside_mappo_is_the_best_with_full_information(tmp_path: Path) -> None:
@@ -183,6 +189,43 @@ def test_runs_that_never_get_there_count_with_the_budget(tmp_path: Path) -> None
     assert claim.verdict == "not supported"
 
 
+def test_a_run_that_never_gets_there_supports_nothing(tmp_path: Path) -> None:
+    """Its budget may end before the other's best run gets to the level: that is no sooner."""
+    folder = write_study(tmp_path / "study", {"mappo": replace(MAPPO, aou=400.0), "vdn": VDN})
+    path = folder / "validation.csv"
+    rows = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(row for row in rows if not (row.startswith("mappo") and int(row.split(",")[3]) > 30_000)))
+    claim = of(judge(read_study(folder)), "best level that VDN")
+    assert claim.estimate is not None
+    assert claim.estimate.high < 1
+    assert claim.verdict == "not supported"
+
+
+def test_the_last_reward_is_that_of_the_last_tenth(tmp_path: Path) -> None:
+    folder = write_study(tmp_path / "study")
+    claim = of(judge(read_study(folder)), "higher rewards", "VDN")
+    late = {}
+    for variant in ("mappo", "vdn"):
+        rows = rows_of(read_study(folder).curves, variant=variant)
+        late[variant] = rows["reward_s"][rows["slots"] > 0.9 * BUDGET]
+        assert len(late[variant]) == 4 * 2  # of 20 groups a seed
+    assert claim.estimate is not None
+    assert claim.estimate.value == pytest.approx(late["mappo"].mean() / late["vdn"].mean())
+    assert claim.estimate.value < 1
+
+
+def test_a_scenario_without_ages_is_not_compared(tmp_path: Path) -> None:
+    """A ratio there would be none; the study's other figures stay."""
+    folder = write_study(tmp_path / "study", scenarios=("paper", "still"), seeds=2, missions=3)
+    rows = (folder / "missions.csv").read_text().splitlines()
+    still = [",".join([*row.split(",")[:4], "0,0,0,0"]) if ",still," in row else row for row in rows]
+    (folder / "missions.csv").write_text("\n".join(still) + "\n")
+    claims = judge(read_study(folder))
+    assert of(claims, "reduced by 1/2").verdict == "not measured"
+    assert of(claims, "more communications", "VDN").verdict == "not measured"
+    assert of(claims, "converges", "VDN").verdict == "supported"
+
+
 # -- README --------------------------------------------------------------------------------------------
 
 
@@ -190,13 +233,14 @@ def test_the_table_is_written_between_the_markers_and_again(tmp_path: Path) -> N
     readme = tmp_path / "README.md"
     readme.write_text(f"# Mine\n\n{BEGIN}\nthe last table\n{END}\n\nThe end.\n", encoding="utf-8")
     results = read_study(write_study(tmp_path / "study"))
-    claims = write_claims(readme, results)
+    claims = judge(results)
+    write_claims(readme, claims)
     text = readme.read_text(encoding="utf-8")
     assert text.startswith(f"# Mine\n\n{BEGIN}\n")
     assert text.endswith(f"{END}\n\nThe end.\n")
     assert "the last table" not in text
     assert claims_markdown(claims) in text
-    write_claims(readme, results)
+    write_claims(readme, claims)
     assert readme.read_text(encoding="utf-8") == text
 
 
@@ -211,11 +255,11 @@ def test_every_row_has_its_cells(tmp_path: Path) -> None:
 
 def test_a_readme_without_markers_gets_them(tmp_path: Path) -> None:
     readme = tmp_path / "README.md"
-    results = read_study(write_study(tmp_path / "study"))
-    write_claims(readme, results)
+    claims = verdicts(tmp_path / "study")
+    write_claims(readme, claims)
     first = readme.read_text(encoding="utf-8")
     assert first.count(BEGIN) == first.count(END) == 1
-    write_claims(readme, results)
+    write_claims(readme, claims)
     assert readme.read_text(encoding="utf-8") == first
 
 
@@ -223,9 +267,8 @@ def test_a_readme_without_markers_gets_them(tmp_path: Path) -> None:
 def test_markers_without_a_pair_lose_nothing(tmp_path: Path, text: str) -> None:
     readme = tmp_path / "README.md"
     readme.write_text(text, encoding="utf-8")
-    results = read_study(write_study(tmp_path / "study", seeds=1))
     with pytest.raises(InputError, match=r"README\.md"):
-        write_claims(readme, results)
+        write_claims(readme, [Claim("it flies", "", "not measured", "nothing")])
     assert readme.read_text(encoding="utf-8") == text
 
 

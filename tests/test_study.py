@@ -479,6 +479,35 @@ def test_a_better_seed_takes_the_place_of_the_best(copied: tuple[Study, Path]) -
     assert kept.name == f"seed-{other.seed}"
 
 
+@pytest.mark.parametrize("left", ["nothing", "other evaluations"])
+def test_a_report_loses_nothing_where_runs_are_not_here(copied: tuple[Study, Path], left: str) -> None:
+    """A fresh clone has the condensed results alone; ``uavaou eval`` may have replaced a run's evaluation."""
+    study, out = copied
+    before = tables(out)
+    if left == "nothing":
+        shutil.rmtree(out / "tiny")
+    else:
+        for path in out.glob("tiny/*/seed-*/eval/default.json"):
+            path.write_text(json.dumps(json.loads(path.read_text()) | {"episodes": 500}))
+    report_study(study, out)
+    assert tables(out) == before
+
+
+def test_the_kept_policy_stays_while_a_better_one_is_elsewhere(copied: tuple[Study, Path]) -> None:
+    study, out = copied
+    (kept,) = (out / "studies/mine/best/tiny/mappo").iterdir()
+    path = out / "studies/mine/runs.csv"
+    rows = list(csv.DictReader(path.read_text().splitlines()))
+    for row in rows:
+        if row["variant"] == "mappo" and f"seed-{row['seed']}" != kept.name:
+            row["best_slots"] = "0.001"
+    lines = [list(rows[0]), *(list(row.values()) for row in rows)]
+    path.write_text("".join(",".join(line) + "\n" for line in lines))
+    shutil.rmtree(out / "tiny")
+    report_study(study, out)
+    assert [folder.name for folder in (out / "studies/mine/best/tiny/mappo").iterdir()] == [kept.name]
+
+
 def test_a_run_of_its_kept_configuration_gives_the_same_figures(copied: tuple[Study, Path], tmp_path: Path) -> None:
     study, out = copied
     config = out / "studies/mine/configs/tiny/own critic/seed-1.yaml"

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from uavaou.experiments.trained import load_run
 from uavaou.planners import make_planner
 from uavaou.reports import style
 from uavaou.reports.references import best_planner, comparable, in_all_scenarios
-from uavaou.reports.study_figures import plot_study
+from uavaou.reports.study_figures import _line, _over_time, plot_study
 from uavaou.scenario import Scenario
 from uavaou_cli.main import main
 
@@ -145,6 +146,55 @@ def test_one_seed_and_no_planners_or_bound(tmp_path: Path, drawn: dict[str, Any]
     assert "bands: none (1 seed)" in drawn["out/figure-4-aou"].legends[0].get_title().get_text()
 
 
+def test_one_study_keeps_no_other_from_being_drawn(
+    tmp_path: Path, drawn: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    studies = tmp_path / "results" / "studies"
+    write_study(studies / "begun", {}, {}, bound=None)
+    assert main(["plot", "figures"]) == 2  # nothing to draw
+    write_study(studies / "odd name [x]", {"a $b c": replace(MAPPO, algorithm="mappo")}, {}, 1, missions=1, bound=None)
+    assert main(["plot", "figures"]) == 0
+    assert {name.split("/")[1] for name in drawn} == OF_A_SCENARIO | AGGREGATES - {"probability-of-improvement"}
+    assert "left out: 'results/studies/begun' holds no evaluated run yet" in capsys.readouterr().err
+    drawn["figures/figure-4-aou"].draw_without_rendering()  # no formula begins at the dollar
+    drawn.clear()
+    write_study(studies / "damaged", {"mappo": MAPPO})
+    (studies / "damaged" / "runs.csv").unlink()
+    assert main(["plot", "figures"]) == 2
+    assert len(drawn) == 9
+    assert "damaged/runs.csv" in capsys.readouterr().err
+
+
+def test_missions_that_end_together_are_one_point() -> None:
+    """And the mean over seeds is taken where all of them have it."""
+    one = np.array([10.0, 20.0, 20.0, 30.0]), np.array([4.0, 1.0, 3.0, 0.0])
+    two = np.array([10.0, 20.0]), np.array([2.0, 4.0])
+    line = _line([one, two])
+    assert line.x.tolist() == [10.0, 20.0]
+    assert line.mean.tolist() == [3.0, 3.0]
+    assert _line([two, one]).mean.tolist() == [3.0, 3.0]
+
+
+def test_seeds_that_were_never_in_training_together_have_one_time() -> None:
+    early = {"wall_s": np.array([1.0, 2.0]), "mean_aou_slots": np.array([9.0, 8.0])}
+    late = {"wall_s": np.array([5.0, 6.0]), "mean_aou_slots": np.array([7.0, 1.0])}
+    for runs in ([early, late], [late, early]):
+        line = _over_time(runs)
+        assert set(line.x) == {5.0}
+        assert set(line.mean) == {7.5}  # what each held at that time
+
+
+def test_scores_of_scenarios_without_ages_stay_in_slots(tmp_path: Path) -> None:
+    study = load_study(write_study(tmp_path / "one", scenarios=("a", "b"), bound=0.0, seeds=1))
+    still = {"mappo": {name: np.zeros((1, 3)) for name in ("a", "b")}}
+    assert "best-first" in comparable(study, still)[1]
+    alone = load_study(write_study(tmp_path / "two", planners={}, scenarios=("a", "b"), bound=None, seeds=1))
+    shared, unit = comparable(alone, still)
+    assert unit == "in slots $\\tau$"
+    assert not np.any(shared["mappo"]["a"])
+
+
 def test_variants_keep_their_algorithms_colour() -> None:
     looks = style.looks(["mappo", "big", "small vdn"], {"big": "mappo", "mappo": "mappo", "small vdn": "vdn"})
     assert looks["big"].colour == looks["mappo"].colour
@@ -215,7 +265,13 @@ def test_the_kept_policies_of_a_study_are_recorded(tmp_path: Path, monkeypatch: 
     study = write_study(tmp_path / "study", {"mappo": MAPPO}, seeds=1, scenarios=("none kept", "a%b"))
     assert record_study_missions(study) == []
     shutil.copytree(trained, study / "best" / "a%25b" / "big mappo" / "seed-3")
+    record(study, "of tiny")
+    other = record(study, "of another")
+    write_mission(
+        study / "mission-of another.json", replace(other, scenario=other.scenario.replace(rate_min_bit_s=1000))
+    )
     assert record_study_missions(study) == [study / "mission-big mappo.json"]
+    assert {path.name for path in study.glob("mission-*")} == {"mission-big mappo.json", "mission-of tiny.json"}
     mission = read_mission(study / "mission-big mappo.json")
     assert (mission.policy, mission.training_seed, mission.mission_seed) == ("big mappo", 3, 10_000)
     played = record_mission(Scenario.load("tiny"), load_run(RunFolder(trained)), 10_000)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
+from urllib.parse import quote
 
 from uavaou.errors import InputError
 
@@ -63,6 +64,11 @@ def refuse_links(folder: Path) -> None:
                 raise InputError(f"'{entry.path}' is {what}: a run folder holds plain files and folders alone")
     except OSError as error:
         raise InputError(f"'{folder}' cannot be read: {error.strerror or error}") from error
+
+
+def folder_name(name: str) -> str:
+    """A name that people gave, such as a variant's, as a folder's or a file's; ``unquote`` gives it back."""
+    return quote(name, safe=" +=,.-_~()")
 
 
 def read_text(path: Path, most_bytes: int) -> str:

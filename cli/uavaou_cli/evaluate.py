@@ -11,7 +11,7 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou_cli.checks import LARGEST_SEED, MOST_EPISODES, given_path, one_of, within, writable_file
-from uavaou_cli.evaluate_suite import Request, evaluate_suite, missions_in
+from uavaou_cli.evaluate_suite import Request, evaluate_suite
 from uavaou_cli.overrides import Overrides, parse_overrides
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def _write(
 ) -> list[str]:
     """Write the files; returns a note on each."""
     from uavaou.experiments.evaluation import to_json
-    from uavaou.experiments.folder import write_json
+    from uavaou.experiments.folder import missions_in, write_json
 
     scenario = missions.scenario
     head = {"scenario": scenario.name, "episodes": missions.episodes, "seed": missions.seed}

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uavaou.errors import InputError
-from uavaou.files import read_json
 from uavaou_cli.checks import writable_file
 from uavaou_cli.overrides import Overrides
 
@@ -127,7 +126,7 @@ def _play(plan: Plan, planners: Mapping[str, Planner], request: Request, results
 
 def _write(plan: Plan, results: list[Result], request: Request) -> list[str]:
     """Write the files; returns a note on each."""
-    from uavaou.experiments.folder import write_json
+    from uavaou.experiments.folder import missions_in, write_json
     from uavaou.experiments.suite_results import csv_rows, suite_json, write_csv
 
     episodes, seed, notes = request.episodes, request.seed, []
@@ -159,12 +158,3 @@ def _written(path: Path, write: Callable[[Path], None]) -> str:
     except OSError as error:
         raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
     return f"wrote {path}"
-
-
-def missions_in(path: Path) -> int:
-    """The missions of an evaluation written before; 0 where there is none that can be read."""
-    try:
-        episodes = read_json(path)["episodes"]
-    except (ValueError, KeyError, TypeError):
-        return 0
-    return episodes if isinstance(episodes, int) else 0

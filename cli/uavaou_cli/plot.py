@@ -32,11 +32,33 @@ def figures(
     if not given:
         from uavaou.experiments.study_tables import study_folders
 
-        studies = study_folders(Path("results"))
+        _draw_all(study_folders(Path("results")), out)
+        return
     if runs:
         _draw_runs(runs, out if out is not None else runs[0] / "figures")
     for study in studies:
-        _draw_study(study, study / "figures" if out is None else out / study.name if len(studies) > 1 else out)
+        _draw_study(study, _place(study, studies, out))
+
+
+def _draw_all(studies: list[Path], out: Path | None) -> None:
+    """Draw the studies that can be drawn; one that is damaged, or has only begun, keeps no other from it."""
+    from uavaou.experiments.study_tables import NothingYetError
+
+    problems: list[InputError] = []
+    for study in studies:
+        try:
+            _draw_study(study, _place(study, studies, out))
+        except InputError as problem:
+            problems.append(problem)
+            print(f"uavaou: left out: {problem}", file=sys.stderr)
+    damaged = [problem for problem in problems if not isinstance(problem, NothingYetError)]
+    if damaged or len(problems) == len(studies):
+        raise InputError(f"{len(problems)} of {len(studies)} studies could not be drawn")
+
+
+def _place(study: Path, studies: list[Path], out: Path | None) -> Path:
+    """Where the pictures of a study go."""
+    return study / "figures" if out is None else out / study.name if len(studies) > 1 else out
 
 
 def _draw_runs(runs: list[Path], target: Path) -> None:

@@ -7,6 +7,8 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from uavaou_cli.tables import duration
+
 if TYPE_CHECKING:
     from uavaou.experiments.studies.runner import Standing
 
@@ -99,11 +101,3 @@ def _running(standing: Standing) -> str:
     parts = [f"{name} {sum(values) / len(values):,.2f}" if values else f"{name} -" for name, values in means.items()]
     shown = [*parts, *others][:_MOST_VARIANTS]
     return ("mean AoU in slots: " if parts else "") + ", ".join(shown)
-
-
-def duration(seconds: float) -> str:
-    """Seconds as a person says them."""
-    minutes = round(seconds / 60)
-    if minutes < 2:
-        return f"{seconds:.0f} s"
-    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"

@@ -4,60 +4,44 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from uavaou_cli.study_progress import duration
-from uavaou_cli.tables import WIDTH, aligned, figure
+from uavaou_cli.tables import WIDTH, aligned, duration, figure
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from uavaou.experiments.studies.status import PartStatus
     from uavaou.experiments.study import Study
-    from uavaou.experiments.study_results import StudyResults
+    from uavaou.reports.standings import Standing
 
 
 def study_lines(folder: Path) -> list[str]:
     """The results of a study: for each scenario the mean AoU of every variant and planner, the best first."""
     from uavaou.experiments.study_results import read_study
+    from uavaou.experiments.study_tables import by_run
+    from uavaou.reports.standings import standings
 
     results = read_study(folder)
     lines = [f"study {results.study['name']}: mean AoU in slots, {results.study['episodes']} missions a run"]
-    for scenario in results.study["scenarios"]:
-        rows = sorted(_result_rows(results, scenario), key=lambda row: row[0])
-        if rows:
-            head = (scenario, "seeds", "mean AoU", "95 % interval", "violations")
-            lines += ["", *(line.rstrip() for line in aligned([head, *(cells for _, cells in rows)]))]
+    if not len(results.missions["mission"]):
+        return [*lines, "", "nothing has been evaluated yet", f"results: {folder}"]
+    for scenario, found in standings(results, by_run(results)).items():
+        head = (scenario, "seeds", "mean AoU", "95 % interval", "violations")
+        lines += ["", *(line.rstrip() for line in aligned([head, *map(_cells, found)]))]
     note = (
-        "of trainings: the mean over seeds and its bootstrap interval over seeds, nothing where there is one; "
-        "of planners: over missions; the bound is one on the expected mean AoU"
+        "intervals: stratified bootstrap, seeds and missions resampled; of one seed, and of planners, over missions "
+        "alone; the bound is one on the expected mean AoU"
     )
     return [*lines, "", *textwrap.wrap(note, WIDTH), f"results: {folder}"]
 
 
-def _result_rows(results: StudyResults, scenario: str) -> Iterator[tuple[float, tuple[str, ...]]]:
-    """The mean of each variant, planner and the bound, to sort by, and the row."""
-    from uavaou.experiments.statistics import interval
-    from uavaou.experiments.study_results import NO_SEED, rows_of
-
-    for variant in results.study["variants"]:
-        runs = rows_of(results.runs, variant=variant, scenario=scenario)
-        if len(runs["seed"]):
-            found = interval(runs["mean_aou_slots"])
-            cells = figure(found.mean), _ends(found.low, found.high), f"{runs['violations'].sum():,}"
-            yield found.mean, (variant, str(len(runs["seed"])), *cells)
-    for planner in results.study["planners"]:
-        missions = rows_of(results.missions, variant=planner, scenario=scenario, seed=NO_SEED)
-        if len(missions["mission"]):
-            found = interval(missions["mean_aou_slots"])
-            yield found.mean, (planner, "-", figure(found.mean), _ends(found.low, found.high), "-")
-    for value in rows_of(results.bounds, scenario=scenario)["bound_slots"]:
-        yield float(value), ("lower bound", "-", figure(float(value)), "", "-")
-
-
-def _ends(low: float, high: float) -> str:
-    return "" if math.isnan(low) else f"{figure(low)}-{figure(high)}"
+def _cells(one: Standing) -> tuple[str, ...]:
+    mean, low, high = one.mean
+    between = "" if math.isnan(low) else f"{figure(low, mean)}-{figure(high, mean)}"
+    violations = "-" if one.violations is None else f"{one.violations:,}"
+    return one.policy, str(one.seeds or "-"), figure(mean), between, violations
 
 
 def status_lines(study: Study, parts: Sequence[PartStatus]) -> list[str]:

@@ -44,7 +44,7 @@ def training_lines(outcome: Outcome, config: RunConfig, plugins: Sequence[str] =
     progress, folder = outcome.progress, outcome.folder.path
     lines = [
         f"trained {config.algorithm.name} on {config.scenario.name}: "
-        f"{progress.slots:,} slots, {outcome.agent_steps:,} agent steps, {_duration(progress.wall_s)}",
+        f"{progress.slots:,} slots, {outcome.agent_steps:,} agent steps, {duration(progress.wall_s)}",
         f"run folder:      {folder}",
     ]
     if progress.best_score is not None:
@@ -94,7 +94,7 @@ def plan_lines(scenario: Scenario, plan: Plan, took_s: float, path: Path) -> lis
     in_slots = plan.mean_aou_s / scenario.slot_length_s
     ended = "interrupted after" if plan.interrupted else "in"
     lines = [
-        f"planned {scenario.name} with {plan.planner} {ended} {_duration(took_s)}",
+        f"planned {scenario.name} with {plan.planner} {ended} {duration(took_s)}",
         f"expected mean AoU: {figure(plan.mean_aou_s)} s = {figure(in_slots)} slots",
     ]
     if plan.gap is not None and plan.bound_s is not None:
@@ -171,7 +171,8 @@ def figure(value: float, like: float | None = None) -> str:
     return f"{value:,.{digits}f}"
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """Seconds as a person says them."""
     whole = round(seconds)
     if whole < 60:
         return f"{seconds:.1f} s"

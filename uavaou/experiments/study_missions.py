@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from urllib.parse import quote, unquote
+from urllib.parse import unquote
 
 from uavaou.errors import InputError
 from uavaou.experiments.folder import RunFolder
-from uavaou.experiments.missions import RecordedMission, record_mission, write_mission
+from uavaou.experiments.missions import RecordedMission, read_mission, record_mission, write_mission
 from uavaou.experiments.trained import load_run
+from uavaou.files import folder_name
 from uavaou.zoo import read_yaml_mapping
 
 MISSION_SEED = 10_000  # the first mission of every evaluation
@@ -18,7 +19,7 @@ def record_study_missions(study: Path, mission_seed: int = MISSION_SEED) -> list
     """Play one mission with the best policy of each variant and write ``mission-<variant>.json``.
 
     The policies are those in ``best/<scenario>/<variant>/seed-<n>/``, on the first of the study's scenarios that
-    has any; all play the same mission.
+    has any; all play the same mission. Earlier recordings of another scenario go.
 
     Args:
         study: ``results/studies/<name>``.
@@ -32,11 +33,21 @@ def record_study_missions(study: Path, mission_seed: int = MISSION_SEED) -> list
     """
     scenarios = read_yaml_mapping(study / "study.yaml").get("scenarios")
     for scenario in scenarios if isinstance(scenarios, dict) else ():
-        place = study / "best" / quote(scenario, safe=" +=,.-_~()")
+        place = study / "best" / folder_name(scenario)
         folders = sorted(place.glob("*/seed-*"))
         if folders:
-            return [_record(study, folder, mission_seed) for folder in folders]
+            written = [_record(study, folder, mission_seed) for folder in folders]
+            _remove_others(study, written)
+            return written
     return []
+
+
+def _remove_others(study: Path, written: list[Path]) -> None:
+    """Remove an earlier report's recordings of another scenario: one picture shows all that are there."""
+    scenario = read_mission(written[0]).scenario
+    for path in set(study.glob("mission-*.json")) - set(written):
+        if read_mission(path).scenario != scenario:
+            path.unlink()
 
 
 def _record(study: Path, folder: Path, mission_seed: int) -> Path:

@@ -6,6 +6,7 @@ training seeds.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +17,16 @@ from numpy.typing import NDArray
 
 from uavaou.errors import InputError
 from uavaou.experiments.study_results import NO_SEED, StudyResults, Table, read_study
+from uavaou.zoo import zoo_names
 
 Floats = NDArray[np.float64]
 Key = tuple[str, str, int]  # variant, scenario, seed
 
 TABLES = ("curves", "validation", "missions", "execution", "devices")
+
+
+class NothingYetError(InputError):
+    """A study that has only begun: nothing is wrong with it."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,11 @@ class StudyTables:
     def name(self) -> str:
         """The study's name, which is its folder's."""
         return self.folder.name
+
+    @property
+    def argument(self) -> str:
+        """What stands for the study on a command line: the name of one that is shipped, else its own file's."""
+        return shlex.quote(self.name if self.name in zoo_names("studies") else f"{self.name}.yaml")
 
     def runs(self, table: str, variant: str, scenario: str) -> list[Table]:
         """The rows of each seed of a variant, in the order of the seeds; of a planner its one run."""
@@ -103,14 +114,15 @@ def by_run(results: StudyResults) -> StudyTables:
     """Sort the rows of a study's tables by run; rows of trainings that ``runs.csv`` does not name are left out.
 
     Raises:
-        InputError: ``study.yaml`` lacks what a figure is labelled with, or no run has been evaluated.
+        InputError: ``study.yaml`` lacks what a figure is labelled with.
+        NothingYetError: no run has been evaluated.
     """
     scenarios = _scenarios(results)
     algorithms = dict(zip(results.runs["variant"].tolist(), results.runs["algorithm"].tolist(), strict=True))
     done = set(zip(*(results.runs[column].tolist() for column in ("variant", "scenario", "seed")), strict=True))
     tables = {name: _split(getattr(results, name), done) for name in TABLES}
     if not tables["missions"]:
-        raise InputError(f"'{results.path}' holds no evaluated run yet")
+        raise NothingYetError(f"'{results.path}' holds no evaluated run yet")
     stated = results.study.get("variants")
     order = list(stated) if isinstance(stated, dict) else []
     learned = sorted(algorithms, key=lambda name: order.index(name) if name in order else len(order))

@@ -7,28 +7,19 @@ training say nothing of another.
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from io import StringIO
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import stdtrit
 
-from uavaou.errors import InputError, unknown
-from uavaou.experiments.statistics import Interval, interval
-from uavaou.files import read_text
-from uavaou.planners import PLANNERS
+from uavaou.errors import unknown
+from uavaou.experiments.statistics import Interval
+from uavaou.reports.markdown import rounded, table, with_interval
 
 Floats = NDArray[np.float64]
-
-_COLUMNS = ("variant", "scenario", "seed", "mean_aou_slots")
-_NO_SEED = ("", "-1")  # of planners, as the table has it and as it is read
-_MOST_BYTES = 500_000_000
 
 
 @dataclass(frozen=True)
@@ -38,7 +29,7 @@ class Ablation:
     Attributes:
         variant, scenario: as the study names them.
         seeds: trainings, n.
-        aou: mean AoU in slots over the seeds, with its 95 % interval; nan ends where there is one seed.
+        aou: mean AoU in slots over the seeds.
         ratio: to the published settings, with its 95 % interval; None for these themselves.
         finding: what follows, in a sentence.
     """
@@ -46,7 +37,7 @@ class Ablation:
     variant: str
     scenario: str
     seeds: int
-    aou: Interval
+    aou: float
     ratio: Interval | None
     finding: str
 
@@ -81,39 +72,32 @@ def geometric_ratio(values: ArrayLike, reference: ArrayLike, confidence: float =
     return Interval(math.exp(distance), math.exp(distance - reach), math.exp(distance + reach))
 
 
-def ablations(rows: Iterable[Mapping[str, Any]], published: str) -> list[Ablation]:
-    """Compare every variant with the published settings, scenario by scenario, in the order of the rows.
+def ablations(means: Mapping[str, Mapping[str, Floats]], published: str) -> list[Ablation]:
+    """Compare every variant with the published settings, scenario by scenario, in the order given.
 
     Args:
-        rows: of a study's ``missions.csv``: ``variant``, ``scenario``, ``seed`` and ``mean_aou_slots`` at least, a
-            mission each; planners, which have no seed, are left out.
+        means: scenario -> variant -> (n,) mean AoU in slots of each training seed, over its missions.
         published: the variant to compare with.
 
     Raises:
         InputError: there is no such variant on a scenario.
     """
-    missions: dict[str, dict[str, dict[str, list[float]]]] = {}  # scenario -> variant -> seed -> slots of each mission
-    for row in rows:
-        if str(row["seed"]) not in _NO_SEED and row["variant"] not in PLANNERS:
-            seeds = missions.setdefault(row["scenario"], {}).setdefault(row["variant"], {})
-            seeds.setdefault(str(row["seed"]), []).append(float(row["mean_aou_slots"]))
     found = []
-    for scenario, variants in missions.items():
+    for scenario, variants in means.items():
         if published not in variants:
             raise unknown(f"variant on scenario '{scenario}'", published, variants)
-        means = {name: np.array([np.mean(values) for values in seeds.values()]) for name, seeds in variants.items()}
-        names = [published, *(name for name in means if name != published)]
-        found += [_ablation(name, scenario, means[name], means[published], name == published) for name in names]
+        names = [published, *(name for name in variants if name != published)]
+        found += [_ablation(name, scenario, variants[name], variants[published], name == published) for name in names]
     return found
 
 
 def _ablation(variant: str, scenario: str, means: Floats, reference: Floats, published: bool) -> Ablation:
+    aou = float(means.mean())
     if published:
-        return Ablation(variant, scenario, len(means), interval(means), None, "what the others are held against")
+        return Ablation(variant, scenario, len(means), aou, None, "what the others are held against")
     ratio = geometric_ratio(means, reference)
-    return Ablation(
-        variant, scenario, len(means), interval(means), ratio, _finding(variant, ratio, len(means), len(reference))
-    )
+    finding = _finding(variant, ratio, len(means), len(reference))
+    return Ablation(variant, scenario, len(means), aou, ratio, finding)
 
 
 def _finding(variant: str, ratio: Interval, seeds: int, reference_seeds: int) -> str:
@@ -121,11 +105,11 @@ def _finding(variant: str, ratio: Interval, seeds: int, reference_seeds: int) ->
         return "no ratio: an AoU of 0"
     fewest = min(seeds, reference_seeds)
     if math.isnan(ratio.low):
-        return f"×{_short(ratio.mean)}, of which one seed says nothing"
+        return f"×{rounded(ratio.mean)}, of which one seed says nothing"
     if ratio.low <= 1 <= ratio.high:
         return f"no difference that {fewest} seeds can show"
     word = "worse" if ratio.mean > 1 else "better"
-    return f"×{_short(ratio.mean)} ({_short(ratio.low)}–{_short(ratio.high)}): {word} with {variant}"
+    return f"×{with_interval(*ratio)}: {word} with {variant}"
 
 
 def ablation_table(found: Sequence[Ablation]) -> str:
@@ -134,62 +118,17 @@ def ablation_table(found: Sequence[Ablation]) -> str:
     scenarios = list(dict.fromkeys(one.scenario for one in found))
     for scenario in scenarios:
         some = [one for one in found if one.scenario == scenario]
-        lines = [f"### {scenario}", ""] if len(scenarios) > 1 else []
-        lines += [
-            f"| variant | seeds | mean AoU (slots) | ratio to {some[0].variant} | finding |",
-            "| --- | --- | --- | --- | --- |",
-        ]
-        parts.append("\n".join([*lines, *map(_line, some)]))
+        parts += [f"### {scenario}"] if len(scenarios) > 1 else []
+        head = ("variant", "seeds", "mean AoU (slots)", f"ratio to {some[0].variant}", "finding")
+        parts.append(table(head, map(_cells, some)))
     others = max(sum(one.scenario == scenario for one in found) - 1 for scenario in scenarios) if found else 0
     parts.append(
-        "Mean AoU: over training seeds, with the 95 % bootstrap interval of the mean. Ratio: of geometric means over "
-        "seeds, with Welch's 95 % interval on the logarithms; below 1 is better. Each interval stands by itself: of "
-        f"{others} comparisons, one in twenty differs by chance."
+        "Ratio: of geometric means over training seeds, with Welch's 95 % interval on the logarithms; below 1 is "
+        f"better. Each interval stands by itself: of {others} comparisons, one in twenty differs by chance."
     )
     return "\n\n".join(parts) + "\n"
 
 
-def _line(one: Ablation) -> str:
-    variant = one.variant.replace("|", "\\|")
-    ratio = "1" if one.ratio is None else _with_ends(one.ratio)
-    return f"| {variant} | {one.seeds} | {_with_ends(one.aou)} | {ratio} | {one.finding.replace('|', chr(92) + '|')} |"
-
-
-def _with_ends(value: Interval) -> str:
-    if math.isnan(value.mean):
-        return "–"
-    if math.isnan(value.low):
-        return _short(value.mean)
-    return f"{_short(value.mean)} ({_short(value.low)}–{_short(value.high)})"
-
-
-def _short(value: float) -> str:
-    """Three digits: ``0.874``, ``1.83``, ``38.1``, ``12,400``."""
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}"
-    digits = 2 - math.floor(math.log10(abs(value)))
-    return f"{round(value, digits):,.{max(digits, 0)}f}"
-
-
-def read_missions(path: Path) -> list[dict[str, str]]:
-    """Read the ``missions.csv`` of a study.
-
-    Raises:
-        InputError: it cannot be read, or a column is missing or malformed; the message names the line.
-    """
-    reader = csv.DictReader(StringIO(read_text(path, _MOST_BYTES)))
-    for column in _COLUMNS:
-        if column not in (reader.fieldnames or []):
-            raise InputError(f"{path}: column '{column}' is missing")
-    rows = list(reader)
-    if not rows:
-        raise InputError(f"{path}: holds no mission")
-    for number, row in enumerate(rows, start=2):
-        try:
-            usable = math.isfinite(float(row["mean_aou_slots"]))
-        except (ValueError, TypeError):
-            usable = False
-        if not usable:
-            cell = row["mean_aou_slots"]
-            raise InputError(f"{path}: line {number}, column 'mean_aou_slots': '{cell}' is not a finite number")
-    return rows
+def _cells(one: Ablation) -> tuple[str, ...]:
+    ratio = "1" if one.ratio is None else "–" if math.isnan(one.ratio.mean) else with_interval(*one.ratio)
+    return one.variant, str(one.seeds), rounded(one.aou), ratio, one.finding

@@ -39,21 +39,20 @@ def comparable(
 ) -> tuple[dict[str, dict[str, Floats]], str]:
     """Scores of several scenarios in one unit, and the unit's name.
 
-    One scenario: slots. Several: multiples of each scenario's lower bound, where each has one; else of its best
-    planner; else of the mean of all its scores.
+    One scenario: slots. Several: multiples of each scenario's lower bound, where each has one above 0; else of its
+    best planner; else of the mean of all its scores; slots where even that is 0 somewhere.
     """
     names = list(study.scenarios)
     if len(names) == 1:
         return {name: dict(tables) for name, tables in scores.items()}, "in slots $\\tau$"
     best = best_planner(study, names)
-    if all(study.bounds.get(name, 0) > 0 for name in names):
-        levels, unit = {name: study.bounds[name] for name in names}, "as a multiple of the lower bound"
-    elif best is not None:
+    choices = [({name: study.bounds.get(name, 0.0) for name in names}, "as a multiple of the lower bound")]
+    if best is not None:
         flown = study.missions(best, "mean_aou_slots")
-        levels, unit = {name: float(flown[name].mean()) for name in names}, f"as a multiple of {best}'s"
-    else:
-        levels = {name: float(np.mean([tables[name].mean() for tables in scores.values()])) for name in names}
-        unit = "as a multiple of the mean of all"
+        choices.append(({name: float(flown[name].mean()) for name in names}, f"as a multiple of {best}'s"))
+    means = {name: float(np.mean([tables[name].mean() for tables in scores.values()])) for name in names}
+    choices += [(means, "as a multiple of the mean of all"), (dict.fromkeys(names, 1.0), "in slots $\\tau$")]
+    levels, unit = next(choice for choice in choices if min(choice[0].values()) > 0)
     shared = {
         name: {scenario: table / levels[scenario] for scenario, table in tables.items()}
         for name, tables in scores.items()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from uavaou.experiments.missions import read_mission
 from uavaou.experiments.statistics import Interval, interval, intervals
 from uavaou.experiments.study_results import Table
 from uavaou.experiments.study_tables import StudyTables, load_study
+from uavaou.files import folder_name
 from uavaou.reports import style
 from uavaou.reports.aggregate_figures import aggregate_figures
 from uavaou.reports.drawing import (
@@ -73,7 +73,7 @@ def plot_study(folder: Path, out_dir: Path) -> list[Path]:
     paths = []
     with style.house_style():
         for scenario in study.scenarios:
-            own = Path(out_dir) / quote(scenario, safe=" +=,.-_~()")
+            own = Path(out_dir) / folder_name(scenario)
             place = own if len(study.scenarios) > 1 else Path(out_dir)
             for name, figure in scenario_figures(study, scenario).items():
                 paths += style.save(figure, place, name)
@@ -139,12 +139,19 @@ def _training_figure(
 
 def _line(runs: list[tuple[Floats, Floats]]) -> Line:
     """The mean over seeds on the points of the first, up to where the shortest of them ends."""
+    runs = [_one_value_each(x, y) for x, y in runs]
     reach = min(float(x[-1]) for x, _ in runs)
     start = max(float(x[0]) for x, _ in runs)
     grid = runs[0][0]
     grid = grid[(grid >= start) & (grid <= reach)]
     grid = grid if len(grid) else np.array([reach])
     return Line(grid, *intervals([np.interp(grid, x, y) for x, y in runs]), len(runs))
+
+
+def _one_value_each(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """The mean of the values at each x: missions flown side by side end together, in groups that share their slot."""
+    ends, place = np.unique(x, return_inverse=True)
+    return ends, np.bincount(place, y) / np.bincount(place)
 
 
 def _wall_clock_figure(
@@ -166,7 +173,8 @@ def _wall_clock_figure(
 def _over_time(runs: list[Table]) -> Line:
     """The validation AoU that each seed held at each time, from when all have one to when the first ends."""
     times = [run["wall_s"] for run in runs]
-    grid = np.linspace(max(time[0] for time in times), max(min(time[-1] for time in times), times[0][0]), _TIMES)
+    start = max(float(time[0]) for time in times)
+    grid = np.linspace(start, max(start, min(float(time[-1]) for time in times)), _TIMES)
     held = [
         run["mean_aou_slots"][np.searchsorted(time, grid, side="right") - 1]
         for run, time in zip(runs, times, strict=True)

@@ -6,28 +6,28 @@ where it names one, and the verdicts on the paper's claims where it judges them.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
 from uavaou.errors import InputError
 from uavaou.experiments.folder import write_json
 from uavaou.experiments.marl_eval import to_marl_eval
-from uavaou.experiments.stratified import interquartile_mean, mean_score
-from uavaou.experiments.study_results import StudyResults, read_study, rows_of
+from uavaou.experiments.study_results import StudyResults, read_study
 from uavaou.experiments.study_tables import StudyTables, by_run
 from uavaou.files import replacing
 from uavaou.reports.ablations import ablation_table, ablations
 from uavaou.reports.claims import judge
 from uavaou.reports.claims_table import claims_markdown, write_claims
+from uavaou.reports.markdown import rounded, table, with_interval
+from uavaou.reports.standings import Standing, standings
 
 _NOTE = """\
 Mean AoU per slot in units of the slot length τ, over the missions of the final evaluation, which no training and no
 choice of a checkpoint has seen. IQM: the mean of the middle half. Intervals: 95 %, stratified bootstrap, seeds and
-missions resampled. Planners have one run and see everything; no policy's expected mean AoU can be below the bound."""
-_HEAD = """\
-| policy | seeds | mean AoU | IQM | wall-clock of a training | violations |
-| --- | --- | --- | --- | --- | --- |"""
+missions resampled; of one seed, and of planners, over missions alone. Planners see everything, but for `random` and
+`stay`; no policy's expected mean AoU can be below the bound."""
+_HEAD = ("policy", "seeds", "mean AoU", "IQM", "wall-clock of a training", "violations")
+_DIGITS = 4
 
 
 def write_report(folder: Path, results_page: Path) -> None:
@@ -46,15 +46,13 @@ def write_report(folder: Path, results_page: Path) -> None:
     parts = [
         f"# Study `{tables.name}`",
         str(study.get("description", "")),
-        _commands(results),
+        f"```\nuavaou study run {tables.argument}\nuavaou study report {tables.argument}\nuavaou plot figures\n```",
         *_results(results, tables),
     ]
-    reference = study.get("reference")
-    if reference in tables.algorithms:
-        rows = [dict(zip(results.missions, row, strict=True)) for row in zip(*results.missions.values(), strict=True)]
-        parts += [f"## Against `{reference}`", ablation_table(ablations(rows, reference))]
-    if study.get("claims"):
-        parts += ["## The paper's claims", claims_markdown(judge(results))]
+    parts += _comparison(tables, study.get("reference"))
+    claims = judge(results) if study.get("claims") else None
+    if claims is not None:
+        parts += ["## The paper's claims", claims_markdown(claims)]
     try:
         with replacing(folder / "README.md") as file:
             file.write("\n\n".join(part for part in parts if part) + "\n")
@@ -62,47 +60,35 @@ def write_report(folder: Path, results_page: Path) -> None:
             write_json(folder / "marl-eval.json", to_marl_eval(results))
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
-    if study.get("claims"):
-        write_claims(results_page, results)
-
-
-def _commands(results: StudyResults) -> str:
-    name = results.path.name
-    return f"```\nuavaou study run {name}\nuavaou study report {name}\nuavaou plot figures\n```"
+    if claims is not None:
+        write_claims(results_page, claims)
 
 
 def _results(results: StudyResults, tables: StudyTables) -> Iterator[str]:
     """A table for each scenario, the best first."""
     yield _NOTE
+    for scenario, found in standings(results, tables).items():
+        yield f"## {scenario}\n\n" + table(_HEAD, map(_cells, found))
+
+
+def _cells(one: Standing) -> tuple[str, ...]:
+    alone = one.scores.size == 1 and not one.seeds  # the bound
+    return (
+        one.policy if alone else f"`{one.policy}`",
+        str(one.seeds or ""),
+        with_interval(*one.mean, digits=_DIGITS),
+        "" if alone else with_interval(*one.interquartile_mean, digits=_DIGITS),
+        "" if one.wall_s is None else f"{rounded(one.wall_s / 60)} min",
+        "" if one.violations is None else f"{one.violations:,}",
+    )
+
+
+def _comparison(tables: StudyTables, reference: str | None) -> list[str]:
+    """The variants against the reference, in the scenarios that it has been evaluated on."""
+    means = {}
     for scenario in tables.scenarios:
-        rows = sorted(_rows(results, tables, scenario))
-        if rows:
-            yield f"## {scenario}\n\n" + "\n".join([_HEAD, *(row for _, row in rows)])
-
-
-def _rows(results: StudyResults, tables: StudyTables, scenario: str) -> Iterator[tuple[float, str]]:
-    for variant in (*tables.algorithms, *tables.planners):
-        scores = tables.missions(variant, "mean_aou_slots", [scenario])
-        if not scores:
-            continue
-        runs = rows_of(results.runs, variant=variant, scenario=scenario)
-        seeds = len(runs["seed"])
-        minutes = f"{runs['wall_s'].mean() / 60:.1f} min" if seeds else ""
-        violations = f"{runs['violations'].sum():,}" if seeds else ""
-        mean = mean_score(scores)
-        cells = (
-            f"`{variant}`",
-            str(seeds or ""),
-            _figure(*mean),
-            _figure(*interquartile_mean(scores)),
-            minutes,
-            violations,
-        )
-        yield mean[0], f"| {' | '.join(cells)} |"
-    if scenario in tables.bounds:
-        bound = tables.bounds[scenario]
-        yield bound, f"| lower bound | | {bound:.4g} | | | |"
-
-
-def _figure(value: float, low: float, high: float) -> str:
-    return f"{value:.4g}" if math.isnan(low) else f"{value:.4g} ({low:.4g}–{high:.4g})"
+        scores = {name: tables.stack("missions", name, scenario, "mean_aou_slots") for name in tables.algorithms}
+        found = {name: table.mean(axis=1) for name, table in scores.items() if table.size}
+        if reference in found:
+            means[scenario] = found
+    return [f"## Against `{reference}`", ablation_table(ablations(means, reference))] if means and reference else []

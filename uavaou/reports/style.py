@@ -143,7 +143,7 @@ def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> 
             look = replace(look, dash=_VARIANT_DASHES[turn % len(_VARIANT_DASHES)], marker=marker)
         overrides = "" if base in alone else name.partition("+")[2]
         label = name if name in stated else look.label + (f" {overrides}" if overrides else "")
-        given[name] = replace(look, label=label)
+        given[name] = replace(look, label=label.replace("$", "\\$"))  # of a name, not the beginning of a formula
     return given
 
 

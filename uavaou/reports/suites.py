@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from io import StringIO
@@ -200,6 +201,7 @@ def _title(table: SuiteTable) -> str:
         words.append("filled: trained for the point; hollow: zero-shot")
     elif "zero-shot" in kinds:
         words.append("hollow: zero-shot, not trained for the point")
-    seeds = len(table.rows) > len({(row.point, row.policy) for row in table.rows})
-    words.append("bars: 95 % interval over " + ("seeds; planners: over missions" if seeds else "missions"))
+    runs = Counter((row.point, row.policy) for row in table.rows)
+    several = "seeds; where there is one: over missions" if min(runs.values()) == 1 else "seeds"
+    words.append("bars: 95 % interval over " + (several if max(runs.values()) > 1 else "missions"))
     return "\n".join(words)

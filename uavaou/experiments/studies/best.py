@@ -24,7 +24,8 @@ _DIGITS = 6
 def keep_best(store: StudyStore, study: Study, out: Path) -> None:
     """Copy the best run of each variant and scenario into the results, and drop those it is better than.
 
-    A best run whose folder is on another machine is left out until ``study report`` is called there.
+    A best run whose folder, or whose evaluation on the study's missions, is not here is left out until
+    ``study report`` finds it; the one kept before stays until then.
 
     Raises:
         InputError: a run cannot be read or the results cannot be written.
@@ -44,28 +45,30 @@ def _keep(store: StudyStore, study: Study, out: Path, key: Key) -> None:
     config = RunConfig(study.scenarios[key.scenario], study.variants[key.variant], key.seed)
     run = next(run for run in study.runs() if (run.variant, run.scenario, run.seed) == tuple(key))
     source = study.folder(out, run)
-    if source.best.is_file() and source.exists() and source.read_config() == config:
+    here = source.best.is_file() and source.exists() and source.read_config() == config
+    entry = find_evaluation(source, config.algorithm.name, study.episodes) if here else None
+    if entry is not None:
         try:
-            _copy(source, RunFolder(kept), config, study.episodes)
+            _copy(source, RunFolder(kept), config, study.episodes, entry)
             with replacing(kept / "README.md") as file:
                 file.write("\n".join(card_lines(store, study, key, read_json(source.meta))) + "\n")
         except OSError as error:
             raise InputError(f"cannot write to '{kept}': {error.strerror or error}") from error
-    for other in kept.parent.glob("seed-*") if kept.parent.is_dir() else ():
-        if other != kept:
-            shutil.rmtree(other)
+    if RunFolder(kept).best.is_file():
+        for other in kept.parent.glob("seed-*"):
+            if other != kept:
+                shutil.rmtree(other)
 
 
-def _copy(source: RunFolder, kept: RunFolder, config: RunConfig, episodes: int) -> None:
+def _copy(source: RunFolder, kept: RunFolder, config: RunConfig, episodes: int, evaluation: Mapping[str, Any]) -> None:
     """Copy what ``uavaou eval`` and ``uavaou plot trajectories`` read."""
     kept.best.parent.mkdir(parents=True, exist_ok=True)
     for path, there in ((source.best, kept.best), (source.meta, kept.meta), (source.config, kept.config)):
         with replacing(there, "wb") as file:
             file.write(path.read_bytes())
-    entry = find_evaluation(source, config.algorithm.name, episodes)
     content = {
         "scenario": config.scenario.name, "episodes": episodes, "seed": EVALUATION_SEED,
-        "policies": {config.algorithm.name: _rounded(entry)},
+        "policies": {config.algorithm.name: _rounded(dict(evaluation))},
     }  # fmt: skip
     (kept.path / "eval").mkdir(exist_ok=True)
     with replacing(kept.path / "eval" / "default.json") as file:

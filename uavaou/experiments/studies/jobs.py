@@ -131,7 +131,7 @@ def _train(job: Training, tell: Tell) -> None:
 def _evaluate(folder: RunFolder, config: RunConfig, episodes: int) -> None:
     """Write the evaluation, as ``uavaou eval`` does; one of other missions that are more is kept."""
     from uavaou.experiments.evaluation import evaluate, to_json
-    from uavaou.experiments.folder import write_json
+    from uavaou.experiments.folder import missions_in, write_json
     from uavaou.experiments.trained import load_run
 
     policy = load_run(folder)
@@ -139,20 +139,12 @@ def _evaluate(folder: RunFolder, config: RunConfig, episodes: int) -> None:
     head = {"scenario": config.scenario.name, "episodes": episodes, "seed": EVALUATION_SEED}
     policies = {config.algorithm.name: to_json(found, config.scenario, policy.action)}
     usual, own = _evaluation_paths(folder, episodes)
-    write_json(own if _missions_in(usual) > episodes else usual, head | {"policies": policies})
+    write_json(own if missions_in(usual) > episodes else usual, head | {"policies": policies})
 
 
 def _evaluation_paths(folder: RunFolder, episodes: int) -> tuple[Path, Path]:
     """Where the evaluation usually is, and where it is when that place is taken by one of more missions."""
     return folder.path / "eval" / "default.json", folder.path / "eval" / f"first-{episodes}.json"
-
-
-def _missions_in(path: Path) -> int:
-    try:
-        episodes = read_json(path)["episodes"]
-    except (ValueError, KeyError, TypeError):
-        return 0
-    return episodes if isinstance(episodes, int) else 0
 
 
 def find_evaluation(folder: RunFolder, algorithm: str, episodes: int) -> dict[str, Any] | None:

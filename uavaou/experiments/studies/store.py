@@ -10,7 +10,6 @@ import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote
 
 import yaml
 
@@ -21,7 +20,7 @@ from uavaou.experiments.studies.condense import Rows, number
 from uavaou.experiments.studies.jobs import Key, reference_keys, run_key
 from uavaou.experiments.study import BOUND, EVALUATION_SEED, Study
 from uavaou.experiments.study_results import COLUMNS, read_rows
-from uavaou.files import replacing
+from uavaou.files import folder_name, replacing
 from uavaou.zoo import read_yaml_mapping
 
 FAILURES = ("variant", "scenario", "seed", "reason")
@@ -64,11 +63,6 @@ class StudyFolder:
 def study_folder(out: Path, study: Study) -> StudyFolder:
     """The folder of a study's condensed results below ``out``."""
     return StudyFolder(out / "studies" / study.name)
-
-
-def folder_name(name: str) -> str:
-    """A variant's or a scenario's name as a folder's."""
-    return quote(name, safe=" +=,.-_~()")
 
 
 class StudyStore:

@@ -1,0 +1,31 @@
+"""Tables and figures in Markdown, for every page that is written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table; what stands in a cell cannot end it."""
+    lines = [_line(head), _line(["---"] * len(head)), *map(_line, rows)]
+    return "\n".join(lines)
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
+
+
+def rounded(value: float, digits: int = 3) -> str:
+    """So many significant digits, thousands apart, without an exponent: ``0.874``, ``38.1``, ``12,400``."""
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    return f"{round(value, places):,.{max(places, 0)}f}"
+
+
+def with_interval(value: float, low: float, high: float, digits: int = 3) -> str:
+    """A figure with the ends of its interval, where it has one."""
+    if math.isnan(low):
+        return rounded(value, digits)
+    return f"{rounded(value, digits)} ({rounded(low, digits)}–{rounded(high, digits)})"

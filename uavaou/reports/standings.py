@@ -1,0 +1,73 @@
+"""How the policies of a study stand on each scenario: what its page and ``uavaou study`` show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaou.experiments.stratified import Estimate, interquartile_mean, mean_score
+from uavaou.experiments.study_results import StudyResults, rows_of
+from uavaou.experiments.study_tables import StudyTables
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One policy, or the bound, on one scenario.
+
+    Attributes:
+        policy: the variant or planner; ``lower bound``.
+        seeds: trainings; 0 for planners and the bound.
+        scores: (S, M) mean AoU in slots of each seed and mission; (1, 1) of the bound.
+        wall_s: mean duration of a training, s; None for planners and the bound.
+        violations: constraint violations in all missions; None where they are not kept.
+    """
+
+    policy: str
+    seeds: int
+    scores: Floats
+    wall_s: float | None = None
+    violations: int | None = None
+
+    @cached_property
+    def mean(self) -> Estimate:
+        """The mean over seeds and missions."""
+        return mean_score({"": self.scores})
+
+    @cached_property
+    def interquartile_mean(self) -> Estimate:
+        """The mean of the middle half of all missions."""
+        return interquartile_mean({"": self.scores})
+
+
+def standings(results: StudyResults, tables: StudyTables) -> dict[str, list[Standing]]:
+    """Of each scenario the policies and the bound, the best first.
+
+    Raises:
+        InputError: the seeds of a variant have different numbers of missions.
+    """
+    return {
+        scenario: sorted(_of_scenario(results, tables, scenario), key=lambda one: float(one.scores.mean()))
+        for scenario in tables.scenarios
+    }
+
+
+def _of_scenario(results: StudyResults, tables: StudyTables, scenario: str) -> list[Standing]:
+    found = []
+    for variant in (*tables.algorithms, *tables.planners):
+        scores = tables.stack("missions", variant, scenario, "mean_aou_slots")
+        if not scores.size:
+            continue
+        runs = rows_of(results.runs, variant=variant, scenario=scenario)
+        if len(runs["seed"]):
+            wall_s, violations = float(runs["wall_s"].mean()), int(runs["violations"].sum())
+            found.append(Standing(variant, len(scores), scores, wall_s, violations))
+        else:
+            found.append(Standing(variant, 0, scores))
+    if scenario in tables.bounds:
+        found.append(Standing("lower bound", 0, np.array([[tables.bounds[scenario]]])))
+    return found
