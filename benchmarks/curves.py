@@ -1,0 +1,102 @@
+"""How long until a training is good, ``python -m benchmarks.curves [SECONDS]``: both collections, one core and two.
+
+Writes results/benchmarks/curves.csv and a picture of it. Each training has the machine to itself, a thread a core, and
+is stopped after SECONDS (240) of wall-clock.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from uavaou.envs.map import BLACK, BLUE, VERMILLION
+from uavaou.experiments.evaluation import evaluate
+from uavaou.planners import make_planner
+from uavaou.reports import style
+from uavaou.scenario import Scenario
+
+SCENARIO = "paper"
+EVERY_SLOTS = 50_000
+COLUMNS = ("collection", "cores", "slots", "wall_s", "mean_aou_slots", "sampled_aou_slots")
+Row = tuple[str, int, int, float, float, float]
+
+
+def trained(collection: str, cores: int, seconds: float, place: Path) -> Path:
+    """Train for some seconds; returns progress.csv."""
+    settings = [f"algorithm.evaluate_every_slots={EVERY_SLOTS}", f"algorithm.collection={collection}"]
+    command = [sys.executable, "-c", "import sys; from uavaou_cli.main import main; sys.exit(main())", "train"]
+    command += ["--scenario", SCENARIO, "--quiet", "--out", str(place)]
+    for setting in settings:
+        command += ["--set", setting]
+    process = subprocess.Popen(command, env=os.environ | {"OMP_NUM_THREADS": str(cores)})
+    try:
+        process.wait(seconds)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGTERM)
+        process.wait()
+    return next(place.glob("*/*/seed-0/progress.csv"))
+
+
+def points(collection: str, cores: int, progress: Path) -> list[Row]:
+    """The evaluations of a training; ages in slots."""
+    tau = Scenario.load(SCENARIO).slot_length_s
+    with progress.open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["evaluation/mean_aou_greedy_s"]]
+    return [
+        (
+            collection, cores, int(row["time/slots"]), float(row["time/wall_s"]),
+            float(row["evaluation/mean_aou_greedy_s"]) / tau, float(row["evaluation/mean_aou_sample_s"]) / tau,
+        )
+        for row in rows
+    ]  # fmt: skip
+
+
+def write(rows: list[Row], folder: Path) -> None:
+    """``curves.csv``."""
+    with (folder / "curves.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows((*row[:3], *(f"{value:.6g}" for value in row[3:])) for row in rows)
+
+
+def draw(rows: list[Row], folder: Path) -> None:
+    """``curves.png`` and ``.pdf``: AoU on the validation missions against wall-clock, beside `greedy`."""
+    scenario = Scenario.load(SCENARIO)
+    greedy = evaluate(scenario, make_planner("greedy"), 100, 10_000).mean_aou_s / scenario.slot_length_s
+    looks = {"select": BLUE, "auto": VERMILLION}
+    with style.house_style():
+        figure, axes = style.new_axes(3.0)
+        for collection, cores in dict.fromkeys(row[:2] for row in rows):
+            own = np.array([row[3:5] for row in rows if row[:2] == (collection, cores)])  # (n, 2)
+            label = f"{collection}, {cores} core{'s' if cores > 1 else ''}"
+            axes.plot(*own.T, "-" if cores > 1 else "--", color=looks[collection], label=label)
+        for level, label in ((greedy, "greedy, and half of it"), (greedy / 2, None)):
+            axes.axhline(level, color=BLACK, linewidth=0.8, linestyle=":", label=label)
+        axes.set(yscale="log", ylim=(30, 1000), xlim=(0, None), xlabel="wall-clock time of training (s)")
+        axes.set_ylabel("AoU on validation missions (τ)")
+        style.label_log_axis(axes.yaxis, 30, 1000)
+        style.legend_below(figure, axes, "likeliest action; one seed")
+        style.save(figure, folder, "curves")
+
+
+def main() -> None:
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 240.0
+    folder = Path("results/benchmarks")
+    rows: list[Row] = []
+    for collection in ("select", "auto"):
+        for cores in (1, 2):
+            with tempfile.TemporaryDirectory() as place:
+                rows += points(collection, cores, trained(collection, cores, seconds, Path(place)))
+            write(rows, folder)
+    draw(rows, folder)
+
+
+if __name__ == "__main__":
+    main()
