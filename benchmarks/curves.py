@@ -77,8 +77,8 @@ def draw(rows: list[Row], folder: Path) -> None:
             own = np.array([row[3:5] for row in rows if row[:2] == (collection, cores)])  # (n, 2)
             label = f"{collection}, {cores} core{'s' if cores > 1 else ''}"
             axes.plot(*own.T, "-" if cores > 1 else "--", color=looks[collection], label=label)
-        for level, label in ((greedy, "greedy, and half of it"), (greedy / 2, None)):
-            axes.axhline(level, color=BLACK, linewidth=0.8, linestyle=":", label=label)
+        axes.axhline(greedy, color=BLACK, linewidth=0.8, linestyle=":", label="greedy, and half of it")
+        axes.axhline(greedy / 2, color=BLACK, linewidth=0.8, linestyle=":")
         axes.set(yscale="log", ylim=(30, 1000), xlim=(0, None), xlabel="wall-clock time of training (s)")
         axes.set_ylabel("AoU on validation missions (τ)")
         style.label_log_axis(axes.yaxis, 30, 1000)
