@@ -9,7 +9,7 @@ RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 .PHONY: help install demo test lint types bench lock clean
 
 help:
-	@echo "make demo    train MAPPO on the paper's scenario, evaluate it beside planners, draw the figures (about 5 minutes)"
+	@echo "make demo    train MAPPO on the paper's scenario, evaluate it beside planners, draw the figures (about 3 minutes)"
 	@echo "make test    run all tests"
 	@echo "make lint    ruff; make types: mypy; make bench: speed, side by side"
 
