@@ -54,15 +54,17 @@ def clipped_surrogate(
         slot, uav = slots[row // uavs], row % uavs
         action = actions[slot, uav]
         move_entropy = _softmax(logits[row], local[row], moves_at, log_probs, probs)
-        selection, selection_entropy = _selection(logits[row], local[row], range_at, action, gradient[row])
-        log_ratio = log_probs[int(action[0])] + selection - old_log_prob[slot, uav]
+        log_prob, entropy = _add_selection(
+            logits[row], local[row], range_at, action, log_probs[int(action[0])], move_entropy, gradient[row]
+        )
+        log_ratio = log_prob - old_log_prob[slot, uav]
         ratio = math.exp(log_ratio)
         bounded = min(max(ratio, 1 - clip_range), 1 + clip_range)
         advantage = (advantages[slot, uav % advantages.shape[1]] - mean) * scale
         follows = ratio == bounded or advantage * ratio < advantage * bounded
         by_log_prob = -advantage * ratio * each if follows else 0.0
         objectives += min(advantage * ratio, advantage * bounded)
-        entropies += move_entropy + selection_entropy
+        entropies += entropy
         divergence += ratio - 1 - log_ratio
         outside += abs(ratio - 1) > clip_range
         for k in range(_MOVES):
@@ -96,12 +98,13 @@ def _softmax(logits: Floats, local: Floats, moves_at: int, log_probs: Doubles, p
 
 
 @compiled
-def _selection(logits: Floats, local: Floats, range_at: int, action: Floats, selected: Floats) -> tuple[float, float]:
-    """Log-probability and entropy of selecting devices; writes each one's probability q into ``selected``.
+def _add_selection(
+    logits: Floats, local: Floats, range_at: int, action: Floats, log_prob: float, entropy: float, selected: Floats
+) -> tuple[float, float]:
+    """Add what selecting devices adds to log-probability and entropy; writes each one's probability q to ``selected``.
 
     With z the logit, log q = -softplus(-z), and the entropy is z (1 - q) - log q.
     """
-    log_prob, entropy = 0.0, 0.0
     for i in range(len(action) - 1):
         if range_at < 0 or local[range_at + i] > 0.5:
             z = float(logits[_MOVES + i])
