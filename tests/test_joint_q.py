@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +18,9 @@ from uavaou.algorithms.common.mixers import MIXERS, MonotonicMixer, SumMixer, ma
 from uavaou.algorithms.common.networks import UtilityNetwork
 from uavaou.world.views import Columns, RowLayout
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 LEARNERS = [VDN, QMIX, IQL]
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> Iterator[None]:
-    before = th.get_num_threads()
-    th.set_num_threads(1)
-    yield
-    th.set_num_threads(before)
 
 
 def small_model(learner: type[JointQLearning] = VDN, collection: str = "select", **arguments: Any) -> JointQLearning:

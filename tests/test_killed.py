@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
-import multiprocessing
 import os
 import random
-import shlex
 import signal
 import sys
 import time
@@ -16,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import forked, start_command
 from safetensors.numpy import load_file
 
 from uavaou import Scenario
@@ -24,7 +23,6 @@ from uavaou.experiments.evaluation import evaluate
 from uavaou.experiments.folder import RunConfig, RunFolder
 from uavaou.experiments.run import train
 from uavaou.experiments.trained import load_run
-from uavaou_cli.main import main
 
 KILLS = 20
 ON_POLICY = {"rollout_slots": 25, "batch_rows": 100}
@@ -32,9 +30,6 @@ OFF_POLICY = {
     "replay_slots": 600, "learning_starts": 200, "batch_slots": 16, "slots_per_update": 20, "target_update": 5,
 }  # fmt: skip
 SMALL = {"missions": 4, "evaluate_every_slots": 700, "evaluation_missions": 2, "hidden": [16]}
-
-forked = multiprocessing.get_context("forkserver")
-forked.set_forkserver_preload(["uavaou.experiments.run", "uavaou.algorithms.builders", "uavaou_cli.main"])
 
 
 def configuration(algorithm: str, slots: int = 1500, **changes: Any) -> RunConfig:
@@ -124,20 +119,6 @@ TRAIN = (
 )
 
 
-def command(arguments: str, stderr: Path) -> None:
-    """The command line in a process group of its own, as a shell starts it."""
-    os.setsid()
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs are started with it ignored
-    os.dup2(os.open(stderr, os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
-    sys.exit(main(shlex.split(arguments)))
-
-
-def cli(arguments: str, stderr: Path) -> Any:
-    process = forked.Process(target=command, args=(arguments, stderr))
-    process.start()
-    return process
-
-
 def wait_for_missions(out: Path, missions: int = 20) -> RunFolder:
     """Wait until missions have ended."""
     deadline = time.monotonic() + 300
@@ -196,7 +177,7 @@ def test_a_killed_training_leaves_no_process_behind_and_resumes_with_as_many(tmp
 def test_a_signal_is_answered_with_a_checkpoint(
     number: signal.Signals, code: int, processes: int, tmp_path: Path
 ) -> None:
-    process = cli(f"{TRAIN} --set algorithm.processes={processes} --out {tmp_path}", tmp_path / "stderr")
+    process = start_command(f"{TRAIN} --set algorithm.processes={processes} --out {tmp_path}", tmp_path / "stderr")
     folder = wait_for_missions(tmp_path)
     os.killpg(process.pid, number)  # as a terminal does: to the workers too
     assert ended(process) == code
@@ -206,7 +187,7 @@ def test_a_signal_is_answered_with_a_checkpoint(
     assert again.endswith("--resume\n")
     slots = json.loads(folder.meta.read_text())["slots"]
     assert f"interrupted after {slots:,} slots" in said
-    process = cli(again, tmp_path / "stderr")
+    process = start_command(again, tmp_path / "stderr")
     wait_for_missions(tmp_path, slots // 60 + 20)
     os.killpg(process.pid, number)
     assert ended(process) == code
@@ -215,7 +196,8 @@ def test_a_signal_is_answered_with_a_checkpoint(
 
 @pytest.mark.slow
 def test_a_second_signal_leaves_at_once_and_loses_nothing(tmp_path: Path) -> None:
-    process = cli(f"{TRAIN.replace('=50', '=20000')} --out {tmp_path}", tmp_path / "stderr")  # minutes to an update
+    # Minutes to an update.
+    process = start_command(f"{TRAIN.replace('=50', '=20000')} --out {tmp_path}", tmp_path / "stderr")
     folder = wait_for_missions(tmp_path)
     os.killpg(process.pid, signal.SIGINT)
     time.sleep(0.3)
@@ -231,9 +213,9 @@ def test_a_second_signal_leaves_at_once_and_loses_nothing(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_a_second_writer_is_refused_and_a_dead_one_is_not(tmp_path: Path) -> None:
-    first = cli(f"{TRAIN} --out {tmp_path} --resume", tmp_path / "first")
+    first = start_command(f"{TRAIN} --out {tmp_path} --resume", tmp_path / "first")
     folder = wait_for_missions(tmp_path)
-    assert ended(cli(f"{TRAIN} --out {tmp_path} --resume", tmp_path / "second")) == 2
+    assert ended(start_command(f"{TRAIN} --out {tmp_path} --resume", tmp_path / "second")) == 2
     said = (tmp_path / "second").read_text()
     assert f"is being written by process {first.pid}" in said
     assert said.count("\n") == 1
@@ -241,7 +223,7 @@ def test_a_second_writer_is_refused_and_a_dead_one_is_not(tmp_path: Path) -> Non
     first.kill()
     first.join()
     folder.episodes.unlink()
-    third = cli(f"{TRAIN} --out {tmp_path} --resume", tmp_path / "third")
+    third = start_command(f"{TRAIN} --out {tmp_path} --resume", tmp_path / "third")
     wait_for_missions(tmp_path)
     os.killpg(third.pid, signal.SIGINT)
     assert ended(third) == 130

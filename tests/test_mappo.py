@@ -17,16 +17,10 @@ from uavaou import IPPO, MAPPO, InputError, Scenario, flatten
 from uavaou.algorithms.common.action_head import MoveSelectionDistribution
 from uavaou.algorithms.common.networks import Linear
 from uavaou.algorithms.common.value_norm import PopArt
-from uavaou.algorithms.mappo.gradients import Share, Terms, WrittenGradients, can_write
+from uavaou.algorithms.mappo.gradients import Share, Terms, WrittenGradients
 from uavaou.algorithms.mappo.partners import Partner, share_out
 
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> Iterator[None]:
-    before = th.get_num_threads()
-    th.set_num_threads(1)
-    yield
-    th.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def small_model(learner: type[MAPPO] = MAPPO, collection: str = "select", **arguments: Any) -> MAPPO:
@@ -276,7 +270,7 @@ def test_written_gradients_are_those_of_the_loss(
             parameter.add_(th.randn(parameter.shape, generator=th.Generator().manual_seed(1)) * 0.02)
     figures = model.backward(model.loss(buffer.batch(slots), clip_range, mean, std))
     expected = [parameter.grad.clone() for parameter in parameters]
-    assert can_write(model)
+    assert model.writes_gradient
     written = WrittenGradients(model, clip_range, mean, std)(slots)
     assert 0.2 < float(figures[5]) < 1
     th.testing.assert_close(written, figures, rtol=2e-5, atol=2e-6)
@@ -297,7 +291,7 @@ def test_gradients_are_written_where_there_are_no_masks() -> None:
 
 
 @pytest.fixture
-def two_threads() -> Iterator[None]:
+def two_threads(one_thread: None) -> Iterator[None]:
     th.set_num_threads(2)
     yield
     th.set_num_threads(1)

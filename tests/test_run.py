@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +21,12 @@ from uavaou.experiments.run import train
 from uavaou.experiments.trained import load_run
 from uavaou.planners import make_planner
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 SMALL = {
     "slots": 1200, "missions": 4, "rollout_slots": 25, "batch_rows": 100, "evaluate_every_slots": 400,
     "evaluation_missions": 2, "hidden": [16],
 }  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> Iterator[None]:
-    before = th.get_num_threads()
-    th.set_num_threads(1)
-    yield
-    th.set_num_threads(before)
 
 
 def small(algorithm: str = "mappo", seed: int = 0, **changes: Any) -> RunConfig:

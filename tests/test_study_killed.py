@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import multiprocessing
 import os
 import shlex
 import signal
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import start_command
 
 from uavaou.experiments.lock import holder
 from uavaou.experiments.studies.engine import Advanced, Engine
@@ -23,9 +23,6 @@ from uavaou.experiments.studies.runner import Standing, run_study
 from uavaou.experiments.study import Study
 from uavaou.experiments.study_results import read_study
 from uavaou_cli.main import main
-
-forked = multiprocessing.get_context("forkserver")
-forked.set_forkserver_preload(["uavaou.experiments.studies.runner", "uavaou_cli.main"])
 
 SMALL = (
     "missions: 8, rollout_slots: 20, batch_rows: 160, hidden: [16], evaluation_missions: 2, evaluate_every_slots: 2000"
@@ -40,20 +37,6 @@ variants:
 planners: [greedy]
 episodes: 4
 """
-
-
-def command(arguments: str, stderr: Path) -> None:
-    """The command line in a process group of its own, as a shell starts it."""
-    os.setsid()
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs are started with it ignored
-    os.dup2(os.open(stderr, os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
-    sys.exit(main(shlex.split(arguments)))
-
-
-def start(arguments: str, stderr: Path) -> Any:
-    process = forked.Process(target=command, args=(arguments, stderr))
-    process.start()
-    return process
 
 
 def wait_for_missions(out: Path, runs: int, missions: int) -> list[Path]:
@@ -105,7 +88,7 @@ def test_a_signal_makes_every_run_save_and_the_same_command_goes_on(
 ) -> None:
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
-    process = start(line, tmp_path / "stderr")
+    process = start_command(line, tmp_path / "stderr")
     folders = wait_for_missions(tmp_path / "out", 2, 20)
     os.killpg(process.pid, number)  # as a terminal does: to the children too
     process.join(120)
@@ -116,7 +99,7 @@ def test_a_signal_makes_every_run_save_and_the_same_command_goes_on(
     metas = [json.loads((folder / "meta.json").read_text()) for folder in folders]
     assert all(0 < meta["slots"] < 16_000 for meta in metas)
     assert all(holder(folder / ".lock") is None for folder in folders)
-    process = start(line, tmp_path / "again")
+    process = start_command(line, tmp_path / "again")
     process.join(300)
     assert process.exitcode == 0
     assert_the_same(tmp_path / "out", place / "out", study)
@@ -128,7 +111,7 @@ def test_a_signal_makes_every_run_save_and_the_same_command_goes_on(
 def test_runs_save_and_end_when_the_study_itself_is_killed(untouched: tuple[Path, Study], tmp_path: Path) -> None:
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
-    process = start(line, tmp_path / "stderr")
+    process = start_command(line, tmp_path / "stderr")
     folders = wait_for_missions(tmp_path / "out", 2, 20)
     os.kill(process.pid, signal.SIGKILL)
     process.join()
@@ -203,7 +186,7 @@ def test_a_study_on_a_cluster_stops_with_checkpoints_and_goes_on_without_it(
     pytest.importorskip("ray")
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'} --engine ray"
-    process = start(f"{line} --checkpoint-every 0", tmp_path / "stderr")
+    process = start_command(f"{line} --checkpoint-every 0", tmp_path / "stderr")
     folders = wait_for_missions(tmp_path / "out", 2, 5)
     assert all(str(holder(folder / ".lock")).startswith("process ") for folder in folders)
     os.killpg(process.pid, signal.SIGINT)
@@ -219,12 +202,12 @@ def test_a_study_on_a_cluster_stops_with_checkpoints_and_goes_on_without_it(
 @pytest.mark.slow
 def test_the_smoke_study_killed_and_resumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = f"study run smoke --jobs 2 --out {tmp_path / 'out'}"
-    process = start(line, tmp_path / "stderr")
+    process = start_command(line, tmp_path / "stderr")
     wait_for_missions(tmp_path / "out", 1, 20)
     process.kill()
     process.join()
     time.sleep(1)
-    process = start(line, tmp_path / "stderr")
+    process = start_command(line, tmp_path / "stderr")
     process.join(600)
     assert process.exitcode == 0, (tmp_path / "stderr").read_text()
     said = (tmp_path / "stderr").read_text()

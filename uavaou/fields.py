@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 import reprlib
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
-from uavaou.errors import nearest
+from uavaou.errors import InputError, nearest
 
 DEVICE_COLUMNS = ("bandwidth_hz", "transmit_power_mw", "update_period_slots")  # a value, a range, or one a device
 
@@ -40,6 +40,23 @@ Whole = Annotated[int, BeforeValidator(_plain_number)]
 PositiveWhole = Annotated[Whole, Field(ge=1, le=10**12)]
 Period = Annotated[Whole, Field(ge=1, le=10**6)]  # slots
 Point = tuple[Coordinate, Coordinate]
+
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+def validated(kind: type[_Model], content: Any, source: str) -> _Model:
+    """Validate a mapping.
+
+    Raises:
+        InputError: naming the field, its value and what is allowed.
+    """
+    if not isinstance(content, dict):
+        raise InputError(f"{source} = {short(content)}: expected a mapping with {', '.join(kind.model_fields)}")
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{source}: {explain_validation(error, list(kind.model_fields))}") from None
 
 
 def explain_validation(error: ValidationError, fields: list[str]) -> str:

@@ -17,8 +17,8 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, nearest
 from uavaou.experiments.folder import RunConfig, RunFolder, config_folder
-from uavaou.experiments.study_fields import MOST_RUNS, ScenarioEntry, StudyFields, VariantEntry, usable_name, validated
-from uavaou.fields import short
+from uavaou.experiments.study_fields import MOST_RUNS, ScenarioEntry, StudyFields, VariantEntry, usable_name
+from uavaou.fields import short, validated
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
 from uavaou.scenario import Scenario
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, StrictStr, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, StrictStr
 
 from uavaou.errors import InputError
-from uavaou.fields import Positive, PositiveWhole, explain_validation, short
+from uavaou.fields import Positive, PositiveWhole, short
 
 LARGEST_SEED = 2**32 - 1  # what NumPy's and torch's global streams take
 MOST_RUNS = 100_000
@@ -64,23 +64,6 @@ class VariantEntry(BaseModel):
 
     algorithm: StrictStr | None = None  # None: that of the variant's name
     set: dict[StrictStr, Any] = {}
-
-
-_Entry = TypeVar("_Entry", bound=BaseModel)
-
-
-def validated(kind: type[_Entry], content: Any, source: str) -> _Entry:
-    """Validate a mapping.
-
-    Raises:
-        InputError: naming the field, its value and what is allowed.
-    """
-    if not isinstance(content, dict):
-        raise InputError(f"{source} = {short(content)}: expected a mapping with {', '.join(kind.model_fields)}")
-    try:
-        return kind.model_validate(content)
-    except ValidationError as error:
-        raise InputError(f"{source}: {explain_validation(error, list(kind.model_fields))}") from None
 
 
 def usable_name(name: str, source: str) -> str:

@@ -9,20 +9,19 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from uavaou.errors import InfeasibleError, InputError, nearest, unknown
-from uavaou.fields import Number, explain_validation, short
+from uavaou.fields import Number, validated
 from uavaou.scenario import Scenario
 from uavaou.world.coverage import best_probability
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Scale = Literal["linear", "log", "category"]
-_Model = TypeVar("_Model", bound=BaseModel)
 _LONGEST_NAME = 120
 
 
@@ -113,19 +112,10 @@ class Suite(BaseModel):
         parts = dict(fields)
         if isinstance(parts.get("points"), list):
             points = enumerate(parts["points"])
-            parts["points"] = [_validated(Point, point, f"{source}: points[{k}]") for k, point in points]
+            parts["points"] = [validated(Point, point, f"{source}: points[{k}]") for k, point in points]
         if "axis" in parts:
-            parts["axis"] = _validated(Axis, parts["axis"], f"{source}: axis")
-        return _validated(cls, parts | {"name": name}, source)
-
-
-def _validated(kind: type[_Model], content: Any, source: str) -> _Model:
-    if not isinstance(content, dict):
-        raise InputError(f"{source} = {short(content)}: expected a mapping with {', '.join(kind.model_fields)}")
-    try:
-        return kind.model_validate(content)
-    except ValidationError as error:
-        raise InputError(f"{source}: {explain_validation(error, list(kind.model_fields))}") from None
+            parts["axis"] = validated(Axis, parts["axis"], f"{source}: axis")
+        return validated(cls, parts | {"name": name}, source)
 
 
 # -- points on a scenario ------------------------------------------------------------------------------

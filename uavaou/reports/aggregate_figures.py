@@ -66,6 +66,8 @@ def _iqm_figure(scores: Scores, unit: str, looks: Looks, note: str) -> Figure:
     figure, axes = style.new_axes(height_in=0.9 + _ROW_IN * len(order))
     _draw_bars(axes, [estimates[name] for name in order], [looks[name] for name in order])
     axes.set_yticks(range(len(order)), [_row_label(looks[name], scores[name]) for name in order])
+    axes.use_sticky_edges = False  # the ends of a bar that begins with the axis would not be seen
+    axes.autoscale_view()
     values = np.array([estimates[name].value for name in order])
     if values.min() > 0 and values.max() > 10 * values.min():
         axes.set_xscale("log")

@@ -79,7 +79,7 @@ class MoveSelectionDistribution(Distribution):
         if not self.devices:
             return log_prob
         z = self.selection_logits
-        return log_prob + _sum(functional.logsigmoid(z).sub_(z * (1 - actions[:, 1:])), self.selectable)
+        return log_prob + _selection_log_prob(z, functional.logsigmoid(z), actions[:, 1:], self.selectable)
 
     def entropy(self) -> th.Tensor:
         """Entropy in nats, (B,)."""
@@ -151,8 +151,7 @@ class _LogProbAndEntropy(th.autograd.Function):
         selected, probs = actions[:, 1:], th.sigmoid(z)  # (B, I)
         if z.shape[1]:
             log_q = functional.logsigmoid(z)  # (B, I)
-            unselected = z * (1 - selected)  # (B, I)
-            log_prob = log_prob + _sum(log_q - unselected, selectable)
+            log_prob = log_prob + _selection_log_prob(z, log_q, selected, selectable)
             entropy = entropy + _sum(th.addcmul(z, z, probs, value=-1).sub_(log_q), selectable)
         ctx.save_for_backward(move_log_probs, move_probs, move_entropy, move, z, probs, selected)
         ctx.selectable = selectable
@@ -171,6 +170,11 @@ class _LogProbAndEntropy(th.autograd.Function):
             devices.sub_((z * probs).mul_(1 - probs).mul_(by_entropy[:, None]))
             gradient[:, MOVES:] = devices if ctx.selectable is None else devices.mul_(ctx.selectable)
         return gradient, None, None, None
+
+
+def _selection_log_prob(z: th.Tensor, log_q: th.Tensor, selected: th.Tensor, selectable: th.Tensor | None) -> th.Tensor:
+    """Log-probability of a selection (B, I) with logits z and log q = log sigmoid(z), (B,)."""
+    return _sum(log_q - z * (1 - selected), selectable)
 
 
 def _sum(values: th.Tensor, selectable: th.Tensor | None) -> th.Tensor:

@@ -99,6 +99,10 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         """Parameters of the critic."""
         return [*self.critic_body.parameters(), *self.value_net.parameters()]
 
+    def actor_and_critic_parameters(self) -> list[nn.Parameter]:
+        """Those of both, the actor's first."""
+        return [*self.actor_parameters(), *self.critic_parameters()]
+
     @property
     def mask_columns(self) -> tuple[int, int]:
         """First local column of the allowed moves and of the devices in range; -1 where the action has no such mask."""

@@ -28,14 +28,6 @@ Slots = NDArray[np.int64]
 FIGURES = 5  # objective, entropy, KL divergence, share of clipped rows, squared error of the values
 
 
-def can_write(model: MAPPO) -> bool:
-    """Whether this module says what the model's policy and loss do."""
-    from uavaou.algorithms.mappo.mappo import MAPPO
-
-    own = type(model.policy) is CentralizedValuePolicy and type(model).loss is MAPPO.loss
-    return own and model.device.type == "cpu"
-
-
 class Terms(NamedTuple):
     """What the loss of a minibatch depends on beside its rows."""
 
@@ -116,7 +108,7 @@ class WrittenGradients:
     ) -> None:
         policy = model.policy
         self._model, self._share, self._partners = model, Share(policy, model.rollout_buffer), partners or []
-        self._parameters: list[th.Tensor] = [*policy.actor_parameters(), *policy.critic_parameters()]
+        self._parameters: list[th.Tensor] = list(policy.actor_and_critic_parameters())
         statistics = policy.value_net
         self._terms = Terms(
             mean, 1 / std, clip_range, model.ent_coef, model.vf_coef, float(statistics.mean), float(statistics.std)

@@ -19,7 +19,7 @@ from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
 from uavaou.algorithms.common.safe_io import SafeSaveLoad
 from uavaou.algorithms.common.threads import one_thread
-from uavaou.algorithms.mappo.gradients import Slots, WrittenGradients, can_write
+from uavaou.algorithms.mappo.gradients import Slots, WrittenGradients
 from uavaou.algorithms.mappo.partners import Partner, share_out
 from uavaou.errors import InputError, unknown
 
@@ -139,10 +139,16 @@ class MAPPO(SafeSaveLoad, PPO):
                     break
         self._log_training(th.stack(figures).mean(dim=0), explained, clip_range)
 
+    @property
+    def writes_gradient(self) -> bool:
+        """Whether the gradient is that of ``gradients.py``; by autograd for a loss or policy of one's own, or a GPU."""
+        own = type(self.policy) is CentralizedValuePolicy and type(self).loss is MAPPO.loss
+        return own and self.device.type == "cpu"
+
     @contextmanager
     def _gradients(self, clip_range: float, mean: float, std: float) -> Iterator[Callable[[Slots], th.Tensor]]:
         """What sets the gradient of the loss on some slots of the rollout, and gives its figures."""
-        if not can_write(self):
+        if not self.writes_gradient:
             yield lambda slots: self.backward(self.loss(self.rollout_buffer.batch(slots), clip_range, mean, std))
             return
         if self._partners is None:

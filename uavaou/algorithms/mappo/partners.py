@@ -41,10 +41,7 @@ def share_out(model: MAPPO) -> list[Partner]:
     if not sys.platform.startswith("linux") or multiprocessing.current_process().daemon:
         return []
     shares = min(th.get_num_threads(), model.batch_size // LEAST_ROWS)
-    partners: list[Partner] = []
-    for _ in range(shares - 1):
-        partners.append(Partner(model.policy, model.rollout_buffer))
-    return partners
+    return [Partner(model.policy, model.rollout_buffer) for _ in range(shares - 1)]
 
 
 class Partner:
@@ -64,8 +61,9 @@ class Partner:
         self._slots: Slots = np.frombuffer(mmap.mmap(-1, 8 * slots), np.int64)
         self._question = np.frombuffer(mmap.mmap(-1, 8 * (2 + len(Terms._fields))), np.float64)
         self._figures: Figures = np.frombuffer(mmap.mmap(-1, 8 * FIGURES), np.float64)
+        parameters = policy.actor_and_critic_parameters()
         self._weights, self._gradients = (
-            [th.from_numpy(shared_zeros(tuple(parameter.shape))) for parameter in _parameters(policy)] for _ in range(2)
+            [th.from_numpy(shared_zeros(tuple(parameter.shape))) for parameter in parameters] for _ in range(2)
         )
         self._process = context.Process(target=self._work, args=(policy, buffer), daemon=True)
         with warnings.catch_warnings():
@@ -101,7 +99,7 @@ class Partner:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         th.set_num_threads(1)
-        for parameter, weight in zip(_parameters(policy), self._weights, strict=True):
+        for parameter, weight in zip(policy.actor_and_critic_parameters(), self._weights, strict=True):
             parameter.data = weight
         share = Share(policy, buffer)
         while _acquire(self._asked, lambda: os.getppid() == self._parent):
@@ -123,7 +121,3 @@ def _acquire(semaphore: Semaphore, alive: Callable[[], bool]) -> bool:
         if not alive():
             return False
     return True
-
-
-def _parameters(policy: CentralizedValuePolicy) -> list[th.nn.Parameter]:
-    return [*policy.actor_parameters(), *policy.critic_parameters()]
