@@ -24,7 +24,7 @@ from uavaou.algorithms.mappo import gradients
 from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
-ROLLOUTS = 4  # of ours in one measurement: what a training starts with, a process, should not count
+ROLLOUTS = 12  # of ours in one measurement: what a training starts with, a process, should not count
 ALGORITHMS = ("mappo", "vdn", "qmix")  # whose training is measured, by name
 STOCK = "stock SB3 PPO on SuperSuit's stage"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,13 +12,19 @@ from typing import Any
 import numpy as np
 import pytest
 import torch as th
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from uavaou import IPPO, MAPPO, InputError, Scenario, flatten
 from uavaou.algorithms.common.action_head import MoveSelectionDistribution
 from uavaou.algorithms.common.networks import Linear
 from uavaou.algorithms.common.value_norm import PopArt
-from uavaou.algorithms.mappo.gradients import Share, Terms, WrittenGradients
+from uavaou.algorithms.mappo.gradients import Share, Terms, WrittenGradients, divide
 from uavaou.algorithms.mappo.partners import Partner, share_out
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -290,6 +297,79 @@ def test_gradients_are_written_where_there_are_no_masks() -> None:
         th.testing.assert_close(parameter.grad, gradient, rtol=2e-4, atol=2e-6)
 
 
+@given(slots=st.integers(1, 300), processes=st.integers(1, 8), critic_work=st.floats(0.001, 5.0, allow_nan=False))
+def test_a_minibatch_is_divided_without_loss(slots: int, processes: int, critic_work: float) -> None:
+    batch = np.arange(slots)
+    processes = min(processes, slots)
+    shares = divide(batch, processes, critic_work)
+    assert len(shares) == processes
+    for network in (0, 1):
+        np.testing.assert_array_equal(np.concatenate([share[network] for share in shares]), batch)
+    assert all(len(actor_slots) for actor_slots, _ in shares)
+    work = [len(actor_slots) + critic_work * len(critic_slots) for actor_slots, critic_slots in shares]
+    assert max(work) - min(work) <= 2 + critic_work  # as even as whole slots can be
+
+
+@pytest.mark.parametrize("learner", [MAPPO, IPPO])
+@pytest.mark.parametrize("collection", ["select", "auto"])
+def test_rollouts_are_those_of_sb3s_loop(learner: type[MAPPO], collection: str) -> None:
+    def buffers(collect_rollouts: Any) -> list[NDArray[np.float32]]:
+        model = small_model(learner, collection, n_steps=20)
+        _, callback = model._setup_learn(1000, CountCalls())
+        for _ in range(2):  # missions of 12 slots end in both
+            assert collect_rollouts(model, model.env, callback, model.rollout_buffer, 20)
+        assert model.num_timesteps == 2 * 20 * 8
+        buffer = model.rollout_buffer
+        return [
+            array.copy()
+            for array in (
+                buffer.local, buffer.state, buffer.actions, buffer.log_probs, buffer.values, buffer.rewards,
+                buffer.episode_starts, buffer.advantages, buffer.returns,
+            )
+        ]  # fmt: skip
+
+    for own, theirs in zip(buffers(MAPPO.collect_rollouts), buffers(PPO.collect_rollouts), strict=True):
+        np.testing.assert_array_equal(own, theirs)
+
+
+class CountCalls(BaseCallback):
+    """Looks at what SB3 promises in a callback's ``locals``."""
+
+    def _on_step(self) -> bool:
+        assert len(self.locals["infos"]) == len(self.locals["dones"]) == len(self.locals["rewards"]) == 8
+        assert self.locals["self"] is self.model
+        return True
+
+
+def test_a_truncated_mission_is_bootstrapped_as_by_sb3() -> None:
+    def rewards(collect_rollouts: Any) -> NDArray[np.float32]:
+        model = small_model(n_steps=20)
+        assert model.env is not None
+        model.env = Truncating(model.env)
+        _, callback = model._setup_learn(1000, None)
+        collect_rollouts(model, model.env, callback, model.rollout_buffer, 20)
+        return model.rollout_buffer.rewards.copy()
+
+    own, theirs = rewards(MAPPO.collect_rollouts), rewards(PPO.collect_rollouts)
+    np.testing.assert_allclose(own, theirs, atol=1e-6)
+    model = small_model(n_steps=20)
+    model.learn(20 * 8)
+    assert np.abs(own - model.rollout_buffer.rewards).max() > 0.01
+
+
+class Truncating(VecEnvWrapper):
+    """Calls the end of a mission a truncation."""
+
+    def reset(self) -> Any:
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        rows, rewards, dones, infos = self.venv.step_wait()
+        for row in np.flatnonzero(dones):
+            infos[row]["TimeLimit.truncated"] = True
+        return rows, rewards, dones, infos
+
+
 @pytest.fixture
 def two_threads(one_thread: None) -> Iterator[None]:
     th.set_num_threads(2)
@@ -299,7 +379,8 @@ def two_threads(one_thread: None) -> Iterator[None]:
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs forked processes")
 @pytest.mark.usefixtures("two_threads")
-def test_shares_of_a_gradient_add_up_in_a_process_that_ends_with_the_training() -> None:
+@pytest.mark.parametrize("critic_slots", [0, 200])
+def test_shares_of_a_gradient_add_up_in_a_process_that_ends_with_the_training(critic_slots: int) -> None:
     def trained() -> tuple[MAPPO, list[th.Tensor]]:
         model = small_model(n_steps=150, batch_size=700)
         model.learn(2 * 150 * 8)
@@ -317,14 +398,28 @@ def test_shares_of_a_gradient_add_up_in_a_process_that_ends_with_the_training() 
     partners = share_out(model)
     assert len(partners) == 1
     slots, terms = np.arange(600), Terms(0.1, 0.7, 0.2, 0.01, 0.5, -3.0, 2.0)
-    whole, figures = Share(alone.policy, model.rollout_buffer).gradient(slots, 600, terms)
-    first, figures_1 = Share(alone.policy, model.rollout_buffer).gradient(slots[:250], 600, terms)
-    partners[0].ask([*alone.policy.actor_parameters(), *alone.policy.critic_parameters()], slots[250:], 600, terms)
-    second, figures_2 = partners[0].answer()
+    whole, figures = Share(alone.policy, model.rollout_buffer).gradient(slots, slots, 600, terms)
+    share = Share(alone.policy, model.rollout_buffer)
+    first, figures_1 = share.gradient(slots[:250], slots[: 600 - critic_slots], 600, terms)
+    partners[0].ask(slots[250:], slots[600 - critic_slots :], 600, terms)
+    figures_2 = partners[0].answer()
     partners[0].close()
     np.testing.assert_allclose(figures, figures_1 + figures_2, rtol=1e-6)
-    for sum_of, one, two in zip(whole, first, second, strict=True):
+    for sum_of, one, two in zip(whole, first, partners[0].gradients.parts, strict=True):
         th.testing.assert_close(sum_of, one + two, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs forked processes")
+def test_a_program_that_updates_without_learning_ends() -> None:
+    program = """
+import torch
+from uavaou import MAPPO, flatten
+torch.set_num_threads(2)
+model = MAPPO(env=flatten("tiny", missions=8), n_steps=150, batch_size=700, device="cpu")
+model.learn(150 * 16)
+model.train()
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs forked processes")

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from uavaou.errors import unknown
 from uavaou.scenario import Scenario, WholeRange
-from uavaou.world.world import World
+from uavaou.world.compiled import compiled
+from uavaou.world.world import Bools, Floats, Ints, World
 
 Observation = Literal["location", "local", "shared"]
 Collection = Literal["select", "auto"]
@@ -152,12 +153,11 @@ class Views:
         at["slots_left"][...] = self._slots_left(world)
         slots = self.scenario.slots
         at["budget_left"][..., 0] = np.minimum(world.flight.budget - world.flown, slots) / slots
-        relative = world.device_positions[:, None] - world.positions[:, :, None]  # (N, U, I, 2) m
-        at["to_device_x"][...] = relative[..., 0] / self._span
-        at["to_device_y"][...] = relative[..., 1] / self._span
-        at["update_period"][...] = (world.update_period / self._longest_period(world))[:, None]
-        at["in_range"][...] = world.in_range
-        at["since_own_collection"][...] = self._waiting[self._slots_since(world, world.last_collection_by)]
+        _write_devices(
+            world.device_positions, world.positions, self._span, world.update_period, self._longest_period(world),
+            world.in_range, world.slot, world.last_collection_by, self._waiting, at["to_device_x"], at["to_device_y"],
+            at["update_period"], at["in_range"], at["since_own_collection"],
+        )  # fmt: skip
         if self.observation == "shared":
             scaled = world.positions / self._area  # (N, U, 2)
             at["other_positions"][...] = scaled[:, self._others].reshape(world.missions, uavs, -1)
@@ -189,3 +189,20 @@ class Views:
     def _longest_period(self, world: World) -> float:
         spec = self.scenario.update_period_slots
         return float(spec.high if isinstance(spec, WholeRange) else np.max(spec))
+
+
+@compiled
+def _write_devices(
+    devices: Floats, uavs: Floats, span: float, period: Ints, longest: float, in_range: Bools, slot: int, last: Ints,
+    waiting: Rows, to_x: Rows, to_y: Rows, periods: Rows, ranges: Rows, since: Rows,
+) -> None:  # fmt: skip
+    """Write what the UAVs at ``uavs`` (N, U, 2) know of each device: columns (N, U, I), the last five arguments."""
+    for n in range(len(uavs)):
+        layout = min(n, len(devices) - 1)  # one for all missions, or one each
+        for u in range(uavs.shape[1]):
+            for i in range(devices.shape[1]):
+                to_x[n, u, i] = (devices[layout, i, 0] - uavs[n, u, 0]) / span
+                to_y[n, u, i] = (devices[layout, i, 1] - uavs[n, u, 1]) / span
+                periods[n, u, i] = period[layout, i] / longest
+                ranges[n, u, i] = in_range[n, u, i]
+                since[n, u, i] = waiting[min(slot - last[n, u, i], len(waiting) - 1)]

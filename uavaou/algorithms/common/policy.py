@@ -113,7 +113,10 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
 
     def action_distribution(self, local: th.Tensor) -> MoveSelectionDistribution:
         """The policy of UAVs that see ``local`` (B, local)."""
-        logits = self.action_net(self.actor_body(local))
+        return self.distribution_of(self.action_net(self.actor_body(local)), local)
+
+    def distribution_of(self, logits: th.Tensor, local: th.Tensor) -> MoveSelectionDistribution:
+        """The policy that ``logits`` (B, 5 + I) mean to UAVs that see ``local`` (B, local)."""
         allowed = None if self._allowed_moves is None else local[:, self._allowed_moves]
         in_range = None if self._in_range is None else local[:, self._in_range]
         return MoveSelectionDistribution(self.action_dist.devices).proba_distribution(logits, allowed, in_range)

@@ -68,14 +68,24 @@ class SlotRolloutBuffer(RolloutBuffer):
         log_prob: th.Tensor,
     ) -> None:
         """Store one slot of all missions, given as N * U mission-major rows."""
+        self.log_probs[self.pos] = log_prob.cpu().numpy().reshape(-1, self.row_layout.uavs)
+        self.values[self.pos] = self._per_critic(value.cpu().numpy())
+        self.add_rows(obs)
+        self.add_step(action, reward, episode_start)
+
+    def add_rows(self, obs: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The first part of :meth:`add`, in front of the slot; returns what the UAVs see, (N * U, local)."""
         uavs, local_size = self.row_layout.uavs, self.row_layout.local_size
         rows = obs.reshape(-1, uavs, obs.shape[-1])  # (N, U, local + global)
-        at = self.pos
-        self.local[at] = rows[:, :, :local_size]
-        self.state[at] = rows[:, 0, local_size:]
+        local: NDArray[np.float32] = self.local[self.pos]  # (N, U, local)
+        local[...] = rows[:, :, :local_size]
+        self.state[self.pos] = rows[:, 0, local_size:]
+        return local.reshape(-1, local_size)
+
+    def add_step(self, action: NDArray[Any], reward: NDArray[np.float32], episode_start: NDArray[Any]) -> None:
+        """The second part, after the slot; values and log-probabilities may be written when the rollout is full."""
+        uavs, at = self.row_layout.uavs, self.pos
         self.actions[at] = action.reshape(self.actions.shape[1:])
-        self.log_probs[at] = log_prob.cpu().numpy().reshape(-1, uavs)
-        self.values[at] = self._per_critic(value.cpu().numpy())
         self.rewards[at, :, 0] = reward.reshape(-1, uavs)[:, 0]
         self.episode_starts[at, :, 0] = episode_start.reshape(-1, uavs)[:, 0]
         self.pos += 1

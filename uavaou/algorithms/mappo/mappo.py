@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import explained_variance
+from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
+from uavaou.algorithms.common.flat import FlatAdam, move_parameters
 from uavaou.algorithms.common.memory import keep_freed_memory
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
 from uavaou.algorithms.common.safe_io import SafeSaveLoad
 from uavaou.algorithms.common.threads import one_thread
+from uavaou.algorithms.mappo.collecting import collect
 from uavaou.algorithms.mappo.gradients import Slots, WrittenGradients
 from uavaou.algorithms.mappo.partners import Partner, share_out
 from uavaou.errors import InputError, unknown
@@ -108,10 +113,18 @@ class MAPPO(SafeSaveLoad, PPO):
                 partner.close()
             self._partners = None
 
-    def collect_rollouts(self, *args: Any, **kwargs: Any) -> bool:
-        """As SB3's, with one thread."""
+    def collect_rollouts(
+        self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
+    ) -> bool:
+        """As SB3's, with one thread, and without values and log-probabilities until the end: nobody needs them before.
+
+        A policy of one's own is asked for them in every slot, by SB3's loop.
+        """
         with one_thread():
-            return super().collect_rollouts(*args, **kwargs)
+            if type(self.policy) is not CentralizedValuePolicy:
+                return super().collect_rollouts(env, callback, rollout_buffer, n_rollout_steps)
+            assert isinstance(rollout_buffer, SlotRolloutBuffer)
+            return collect(self, env, callback, rollout_buffer, n_rollout_steps)
 
     def _update_info_buffer(self, infos: list[dict[str, Any]], dones: NDArray[np.bool_] | None = None) -> None:
         # SB3 looks through all infos in every slot for what stands in those of a mission's last slot alone.
@@ -129,11 +142,10 @@ class MAPPO(SafeSaveLoad, PPO):
         mean, std = self._advantage_statistics(buffer.advantages)
         slots_in_batch = max(self.batch_size // buffer.row_layout.uavs, 1)
         figures: list[th.Tensor] = []  # (6,) each
-        with self._gradients(clip_range, mean, std) as gradients:
+        with self._updates(clip_range, mean, std) as update:
             for _ in range(self.n_epochs):
                 for slots in buffer.shuffled_slots(slots_in_batch):
-                    figures.append(gradients(slots))
-                    self._step()
+                    figures.append(update(slots))
                 self._n_updates += 1
                 if self.target_kl is not None and float(figures[-1][4]) > 1.5 * self.target_kl:
                     break
@@ -146,19 +158,24 @@ class MAPPO(SafeSaveLoad, PPO):
         return own and self.device.type == "cpu"
 
     @contextmanager
-    def _gradients(self, clip_range: float, mean: float, std: float) -> Iterator[Callable[[Slots], th.Tensor]]:
-        """What sets the gradient of the loss on some slots of the rollout, and gives its figures."""
+    def _updates(self, clip_range: float, mean: float, std: float) -> Iterator[Callable[[Slots], th.Tensor]]:
+        """What takes a step on some slots of the rollout, and gives the figures of their loss."""
         if not self.writes_gradient:
-            yield lambda slots: self.backward(self.loss(self.rollout_buffer.batch(slots), clip_range, mean, std))
+            yield _update(
+                lambda slots: self.backward(self.loss(self.rollout_buffer.batch(slots), clip_range, mean, std)),
+                self._step,
+            )
             return
         if self._partners is None:
+            move_parameters(self.policy.actor_and_critic_parameters())
             self._partners = share_out(self)
         written = WrittenGradients(self, clip_range, mean, std, self._partners)
-        if self._partners:  # each process with one thread
-            with one_thread():
-                yield written
-        else:
-            yield written
+        with one_thread() if self._partners else nullcontext():  # each process with one
+            if FlatAdam.serves(self.policy.optimizer):
+                with closing(FlatAdam(self.policy.optimizer, written.gradients, self.max_grad_norm)) as adam:
+                    yield _update(written, adam.step)
+            else:
+                yield _update(written, self._step)
 
     def loss(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> th.Tensor:
         """PPO's loss on a minibatch with advantages ``(A - mean) / std``, where they are not normalised in it.
@@ -196,6 +213,7 @@ class MAPPO(SafeSaveLoad, PPO):
         return figures.detach()
 
     def _step(self) -> None:
+        """Clip and step as :class:`FlatAdam` does, with torch's own operations."""
         # Separately: the critic's gradient, large at first, must not shrink the actor's.
         for parameters in (self.policy.actor_parameters(), self.policy.critic_parameters()):
             th.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm, foreach=True)
@@ -220,6 +238,17 @@ class MAPPO(SafeSaveLoad, PPO):
         self.logger.record("train/explained_variance", float(explained))
         self.logger.record("train/clip_range", clip_range)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+
+
+def _update(gradient: Callable[[Slots], th.Tensor], step: Callable[[], None]) -> Callable[[Slots], th.Tensor]:
+    """Set the gradient, step, and give the gradient's figures."""
+
+    def update(slots: Slots) -> th.Tensor:
+        figures = gradient(slots)
+        step()
+        return figures
+
+    return update
 
 
 class IPPO(MAPPO):

@@ -13,6 +13,7 @@ import signal
 import sys
 import time
 import warnings
+import weakref
 from collections.abc import Callable
 from multiprocessing.synchronize import Semaphore
 from typing import TYPE_CHECKING
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch as th
 
-from uavaou.algorithms.common.memory import shared_zeros
+from uavaou.algorithms.common.flat import Flat
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotRolloutBuffer
 from uavaou.algorithms.mappo.gradients import FIGURES, Figures, Share, Slots, Terms
@@ -45,12 +46,15 @@ def share_out(model: MAPPO) -> list[Partner]:
 
 
 class Partner:
-    """A process that holds a copy of the networks and sees the rollout.
+    """A process that sees the networks and the rollout.
 
     It keeps nothing between minibatches, so that there is nothing to save or to lose, and ends with its parent.
 
     Args:
-        policy, buffer: as :class:`Share`'s; the buffer's arrays must lie in shared memory.
+        policy, buffer: as :class:`Share`'s; parameters and the buffer's arrays must lie in shared memory.
+
+    Attributes:
+        gradients: of the share asked for last, by the actor's and the critic's parameters.
     """
 
     def __init__(self, policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> None:
@@ -58,35 +62,34 @@ class Partner:
         context = multiprocessing.get_context("fork")
         self._asked, self._answered = context.Semaphore(0), context.Semaphore(0)
         self._parent = os.getpid()
-        self._slots: Slots = np.frombuffer(mmap.mmap(-1, 8 * slots), np.int64)
-        self._question = np.frombuffer(mmap.mmap(-1, 8 * (2 + len(Terms._fields))), np.float64)
+        self._slots: Slots = np.frombuffer(mmap.mmap(-1, 16 * slots), np.int64)  # the actor's, then the critic's
+        self._question = np.frombuffer(mmap.mmap(-1, 8 * (3 + len(Terms._fields))), np.float64)
         self._figures: Figures = np.frombuffer(mmap.mmap(-1, 8 * FIGURES), np.float64)
-        parameters = policy.actor_and_critic_parameters()
-        self._weights, self._gradients = (
-            [th.from_numpy(shared_zeros(tuple(parameter.shape))) for parameter in parameters] for _ in range(2)
-        )
+        self.gradients = Flat(policy.actor_and_critic_parameters())
         self._process = context.Process(target=self._work, args=(policy, buffer), daemon=True)
         with warnings.catch_warnings():
             # Python 3.12 warns of other threads, whose locks the child might wait for: it takes none of theirs.
             warnings.simplefilter("ignore", DeprecationWarning)
             self._process.start()
+        # A program may end, or drop the learner, without closing: the process ignores what would end it politely.
+        weakref.finalize(self, self._process.kill)
 
-    def ask(self, parameters: list[th.Tensor], slots: Slots, slots_in_batch: int, terms: Terms) -> None:
-        """Have the gradient taken on ``slots`` (B,) at ``parameters``; :meth:`answer` waits for it."""
-        th._foreach_copy_(self._weights, parameters)
-        self._slots[: len(slots)] = slots
-        self._question[:] = (len(slots), slots_in_batch, *terms)
+    def ask(self, actor_slots: Slots, critic_slots: Slots, slots_in_batch: int, terms: Terms) -> None:
+        """Have :meth:`Share.gradient` taken at the present parameters; :meth:`answer` waits for it."""
+        count, both = len(actor_slots), len(actor_slots) + len(critic_slots)
+        self._slots[:count], self._slots[count:both] = actor_slots, critic_slots
+        self._question[:] = (count, both, slots_in_batch, *terms)
         self._asked.release()
 
-    def answer(self) -> tuple[list[th.Tensor], Figures]:
-        """The gradient by each parameter, and the figures; valid until the next question.
+    def answer(self) -> Figures:
+        """The figures, once ``gradients`` are there; valid until the next question.
 
         Raises:
             EOFError: the process has ended.
         """
         if not _acquire(self._answered, self._process.is_alive):
             raise EOFError(f"a process that took gradients ended (exit code {self._process.exitcode})")
-        return self._gradients, self._figures
+        return self._figures
 
     def close(self) -> None:
         """End the process."""
@@ -99,13 +102,15 @@ class Partner:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         th.set_num_threads(1)
-        for parameter, weight in zip(policy.actor_and_critic_parameters(), self._weights, strict=True):
-            parameter.data = weight
         share = Share(policy, buffer)
         while _acquire(self._asked, lambda: os.getppid() == self._parent):
-            count, slots_in_batch, *terms = self._question.tolist()
-            gradients, figures = share.gradient(self._slots[: int(count)], int(slots_in_batch), Terms(*terms))
-            th._foreach_copy_(self._gradients, gradients)
+            count, both, slots_in_batch = (int(number) for number in self._question[:3])
+            actor_slots, critic_slots = self._slots[:count], self._slots[count:both]
+            terms = Terms(*self._question[3:].tolist())
+            gradients, figures = share.gradient(actor_slots, critic_slots, slots_in_batch, terms)
+            th._foreach_copy_(self.gradients.parts[: len(gradients)], gradients)
+            for nothing in self.gradients.parts[len(gradients) :]:
+                nothing.zero_()
             self._figures[:] = figures
             self._answered.release()
         os._exit(0)  # what a process does at its end, flushing streams, might wait for a thread that was not forked
