@@ -6,11 +6,14 @@ import ctypes
 import math
 import mmap
 import sys
+from collections.abc import Sequence
 
 import numpy as np
+import torch as th
 from numpy.typing import NDArray
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of glibc's malloc.h
+_ALIGNED = 16  # elements, 64 bytes: torch's own tensors begin there, and MKL sums in another order where they do not
 _KEPT = 512 << 20  # bytes
 _LARGEST_FROM_HEAP = 32 << 20  # bytes, the most that glibc allows
 
@@ -41,3 +44,32 @@ def shared_zeros(shape: tuple[int, ...]) -> NDArray[np.float32]:
     except (OSError, OverflowError):
         raise MemoryError(f"{4 * size:,} bytes of shared memory") from None
     return np.frombuffer(memory, np.float32, count=size).reshape(shape)
+
+
+class Flat:
+    """Tensors that lie one after another in memory that processes forked later share.
+
+    Args:
+        like: float32 tensors of the shapes wanted.
+
+    Attributes:
+        whole: all of them, (elements,); zeros fill up what lies between.
+        parts: one for each of ``like``, in its shape; views of ``whole``.
+    """
+
+    def __init__(self, like: Sequence[th.Tensor]) -> None:
+        sizes = [-(-tensor.numel() // _ALIGNED) * _ALIGNED for tensor in like]
+        self.whole = th.from_numpy(shared_zeros((sum(sizes),)))
+        self.parts = [
+            piece[: tensor.numel()].view(tensor.shape)
+            for piece, tensor in zip(th.split(self.whole, sizes), like, strict=True)
+        ]
+
+
+@th.no_grad()
+def share_parameters(parameters: Sequence[th.nn.Parameter]) -> None:
+    """Move the parameters' data where processes forked later see them; nobody else who holds them notices."""
+    flat = Flat(parameters)
+    th._foreach_copy_(flat.parts, list(parameters))
+    for parameter, part in zip(parameters, flat.parts, strict=True):
+        parameter.data = part

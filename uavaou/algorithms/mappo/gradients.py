@@ -13,7 +13,7 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
-from uavaou.algorithms.common.flat import Flat
+from uavaou.algorithms.common.memory import Flat
 from uavaou.algorithms.common.networks import Layers
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotRolloutBuffer

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -17,7 +17,7 @@ from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
-from uavaou.algorithms.common.flat import FlatAdam, move_parameters
+from uavaou.algorithms.common.clipped_adam import ClippedAdam
 from uavaou.algorithms.common.memory import keep_freed_memory
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
@@ -167,15 +167,12 @@ class MAPPO(SafeSaveLoad, PPO):
             )
             return
         if self._partners is None:
-            move_parameters(self.policy.actor_and_critic_parameters())
             self._partners = share_out(self)
         written = WrittenGradients(self, clip_range, mean, std, self._partners)
         with one_thread() if self._partners else nullcontext():  # each process with one
-            if FlatAdam.serves(self.policy.optimizer):
-                with closing(FlatAdam(self.policy.optimizer, written.gradients, self.max_grad_norm)) as adam:
-                    yield _update(written, adam.step)
-            else:
-                yield _update(written, self._step)
+            served = ClippedAdam.serves(self.policy.optimizer)
+            step = ClippedAdam(self.policy.optimizer, self.max_grad_norm).step if served else self._step
+            yield _update(written, step)
 
     def loss(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> th.Tensor:
         """PPO's loss on a minibatch with advantages ``(A - mean) / std``, where they are not normalised in it.
@@ -213,7 +210,7 @@ class MAPPO(SafeSaveLoad, PPO):
         return figures.detach()
 
     def _step(self) -> None:
-        """Clip and step as :class:`FlatAdam` does, with torch's own operations."""
+        """Clip and step as :class:`ClippedAdam` does, with torch's own operations."""
         # Separately: the critic's gradient, large at first, must not shrink the actor's.
         for parameters in (self.policy.actor_parameters(), self.policy.critic_parameters()):
             th.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm, foreach=True)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch as th
 
-from uavaou.algorithms.common.flat import Flat
+from uavaou.algorithms.common.memory import Flat, share_parameters
 from uavaou.algorithms.common.policy import CentralizedValuePolicy
 from uavaou.algorithms.common.rollout import SlotRolloutBuffer
 from uavaou.algorithms.mappo.gradients import FIGURES, Figures, Share, Slots, Terms
@@ -42,6 +42,8 @@ def share_out(model: MAPPO) -> list[Partner]:
     if not sys.platform.startswith("linux") or multiprocessing.current_process().daemon:
         return []
     shares = min(th.get_num_threads(), model.batch_size // LEAST_ROWS)
+    if shares > 1:
+        share_parameters(model.policy.actor_and_critic_parameters())
     return [Partner(model.policy, model.rollout_buffer) for _ in range(shares - 1)]
 
 

@@ -1,11 +1,12 @@
-"""Parameters, gradients and moments in one piece: the same numbers as torch's own clipping and Adam, bit for bit."""
+"""Clipping and Adam in one: the same numbers as by torch, bit for bit; tensors in one piece of shared memory."""
 
 from __future__ import annotations
 
 import pytest
 import torch as th
 
-from uavaou.algorithms.common.flat import Flat, FlatAdam, move_parameters
+from uavaou.algorithms.common.clipped_adam import ClippedAdam
+from uavaou.algorithms.common.memory import Flat, share_parameters
 
 SHAPES = [[(24, 37), (24,), (31, 24), (31,)], [(16, 5), (16,), (1, 16), (1,)]]  # two groups, some of odd sizes
 
@@ -32,32 +33,26 @@ def torch_step(optimizer: th.optim.Adam, gradients: list[th.Tensor]) -> None:
 def test_steps_are_torchs_bit_for_bit_whoever_takes_them() -> None:
     expected, torchs = parameters_and_adam()
     parameters, optimizer = parameters_and_adam()
+    share_parameters(parameters)
     generator = th.Generator().manual_seed(1)
-
-    def gradients(scale: float) -> list[th.Tensor]:
-        return [th.randn(parameter.shape, generator=generator) * scale for parameter in parameters]
-
-    first = gradients(1.0)
-    torch_step(torchs, first)
-    torch_step(optimizer, first)  # torch's state is taken over
-    move_parameters(parameters)
-    flat = Flat(parameters)
-    adam = FlatAdam(optimizer, flat, 5.0)
-    for scale in (1.0, 0.01, 3.0):  # clipped, not clipped, clipped
-        step = gradients(scale)
-        th._foreach_copy_(flat.parts, step)
-        torch_step(torchs, step)
-        adam.step()
-        assert all(map(th.equal, parameters, expected))
-    adam.close()
+    for first in (True, False):  # that begins, and that goes on from torch's step below
+        flat = Flat(parameters)
+        for parameter, part in zip(parameters, flat.parts, strict=True):
+            parameter.grad = part
+        adam = ClippedAdam(optimizer, 5.0)
+        for scale in (1.0, 0.01, 3.0):  # clipped, not clipped, clipped
+            step = [th.randn(parameter.shape, generator=generator) * scale for parameter in parameters]
+            th._foreach_copy_(flat.parts, step)
+            torch_step(torchs, step)
+            adam.step()
+            assert all(map(th.equal, parameters, expected))
+        if first:
+            torch_step(torchs, step)
+            torch_step(optimizer, step)
     for ours, theirs in zip(optimizer.state.values(), torchs.state.values(), strict=True):
         assert {name: value.tolist() for name, value in ours.items()} == {
             name: value.tolist() for name, value in theirs.items()
         }
-    last = gradients(1.0)
-    torch_step(torchs, last)
-    torch_step(optimizer, last)  # and handed back
-    assert all(map(th.equal, parameters, expected))
 
 
 def test_parts_are_views_that_begin_at_cache_lines() -> None:
@@ -66,12 +61,6 @@ def test_parts_are_views_that_begin_at_cache_lines() -> None:
     assert all(part.data_ptr() % 64 == 0 for part in flat.parts)
     flat.whole += 1.0
     assert all(bool((part == 1.0).all()) for part in flat.parts)
-
-
-def test_parameters_that_were_not_moved_are_refused() -> None:
-    parameters, optimizer = parameters_and_adam()
-    with pytest.raises(ValueError, match="do not lie in one piece"):
-        FlatAdam(optimizer, Flat(parameters), 5.0)
 
 
 @pytest.mark.parametrize(
@@ -86,6 +75,6 @@ def test_parameters_that_were_not_moved_are_refused() -> None:
 )
 def test_other_optimizers_are_left_to_torch(optimizer: object) -> None:
     parameters, adam = parameters_and_adam()
-    assert FlatAdam.serves(adam)
+    assert ClippedAdam.serves(adam)
     assert callable(optimizer)
-    assert not FlatAdam.serves(optimizer(parameters))
+    assert not ClippedAdam.serves(optimizer(parameters))
