@@ -18,9 +18,12 @@ from torch import nn
 
 from benchmarks.measure import Measurement, Stopwatch, exactly, seconds_of, side_by_side
 from uavaou import MAPPO, Scenario, flatten
+from uavaou.algorithms.common.action_head import MoveSelectionDistribution
+from uavaou.algorithms.common.clipped_adam import ClippedAdam
 from uavaou.algorithms.common.networks import Layers, Linear
 from uavaou.algorithms.config import AlgorithmConfig, MappoConfig
-from uavaou.algorithms.mappo import gradients
+from uavaou.algorithms.mappo import collecting, gradients
+from uavaou.algorithms.mappo.partners import Partner
 from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
@@ -66,8 +69,9 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
     learn()
     rollout = {
         "rollout: World, rewards, rows": (model.env, "step"),
-        "rollout: networks and sampling": (model.policy, "forward"),
-        "rollout: buffer": (model.rollout_buffer, "add"),
+        "rollout: actor": (model.policy, "action_distribution"),
+        "rollout: sampling": (MoveSelectionDistribution, "sample"),
+        "rollout: critic and log-probabilities": (collecting, "write_values"),
         "rollout: advantages": (model.rollout_buffer, "compute_returns_and_advantage"),
         "update": (model, "train"),
     }
@@ -76,8 +80,8 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
         "update: networks backward": (Layers, "backward"),
         "update: loss of the actor": (gradients, "clipped_surrogate"),
         "update: loss of the critic": (gradients, "squared_error"),
-        "update: clipping": (nn.utils, "clip_grad_norm_"),
-        "update: Adam": (model.policy.optimizer, "step"),
+        "update: clipping and Adam": (ClippedAdam, "step"),
+        "update: waiting for other processes": (Partner, "answer"),
     }
     learning, seconds = _split(learn, rollout, repeats)
     updating, in_update = _split(model.train, update, repeats)

@@ -50,7 +50,7 @@ def collect(model: MAPPO, env: VecEnv, callback: BaseCallback, buffer: SlotRollo
             _bootstrap(model, rewards, dones, infos)
         buffer.add_step(actions, rewards, model._last_episode_starts)
         model._last_obs, model._last_episode_starts = new_obs, dones  # type: ignore[assignment]
-    _value(model, buffer, logits)
+    write_values(model, buffer, logits)
     last_values = policy.predict_values(th.from_numpy(new_obs).to(model.device))
     buffer.compute_returns_and_advantage(last_values=last_values, dones=dones)
     callback.update_locals(locals())
@@ -66,8 +66,8 @@ def _bootstrap(model: MAPPO, rewards: NDArray[Any], dones: NDArray[np.bool_], in
         rewards[truncated] += model.gamma * model.policy.predict_values(last)[:, 0].cpu().numpy()
 
 
-def _value(model: MAPPO, buffer: SlotRolloutBuffer, logits: list[th.Tensor]) -> None:
-    """Write the rollout's values and log-probabilities, a run of slots at a time."""
+def write_values(model: MAPPO, buffer: SlotRolloutBuffer, logits: list[th.Tensor]) -> None:
+    """Write the rollout's values and log-probabilities, by the ``logits`` (N * U, 5 + I) of each slot."""
     policy = model.policy
     at_once = max(_MOST_ROWS // len(logits[0]), 1)
     for start in range(0, len(logits), at_once):
