@@ -6,6 +6,7 @@ import csv
 import json
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,11 @@ import yaml
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InfeasibleError, InputError
 from uavaou.experiments.folder import RunConfig
-from uavaou.experiments.suite_runs import assign, missing_runs, name_entries
+from uavaou.experiments.suite_results import csv_rows, play_suite, suite_jobs, write_csv
+from uavaou.experiments.suite_runs import assign, budget_lines, missing_runs, name_entries
 from uavaou.experiments.suites import Suite, suite_name, suite_places
+from uavaou.planners import make_planner
+from uavaou.reports import style
 from uavaou.reports.suites import plot_suite, read_suite
 from uavaou.scenario import Scenario
 from uavaou.zoo import zoo_names
@@ -95,7 +99,12 @@ def test_companion_studies_train_for_every_point(name: str) -> None:
     }  # fmt: skip
     base = Scenario.load(suite.scenario)
     assignments = assign(suite_places(suite, base), name_entries(configs, suite), base)
-    assert [one.how for one in assignments] == ["trained"] * len(suite.points)
+    # One training on layouts drawn anew flies all of the suite `layouts`, which none of them is from.
+    how = "zero-shot" if name == "suite-layouts" else "trained"
+    assert [one.how for one in assignments] == [how] * len(suite.points)
+    missing = missing_runs([replace(one, runs=(), how=None) for one in assignments], [], "paper", base)
+    assert len(missing) == len(configs)
+    assert sum("scenario.layout=resample" in one.command for one in missing) == (name == "suite-layouts")
 
 
 # -- schema --------------------------------------------------------------------------------------------
@@ -108,7 +117,9 @@ def test_companion_studies_train_for_every_point(name: str) -> None:
         ({"axis": {"label": "x", "scale": "logarithmic"}}, "axis: scale = 'logarithmic'"),
         ({"axis": {"label": "x", "unti": "dB"}}, "axis: unknown field 'unti'; did you mean 'unit'"),
         ({"axis": "x"}, "axis = 'x': expected a mapping"),
-        ({"points": []}, "points = "),
+        ({"points": []}, r"^own.yaml: points = \[\]: expected a list of at least one, such as - {label: "),
+        ({"points": POINT}, "points = {'label': 'a', 'x': 1}: expected a list of at least one"),
+        ({"points": None}, "points = None: expected a list of at least one"),
         ({"points": [POINT, POINT]}, "two are labelled 'a'"),
         ({"points": ["a"]}, r"points\[0\] = 'a': expected a mapping"),
         ({"points": [POINT, {"label": "b"}]}, r"points\[1\]: the field x is missing"),
@@ -117,6 +128,17 @@ def test_companion_studies_train_for_every_point(name: str) -> None:
         ({"points": [POINT | {"set": {"device": 3}}]}, "no 'device'; did you mean 'devices'"),
         ({"points": [POINT | {"observation": "shard"}]}, r"points\[0\]: observation = 'shard'"),
         ({"name": "other"}, "a suite is named as its file is"),
+        ({"points": [{"labl": "a", "x": 1}]}, r"points\[0\]: unknown field 'labl'; did you mean 'label'"),
+        ({"points": [{"label": 500, "x": 1}]}, r"points\[0\]: label = 500: expected text, in quotes$"),
+        ({"points": [{"label": "", "x": 1}]}, r"points\[0\]: label = '': must not be empty$"),
+        ({"points": [POINT | {"set": ["devices"]}]}, r"set = \['devices'\]: expected a mapping of names to values$"),
+        ({"points": [POINT | {"set": {3: 4}}]}, "the scenario has no '3'"),
+        ({"points": [POINT | {"set": {"name": "b"}}]}, "a scenario's name is nothing that a point can change"),
+        ({"points": [POINT | {"set": {"observation": "local"}}]}, "it stands beside set, not in it"),
+        ({"points": [POINT | {"observation": "shard"}]}, "did you mean 'shared'"),
+        ({"points": [POINT | {"joined": "no"}]}, r"points\[0\]: joined = 'no'"),
+        ({"points": [POINT | {"label": str(k)} for k in range(1001)]}, "expected at most 1,000 values$"),
+        ({"axis": {"label": "x", "scale": "log"}, "points": [POINT | {"x": 0}]}, "'a' has x = 0, not above 0"),
     ],
 )
 def test_schema_errors_name_the_field(changes: dict[str, Any], words: str) -> None:
@@ -209,6 +231,69 @@ def test_the_name_of_a_scenario_is_not_the_scenario(by_devices: Suite) -> None:
     assert assigned(by_devices, {"name": "mine", "description": "!"})["4", "mappo"] == ("trained", ["run-0"])
 
 
+def test_all_runs_at_a_point_have_one_budget_that_of_most_points_where_there_is_one(by_devices: Suite) -> None:
+    long, short = {"slots": 3000}, {"slots": 1000}
+    three, fast = {"devices": 3}, {"speed_m_s": 20}
+    # As five seeds of a study at one point, and a short training at each point, that one included.
+    found = assigned(by_devices, long, {**long, "seed": 1}, short, {**short, **three}, {**short, **fast})
+    assert {key: runs for key, (_, runs) in found.items()} == {
+        ("3", "mappo"): ["run-3"], ("4", "mappo"): ["run-2"], ("4 fast", "mappo"): ["run-4"]
+    }  # fmt: skip
+    # Where the usual budget is not to be had, the largest one is; of two as frequent the larger is usual.
+    found = assigned(by_devices, {"slots": 10}, long, {**long, "seed": 1}, {**short, **three}, {**short, **fast})
+    assert found["4", "mappo"] == ("trained", ["run-1", "run-2"])
+    found = assigned(by_devices, {**short, "seed": 1}, long)
+    assert found["4", "mappo"] == ("trained", ["run-1"])
+    assert found["4 fast", "mappo"] == ("zero-shot", ["run-1"])
+
+
+def test_an_unfinished_training_counts_with_the_slots_that_it_has(by_devices: Suite, tmp_path: Path) -> None:
+    (tmp_path / "meta.json").write_text('{"slots": 700, "finished": false}')
+    config = RunConfig(Scenario.load("tiny"), load_config("mappo", {"slots": 1000}), 0)
+    assert name_entries({tmp_path: config}, by_devices)[0].slots == 700
+    for content in ('{"slots": 1020, "finished": true}', '{"slots": "many", "finished": false}', "[]", "{"):
+        (tmp_path / "meta.json").write_text(content)
+        assert name_entries({tmp_path: config}, by_devices)[0].slots == 1000
+
+
+def test_budgets_are_told_where_they_differ() -> None:
+    assert budget_lines([("mappo", "10", 1000), ("mappo", "25", 1000), ("vdn", "10", 1000)]) == []
+    assert budget_lines([("mappo", "10", 1000), ("vdn", "10", 3000)]) == [
+        "mappo: trained with slots = 1,000", "vdn: trained with slots = 3,000"
+    ]  # fmt: skip
+    flown = [("mappo", "10", 1000), *[("mappo", "25", 3000)] * 5, ("mappo", "50", 1000)]
+    assert budget_lines(flown) == ["mappo: trained with slots = 1,000 at 10, 50; 3,000 at 25"]
+
+
+def by_layout() -> Suite:
+    points = [{"label": str(seed), "x": seed, "set": {"layout_seed": seed}} for seed in (0, 5, 6)]
+    return Suite.from_dict(GOOD | {"points": points}, "own", "own.yaml")
+
+
+def test_on_another_layout_a_run_trained_on_layouts_drawn_anew_comes_first() -> None:
+    anew, other = {"layout": "resample"}, {"layout_seed": 8, "seed": 3}
+    found = assigned(by_layout(), {}, {"seed": 1}, {"layout_seed": 5, "seed": 2}, other, anew)
+    # Where runs of both kinds fly, those of layouts drawn anew have a name of their own.
+    assert found == {
+        ("0", "mappo"): ("trained", ["run-0", "run-1"]),
+        ("5", "mappo"): ("trained", ["run-2"]),
+        ("6", "mappo+layout=resample"): ("zero-shot", ["run-4"]),
+    }
+    found = assigned(by_layout(), other, anew)
+    assert found == {(label, "mappo"): ("zero-shot", ["run-1"]) for label in ("0", "5", "6")}
+    found = assigned(by_layout(), {"gamma": 0.9}, anew | {"gamma": 0.9}, anew)
+    assert found["6", "mappo+gamma=0.9,layout=resample"] == ("zero-shot", ["run-1"])
+
+
+def test_on_its_own_layout_a_run_comes_before_those_trained_on_layouts_drawn_anew(by_devices: Suite) -> None:
+    found = assigned(by_devices, {"layout": "resample", "seed": 1}, {"layout": "resample"}, {"rate_min_bit_s": 1e5})
+    assert found["4 fast", "mappo"] == ("zero-shot", ["run-2"])
+    points = [{"label": "new", "x": 0, "set": {"layout": "resample"}}]
+    suite = Suite.from_dict(GOOD | {"points": points}, "own", "own.yaml")
+    found = assigned(suite, {}, {"layout": "resample", "rate_min_bit_s": 1e5})
+    assert found["new", "mappo"] == ("zero-shot", ["run-1"])
+
+
 def test_variants_of_an_algorithm_are_policies_of_their_own_and_budgets_are_not(by_devices: Suite) -> None:
     found = assigned(by_devices, {"gamma": 0.9}, {"gamma": 0.99, "slots": 1000})
     assert {policy for _, policy in found} == {"mappo+gamma=0.9", "mappo+gamma=0.99"}
@@ -237,6 +322,15 @@ def test_what_is_missing_comes_with_the_command_that_trains_it(by_devices: Suite
     missing = missing_runs(assign(suite_places(by_devices, moved), entries, moved), entries, "tiny", moved)
     command = "uavaou train --scenario tiny --algorithm mappo --set scenario.devices=3 --set scenario.layout_seed=4"
     assert sorted(shlex.join(missing[0].command).split(" --")) == sorted(command.split(" --"))
+
+
+def test_a_missing_training_takes_the_budget_of_the_others(by_devices: Suite) -> None:
+    base = Scenario.load("tiny")
+    long, short = {"slots": 3000}, {"slots": 1000}
+    entries = name_entries(configs(long, short, {**short, "speed_m_s": 20}), by_devices)
+    (missing,) = missing_runs(assign(suite_places(by_devices, base), entries, base), entries, "tiny", base)
+    assert missing.labels == ("3",)
+    assert "algorithm.slots=1000" in missing.command
 
 
 def test_changes_are_part_of_the_name() -> None:
@@ -302,6 +396,10 @@ def test_a_suite_is_played_told_and_written(capsys: pytest.CaptureFixture[str], 
     assert {(row["suite"], row["missions"], row["axis"], row["scale"]) for row in rows} == {
         ("own", "3", "minimum rate (kbit/s)", "linear")
     }
+    assert {(row["trained"], row["training_slots"]) for row in rows} == {
+        ("trained", "96"), ("zero-shot", "96"), ("planner", "")
+    }  # fmt: skip
+    assert "trained with slots" not in out
     own = json.loads((place / "run" / "eval" / "own.json").read_text())
     assert [point["label"] for point in own["points"]] == ["150", "100", "new layouts"]
     assert [point["how"]["mappo"] for point in own["points"]] == ["trained", "zero-shot", "zero-shot"]
@@ -357,6 +455,18 @@ def test_changes_of_the_scenario_stand_in_every_name(capsys: pytest.CaptureFixtu
     assert "run was trained with layout_seed = 0 (here 3)" in out
 
 
+def test_budgets_that_differ_stand_below_the_table(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+    shutil.copytree(place / "run", place / "other")
+    config = yaml.safe_load((place / "other" / "config.yaml").read_text())
+    config["algorithm"]["slots"], config["scenario"]["rate_min_bit_s"] = 48, 100000.0
+    (place / "other" / "config.yaml").write_text(yaml.safe_dump(config))
+    code, out, _ = call(capsys, "eval run other --suite own.yaml --episodes 2 --quiet --out own.csv")
+    assert code == 0
+    assert "mappo: trained with slots = 96 at 150, new layouts; 48 at 100" in out
+    played = [(row["point"], row["training_slots"]) for row in csv.DictReader((place / "own.csv").open())]
+    assert played == [("150", "96"), ("100", "48"), ("new layouts", "96")]
+
+
 def test_more_missions_are_kept(capsys: pytest.CaptureFixture[str], place: Path) -> None:
     assert call(capsys, "eval run --suite own.yaml --episodes 4 --quiet")[0] == 0
     kept = (place / "run" / "eval" / "own.json").read_bytes()
@@ -376,7 +486,15 @@ def test_a_damaged_run_is_found_before_anything_is_played(capsys: pytest.Capture
     ("command", "words"),
     [
         ("eval run --suite obsrvation", "did you mean 'observation'"),
-        ("eval run --suite nowhere.yaml", "nowhere.yaml"),
+        ("eval run --suite nowhere.yaml", "suite file 'nowhere.yaml' does not exist"),
+        ("eval run --suite fadin.yaml", "suite file 'fadin.yaml' does not exist; did you mean 'fading'?"),
+        ("eval run --suite own", "observation, paper, rate, uavs; or a path ending in .yaml)"),
+        ("eval run --suite empty.yaml", "empty.yaml: expected a mapping of field names to values, found nothing"),
+        ("eval run --suite misspelt.yaml", "misspelt.yaml: unknown field 'ponits'; did you mean 'points'?"),
+        ("eval nowhere --suite fading", "run folder 'nowhere' does not exist"),
+        ("eval begun --suite own.yaml", "'begun' holds no checkpoint yet"),
+        ("eval run --suite rate --set scenario.rate_min_bit_s=3", "is what the points of the suite 'rate' set"),
+        ("eval run --suite own.yaml --out a.csv --json ./a.csv", "--out and --json are both 'a.csv'"),
         ("eval run --suite fading --set algorithm.gamma=1", "only scenario.* can be set"),
         ("eval run --out x.csv", "--out: is for the table of a --suite"),
         ("eval run --suite fading --out .", "is a folder"),
@@ -387,6 +505,9 @@ def test_a_damaged_run_is_found_before_anything_is_played(capsys: pytest.Capture
     ],
 )
 def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], place: Path, command: str, words: str) -> None:
+    (place / "empty.yaml").touch()
+    (place / "misspelt.yaml").write_text(OWN.replace("points", "ponits"))
+    shutil.copytree(place / "run", place / "begun", ignore=shutil.ignore_patterns("*.safetensors"))
     before = sorted(place.rglob("*"))
     code, out, err = call(capsys, command)
     assert (code, out, err.count("\n")) == (2, "", 1)
@@ -417,6 +538,48 @@ def test_seeds_and_single_missions_are_drawn(tmp_path: Path, scale: str) -> None
     assert all(path.stat().st_size > 5000 for path in paths)
 
 
+def drawn(monkeypatch: pytest.MonkeyPatch, table: Path) -> Any:
+    """The figure of a table, as it is saved."""
+    figures: list[Any] = []
+    monkeypatch.setattr(style, "save", lambda figure, *_: figures.append(figure) or [])
+    plot_suite(read_suite(table), table.parent)
+    return figures[0]
+
+
+@pytest.mark.parametrize("scale", ["linear", "log", "category"])
+def test_lines_join_all_points_but_those_marked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scale: str) -> None:
+    points = [
+        {"label": "250 slots", "x": 250, "set": {"speed_m_s": 20}}, {"label": "500 slots", "x": 500},
+        {"label": "900", "x": 900, "joined": False},
+    ]  # fmt: skip
+    axis = {"label": "budget", "scale": scale}
+    suite = Suite.from_dict(GOOD | {"axis": axis, "points": points}, "own", "own.yaml")
+    scenario = Scenario.load("tiny")
+    jobs = suite_jobs(suite_places(suite, scenario), [], ["stay"])
+    planner, nothing = make_planner("stay"), lambda *_: None
+    results = list(play_suite(jobs, {"stay": planner}, lambda *_: planner, 1, 0, nothing, nothing))
+    write_csv(tmp_path / "s.csv", csv_rows("own", suite, results))
+    assert [row["joined"] for row in csv.DictReader((tmp_path / "s.csv").open())] == ["yes", "yes", "no"]
+    (axes,) = drawn(monkeypatch, tmp_path / "s.csv").axes
+    lines = [list(line.get_xdata()) for line in axes.lines if len(line.get_xdata()) > 1]
+    assert lines == ([] if scale == "category" else [[250.0, 500.0]])
+
+
+def test_no_line_leads_to_an_infinite_rician_factor() -> None:
+    assert [point.label for point in Suite.load("fading").points if not point.joined] == ["none"]
+
+
+def test_budgets_that_differ_stand_below_the_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    head = "suite,point,x,policy,trained,seed,training_slots,mean_aou_slots,low,high,axis,scale\n"
+    rows = [f"s,{x},{x},mappo,trained,0,{slots},{x},,,x,linear\n" for x, slots in ((10, 1000), (25, 3000), (50, 1000))]
+    planner = "s,10,10,greedy,planner,,,9,,,x,linear\n"
+    (tmp_path / "s.csv").write_text(head + "".join(rows) + planner)
+    title = drawn(monkeypatch, tmp_path / "s.csv").legends[0].get_title().get_text()
+    assert "MAPPO: trained with slots = 1,000 at 10, 50; 3,000 at 25" in title
+    (tmp_path / "s.csv").write_text(head + rows[0] + rows[2] + planner)
+    assert "trained with" not in drawn(monkeypatch, tmp_path / "s.csv").legends[0].get_title().get_text()
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -425,11 +588,13 @@ def test_seeds_and_single_missions_are_drawn(tmp_path: Path, scale: str) -> None
         ("linear", "curved", "column 'scale' differs"),
         ("axis", "axes", "column 'axis' is missing"),
         ("s,1", "t,1", "column 'suite' differs"),
+        (",yes", ",maybe", "line 2, column 'joined': 'maybe' is none of yes, no"),
+        (",500,", ",many,", "line 2, column 'training_slots': 'many'"),
     ],
 )
 def test_malformed_tables_name_the_place(tmp_path: Path, old: str, new: str, words: str) -> None:
-    head = "suite,point,x,policy,trained,seed,mean_aou_slots,low,high,axis,scale\n"
-    text = head + "s,1,1,mappo,zero-shot,0,7,,,x,linear\ns,2,2,mappo,zero-shot,0,8,,,x,linear\n"
+    head = "suite,point,x,policy,trained,seed,training_slots,mean_aou_slots,low,high,axis,scale,joined\n"
+    text = head + "s,1,1,mappo,zero-shot,0,500,7,,,x,linear,yes\ns,2,2,mappo,zero-shot,0,500,8,,,x,linear,yes\n"
     (tmp_path / "s.csv").write_text(text.replace(old, new, 1))
     with pytest.raises(InputError, match=words):
         read_suite(tmp_path / "s.csv")

@@ -6,6 +6,7 @@ Scenarios and algorithm settings are pydantic models built of these types.
 from __future__ import annotations
 
 import math
+import re
 import reprlib
 from typing import Annotated, Any, TypeVar
 
@@ -67,13 +68,12 @@ def explain_validation(error: ValidationError, fields: list[str]) -> str:
         details, key=lambda d: (d["loc"][:1] == details[0]["loc"][:1], len(d["loc"]), d["type"] == "value_error")
     )
     loc = [str(part) for part in first["loc"]]
-    kind, message = first["type"], first["msg"].removeprefix("Value error, ")
+    kind, message = first["type"], _message(first)
     if not loc:
         return message
-    if kind == "extra_forbidden" and len(loc) == 1:
-        return f"unknown field '{loc[0]}'{nearest(loc[0], fields)}"
-    if kind == "missing" and len(loc) == 1:
-        return f"the field {loc[0]} is missing"
+    if kind in ("extra_forbidden", "missing") and len(loc) == 1:  # a misspelt field is also a missing one
+        stray = next((str(d["loc"][0]) for d in details if d["type"] == "extra_forbidden" and len(d["loc"]) == 1), None)
+        return f"the field {loc[0]} is missing" if stray is None else f"unknown field '{stray}'{nearest(stray, fields)}"
     misspelt = next((d for d in details if d["type"] == "extra_forbidden" and d["loc"][0] == loc[0]), None)
     if misspelt is not None and isinstance(_field_input(details, loc[0]), dict):
         key = str(misspelt["loc"][-1])
@@ -86,9 +86,29 @@ def explain_validation(error: ValidationError, fields: list[str]) -> str:
         own = [d for d in details if d["loc"][0] == loc[0] and d["type"] == "value_error"]
         if own:
             message = str(own[0]["msg"]).removeprefix("Value error, ")
-    if kind == "tuple_type":
-        message = "expected a list, such as [1, 2]"
     return f"{path} = {short(first['input'])}: {message[0].lower() + message[1:]}"
+
+
+def _message(detail: Any) -> str:
+    """What pydantic says of a value, in words that take no knowledge of Python."""
+    kind, context = detail["type"], detail.get("ctx", {})
+    plain = {
+        "tuple_type": "expected a list, such as [1, 2]",
+        "dict_type": "expected a mapping of names to values",
+        "string_type": "expected text" + (", in quotes" if isinstance(detail["input"], bool | int | float) else ""),
+    }
+    if kind in plain:
+        return plain[kind]
+    if kind in ("too_short", "too_long"):
+        least = kind == "too_short"
+        count = context["min_length" if least else "max_length"]
+        return f"expected at {'least' if least else 'most'} {count:,} {'value' if count == 1 else 'values'}"
+    if kind == "string_too_short" and context["min_length"] == 1:
+        return "must not be empty"
+    message = str(detail["msg"]).removeprefix("Value error, ")
+    if kind == "literal_error" and isinstance(detail["input"], str):
+        message += nearest(detail["input"], re.findall("'([^']*)'", context["expected"]))
+    return message
 
 
 def _field_input(details: list[Any], field: str) -> Any:

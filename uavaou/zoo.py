@@ -69,7 +69,8 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
         problem = getattr(error, "problem", None) or "unreadable value"
         raise InputError(f"{path}: not valid YAML{where}: {problem}") from error
     if not isinstance(content, dict):
-        raise InputError(f"{path}: expected a mapping of field names to values, found {type(content).__name__}")
+        found = "nothing" if content is None else type(content).__name__
+        raise InputError(f"{path}: expected a mapping of field names to values, found {found}")
     for key in content:
         if not isinstance(key, str):
             raise InputError(f"{path}: field name {key!r} is not a string")

@@ -58,6 +58,8 @@ def evaluate_suite(request: Request, configs: Mapping[str, RunConfig], planners:
     for path in (request.out, request.json):
         if path is not None:
             writable_file(path)
+    if request.out is not None and request.json is not None and request.out.resolve() == request.json.resolve():
+        raise InputError(f"--out and --json are both '{request.out}': give each a file of its own")
     if not configs and not planners:
         print("\n".join(suite_points(plan.suite, plan.base, plan.places, plan.missing)))
         return
@@ -82,6 +84,7 @@ def _plan(request: Request, configs: Mapping[str, RunConfig], planners: list[str
     suite = Suite.load(request.suite)
     source = request.scenario or suite.scenario
     base = request.overrides.of_scenario(Scenario.load(source))
+    _refuse_changed(suite, request.overrides)
     changed = {} if request.scenario is None else {"scenario": Scenario.load(source).name}
     name = suite_name(suite, changed | request.overrides.scenario)
     places = suite_places(suite, base)
@@ -90,6 +93,14 @@ def _plan(request: Request, configs: Mapping[str, RunConfig], planners: list[str
     wanted = assignments if configs or planners else needs(places, "mappo")
     missing = missing_runs(wanted, entries, source, base)
     return Plan(suite, name, base, places, entries, assignments, missing, suite_jobs(places, assignments, planners))
+
+
+def _refuse_changed(suite: Suite, overrides: Overrides) -> None:
+    """Refuse to set what the points of the suite set: theirs would stand, under a name that says otherwise."""
+    varied = {field for point in suite.points for field in point.set}
+    for key in overrides.scenario:
+        if key.split(".")[0] in varied:
+            raise InputError(f"--set scenario.{key}: is what the points of the suite '{suite.name}' set themselves")
 
 
 def _check_runs(plan: Plan, action: str | None) -> None:

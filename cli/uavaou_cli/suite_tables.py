@@ -42,7 +42,7 @@ def suite_lines(plan: Plan, results: Sequence[Result], episodes: int, seed: int)
     rows.append(("", "", "", "(slots)", "95 %", "", ""))
     rows += _rows(plan, results)
     lines = [*textwrap.wrap(head, WIDTH), "", *(line.rstrip() for line in aligned(rows, left=3))]
-    lines += [*_violations(results), *_words(plan.places), *_refusals(results)]
+    lines += [*_violations(results), *_budgets(results), *_words(plan.places), *_refusals(results)]
     lines += [*_elsewhere(plan, results), *_missing_lines(plan.missing), *_unused(plan)]
     if any(place.scenario is None for place in plan.places) or plan.missing:
         lines += ["", "- not played, see above"]
@@ -81,6 +81,15 @@ def _violations(results: Sequence[Result]) -> list[str]:
     if not broken:
         return ["", "constraint violations: none"] if results else []
     return ["", *(f"{name} broke constraints {count:,} times" for name, count in broken)]
+
+
+def _budgets(results: Sequence[Result]) -> list[str]:
+    """How long the policies were trained, where that differs."""
+    from uavaou.experiments.suite_runs import budget_lines
+
+    flown = [(r.job.policy, r.job.place.point.label, r.job.entry.slots) for r in results if r.job.entry is not None]
+    lines = [part for line in budget_lines(flown) for part in textwrap.wrap(line, WIDTH)]
+    return ["", *lines] if lines else []
 
 
 def _words(places: Sequence[Place]) -> list[str]:

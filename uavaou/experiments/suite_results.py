@@ -20,8 +20,8 @@ from uavaou.scenario import Scenario
 from uavaou.world import World
 
 CSV_COLUMNS = (
-    "suite", "point", "x", "policy", "trained", "seed", "missions", "mean_aou_slots", "low", "high",
-    "communications", "devices_served", "violations", "axis", "scale",
+    "suite", "point", "x", "policy", "trained", "seed", "training_slots", "missions", "mean_aou_slots", "low", "high",
+    "communications", "devices_served", "violations", "axis", "scale", "joined",
 )  # fmt: skip
 LoadRun = Callable[[RunFolder, Scenario], Planner]
 
@@ -184,6 +184,7 @@ def csv_rows(name: str, suite: Suite, results: Sequence[Result]) -> list[dict[st
             "policy": job.policy,
             "trained": job.how,
             "seed": "" if job.entry is None else job.entry.config.seed,
+            "training_slots": "" if job.entry is None else job.entry.slots,
             "missions": len(result.content["mean_aou_s"]),
             "mean_aou_slots": f"{aou.mean:.6g}",
             "low": "" if aou.low != aou.low else f"{aou.low:.6g}",  # nan: one mission has no interval
@@ -193,6 +194,7 @@ def csv_rows(name: str, suite: Suite, results: Sequence[Result]) -> list[dict[st
             "violations": result.violations,
             "axis": suite.axis.title,
             "scale": suite.axis.scale,
+            "joined": "yes" if job.place.point.joined else "no",
         }
         rows.append({column: str(values[column]) for column in CSV_COLUMNS})
     return rows

@@ -6,16 +6,17 @@ A suite is YAML: ``zoo_configs/suites/``, or a file of your own. Its points chan
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, field_validator, model_validator
 
 from uavaou.errors import InfeasibleError, InputError, nearest, unknown
-from uavaou.fields import Number, validated
+from uavaou.fields import Number, short, validated
 from uavaou.scenario import Scenario
 from uavaou.world.coverage import best_probability
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
@@ -49,14 +50,19 @@ class Point(BaseModel):
     x: Number  # in the axis' unit
     set: dict[str, Any] = {}  # fields of the scenario
     observation: Literal["location", "local", "shared"] | None = None  # None: whatever a run was trained with
+    joined: StrictBool = True  # false: the figure's line does not lead to it, as x only places it beside the others
 
-    @field_validator("set")
+    @field_validator("set", mode="before")
     @classmethod
-    def _known_fields(cls, value: dict[str, Any]) -> dict[str, Any]:
+    def _known_fields(cls, value: Any) -> Any:
         known = [name for name in Scenario.model_fields if name not in ("name", "description")]
-        for name in value:
+        for name in value if isinstance(value, dict) else []:
+            if name in ("name", "description"):
+                raise ValueError(f"a scenario's {name} is nothing that a point can change")
+            if name in cls.model_fields:
+                raise ValueError(f"'{name}' is no field of the scenario: it stands beside set, not in it")
             if name not in known:
-                raise ValueError(f"the scenario has no '{name}'{nearest(name, known)}")
+                raise ValueError(f"the scenario has no '{name}'{nearest(str(name), known)}")
         return value
 
 
@@ -80,6 +86,13 @@ class Suite(BaseModel):
             labels.add(point.label)
         return self
 
+    @model_validator(mode="after")
+    def _log_axis_is_positive(self) -> Suite:
+        for point in self.points if self.axis.scale == "log" else ():
+            if point.x <= 0:
+                raise ValueError(f"axis: scale = 'log': the point '{point.label}' has x = {point.x:g}, not above 0")
+        return self
+
     @property
     def varies_observation(self) -> bool:
         """Whether some point asks for an observation."""
@@ -96,8 +109,11 @@ class Suite(BaseModel):
             path = zoo_path("suites", source)
         elif source.endswith((".yaml", ".yml")) or "/" in source:
             path = Path(source)
+            if not os.path.lexists(path):
+                raise InputError(f"suite file '{source}' does not exist{nearest(path.stem, zoo_names('suites'))}")
         else:
-            raise unknown("suite", source, zoo_names("suites"))
+            error = unknown("suite", source, zoo_names("suites"))
+            raise InputError(f"{str(error).removesuffix(')')}; or a path ending in .yaml)")
         return cls.from_dict(read_yaml_mapping(path), path.stem, str(path))
 
     @classmethod
@@ -110,9 +126,12 @@ class Suite(BaseModel):
         if "name" in fields:
             raise InputError(f"{source}: unknown field 'name': a suite is named as its file is")
         parts = dict(fields)
-        if isinstance(parts.get("points"), list):
-            points = enumerate(parts["points"])
-            parts["points"] = [validated(Point, point, f"{source}: points[{k}]") for k, point in points]
+        if "points" in parts:
+            points = parts["points"]
+            if not isinstance(points, list) or not points:
+                like = "- {label: '10', x: 10, set: {devices: 10}}"
+                raise InputError(f"{source}: points = {short(points)}: expected a list of at least one, such as {like}")
+            parts["points"] = [validated(Point, point, f"{source}: points[{k}]") for k, point in enumerate(points)]
         if "axis" in parts:
             parts["axis"] = validated(Axis, parts["axis"], f"{source}: axis")
         return validated(cls, parts | {"name": name}, source)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import textwrap
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from uavaou.errors import InputError
 from uavaou.experiments.statistics import Interval, interval
+from uavaou.experiments.suite_runs import budget_lines
 from uavaou.files import read_text
 from uavaou.reports import style
 
@@ -27,7 +29,10 @@ _COLUMNS = ("suite", "point", "x", "policy", "trained", "seed", "mean_aou_slots"
 _MOST_BYTES = 50_000_000
 _SCALES = ("linear", "log", "category")
 _HOW = ("trained", "zero-shot", "planner")
+_JOINED = {"yes": True, "no": False}
 _MOST_TICKS = 12
+_WIDTH = 62  # characters of a line below the axes
+_LINE_IN = 0.13
 _SPREAD = 0.7  # of the way from one category to the next, that its policies take side by side
 
 
@@ -40,6 +45,8 @@ class Row:
     policy: str
     how: str
     aou: Interval  # slots; low and high are nan where there was one mission
+    training_slots: int | None = None  # None: a planner's, or a table that does not tell
+    joined: bool = True  # whether the line leads to its point
 
 
 @dataclass(frozen=True)
@@ -88,7 +95,11 @@ def _row(path: Path, number: int, line: dict[str, str]) -> Row:
         raise InputError(f"{path}: line {number}, column 'trained': '{line['trained']}' is none of {', '.join(_HOW)}")
     x, mean = (_number(path, number, line, column) for column in ("x", "mean_aou_slots"))
     ends = [_number(path, number, line, column) if line[column] else math.nan for column in ("low", "high")]
-    return Row(line["point"], x, line["policy"], line["trained"], Interval(mean, *ends))
+    slots = int(_number(path, number, line, "training_slots")) if line.get("training_slots") else None
+    joined = line.get("joined") or "yes"
+    if joined not in _JOINED:
+        raise InputError(f"{path}: line {number}, column 'joined': '{joined}' is none of {', '.join(_JOINED)}")
+    return Row(line["point"], x, line["policy"], line["trained"], Interval(mean, *ends), slots, _JOINED[joined])
 
 
 def _number(path: Path, number: int, line: dict[str, str], column: str) -> float:
@@ -115,18 +126,26 @@ def plot_suite(table: SuiteTable, out_dir: Path) -> list[Path]:
 
 
 def _figure(table: SuiteTable) -> Figure:
-    figure, axes = style.new_axes(height_in=3.0)
     policies = list(dict.fromkeys(row.policy for row in table.rows))
     policies.sort(key=style.is_planner)  # learned ones first, otherwise as played
     looks = style.looks(policies)
+    budgets = _budget_lines(table, looks)
+    figure, axes = style.new_axes(height_in=3.0 + _LINE_IN * len(budgets))
     places = _places(table)
     for turn, policy in enumerate(policies):
         rows = [row for row in table.rows if row.policy == policy]
         shift = _SPREAD * ((turn + 0.5) / len(policies) - 0.5) if table.scale == "category" else 0.0
         _draw_policy(axes, table, places, rows, shift, looks[policy])
     _finish(axes, table, places)
-    style.legend_below(figure, axes, _title(table))
+    style.legend_below(figure, axes, "\n".join([*_meanings(table), *budgets]))
     return figure
+
+
+def _budget_lines(table: SuiteTable, looks: dict[str, style.Look]) -> list[str]:
+    """Where the trainings of the table had different budgets: which of them had which."""
+    rows = sorted(table.rows, key=lambda row: row.x)
+    known = [(looks[row.policy].label, row.point, row.training_slots) for row in rows if row.training_slots is not None]
+    return [part for line in budget_lines(known) for part in textwrap.wrap(line, _WIDTH)]
 
 
 def _places(table: SuiteTable) -> dict[str, float]:
@@ -142,8 +161,9 @@ def _draw_policy(
     named, above = False, 2.0 if rows and rows[0].how == "planner" else 3.0  # whether filled or hollow must be seen
     drawn = [(label, [row for row in rows if row.point == label]) for label in places]
     means = {label: _over_seeds(found) for label, found in drawn if found}
-    if table.scale != "category":  # a line leads from one number to the next, and not to a point like `none`
-        along = [label for label in means if _is_number(label)]
+    if table.scale != "category":  # categories have no way from one to the next
+        apart = {row.point for row in rows if not row.joined}
+        along = [label for label in means if label not in apart]
         axes.plot(
             [places[label] for label in along], [means[label].mean for label in along],
             color=look.colour, linestyle=look.dash, linewidth=1.0, zorder=above,
@@ -167,13 +187,6 @@ def _over_seeds(rows: Sequence[Row]) -> Interval:
     return rows[0].aou if len(rows) == 1 else interval([row.aou.mean for row in rows])
 
 
-def _is_number(label: str) -> bool:
-    try:
-        return math.isfinite(float(label))
-    except ValueError:
-        return False
-
-
 def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
     axes.set(xlabel=table.axis, ylabel="mean AoU (slots)")
     if table.scale == "log" and min(places.values()) > 0:
@@ -193,7 +206,7 @@ def _crowded(labels: Sequence[str] | dict[str, float]) -> bool:
     return sum(len(label) + 1 for label in labels) > 46
 
 
-def _title(table: SuiteTable) -> str:
+def _meanings(table: SuiteTable) -> list[str]:
     """What markers and bars mean."""
     kinds = {row.how for row in table.rows}
     words = []
@@ -204,4 +217,4 @@ def _title(table: SuiteTable) -> str:
     runs = Counter((row.point, row.policy) for row in table.rows)
     several = "seeds; where there is one: over missions" if min(runs.values()) == 1 else "seeds"
     words.append("bars: 95 % interval over " + (several if max(runs.values()) > 1 else "missions"))
-    return "\n".join(words)
+    return words
