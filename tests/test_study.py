@@ -539,6 +539,17 @@ def test_the_report_prints_every_variant_and_planner(
     assert after.keys() - before.keys() == {"README.md", "marl-eval.json", *missions}
 
 
+def test_the_report_says_what_is_wrong_with_its_results(
+    copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, out = copied
+    (out / "studies/mine/bounds.csv").write_text("scenario,bound_slots,method\ntiny,100000,x\n")
+    assert main(["study", "report", str(out.parent / "mine.yaml"), "--out", str(out)]) == 0
+    said = capsys.readouterr().err
+    assert "uavaou: 'mappo' on 'tiny' has a mean AoU of " in said
+    assert "below the certified bound of 1e+05" in said
+
+
 @pytest.mark.parametrize(
     ("name", "spoil", "message"),
     [

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from matplotlib.image import imread
 from synthetic_study import MAPPO, PLANNERS, SCENARIO, SLOT_S, VDN, K, Variant, write_study
 
@@ -144,6 +145,37 @@ def test_one_seed_and_no_planners_or_bound(tmp_path: Path, drawn: dict[str, Any]
     plot_study(study, tmp_path / "out")
     assert set(drawn) == {f"out/{name}" for name in OF_A_SCENARIO | AGGREGATES - {"probability-of-improvement"}}
     assert "bands: none (1 seed)" in drawn["out/figure-4-aou"].legends[0].get_title().get_text()
+    bars = drawn["out/figure-8-communications-by-period"].legends[0].get_title().get_text()
+    assert bars == "dot: one device; bar: none (1 seed)"
+    assert "missions (1 seed) of 1 scenario" in drawn["out/aou-iqm"].get_supxlabel()
+    assert "seeds and" not in drawn["out/performance-profile"].legends[0].get_title().get_text()
+
+
+def test_intervals_say_what_they_are_over(tmp_path: Path, drawn: dict[str, Any]) -> None:
+    study = write_study(tmp_path / "study", seeds=3)
+    plot_study(study, tmp_path / "out")
+    eighth = drawn["out/figure-8-communications-by-period"].legends[0]
+    assert eighth.get_title().get_text() == "dot: one device; bar: 95 % interval over 3 seeds"
+    assert "over\nseeds and missions of" in drawn["out/aou-iqm"].get_supxlabel()
+    runs = (study / "runs.csv").read_text().splitlines(keepends=True)
+    (study / "runs.csv").write_text(
+        "".join(row for row in runs if not row.startswith(("vdn,vdn,paper,1", "vdn,vdn,paper,2")))
+    )
+    plot_study(study, tmp_path / "some")
+    eighth = drawn["some/figure-8-communications-by-period"].legends[0]
+    assert eighth.get_title().get_text() == "dot: one device; bar: 95 % interval over seeds; none (1 seed)"
+    assert "seeds (where there are several) and missions" in drawn["some/aou-iqm"].get_supxlabel()
+
+
+@pytest.mark.parametrize(("reference", "own"), [("vdn", "VDN"), (None, "MAPPO"), ("gone", "MAPPO")])
+def test_the_reference_is_compared_with_the_others(
+    tmp_path: Path, drawn: dict[str, Any], reference: str | None, own: str
+) -> None:
+    study = write_study(tmp_path / "study", missions=4)
+    content = yaml.safe_load((study / "study.yaml").read_text())
+    (study / "study.yaml").write_text(yaml.safe_dump(content | {"reference": reference}))
+    plot_study(study, tmp_path / "out")
+    assert f"mission with {own}\n" in drawn["out/probability-of-improvement"].get_supxlabel()
 
 
 def test_one_study_keeps_no_other_from_being_drawn(

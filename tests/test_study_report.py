@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 import yaml
-from synthetic_study import MAPPO, VDN, write_study
+from synthetic_study import MAPPO, VDN, Variant, write_study
 
 from uavaou import InputError
 from uavaou.experiments.study import Study
 from uavaou.experiments.study_results import read_study, rows_of
 from uavaou.experiments.study_tables import by_run
-from uavaou.reports.claims_table import BEGIN
+from uavaou.reports.claims_table import begin_marker
 from uavaou.reports.standings import standings
 from uavaou.reports.study_report import write_report
 
@@ -53,7 +53,59 @@ def test_a_reference_and_claims_are_told_where_the_study_asks_for_them(tmp_path:
     assert "## Against `vdn`" in text
     assert "better with mappo" in text
     assert "## The paper's claims" in text
-    assert BEGIN in (tmp_path / "README.md").read_text()
+    assert begin_marker("asked") in (tmp_path / "README.md").read_text()
+
+
+def test_verdicts_of_another_study_are_left_alone_and_that_is_said(tmp_path: Path) -> None:
+    first, second = (study_with(tmp_path / name, claims=True) for name in ("first", "second"))
+    assert write_report(first, tmp_path / "README.md") == []
+    text = (tmp_path / "README.md").read_text()
+    (remark,) = write_report(second, tmp_path / "README.md")
+    assert remark == f"{tmp_path / 'README.md'}: left as it is: the claims there are judged from study 'first'"
+    assert (tmp_path / "README.md").read_text() == text
+    assert "## The paper's claims" in (second / "README.md").read_text()
+
+
+def test_a_page_says_what_is_not_done_and_what_failed(tmp_path: Path) -> None:
+    folder = study_with(tmp_path / "paper")
+    assert "Not finished" not in page(folder)
+    (folder / "failures.csv").write_text(
+        "variant,scenario,seed,reason\nvdn,paper,3,out\n of memory\nrolling,paper,,no plan\nmappo,paper,0,an old one\n"
+        .replace("out\n of memory", '"out\n of memory"')
+    )  # fmt: skip
+    assert page(folder).count("Failed when last tried") == 1  # of a planner
+    runs = (folder / "runs.csv").read_text().splitlines(keepends=True)
+    (folder / "runs.csv").write_text("".join(row for row in runs if not row.startswith("vdn")))
+    text = page(folder)
+    assert "**Not finished: 8 of 12 trainings are done.**" in text
+    assert "- `vdn` on paper, seed 3: out of memory\n- `rolling` on paper: no plan\n" in text
+    assert "an old one" not in text  # it is done by now
+
+
+def test_a_bound_that_is_broken_is_told(tmp_path: Path) -> None:
+    """Of a planner and of one training alone; a mean that is below by chance is none."""
+    assert write_report(study_with(tmp_path / "paper"), tmp_path / "README.md") == []
+    folder = write_study(tmp_path / "broken", planners={"greedy": Variant(24.9)}, bound=37.8)
+    means = by_run(read_study(folder)).stack("missions", "mappo", "paper", "mean_aou_slots").mean(axis=1)
+    assert means.min() < 37.8 < means.max()
+    missions = (folder / "missions.csv").read_text().splitlines(keepends=True)
+    low = [",".join([*row.split(",")[:4], "30", *row.split(",")[5:]]) if row.startswith("vdn,paper,2,") else row
+           for row in missions]  # fmt: skip
+    (folder / "missions.csv").write_text("".join(low))
+    remarks = write_report(folder, tmp_path / "README.md")
+    assert remarks[0].startswith(
+        "'vdn' on 'paper' has a mean AoU of 30 slots, which is below the certified bound of 37.8"
+    )
+    assert [remark.split("'")[1] for remark in remarks] == ["vdn", "greedy"]
+    for remark in remarks:
+        assert f"**Something is wrong: {remark}.**" in (folder / "README.md").read_text()
+
+
+def test_a_variant_is_held_against_another_where_the_study_says_so(tmp_path: Path) -> None:
+    text = page(study_with(tmp_path / "paper", reference="mappo", against={"qmix": "vdn"}))
+    assert "| ratio to mappo | ratio to another |" in text
+    assert "| vdn: 1." in text
+    assert "worse with qmix than with vdn" in text
 
 
 def test_a_study_that_is_not_finished_has_a_page(tmp_path: Path) -> None:
@@ -93,6 +145,39 @@ def test_a_reference_must_be_a_variant(tmp_path: Path) -> None:
         Study.load(path)
     path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}}\nreference: vdn\n")
     assert Study.load(path).to_dict()["reference"] == "vdn"
+
+
+def test_the_claims_are_about_three_variants(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}, qmix: {}}\nclaims: true\n")
+    assert Study.load(path).claims
+    path.write_text(path.read_text().replace("qmix:", "qmix2: {algorithm: qmix}, x:").replace("x: {}", "ippo: {}"))
+    with pytest.raises(
+        InputError, match=r"claims = True: .* mappo, vdn, qmix, there is no 'qmix'; did you mean 'qmix2'"
+    ):
+        Study.load(path)
+
+
+@pytest.mark.parametrize(
+    ("vdn", "more", "words"),
+    [
+        ("mapo", "reference: mappo", r"variants.'vdn': against: no variant 'mapo'; did you mean 'mappo'\?"),
+        ("vdn", "reference: mappo", r"variants.'vdn': against = 'vdn': expected another variant"),
+        ("qmix", "", r"variants.'vdn': against = 'qmix': is beside the study's reference"),
+        ("qmix", "reference: vdn", r"against = 'qmix': the reference is what the others are held against"),
+        ("3", "reference: mappo", r"variants.'vdn': against = 3"),
+    ],
+)
+def test_what_a_variant_is_held_against_is_another(tmp_path: Path, vdn: str, more: str, words: str) -> None:
+    path = tmp_path / "own.yaml"
+    variants = f"variants: {{mappo: {{}}, vdn: {{against: {vdn}}}, qmix: {{}}}}"
+    path.write_text(f"seeds: 1\nscenarios: [tiny]\n{variants}\n{more}\n")
+    with pytest.raises(InputError, match=words):
+        Study.load(path)
+
+
+def test_the_ablations_hold_location_against_masks_off(tmp_path: Path) -> None:
+    assert Study.load("ablations").to_dict()["against"] == {"observation location": "masks off"}
 
 
 def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:

@@ -105,9 +105,11 @@ def report(study: _FILE, out: _OUT = Path("results")) -> None:
     with only_writer(folder, study_folder(out, chosen).lock):
         _, problems = report_study(chosen, out)
         record_study_missions(folder)
-        write_report(folder, out / "README.md")
+        remarks = write_report(folder, out / "README.md")
     for key, reason in problems.items():
         print(f"uavaou: left out: {key.variant} on {key.scenario}, seed {key.seed}: {reason}", file=sys.stderr)
+    for remark in remarks:
+        print(f"uavaou: {remark}", file=sys.stderr)
     print("\n".join(study_lines(folder)))
 
 

@@ -66,26 +66,6 @@ def mean_score(scores: Scores, confidence: float = 0.95) -> Estimate:
     return _estimate(lambda draws: np.mean(_task_means(tables, draws), axis=0), [tables], confidence)
 
 
-def ratio_of_means(x: Scores, y: Scores, confidence: float = 0.95) -> Estimate:
-    """The mean of x over the mean of y: the geometric mean over tasks of each task's ratio.
-
-    Raises:
-        ValueError: as :func:`interquartile_mean`, other tasks in x than in y, or means that are not positive.
-    """
-    tables = _of_same_tasks(x, y)
-    if min(table.mean() for policy in tables for table in policy) <= 0:
-        raise ValueError("a ratio of means needs means above 0")
-
-    def ratios(of_x: _Draws, of_y: _Draws) -> Floats:
-        above, below = _task_means(tables[0], of_x), _task_means(tables[1], of_y)
-        with np.errstate(divide="ignore", invalid="ignore"):  # a resample may hold zeros alone
-            logs: Floats = np.log(above) - np.log(below)
-        result: Floats = np.exp(logs.mean(axis=0))
-        return np.nan_to_num(result, nan=1.0, posinf=np.inf)
-
-    return _estimate(ratios, tables, confidence)
-
-
 def probability_of_improvement(x: Scores, y: Scores, confidence: float = 0.95) -> Estimate:
     """P(X < Y) + P(X = Y) / 2 for a score of x and one of y in the same task, mean over the tasks.
 

@@ -7,7 +7,7 @@ and resolves every run's configuration before anything is trained.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, nearest
 from uavaou.experiments.folder import RunConfig, RunFolder, config_folder
-from uavaou.experiments.study_fields import MOST_RUNS, ScenarioEntry, StudyFields, VariantEntry, usable_name
+from uavaou.experiments.study_fields import JUDGED, MOST_RUNS, ScenarioEntry, StudyFields, VariantEntry, usable_name
 from uavaou.fields import short, validated
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
 from uavaou.scenario import Scenario
@@ -56,6 +56,7 @@ class Study:
         episodes: missions of every evaluation.
         reference: the variant that the report holds the others against; None for no such table.
         claims: whether the report judges the paper's claims.
+        against: variants that the report holds against another one beside the reference, and which.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Study:
     episodes: int
     reference: str | None = None
     claims: bool = False
+    against: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def load(cls, source: str | Path) -> Study:
@@ -96,13 +98,18 @@ class Study:
             raise InputError(f"{path}: slots = None: expected a number; leave it out for the published budgets")
         entries = [_scenario(entry, f"{path}: scenarios[{k}]", path) for k, entry in enumerate(fields.scenarios)]
         _check_distinct([name for name, _ in entries], f"{path}: scenarios")
+        stated = {
+            name: validated(VariantEntry, {} if entry is None else entry, f"{path}: variants.{short(name)}")
+            for name, entry in fields.variants.items()
+        }
         variants = {
             name: _variant(name, entry, fields.slots, f"{path}: variants.{short(name)}")
-            for name, entry in fields.variants.items()
+            for name, entry in stated.items()
         }
         study = cls(
             path.stem, fields.description, fields.seeds, dict(entries), variants, tuple(fields.planners), fields.bound,
             fields.planning_seconds, fields.episodes, fields.reference, fields.claims,
+            {name: entry.against for name, entry in stated.items() if entry.against is not None},
         )  # fmt: skip
         _check(study, str(path))
         return study
@@ -132,6 +139,7 @@ class Study:
             "planning_seconds": self.planning_seconds,
             "reference": self.reference,
             "claims": self.claims,
+            "against": self.against,
             "variants": {name: config.model_dump(mode="json") for name, config in self.variants.items()},
             "scenarios": {name: scenario.to_dict() for name, scenario in self.scenarios.items()},
         }
@@ -172,8 +180,7 @@ def _load_scenario(name: str, source: str, path: Path) -> Scenario:
         raise InputError(f"{source}: {error}") from None
 
 
-def _variant(name: str, entry: Any, slots: int | None, source: str) -> AlgorithmConfig:
-    stated = validated(VariantEntry, {} if entry is None else entry, source)
+def _variant(name: str, stated: VariantEntry, slots: int | None, source: str) -> AlgorithmConfig:
     usable_name(name, source)
     if name in PLANNERS or name == BOUND:
         raise InputError(f"{source}: a planner or the bound has that name: choose another")
@@ -207,11 +214,34 @@ def _check(study: Study, source: str) -> None:
             raise InputError(f"{source}: planners: unknown planner '{short(planner)}'{nearest(planner, PLANNERS)} "
                              f"(known: {known})")  # fmt: skip
     _check_distinct(study.planners, f"{source}: planners")
-    if study.reference is not None and study.reference not in study.variants:
-        hint = f"{nearest(study.reference, study.variants)} (variants: {', '.join(study.variants)})"
-        raise InputError(f"{source}: reference: no variant {short(study.reference)}{hint}")
+    _check_comparisons(study, source)
     _check_layouts(study, source)
     _check_folders(study, source)
+
+
+def _check_comparisons(study: Study, source: str) -> None:
+    """What the report is to compare must be there."""
+    known = f"(variants: {', '.join(study.variants)})"
+    named = {"reference": study.reference} if study.reference is not None else {}
+    named |= {f"variants.{short(name)}: against": other for name, other in study.against.items()}
+    for field_name, name in named.items():
+        if name not in study.variants:
+            hint = nearest(name, study.variants)
+            raise InputError(f"{source}: {field_name}: no variant {short(name)}{hint} {known}")
+    for name, other in study.against.items():
+        where = f"{source}: variants.{short(name)}: against = {short(other)}"
+        if other == name:
+            raise InputError(f"{where}: expected another variant {known}")
+        if study.reference is None:
+            raise InputError(f"{where}: is beside the study's reference, which it does not name {known}")
+        if name == study.reference:
+            raise InputError(f"{where}: the reference is what the others are held against: leave it out")
+    if study.claims:
+        for name in JUDGED:
+            if name not in study.variants:
+                hint = nearest(name, study.variants)
+                raise InputError(f"{source}: claims = True: expected variants named {', '.join(JUDGED)}, "
+                                 f"there is no '{name}'{hint} {known}")  # fmt: skip
 
 
 def _check_layouts(study: Study, source: str) -> None:

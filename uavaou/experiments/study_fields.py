@@ -11,6 +11,7 @@ from uavaou.fields import Positive, PositiveWhole, short
 
 LARGEST_SEED = 2**32 - 1  # what NumPy's and torch's global streams take
 MOST_RUNS = 100_000
+JUDGED = ("mappo", "vdn", "qmix")  # the variants that the paper's claims are about
 _LONGEST_NAME = 60
 
 
@@ -64,6 +65,7 @@ class VariantEntry(BaseModel):
 
     algorithm: StrictStr | None = None  # None: that of the variant's name
     set: dict[StrictStr, Any] = {}
+    against: StrictStr | None = None  # the variant it is held against in the report beside the reference
 
 
 def usable_name(name: str, source: str) -> str:

@@ -39,6 +39,7 @@ class StudyTables:
     scenarios: dict[str, dict[str, Any]]  # name -> its fields, in the study's order
     tables: dict[str, dict[Key, Table]]
     bounds: dict[str, float]  # scenario -> slots
+    reference: str | None = None  # the variant that the study holds the others against
 
     @property
     def name(self) -> str:
@@ -128,9 +129,11 @@ def by_run(results: StudyResults) -> StudyTables:
     learned = sorted(algorithms, key=lambda name: order.index(name) if name in order else len(order))
     found = dict.fromkeys(variant for variant, _, seed in tables["missions"] if seed == NO_SEED)
     bounds = zip(results.bounds["scenario"].tolist(), results.bounds["bound_slots"].tolist(), strict=True)
+    reference = results.study.get("reference")
     return StudyTables(
-        results.path, {name: algorithms[name] for name in learned}, tuple(found), scenarios, tables, dict(bounds)
-    )
+        results.path, {name: algorithms[name] for name in learned}, tuple(found), scenarios, tables, dict(bounds),
+        reference if isinstance(reference, str) else None,
+    )  # fmt: skip
 
 
 def _scenarios(results: StudyResults) -> dict[str, dict[str, Any]]:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Scores = Mapping[str, Mapping[str, Floats]]  # variant -> scenario -> (S, M)
 
-OWN = "mappo"  # the algorithm that the others are compared with
+OWN = "mappo"  # the variant that the others are compared with where the study names none
 _THRESHOLDS = 120
 _ROW_IN = 0.2  # of a bar
 
@@ -45,14 +45,22 @@ def aggregate_figures(study: StudyTables) -> dict[str, Figure]:
         return {}
     scores, unit = comparable(study, found)
     looks = style.looks([*study.algorithms, *study.planners], study.algorithms)
-    note = f"95 % stratified bootstrap interval over\nseeds and missions of {_counted(study)}"
+    note = f"95 % stratified bootstrap interval over\n{_resampled(study, scores)} of {_counted(study)}"
     figures = {"aou-iqm": _iqm_figure(scores, unit, looks, note)}
-    own = OWN if OWN in scores else next(iter(scores))
+    own = next(name for name in (study.reference, OWN, *scores) if name in scores)
     others = [name for name in scores if name != own]
     if others:
         figures["probability-of-improvement"] = _improvement_figure(scores, own, others, looks, note)
     figures["performance-profile"] = _profile_figure(scores, unit, looks, note)
     return figures
+
+
+def _resampled(study: StudyTables, scores: Scores) -> str:
+    """What the intervals are over; planners are not trained, and show no seeds."""
+    seeds = {len(table) for name in scores if name in study.algorithms for table in scores[name].values()}
+    if not seeds - {1}:
+        return "missions (1 seed)" if seeds else "missions"
+    return "seeds (where there are several) and missions" if 1 in seeds else "seeds and missions"
 
 
 def _counted(study: StudyTables) -> str:

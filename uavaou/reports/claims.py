@@ -1,7 +1,7 @@
 """The paper's claims, and ours, held against a study: verdicts are computed from its tables, whatever they are.
 
-:mod:`uavaou.reports.verdicts` says how. Ratios are geometric means over scenarios; intervals are those of
-:mod:`uavaou.experiments.stratified`.
+:mod:`uavaou.reports.verdicts` says how. Ratios and their intervals over trainings are those of
+:mod:`uavaou.experiments.trainings`.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from fractions import Fraction
 import numpy as np
 from scipy.stats import rankdata
 
-from uavaou.experiments.stratified import mean_score, ratio_of_means
+from uavaou.experiments.stratified import Estimate
 from uavaou.experiments.study_results import StudyResults
 from uavaou.experiments.study_tables import StudyTables, by_run
+from uavaou.experiments.trainings import mean_of_trainings, ratio_of_trainings
 from uavaou.reports.references import best_planner
 from uavaou.reports.training_claims import convergence, last_reward, time_to_level
 from uavaou.reports.verdicts import (
@@ -22,13 +23,13 @@ from uavaou.reports.verdicts import (
     OWN,
     Claim,
     Floats,
-    Scores,
-    by_trainings,
+    Trainings,
+    by_training,
     common_scenarios,
     direction_verdict,
     means,
     not_measured,
-    one_column,
+    of_missions,
     positive,
     size_verdict,
 )
@@ -58,15 +59,15 @@ def judge(results: StudyResults) -> list[Claim]:
         *(_more(study, other, column) for column in ("communications", "devices_served") for other in BASELINES),
         _served_by_frequency(study),
         _beside_planner(study),
-        _above_bound(study),
+        _beside_bound(study),
     ]
     return [replace(claim, command=f"uavaou study run {study.argument}") for claim in claims]
 
 
-def _pair(study: StudyTables, other: str, column: str) -> tuple[Scores, Scores]:
-    """A figure of MAPPO's missions and the other's, in the scenarios that both have flown."""
+def _pair(study: StudyTables, other: str, column: str) -> tuple[Trainings, Trainings]:
+    """A figure of MAPPO's trainings and the other's, in the scenarios that both have flown."""
     scenarios = common_scenarios(study, "missions", OWN, other)
-    return study.missions(OWN, column, scenarios), study.missions(other, column, scenarios)
+    return of_missions(study, OWN, column, scenarios), of_missions(study, other, column, scenarios)
 
 
 def _lower(study: StudyTables, other: str) -> Claim:
@@ -75,8 +76,8 @@ def _lower(study: StudyTables, other: str) -> Claim:
     own, theirs = _pair(study, other, "mean_aou_slots")
     if not positive(own, theirs):
         return not_measured(text, LOWEST, f"missions of both '{OWN}' and '{other}' with an AoU above 0")
-    ratio = ratio_of_means(own, theirs)
-    verdict = by_trainings(direction_verdict(ratio, 1, lower=True), own, theirs)
+    ratio = ratio_of_trainings(own, theirs)
+    verdict = direction_verdict(ratio, 1, lower=True)
     return Claim(text, LOWEST, verdict, f"mean AoU {means(own, theirs, other.upper(), ' τ')}; ratio", ratio)
 
 
@@ -85,8 +86,8 @@ def _reduction(study: StudyTables, other: str, share: str, words: str, quote: st
     own, theirs = _pair(study, other, "mean_aou_slots")
     if not positive(own, theirs):
         return not_measured(text, quote, f"missions of both '{OWN}' and '{other}' with an AoU above 0")
-    ratio = ratio_of_means(own, theirs)
-    verdict = by_trainings(size_verdict(ratio, float(Fraction(share))), own, theirs)
+    ratio = ratio_of_trainings(own, theirs)
+    verdict = size_verdict(ratio, float(Fraction(share)))
     return Claim(text, quote, verdict, f"mean AoU {means(own, theirs, other.upper(), ' τ')}; ratio", ratio)
 
 
@@ -99,8 +100,8 @@ def _more(study: StudyTables, other: str, column: str) -> Claim:
     own, theirs = _pair(study, other, column)
     if not positive(own, theirs):
         return not_measured(text, MORE_DEVICES, f"missions of both '{OWN}' and '{other}' with {what}")
-    ratio = ratio_of_means(own, theirs)
-    verdict = by_trainings(direction_verdict(ratio, 1, lower=False), own, theirs)
+    ratio = ratio_of_trainings(own, theirs)
+    verdict = direction_verdict(ratio, 1, lower=False)
     measured = f"{what} a mission: {means(own, theirs, other.upper(), digits=digits)}; ratio"
     return Claim(text, MORE_DEVICES, verdict, measured, ratio)
 
@@ -115,11 +116,10 @@ def _served_by_frequency(study: StudyTables) -> Claim:
             found[scenario] = values
     if not found:
         return not_measured(text, FREQUENT, f"devices of '{OWN}' with different periods and communications")
-    seeds = one_column(found)
-    correlation = mean_score(seeds)
+    mean, low, high = mean_of_trainings(by_training(found))
+    correlation = Estimate(mean, float(np.maximum(low, -1)), float(np.minimum(high, 1)))  # nan stays nan
     measured = "Spearman correlation over devices of communications with the generation period k, mean over seeds:"
-    verdict = by_trainings(direction_verdict(correlation, 0, lower=True), seeds)
-    return Claim(text, FREQUENT, verdict, measured, correlation)
+    return Claim(text, FREQUENT, direction_verdict(correlation, 0, lower=True), measured, correlation)
 
 
 def _spearman(x: Floats, y: Floats) -> float:
@@ -141,18 +141,18 @@ def _beside_planner(study: StudyTables) -> Claim:
     own, theirs = _pair(study, planner, "mean_aou_slots")
     if not positive(own, theirs):
         return not_measured(text, "", missing)
-    ratio = ratio_of_means(own, theirs)
-    verdict = by_trainings(direction_verdict(ratio, 1, lower=True), own)
+    ratio = ratio_of_trainings(own, theirs)
+    verdict = direction_verdict(ratio, 1, lower=True)
     return Claim(text, "", verdict, f"mean AoU {means(own, theirs, f'`{planner}`', ' τ')}; ratio", ratio)
 
 
-def _above_bound(study: StudyTables) -> Claim:
-    text = "MAPPO's AoU lies above the certified lower bound"
+def _beside_bound(study: StudyTables) -> Claim:
+    """No claim: above the bound lies every policy, or else :func:`uavaou.reports.references.below_bound` tells."""
+    text = "how far MAPPO with local information is from the certified lower bound"
     scenarios = [name for name in common_scenarios(study, "missions", OWN) if study.bounds.get(name, 0) > 0]
-    own = study.missions(OWN, "mean_aou_slots", scenarios)
+    own = of_missions(study, OWN, "mean_aou_slots", scenarios)
     if not positive(own):
         return not_measured(text, "", f"missions of '{OWN}' beside a bound above 0")
-    bound = one_column({name: [study.bounds[name]] for name in scenarios})
-    ratio = ratio_of_means(own, bound)
-    verdict = direction_verdict(ratio, 1, lower=False)  # of each training by itself
-    return Claim(text, "", verdict, f"mean AoU {means(own, bound, 'bound', ' τ')}; ratio", ratio)
+    bound = {name: np.array(study.bounds[name]) for name in scenarios}
+    ratio = ratio_of_trainings(own, bound)
+    return Claim(text, "", "a figure", f"mean AoU {means(own, bound, 'bound', ' τ')}; ratio", ratio)

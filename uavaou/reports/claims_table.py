@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import quote, unquote
 
 import numpy as np
 
@@ -13,16 +15,24 @@ from uavaou.reports.convergence import SMOOTHED, WITHIN
 from uavaou.reports.markdown import rounded, table
 from uavaou.reports.verdicts import Claim
 
-BEGIN, END = "<!-- claims:begin -->", "<!-- claims:end -->"
+END = "<!-- claims:end -->"
+_BEGIN = re.compile(r"<!-- claims:begin(?: (\S+))? -->")
 _MOST_BYTES = 5_000_000
 
 _RULES = f"""\
-Verdicts are computed. *Supported*: the whole 95 % interval lies on the claimed side; for a reduction to a share, the
-interval holds the share or lies below it, and excludes 1. *Partly supported*: the estimate alone lies there; for a
-reduction, there is one, but smaller than claimed; or all there is is one training of an algorithm, or some runs never
-get where the claim has them. Intervals: stratified bootstrap, seeds and missions resampled with replacement within each
-scenario. A training has converged at the first evaluation from which on its validation AoU, averaged over {SMOOTHED}
-evaluations, stays within {WITHIN:.0%} of its own best."""
+Verdicts are computed. On a direction: *supported* where the whole 95 % interval lies on the claimed side, *partly
+supported* where the estimate alone does, else *not supported*. On a reduction to a share: *supported* where the whole
+interval is at or below the share; *partly supported* where the estimate alone is, or where there is a reduction (the
+whole interval is below 1) that does not reach the share; else *not supported*. One training of an algorithm has no
+interval and supports a claim partly at best, and so does MAPPO where some of its trainings never get where the claim
+has them; where none does, the claim is *not supported*. *A figure* is claimed by nobody and has no verdict.
+
+Ratios are those of geometric means over trainings, with Welch's interval on the logarithms; against a planner or the
+bound, one number, Student's. The correlation's interval is Student's over seeds. Trainings are the sample: missions of
+one training count with their mean. A training has converged at the first evaluation from which on its validation AoU,
+averaged over {SMOOTHED} evaluations, stays within {WITHIN:.0%} of its own best. The level of an algorithm's trainings
+is {WITHIN:.0%} above the mean of the best such AoU that each of them reaches; a training gets there at its first
+evaluation at or below it. One that never converges or gets there counts with its whole budget."""
 _HEAD = ("claim", "the paper's words", "measured", "estimate", "95 % interval", "verdict")
 
 
@@ -38,27 +48,47 @@ def _cells(claim: Claim) -> tuple[str, ...]:
     if claim.estimate is not None:
         value = rounded(claim.estimate.value)
         low, high = claim.estimate.low, claim.estimate.high
-        between = "none: one run" if np.isnan(low) else f"{rounded(low)} to {rounded(high)}"
+        between = "none: one training" if np.isnan(low) else f"{rounded(low)} to {rounded(high)}"
     return claim.claim, quote, claim.measured, value, between, f"**{claim.verdict}**"
 
 
-def write_claims(readme: Path, claims: Sequence[Claim]) -> None:
+def begin_marker(study: str) -> str:
+    """The line before the verdicts of a study."""
+    return f"<!-- claims:begin {quote(study, safe='')} -->"
+
+
+def write_claims(readme: Path, study: str, claims: Sequence[Claim]) -> str:
     """Put the table of the claims between the markers of a README, in place of what is there.
 
-    A README without markers gets them, with a heading, at its end; one that does not exist is made.
+    A README without markers gets them, with a heading, at its end; one that does not exist is made. One whose markers
+    name another study is left as it is; a marker without a name is any study's.
+
+    Returns:
+        The study whose verdicts stand there now.
 
     Raises:
         InputError: the file cannot be read or written, or has one marker without the other.
     """
     text = read_text(readme, _MOST_BYTES) if readme.exists() else "# Results\n"
-    if BEGIN not in text and END not in text:
-        text = f"{text.rstrip()}\n\n## The paper's claims\n\n{BEGIN}\n{END}\n"
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end or BEGIN in rest or END in after or END in before:
-        raise InputError(f"{readme}: expected '{BEGIN}' once and then '{END}' once")
+    begins = list(_BEGIN.finditer(text))
+    if not begins and "<!-- claims:" not in text:
+        before, after = f"{text.rstrip()}\n\n## The paper's claims\n\n", "\n"
+    else:
+        before, held, after = _around(text, begins, readme)
+        if held not in (None, study):
+            return held
     try:
         with replacing(readme) as file:
-            file.write(f"{before}{BEGIN}\n\n{claims_markdown(claims)}\n\n{END}{after}")
+            file.write(f"{before}{begin_marker(study)}\n\n{claims_markdown(claims)}\n\n{END}{after}")
     except OSError as error:
         raise InputError(f"{readme}: cannot be written: {error.strerror or error}") from error
+    return study
+
+
+def _around(text: str, begins: Sequence[re.Match[str]], readme: Path) -> tuple[str, str | None, str]:
+    """What stands before and after the markers, and the study that they name."""
+    end = text.find(END)
+    if len(begins) != 1 or text.count(END) != 1 or end < begins[0].end():
+        raise InputError(f"{readme}: expected '<!-- claims:begin STUDY -->' once and then '{END}' once")
+    name = begins[0][1]
+    return text[: begins[0].start()], None if name is None else unquote(name), text[end + len(END) :]

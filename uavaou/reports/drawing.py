@@ -204,11 +204,16 @@ def _draw_by_period(axes: Axes, group: ByPeriod, shift: float, look: style.Look)
 
 def bands_title(seeds: Sequence[int], one_seed: str, planners: bool) -> str:
     """What the bands of a figure mean; ``one_seed`` says it for algorithms of one seed."""
+    title = "bands: " + over_seeds(seeds, one_seed)
+    return title + (f"\nplanners: {OVER_MISSIONS}" if planners else "")
+
+
+def over_seeds(seeds: Sequence[int], one_seed: str) -> str:
+    """What the intervals of algorithms with so many seeds each are over."""
     counts = set(seeds)
     meanings = []
     if counts - {1}:
         meanings.append(f"95 % interval over {seeds[0]} seeds" if len(counts) == 1 else OVER_SEEDS)
     if 1 in counts:
         meanings.append(f"{one_seed} (1 seed)")
-    title = "bands: " + "; ".join(meanings)
-    return title + (f"\nplanners: {OVER_MISSIONS}" if planners else "")
+    return "; ".join(meanings)

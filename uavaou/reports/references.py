@@ -6,10 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from uavaou.experiments.study_tables import StudyTables
 
 Floats = NDArray[np.float64]
+
+_CHANCE = 1e-6  # of taking one training that keeps the bound for one that breaks it
+_ROUNDED = 1e-5  # share of a mean that six digits of its missions may be off
 
 FIXED_RULES = ("random", "stay")  # planners that look at nothing; all the others see every device's true age
 
@@ -26,6 +30,33 @@ def best_planner(study: StudyTables, scenarios: Sequence[str]) -> str | None:
             means = np.array([table.mean() for table in flown.values()])
             levels[name] = float(np.log(np.maximum(means, 1e-300)).mean())
     return min(levels, key=lambda name: levels[name]) if levels else None
+
+
+def below_bound(study: StudyTables) -> list[str]:
+    """A line for each variant or planner whose AoU is significantly below the certified bound: none, or a bug.
+
+    The bound is one on the expected AoU of a mission with any policy, so the missions of each training are a sample of
+    their own: their mean is below where it is so by Student's distribution with one chance in a million.
+    """
+    lines = []
+    for scenario, bound in study.bounds.items():
+        for name in (*study.algorithms, *study.planners) if scenario in study.scenarios else ():
+            trainings = study.stack("missions", name, scenario, "mean_aou_slots")  # (S, M)
+            below = [float(missions.mean()) for missions in trainings if _at_most(missions) < bound * (1 - _ROUNDED)]
+            if below:
+                lines.append(
+                    f"'{name}' on '{scenario}' has a mean AoU of {min(below):.4g} slots, which is below the "
+                    f"certified bound of {bound:.4g}: no policy can be; the bound or the simulation is wrong"
+                )
+    return lines
+
+
+def _at_most(missions: Floats) -> float:
+    """What the expected AoU of a mission is at most, but for that chance; of one mission nobody knows."""
+    if len(missions) < 2:
+        return np.inf
+    reach = float(stdtrit(len(missions) - 1, 1 - _CHANCE)) * missions.std(ddof=1) / np.sqrt(len(missions))
+    return float(missions.mean() + reach)
 
 
 def in_all_scenarios(study: StudyTables, variants: Sequence[str]) -> dict[str, dict[str, Floats]]:

@@ -22,7 +22,6 @@ from uavaou.reports.aggregate_figures import aggregate_figures
 from uavaou.reports.drawing import (
     COMMUNICATIONS,
     DEVICES_SERVED,
-    OVER_SEEDS,
     REWARD,
     ByPeriod,
     Line,
@@ -33,6 +32,7 @@ from uavaou.reports.drawing import (
     execution_figure,
     label_training,
     measure_figure,
+    over_seeds,
     period_figure,
     time_unit,
 )
@@ -103,7 +103,9 @@ def scenario_figures(study: StudyTables, scenario: str) -> dict[str, Figure]:
     counted = [name for name in flown if study.runs("devices", name, scenario)]
     if counted:
         groups = {name: _by_period(study, scenario, name) for name in counted}
-        figures["figure-8-communications-by-period"] = period_figure(groups, looks, OVER_SEEDS)
+        seeds = [len(study.runs("devices", name, scenario)) for name in counted if name in study.algorithms]
+        bars = over_seeds(seeds or [1], _NO_INTERVAL)
+        figures["figure-8-communications-by-period"] = period_figure(groups, looks, bars)
     return figures
 
 

@@ -1,17 +1,19 @@
 """The report of a study: a page of tables beside its condensed results, and what other tools read.
 
-``results/studies/<name>/README.md`` holds the table of every scenario, the comparison with the study's reference
-where it names one, and the verdicts on the paper's claims where it judges them.
+``results/studies/<name>/README.md`` says what is not done yet, and holds the table of every scenario, the comparison
+with the study's reference where it names one, and the verdicts on the paper's claims where it judges them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 from uavaou.errors import InputError
 from uavaou.experiments.folder import write_json
 from uavaou.experiments.marl_eval import to_marl_eval
+from uavaou.experiments.studies.store import StudyFolder, read_failures
 from uavaou.experiments.study_results import StudyResults, read_study
 from uavaou.experiments.study_tables import StudyTables, by_run
 from uavaou.files import replacing
@@ -19,6 +21,7 @@ from uavaou.reports.ablations import ablation_table, ablations
 from uavaou.reports.claims import judge
 from uavaou.reports.claims_table import claims_markdown, write_claims
 from uavaou.reports.markdown import rounded, table, with_interval
+from uavaou.reports.references import below_bound
 from uavaou.reports.standings import Standing, standings
 
 _NOTE = """\
@@ -30,12 +33,15 @@ _HEAD = ("policy", "seeds", "mean AoU", "IQM", "wall-clock of a training", "viol
 _DIGITS = 4
 
 
-def write_report(folder: Path, results_page: Path) -> None:
+def write_report(folder: Path, results_page: Path) -> list[str]:
     """Write ``README.md`` and ``marl-eval.json`` in a study's folder.
 
     Args:
         folder: ``results/studies/<name>``.
         results_page: gets the verdicts between its markers, where the study judges the paper's claims.
+
+    Returns:
+        What whoever asked for the report should know: a bound that is broken, a page that is another study's.
 
     Raises:
         InputError: the condensed results are missing or damaged, or a file cannot be written.
@@ -43,13 +49,16 @@ def write_report(folder: Path, results_page: Path) -> None:
     results = read_study(folder)
     tables = by_run(results)
     study = results.study
+    remarks = below_bound(tables)
     parts = [
         f"# Study `{tables.name}`",
         str(study.get("description", "")),
         f"```\nuavaou study run {tables.argument}\nuavaou study report {tables.argument}\nuavaou plot figures\n```",
+        _unfinished(results),
+        *(f"**Something is wrong: {line}.**" for line in remarks),
         *_results(results, tables),
     ]
-    parts += _comparison(tables, study.get("reference"))
+    parts += _comparison(results, tables)
     claims = judge(results) if study.get("claims") else None
     if claims is not None:
         parts += ["## The paper's claims", claims_markdown(claims)]
@@ -60,8 +69,31 @@ def write_report(folder: Path, results_page: Path) -> None:
             write_json(folder / "marl-eval.json", to_marl_eval(results))
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
-    if claims is not None:
-        write_claims(results_page, claims)
+    if claims is None:
+        return remarks
+    held = write_claims(results_page, tables.name, claims)
+    if held != tables.name:
+        remarks.append(f"{results_page}: left as it is: the claims there are judged from study '{held}'")
+    return remarks
+
+
+def _unfinished(results: StudyResults) -> str:
+    """How many trainings there are of how many, where some are missing, and which parts have failed."""
+    stated = [results.study.get(field) for field in ("variants", "scenarios", "seeds")]
+    wanted = set(product(*(part if isinstance(part, dict | list) else () for part in stated)))
+    found = zip(*(results.runs[column].tolist() for column in ("variant", "scenario", "seed")), strict=True)
+    done = wanted & set(found)
+    lines = []
+    if done != wanted:
+        lines.append(f"**Not finished: {len(done):,} of {len(wanted):,} trainings are done.** All below is of these.")
+    failures = read_failures(StudyFolder(results.path))
+    failed = {key: reason for key, reason in failures.items() if (key.variant, key.scenario, key.seed) not in done}
+    if failed:
+        lines += ["", "Failed when last tried:", ""]
+    for key, reason in failed.items():
+        seed = "" if key.seed is None else f", seed {key.seed}"
+        lines.append(f"- `{key.variant}` on {key.scenario}{seed}: {' '.join(reason.split())}")
+    return "\n".join(lines).lstrip("\n")
 
 
 def _results(results: StudyResults, tables: StudyTables) -> Iterator[str]:
@@ -83,12 +115,16 @@ def _cells(one: Standing) -> tuple[str, ...]:
     )
 
 
-def _comparison(tables: StudyTables, reference: str | None) -> list[str]:
+def _comparison(results: StudyResults, tables: StudyTables) -> list[str]:
     """The variants against the reference, in the scenarios that it has been evaluated on."""
-    means = {}
+    means, reference = {}, tables.reference
     for scenario in tables.scenarios:
         scores = {name: tables.stack("missions", name, scenario, "mean_aou_slots") for name in tables.algorithms}
         found = {name: table.mean(axis=1) for name, table in scores.items() if table.size}
         if reference in found:
             means[scenario] = found
-    return [f"## Against `{reference}`", ablation_table(ablations(means, reference))] if means and reference else []
+    if not means or reference is None:
+        return []
+    against = results.study.get("against")
+    compared = ablations(means, reference, against if isinstance(against, dict) else None)
+    return [f"## Against `{reference}`", ablation_table(compared)]

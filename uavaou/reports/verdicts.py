@@ -2,8 +2,11 @@
 
 On a **direction** (fewer, lower, more): supported where the whole 95 % interval lies on the claimed side; partly
 supported where the estimate alone does; otherwise not supported. On a **size** (reduced to a share s): supported where
-the interval holds s or lies below it, and excludes 1; partly supported where it excludes 1 alone; otherwise not
-supported. Whatever the interval, one training of an algorithm supports a claim partly at best.
+the whole interval is at or below s; partly supported where the estimate alone is, or where there is a reduction, the
+whole interval below 1, that does not reach s; otherwise not supported. One training of an algorithm has no interval,
+and so supports a claim partly at best.
+
+An estimate that nobody claimed anything of is **a figure**: it has no verdict.
 """
 
 from __future__ import annotations
@@ -16,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.experiments.stratified import Estimate
+from uavaou.experiments.study_fields import JUDGED
 from uavaou.experiments.study_tables import StudyTables
 from uavaou.reports.markdown import rounded
 
 Floats = NDArray[np.float64]
-Scores = Mapping[str, Floats]  # scenario -> (S, M)
-Verdict = Literal["supported", "partly supported", "not supported", "not measured"]
+Trainings = Mapping[str, Floats]  # scenario -> (S,), one value a training; (), a number, of what is not trained
+Verdict = Literal["supported", "partly supported", "not supported", "not measured", "a figure"]
 
-OWN = "mappo"
-BASELINES = ("vdn", "qmix")
+OWN, *BASELINES = JUDGED
 
 
 @dataclass(frozen=True)
@@ -50,21 +53,15 @@ def direction_verdict(estimate: Estimate, threshold: float, *, lower: bool) -> V
 
 def size_verdict(ratio: Estimate, share: float) -> Verdict:
     """The verdict on a claim that a ratio is at most ``share``, a number below 1."""
-    if not ratio.high < 1:
-        return "partly supported" if np.isnan(ratio.high) and ratio.value < 1 else "not supported"
-    return "supported" if ratio.low <= share else "partly supported"
+    if ratio.high <= share:  # nan, an interval that is not known, supports nothing
+        return "supported"
+    return "partly supported" if ratio.value <= share or ratio.high < 1 else "not supported"
 
 
 def at_best(verdict: Verdict, most: Verdict) -> Verdict:
     """The weaker of two verdicts."""
     order: tuple[Verdict, ...] = ("not supported", "partly supported", "supported")
     return order[min(order.index(verdict), order.index(most))]
-
-
-def by_trainings(verdict: Verdict, *policies: Scores) -> Verdict:
-    """A verdict on trained policies, of which one training each says nothing of others."""
-    alone = any(max(len(table) for table in scores.values()) == 1 for scores in policies)
-    return at_best(verdict, "partly supported") if alone else verdict
 
 
 def not_measured(claim: str, quote: str, missing: str) -> Claim:
@@ -77,22 +74,29 @@ def common_scenarios(study: StudyTables, table: str, *variants: str) -> list[str
     return [name for name in study.scenarios if all(study.runs(table, variant, name) for variant in variants)]
 
 
-def positive(*policies: Scores) -> bool:
-    """Whether a ratio of these policies' means can be taken in every scenario."""
-    return all(scores and min(table.mean() for table in scores.values()) > 0 for scores in policies)
+def positive(*policies: Trainings) -> bool:
+    """Whether a ratio of these policies can be taken: each training's value in every scenario is above 0."""
+    return all(values and min(group.min() for group in values.values()) > 0 for values in policies)
 
 
-def mean(scores: Scores) -> float:
-    """The mean over scenarios of the mean over seeds and missions."""
-    return float(np.mean([table.mean() for table in scores.values()]))
+def mean(values: Trainings) -> float:
+    """The mean over scenarios of the mean over trainings."""
+    return float(np.mean([group.mean() for group in values.values()]))
 
 
-def means(own: Scores, other: Scores, name: str, unit: str = "", digits: int = 4) -> str:
+def means(own: Trainings, other: Trainings, name: str, unit: str = "", digits: int = 4) -> str:
     """Both means in words."""
-    ours, theirs = (f"{rounded(mean(scores), digits)}{unit}" for scores in (own, other))
+    ours, theirs = (f"{rounded(mean(values), digits)}{unit}" for values in (own, other))
     return f"MAPPO {ours}, {name} {theirs}"
 
 
-def one_column(values: Mapping[str, Iterable[float]]) -> dict[str, Floats]:
-    """One value of each seed, scenario -> (S, 1)."""
-    return {name: np.array(list(column), dtype=np.float64)[:, None] for name, column in values.items()}
+def by_training(values: Mapping[str, Iterable[float]]) -> dict[str, Floats]:
+    """One value of each training, scenario -> (S,)."""
+    return {name: np.array(list(column), dtype=np.float64) for name, column in values.items()}
+
+
+def of_missions(study: StudyTables, variant: str, column: str, scenarios: Iterable[str]) -> dict[str, Floats]:
+    """The mean over its missions of each training's figure, scenario -> (S,); of a planner, which is none, ()."""
+    found = study.missions(variant, column, scenarios)
+    trained = variant in study.algorithms
+    return {name: np.asarray(table.mean(axis=1 if trained else None)) for name, table in found.items()}

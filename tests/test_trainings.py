@@ -1,0 +1,107 @@
+"""Ratios and means over trainings: against literal formulas, and by how often their intervals hold the truth."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from uavaou.experiments.stratified import Estimate
+from uavaou.experiments.trainings import Groups, mean_of_trainings, ratio_of_trainings
+
+VALUES, REFERENCE = [70.0, 80.0, 75.0, 71.0], [40.0, 42.0, 38.0]
+
+
+def ratio(values: object, reference: object) -> Estimate:
+    return ratio_of_trainings({"": values}, {"": reference})  # type: ignore[dict-item]
+
+
+def test_the_ratio_of_two_groups_is_welchs_on_logarithms() -> None:
+    found = ratio(VALUES, REFERENCE)
+    literal = stats.ttest_ind(np.log(VALUES), np.log(REFERENCE), equal_var=False).confidence_interval(0.95)
+    assert found.value == pytest.approx(stats.gmean(VALUES) / stats.gmean(REFERENCE))
+    assert found[1:] == pytest.approx((math.exp(literal.low), math.exp(literal.high)))
+
+
+def test_the_ratio_to_one_number_is_students_of_one_sample() -> None:
+    found = ratio(VALUES, 50.0)
+    literal = stats.ttest_1samp(np.log(VALUES), math.log(50)).confidence_interval(0.95)
+    assert found.value == pytest.approx(stats.gmean(VALUES) / 50)
+    assert found[1:] == pytest.approx((math.exp(literal.low) / 50, math.exp(literal.high) / 50))
+
+
+def test_several_tasks_count_alike() -> None:
+    values = {"a": np.array(VALUES), "b": np.array([3.0, 5.0])}
+    reference = {"b": np.array([2.0, 2.5, 2.2]), "a": np.array(REFERENCE)}
+    logs = [np.log(group[task]) for task in "ab" for group in (values, reference)]
+    distance = (logs[0].mean() - logs[1].mean() + logs[2].mean() - logs[3].mean()) / 2
+    parts = [log.var(ddof=1) / len(log) / 4 for log in logs]
+    freedom = sum(parts) ** 2 / sum(part**2 / (len(log) - 1) for part, log in zip(parts, logs, strict=True))
+    reach = stats.t.ppf(0.975, freedom) * math.sqrt(sum(parts))
+    expected = [math.exp(distance + end) for end in (0, -reach, reach)]
+    assert ratio_of_trainings(values, reference) == pytest.approx(expected)
+    twice = ratio_of_trainings({"a": VALUES, "b": VALUES}, {"a": REFERENCE, "b": REFERENCE})
+    once = ratio(VALUES, REFERENCE)
+    assert twice.value == pytest.approx(once.value)
+    assert once.low < twice.low < twice.high < once.high
+
+
+def test_one_training_has_no_interval() -> None:
+    for found in (ratio([2.0], [1.0, 1.0]), ratio([1.0, 4.0], [1.0]), ratio([2.0], 1.0)):
+        assert found.value == pytest.approx(2.0)
+        assert math.isnan(found.low)
+        assert math.isnan(found.high)
+    mixed = ratio_of_trainings({"a": VALUES, "b": [1.0]}, {"a": REFERENCE, "b": [1.0]})
+    assert math.isnan(mixed.low)
+    assert math.isnan(mean_of_trainings({"": [0.5]}).low)
+
+
+@pytest.mark.filterwarnings("error")
+def test_equal_values_have_a_point_for_an_interval() -> None:
+    assert ratio([2.0, 2.0], [1.0, 1.0]) == (2.0, 2.0, 2.0)
+    assert ratio([0.1] * 3, [0.1] * 7) == (1.0, 1.0, 1.0)  # whatever the rounding of their sums
+    assert ratio([0.1] * 3, 0.1) == (1.0, 1.0, 1.0)
+    assert mean_of_trainings({"": [-0.7] * 3}) == (-0.7, -0.7, -0.7)
+    one_side = ratio([0.1] * 3, REFERENCE)
+    literal = ratio(REFERENCE, 0.1)
+    assert one_side == pytest.approx((1 / literal.value, 1 / literal.high, 1 / literal.low))
+
+
+@pytest.mark.filterwarnings("error")
+def test_ratios_that_cannot_be_made() -> None:
+    assert math.isnan(ratio([0.0, 1.0], [1.0, 2.0]).value)
+    assert math.isnan(ratio([1.0, 2.0], 0.0).value)
+    assert ratio([1e-300, 1e300], [1.0, 1.0]).high == math.inf
+
+
+def test_the_mean_is_students() -> None:
+    found = mean_of_trainings({"": [-0.6, -0.5, -0.7]})
+    literal = stats.ttest_1samp([-0.6, -0.5, -0.7], 0).confidence_interval(0.95)
+    assert found == pytest.approx((-0.6, literal.low, literal.high))
+
+
+@pytest.mark.parametrize("seeds", [2, 3, 5])
+def test_intervals_hold_the_truth_however_few_the_seeds(seeds: int) -> None:
+    """Nineteen times in twenty at least, where a percentile bootstrap misses 1 in 23 % of cases with two seeds."""
+    rng = np.random.default_rng(seeds)
+    runs = 2000
+    missed = {"group": 0, "number": 0}
+    for _ in range(runs):
+        own, other = rng.lognormal(3, 0.1, (2, seeds))
+        missed["group"] += not (found := ratio(own, other)).low <= 1 <= found.high
+        missed["number"] += not (found := ratio(own, math.exp(3))).low <= 1 <= found.high
+    assert max(missed.values()) < 0.065 * runs
+    assert 0.035 * runs < missed["number"]
+
+
+@pytest.mark.parametrize(
+    ("values", "reference"),
+    [({}, {}), ({"a": [1.0]}, {"b": [1.0]}), ({"a": []}, {"a": [1.0]}), ({"a": [1.0]}, {"a": []})],
+)
+def test_groups_that_are_none_are_refused(values: Groups, reference: Groups) -> None:
+    with pytest.raises(ValueError, match=r"trainings on|at least one"):
+        ratio_of_trainings(values, reference)
+    with pytest.raises(ValueError, match="confidence"):
+        mean_of_trainings({"a": [1.0, 2.0]}, confidence=1.0)
