@@ -42,6 +42,15 @@ Period = Annotated[Whole, Field(ge=1, le=10**6)]  # slots
 Point = tuple[Coordinate, Coordinate]
 
 
+_MOST_LISTED = 6  # fields named where one is unknown
+_EXPECTED = {  # pydantic's kinds of errors, in the words of a YAML file
+    "tuple_type": "expected a list, such as [1, 2]",
+    "list_type": "expected a list, such as [a, b]",
+    "dict_type": "expected a mapping, such as {name: value}",
+    "string_type": "expected text",
+    "bool_type": "expected true or false",
+}
+
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
@@ -62,6 +71,11 @@ def validated(kind: type[_Model], content: Any, source: str) -> _Model:
 def explain_validation(error: ValidationError, fields: list[str]) -> str:
     """Turn pydantic's report into one line on the first thing to mend."""
     details = error.errors(include_url=False)
+    # A misspelt field before what is missing for it.
+    unknown = [str(d["loc"][0]) for d in details if d["type"] == "extra_forbidden" and len(d["loc"]) == 1]
+    if unknown:
+        known = "" if len(fields) > _MOST_LISTED else f" (known: {', '.join(fields)})"
+        return f"unknown field '{_shortened(unknown[0])}'{nearest(unknown[0], fields)}{known}"
     # Of a union's branches, the one that got furthest into the value says most.
     first = max(
         details, key=lambda d: (d["loc"][:1] == details[0]["loc"][:1], len(d["loc"]), d["type"] == "value_error")
@@ -70,8 +84,6 @@ def explain_validation(error: ValidationError, fields: list[str]) -> str:
     kind, message = first["type"], first["msg"].removeprefix("Value error, ")
     if not loc:
         return message
-    if kind == "extra_forbidden" and len(loc) == 1:
-        return f"unknown field '{loc[0]}'{nearest(loc[0], fields)}"
     if kind == "missing" and len(loc) == 1:
         return f"the field {loc[0]} is missing"
     misspelt = next((d for d in details if d["type"] == "extra_forbidden" and d["loc"][0] == loc[0]), None)
@@ -86,8 +98,7 @@ def explain_validation(error: ValidationError, fields: list[str]) -> str:
         own = [d for d in details if d["loc"][0] == loc[0] and d["type"] == "value_error"]
         if own:
             message = str(own[0]["msg"]).removeprefix("Value error, ")
-    if kind == "tuple_type":
-        message = "expected a list, such as [1, 2]"
+    message = _EXPECTED.get(kind, message)
     return f"{path} = {short(first['input'])}: {message[0].lower() + message[1:]}"
 
 

@@ -17,7 +17,14 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, nearest
 from uavaou.experiments.folder import RunConfig, RunFolder, config_folder
-from uavaou.experiments.study_fields import MOST_RUNS, ScenarioEntry, StudyFields, VariantEntry, usable_name
+from uavaou.experiments.study_fields import (
+    MOST_RUNS,
+    ScenarioEntry,
+    StudyFields,
+    VariantEntry,
+    usable_name,
+    validated_entry,
+)
 from uavaou.fields import short, validated
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
 from uavaou.scenario import Scenario
@@ -150,7 +157,8 @@ class _PlainDumper(yaml.SafeDumper):
 
 def _scenario(entry: Any, source: str, path: Path) -> tuple[str, Scenario]:
     """The name in the study and the scenario of an entry: a name or a path, or a mapping that changes it."""
-    stated = validated(ScenarioEntry, {"scenario": entry} if isinstance(entry, str) else entry, source)
+    fields = {"scenario": entry} if isinstance(entry, str) else entry
+    stated = validated_entry(ScenarioEntry, fields, source, "changes of the scenario")
     if "name" in stated.set:
         raise InputError(f"{source}: set.name: write name beside set")
     scenario = _load_scenario(stated.scenario, source, path)
@@ -173,7 +181,7 @@ def _load_scenario(name: str, source: str, path: Path) -> Scenario:
 
 
 def _variant(name: str, entry: Any, slots: int | None, source: str) -> AlgorithmConfig:
-    stated = validated(VariantEntry, {} if entry is None else entry, source)
+    stated = validated_entry(VariantEntry, {} if entry is None else entry, source, "settings of the algorithm")
     usable_name(name, source)
     if name in PLANNERS or name == BOUND:
         raise InputError(f"{source}: a planner or the bound has that name: choose another")
@@ -204,7 +212,7 @@ def _check(study: Study, source: str) -> None:
     for planner in study.planners:
         if planner not in PLANNERS:
             known = ", ".join(PLANNERS)
-            raise InputError(f"{source}: planners: unknown planner '{short(planner)}'{nearest(planner, PLANNERS)} "
+            raise InputError(f"{source}: planners: unknown planner {short(planner)}{nearest(planner, PLANNERS)} "
                              f"(known: {known})")  # fmt: skip
     _check_distinct(study.planners, f"{source}: planners")
     if study.reference is not None and study.reference not in study.variants:
