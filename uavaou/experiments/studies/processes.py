@@ -9,6 +9,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
@@ -127,12 +128,18 @@ def _work(job: Job, pipe: Connection, plugins: Sequence[str]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_follow_parent, daemon=True).start()
+
+    def say(said: Report | Ended) -> None:
+        with suppress(OSError):  # nobody listens: the study's own process is dead, and _follow_parent says what to do
+            pipe.send(said)
+
     try:
         prepare(plugins)
-        pipe.send(outcome(job, pipe.send))
+        say(outcome(job, say))
     except KeyboardInterrupt:
-        pipe.send(Ended(job.key, None))
+        say(Ended(job.key, None))
     finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it may yet come, and there is nothing left to stop
         pipe.close()
 
 
