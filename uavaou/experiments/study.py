@@ -34,6 +34,7 @@ SCHEMA = 1  # of study.yaml
 EVALUATION_SEED = 10_000  # mission j of every evaluation is seeded with this + j, as `uavaou eval` does
 BOUND = "bound"
 ANNEALED = ("anneal", "rolling")  # planners that take off with an annealed plan
+PLANNED = (*ANNEALED, "exact")  # planners whose figures depend on planning_seconds
 _PLAN_AHEAD = {*ROUTE_PLANNERS, *ANNEALED}
 
 
