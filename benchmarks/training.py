@@ -65,7 +65,7 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
     model = _ours(scenario, config)
     assert isinstance(model, MAPPO)
     rows = MISSIONS * scenario.uavs * config.rollout_slots
-    learn = _learner(model, rows, th.get_num_threads())
+    learn = _learner(model, ROLLOUTS * rows, th.get_num_threads())
     learn()
     rollout = {
         "rollout: World, rewards, rows": (model.env, "step"),
@@ -83,7 +83,7 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
         "update: clipping and Adam": (ClippedAdam, "step"),
         "update: waiting for other processes": (Partner, "answer"),
     }
-    learning, seconds = _split(learn, rollout, repeats)
+    learning, seconds = _split(learn, rollout, repeats, rollouts=ROLLOUTS)
     updating, in_update = _split(model.train, update, repeats)
     seconds["rollout: the rest"] = learning - sum(seconds.values())
     in_update["update: gathering minibatches, the rest"] = updating - sum(in_update.values())
@@ -94,9 +94,9 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
 
 
 def _split(
-    work: Callable[[], object], watched: Mapping[str, tuple[object, str]], repeats: int
+    work: Callable[[], object], watched: Mapping[str, tuple[object, str]], repeats: int, rollouts: int = 1
 ) -> tuple[float, dict[str, float]]:
-    """Mean seconds of a call, and of the functions watched in it."""
+    """Mean seconds of one of the ``rollouts`` of a call, and of the functions watched in it."""
     watch = Stopwatch()
     for part, (owner, function) in watched.items():
         watch.watch(part, owner, function)
@@ -105,7 +105,8 @@ def _split(
         work()
     taken = time.perf_counter() - started
     watch.stop()
-    return taken / repeats, {part: seconds / repeats for part, seconds in watch.seconds.items()}
+    each = repeats * rollouts
+    return taken / each, {part: seconds / each for part, seconds in watch.seconds.items()}
 
 
 def _floor(model: MAPPO, config: MappoConfig, seconds_a_step: float) -> list[Measurement]:

@@ -23,12 +23,14 @@ from uavaou.experiments.studies.engine import Advanced, Ended, Events, Take
 from uavaou.experiments.studies.finished import report_study
 from uavaou.experiments.studies.jobs import Job, Key, Planning, Report, Training, reference_keys
 from uavaou.experiments.studies.processes import outcome
-from uavaou.experiments.studies.runner import StudyOutcome, run_study
+from uavaou.experiments.studies.runner import Standing, StudyOutcome, run_study
 from uavaou.experiments.studies.status import seconds_left, study_status
+from uavaou.experiments.studies.store import StudyStore, study_folder
 from uavaou.experiments.study import Study
 from uavaou.experiments.study_results import COLUMNS, NO_SEED, read_study, rows_of
 from uavaou.zoo import zoo_names
 from uavaou_cli.main import main
+from uavaou_cli.study_progress import StudyProgress
 
 SET = "missions: 4, rollout_slots: 12, batch_rows: 48, hidden: [8], evaluation_missions: 2, evaluate_every_slots: 96"
 TINY = f"""
@@ -62,6 +64,7 @@ def write(tmp_path: Path) -> Write:
 BASE: dict[str, Any] = {"seeds": 2, "scenarios": ["tiny"], "variants": {"mappo": {}}}
 BAD: list[tuple[dict[str, Any], str]] = [
     ({"seed": 3}, "unknown field 'seed'; did you mean 'seeds'?"),
+    ({"seed": 3, "seeds": ...}, "unknown field 'seed'; did you mean 'seeds'?"),  # rather than that seeds is missing
     ({"seeds": None}, "seeds = None"),
     ({"seeds": 0}, "seeds = 0"),
     ({"seeds": True}, "seeds = True"),
@@ -72,6 +75,10 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"slots": None}, "leave it out"),
     ({"slots": "3e6"}, "expected a number, not text"),
     ({"scenarios": []}, "scenarios"),
+    ({"scenarios": "tiny"}, "scenarios = 'tiny': expected a list, such as [paper, tiny]"),
+    ({"scenarios": {"tiny": {}}}, "scenarios = {'tiny': {}}: expected a list"),
+    ({"scenarios": [{"scenario": "tiny", "slots": 20}]}, "changes of the scenario go below set"),
+    ({"scenarios": [{"scenario": "tiny", "set": ["slots"]}]}, "set = ['slots']: expected a mapping, such as {uavs: 3"),
     ({"scenarios": ["tiyn"]}, "scenarios[0]: unknown scenario 'tiyn'; did you mean 'tiny'?"),
     ({"scenarios": [3]}, "scenarios[0] = 3: expected a mapping"),
     ({"scenarios": ["nowhere.yaml"]}, "does not exist"),
@@ -83,6 +90,11 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"scenarios": [{"scenario": "tiny", "name": "a/b"}]}, "no slash"),
     ({"scenarios": ["tiny", {"scenario": "tiny", "name": "too"}]}, "'too' and 'tiny' are the same training"),
     ({"variants": {}}, "variants"),
+    ({"variants": ["a", "b"]}, "variants = ['a', 'b']: expected a mapping, such as {mappo: {}, "),
+    ({"variants": {"mappo": {"observation": "shared"}}}, "unknown field 'observation' (known: algorithm, set"),
+    ({"variants": {"mappo": {"observation": "shared"}}}, "; settings of the algorithm go below set"),
+    ({"variants": {"mappo": {"set": 3}}}, "set = 3: expected a mapping, such as {gamma: 0.9}"),
+    ({"variants": {"mappo": {"algorithm": 3}}}, "algorithm = 3: expected text"),
     ({"variants": {"mapo": {}}}, "unknown algorithm 'mapo'; did you mean 'mappo'?"),
     ({"variants": {"x": {"algorithm": "qmixx"}}}, "did you mean 'qmix'?"),
     ({"variants": {"x": {"algoritm": "qmix"}}}, "did you mean 'algorithm'?"),
@@ -94,11 +106,13 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"variants": {"mappo": {}, "again": {"algorithm": "mappo"}}}, "'mappo' and 'again' are the same training"),
     ({"variants": {"greedy": {"algorithm": "mappo"}}}, "a planner or the bound has that name"),
     ({"variants": {"../up": {"algorithm": "mappo"}}}, "no slash"),
-    ({"planners": ["greddy"]}, "did you mean 'greedy'?"),
+    ({"planners": ["greddy"]}, "planners: unknown planner 'greddy'; did you mean 'greedy'? (known: random, "),
+    ({"planners": "greedy"}, "planners = 'greedy': expected a list, such as [greedy, random]"),
+    ({"planners": [3]}, "planners[0] = 3: expected text"),
     ({"planners": ["greedy", "greedy"]}, "a second 'greedy'"),
     ({"planners": ["tour"], "scenarios": [{"scenario": "tiny", "set": {"layout": "resample"}}]}, "new layout"),
     ({"bound": True, "scenarios": [{"scenario": "tiny", "set": {"layout": "resample"}}]}, "new layout"),
-    ({"bound": "yes"}, "bound = 'yes'"),
+    ({"bound": "yes"}, "bound = 'yes': expected true or false"),
     ({"episodes": 0}, "episodes = 0"),
     ({"planning_seconds": -1}, "planning_seconds = -1"),
 ]
@@ -108,7 +122,8 @@ BAD: list[tuple[dict[str, Any], str]] = [
 def test_a_study_that_cannot_be_run_is_refused_in_one_line(
     changes: dict[str, Any], message: str, write: Write, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    path = write(yaml.safe_dump(BASE | changes))
+    content = {name: value for name, value in (BASE | changes).items() if value is not ...}
+    path = write(yaml.safe_dump(content))
     for command in ("run", "status", "report"):
         assert main(["study", command, str(path), "--out", str(tmp_path / "out")]) == 2
         said = capsys.readouterr().err
@@ -123,6 +138,8 @@ def test_a_study_that_cannot_be_run_is_refused_in_one_line(
         ("study run papr", "did you mean 'paper'?"),
         ("study rum", "did you mean 'run'?"),
         ("study run smoke --jobs 0", "--jobs 0"),
+        ("study run smoke --jobs two", "--jobs two: expected a whole number"),
+        ("study run smoke --checkpoint-every soon", "--checkpoint-every soon: expected a number"),
         ("study run smoke --engine locl", "did you mean 'local'?"),
         ("study run smoke --address auto", "--engine ray"),
         ("study run smoke --out file", "not a folder"),
@@ -271,6 +288,8 @@ def _rewritten(source: Path, target: Path, old: str, new: str) -> Path:
         ("seeds: 2", "seeds: 1", "seed 1, which the study lacks"),
         ("[greedy, anneal]", "[anneal]", "greedy on tiny, which the study lacks"),
         ("[tiny]", "[{scenario: tiny, name: tiny, set: {layout_seed: 5}}]", "tiny"),
+        ("planning_seconds: 0.5", "planning_seconds: 900", "planners with planning_seconds = 0.5, not 900"),
+        ("planning_seconds: 0.5", "planning_seconds: 0.25", "planners with planning_seconds = 0.5, not 0.25"),
     ],
 )
 def test_results_of_another_study_are_refused_and_kept(
@@ -283,6 +302,144 @@ def test_results_of_another_study_are_refused_and_kept(
         assert main(["study", command, str(path), "--out", str(out)]) == 2
         assert message in capsys.readouterr().err
     assert tables(out) == before
+
+
+def test_planning_seconds_may_change_where_nothing_was_planned(write: Write, tmp_path: Path) -> None:
+    small = TINY.replace("seeds: 2", "seeds: 1").replace("[greedy, anneal]", "[greedy]")
+    assert run(Study.load(write(small)), tmp_path / "out", Inline()).done == 4
+    longer = Study.load(write(small.replace("planning_seconds: 0.5", "planning_seconds: 0.75")))
+    engine = Inline()
+    assert run(longer, tmp_path / "out", engine).done == 4
+    assert engine.done == []
+
+
+@pytest.mark.parametrize("change", ["another action", "in mid-training", "of before they said what they are of"])
+def test_an_evaluation_of_another_policy_or_action_is_not_taken(change: str, copied: tuple[Study, Path]) -> None:
+    """What ``uavaou eval`` wrote in the middle of the training, or with ``--action``, has as many missions."""
+    study, out = copied
+    before = tables(out)
+    shutil.rmtree(out / "studies")
+    first = study.folder(out, next(iter(study.runs())))
+    path = first.path / "eval/default.json"
+    content = json.loads(path.read_text())
+    (entry,) = content["policies"].values()
+    if change == "another action":
+        other = {"greedy": "sample", "sample": "greedy"}[entry["action"]]
+        assert main(["eval", str(first.path), "--episodes", "3", "--action", other, "--quiet"]) == 0
+    else:
+        digest = {"policy_sha256": "0" * 64} if change == "in mid-training" else {}
+        entry.pop("policy_sha256")
+        entry |= digest | {"mean_aou_s": [1.0, 2.0, 3.0]}
+        path.write_text(json.dumps(content))
+    store, _ = report_study(study, out)
+    assert Key("mappo", "tiny", 0) not in store
+    engine = Inline()
+    assert run(study, out, engine).failed == {}
+    assert Key("mappo", "tiny", 0) in engine.keys
+    assert Key("mappo", "tiny", 1) not in engine.keys
+    after = tables(out)
+    for name in ("missions.csv", "execution.csv", "devices.csv", "runs.csv"):
+        assert after[name] == before[name]
+
+
+def test_the_evaluation_of_the_command_line_is_as_good(copied: tuple[Study, Path]) -> None:
+    study, out = copied
+    before = tables(out)
+    shutil.rmtree(out / "studies")
+    for run_ in study.runs():
+        path = study.folder(out, run_).path
+        shutil.rmtree(path / "eval")
+        assert main(["eval", str(path), "--episodes", "3", "--quiet"]) == 0
+    engine = Inline()
+    run(study, out, engine)
+    assert not any(isinstance(job, Training) for job in engine.done)
+    assert tables(out)["runs.csv"] == before["runs.csv"]
+
+
+def test_a_best_checkpoint_that_is_damaged_is_told_and_stops_no_report(
+    copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, out = copied
+    (kept,) = (out / "studies/mine/best/tiny/mappo").iterdir()
+    damaged = next(run for run in study.runs() if run.variant == "mappo" and f"seed-{run.seed}" == kept.name)
+    best = study.folder(out, damaged).best
+    best.write_bytes(best.read_bytes()[:-4] + b"ouch")
+    before = tables(out)
+    assert main(["study", "report", str(out.parent / "mine.yaml"), "--out", str(out)]) == 0
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"left out: mappo on tiny, seed {damaged.seed}: {best}: damaged" in said
+    after = tables(out)
+    assert {name: after[name] for name in before} == before
+
+
+def test_a_full_disk_is_a_failure_of_the_run_alone(write: Write, tmp_path: Path) -> None:
+    study = Study.load(write(TINY.replace("seeds: 2", "seeds: 1")))
+    (tmp_path / "out/studies/mine/failures.csv.partial").mkdir(parents=True)  # nothing can be written in its place
+    (tmp_path / "out/planners").write_text("in the way")
+    said: list[str] = []
+    engine = Inline(answer=lambda job: Ended(job.key, None, "no wind today") if job.key.variant == "mappo" else None)
+    ended = run_study(study, tmp_path / "out", engine, lambda standing: said.extend(standing.news), quiet=True)
+    assert ended.done == 3
+    assert ended.failed[Key("mappo", "tiny", 0)] == "no wind today"
+    assert f"no plan: cannot write '{tmp_path / 'out/planners/plans/tiny.json'}'" in ended.failed[Key("anneal", "tiny")]
+    assert any("failures.csv" in line for line in said)
+
+
+@pytest.mark.parametrize("command", ["run", "report"])
+def test_results_that_cannot_be_written_are_one_line(
+    command: str, copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, out = copied
+    shutil.rmtree(out / "studies/mine")
+    (out / "studies/mine").mkdir()
+    (out / "studies/mine/configs").write_text("in the way")
+    assert main(["study", command, str(out.parent / "mine.yaml"), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"cannot write to '{out / 'studies/mine'}'" in said
+
+
+def test_what_is_at_work_is_shown(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Planners and plans have no folder of their own whose lock could tell."""
+    path = write(TINY.replace("seeds: 2", "seeds: 1"))
+    out = tmp_path / "out"
+    study = Study.load(path)
+    states: dict[str, dict[str, str]] = {}
+    lines: dict[str, str] = {}
+
+    def answer(job: Job) -> Ended | None:
+        parts = study_status(study, out)
+        states[job.key.variant] = {part.key.variant: f"{part.state} {part.detail}".strip() for part in parts}
+        assert main(["study", "status", str(path), "--out", str(out)]) == 0
+        progress = StudyProgress(quiet=False)
+        progress._next = 0
+        progress.show(standings[-1])
+        lines[job.key.variant] = capsys.readouterr().err
+        return None
+
+    standings: list[Standing] = []
+    run_study(study, out, Inline(answer=answer), standings.append, quiet=True)
+    assert states["greedy"]["greedy"] == "running"
+    assert states["greedy"]["anneal"] == "waiting"
+    assert states["bound"]["bound"] == "running"
+    assert states["plan"]["anneal"] == "running its plan is being annealed"
+    assert states["anneal"]["anneal"] == "running"
+    assert "3/5 done; at work: greedy for tiny" in lines["greedy"]
+    assert "4/5 done" in lines["plan"]
+    assert "at work: annealing a plan for tiny" in lines["plan"]
+    assert not (out / "studies/mine/.working.csv").exists()
+
+
+def test_what_a_killed_command_was_at_work_on_is_not(copied: tuple[Study, Path]) -> None:
+    study, out = copied
+    missions = out / "studies/mine/missions.csv"
+    missions.write_text("".join(line for line in missions.open() if not line.startswith("greedy")))
+    (out / "studies/mine/.working.csv").write_text("variant,scenario\ngreedy,tiny\n")
+    states = {part.key.variant: part.state for part in study_status(study, out)}
+    assert states["greedy"] == "waiting"
+    run(study, out, Inline())
+    assert not (out / "studies/mine/.working.csv").exists()
 
 
 def test_a_run_that_fails_stops_no_other_and_is_tried_again(
@@ -548,6 +705,91 @@ def test_the_report_says_what_is_wrong_with_its_results(
     said = capsys.readouterr().err
     assert "uavaou: 'mappo' on 'tiny' has a mean AoU of " in said
     assert "below the certified bound of 1e+05" in said
+
+
+def test_a_study_that_runs_is_reported_from_its_tables(
+    copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, out = copied
+    command = ["study", "report", str(out.parent / "mine.yaml"), "--out", str(out)]
+    before = tables(out)
+    with one_writer(RunFolder(out / "studies/mine")):
+        assert main(command) == 0
+    shown = capsys.readouterr()
+    assert shown.err.count("\n") == 1
+    assert "is at work on the study: its page is written from the tables as they stand" in shown.err
+    assert "own critic" in shown.out
+    after = tables(out)
+    assert after.keys() - before.keys() == {"README.md", "marl-eval.json"}
+    assert {name: after[name] for name in before if name != ".lock"} == {
+        name: content for name, content in before.items() if name != ".lock"
+    }
+    page = after["README.md"]
+    assert main(command) == 0
+    assert tables(out)["README.md"] == page
+
+
+@pytest.mark.parametrize("after", range(1, len(COLUMNS)))
+def test_tables_that_grow_while_they_are_read_have_what_they_name(
+    after: int, copied: tuple[Study, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are written one after another, runs last."""
+    from uavaou.experiments import study_results
+    from uavaou.experiments.study_tables import by_run
+
+    folder = copied[1] / "studies/mine"
+    whole = {name: (folder / f"{name}.csv").read_text() for name in COLUMNS}
+    for name, text in whole.items():
+        kept = [line for line in text.splitlines(keepends=True) if not line.startswith(("own critic", "greedy"))]
+        (folder / f"{name}.csv").write_text("".join(kept))
+    real, read = study_results.read_table, []
+
+    def growing(path: Path, columns: tuple[str, ...]) -> Any:
+        table = real(path, columns)
+        read.append(path)
+        if len(read) == after:
+            for name, text in whole.items():
+                (folder / f"{name}.csv").write_text(text)
+        return table
+
+    monkeypatch.setattr(study_results, "read_table", growing)
+    found = by_run(read_study(folder))
+    for name in (*found.algorithms, *found.planners):
+        assert found.stack("missions", name, "tiny", "mean_aou_slots").size
+        assert found.stack("execution", name, "tiny", "mean_aou_slots").size
+
+
+def test_an_interrupt_in_a_compiled_function_is_no_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    def perform(*_: object) -> None:
+        raise SystemError("CPUDispatcher(...) returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr("uavaou.experiments.studies.processes.perform", perform)
+    job = Planning(Key("anneal", "tiny"), Scenario.load("tiny"), 1.0)
+    assert outcome(job, lambda report: None) == Ended(job.key, None)
+
+
+@pytest.mark.parametrize("there", ["nothing", "a damaged run", "empty tables"])
+def test_a_report_of_nothing_says_so_and_writes_nothing(
+    there: str, write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    path = write(TINY)
+    study = Study.load(path)
+    if there == "empty tables":
+        StudyStore(study_folder(out, study)).write(study)
+    elif there == "a damaged run":
+        folder = study.folder(out, next(iter(study.runs())))
+        folder.path.mkdir(parents=True)
+        folder.config.write_text("schema: [1\n")
+    before = sorted(out.rglob("*"))
+    assert main(["study", "report", str(path), "--out", str(out)]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert "nothing of study 'mine' has been evaluated" in said[-1]
+    if there == "a damaged run":
+        assert "left out: mappo on tiny, seed 0" in said[0]
+        assert "YAML" in said[0]
+    assert len(said) == (2 if there == "a damaged run" else 1)
+    assert sorted(out.rglob("*")) == before
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import multiprocessing
 import os
 import shlex
 import signal
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,8 @@ from command_line import start_command
 
 from uavaou.experiments.lock import holder
 from uavaou.experiments.studies.engine import Advanced, Engine
-from uavaou.experiments.studies.processes import Processes
+from uavaou.experiments.studies.jobs import Bounding, Job, Key, Report, Training, run_key
+from uavaou.experiments.studies.processes import Processes, _work
 from uavaou.experiments.studies.runner import Standing, run_study
 from uavaou.experiments.study import Study
 from uavaou.experiments.study_results import read_study
@@ -119,8 +122,57 @@ def test_runs_save_and_end_when_the_study_itself_is_killed(untouched: tuple[Path
     while any(holder(folder / ".lock") for folder in folders) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert all(json.loads((folder / "meta.json").read_text())["slots"] > 0 for folder in folders)
+    assert (tmp_path / "stderr").read_text() == ""  # the runs end without a word: nobody is there to hear it
     assert main(shlex.split(line)) == 0
     assert_the_same(tmp_path / "out", place / "out", study)
+
+
+@pytest.mark.parametrize("what", ["a training", "a bound"])
+def test_a_job_whose_listener_is_gone_does_its_work_without_a_word(
+    what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "long.yaml").write_text(LONG.replace("16000", "640").replace("[quickstart]", "[tiny]"))
+    run = next(iter(Study.load(tmp_path / "long.yaml").runs()))
+    job: Job = Bounding(run_key(run), run.config.scenario)
+    if what == "a training":
+        job = Training(run_key(run), run.config, tmp_path / "run", 2, None)
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(job, theirs, []))
+    process.start()
+    ours.close()  # before it can have said anything
+    theirs.close()
+    process.join(120)
+    assert process.exitcode == 0
+    assert capfd.readouterr().err == ""
+    if what == "a training":
+        meta = json.loads((tmp_path / "run/meta.json").read_text())
+        assert meta["finished"]
+        assert (tmp_path / "run/eval/default.json").is_file()
+
+
+def test_a_training_on_a_cluster_that_has_not_begun_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may wait for a CPU that never comes; one that has reported is asked for its last checkpoint."""
+    pytest.importorskip("ray")
+    from uavaou.experiments.studies import cluster
+
+    cancelled: list[str] = []
+    news = [{Key("mappo", "tiny", 0): Report(640, None, "process 1")}]
+    keeper = SimpleNamespace(
+        stop=SimpleNamespace(remote=lambda: None), news=SimpleNamespace(remote=lambda: news.pop() if news else {})
+    )
+    fake = SimpleNamespace(get=lambda value: value, cancel=lambda reference, force: cancelled.append(reference))
+    monkeypatch.setattr(cluster, "ray", fake)
+    engine = cluster.Cluster(None)
+    engine._keeper = keeper
+    config = next(iter(Study.load("smoke").runs())).config
+    training = {seed: Training(Key("mappo", "tiny", seed), config, tmp_path, 2, None) for seed in (0, 1)}
+    bounding = Bounding(Key("bound", "tiny"), config.scenario)
+    assert len(list(engine._news())) == 1
+    engine._stop({"begun": training[0], "queued": training[1], "bound": bounding})
+    assert cancelled == ["queued", "bound"]
 
 
 class Killing:

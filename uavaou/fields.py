@@ -43,6 +43,7 @@ Period = Annotated[Whole, Field(ge=1, le=10**6)]  # slots
 Point = tuple[Coordinate, Coordinate]
 
 
+_MOST_LISTED = 6  # fields named where one is unknown
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
@@ -63,6 +64,11 @@ def validated(kind: type[_Model], content: Any, source: str) -> _Model:
 def explain_validation(error: ValidationError, fields: list[str]) -> str:
     """Turn pydantic's report into one line on the first thing to mend."""
     details = error.errors(include_url=False)
+    # A misspelt field before what is missing for it.
+    unknown = [str(d["loc"][0]) for d in details if d["type"] == "extra_forbidden" and len(d["loc"]) == 1]
+    if unknown:
+        known = "" if len(fields) > _MOST_LISTED else f" (known: {', '.join(fields)})"
+        return f"unknown field '{_shortened(unknown[0])}'{nearest(unknown[0], fields)}{known}"
     # Of a union's branches, the one that got furthest into the value says most.
     first = max(
         details, key=lambda d: (d["loc"][:1] == details[0]["loc"][:1], len(d["loc"]), d["type"] == "value_error")
@@ -71,9 +77,8 @@ def explain_validation(error: ValidationError, fields: list[str]) -> str:
     kind, message = first["type"], _message(first)
     if not loc:
         return message
-    if kind in ("extra_forbidden", "missing") and len(loc) == 1:  # a misspelt field is also a missing one
-        stray = next((str(d["loc"][0]) for d in details if d["type"] == "extra_forbidden" and len(d["loc"]) == 1), None)
-        return f"the field {loc[0]} is missing" if stray is None else f"unknown field '{stray}'{nearest(stray, fields)}"
+    if kind == "missing" and len(loc) == 1:
+        return f"the field {loc[0]} is missing"
     misspelt = next((d for d in details if d["type"] == "extra_forbidden" and d["loc"][0] == loc[0]), None)
     if misspelt is not None and isinstance(_field_input(details, loc[0]), dict):
         key = str(misspelt["loc"][-1])
@@ -94,7 +99,9 @@ def _message(detail: Any) -> str:
     kind, context = detail["type"], detail.get("ctx", {})
     plain = {
         "tuple_type": "expected a list, such as [1, 2]",
-        "dict_type": "expected a mapping of names to values",
+        "list_type": "expected a list, such as [a, b]",
+        "dict_type": "expected a mapping, such as {name: value}",
+        "bool_type": "expected true or false",
         "string_type": "expected text" + (", in quotes" if isinstance(detail["input"], bool | int | float) else ""),
     }
     if kind in plain:

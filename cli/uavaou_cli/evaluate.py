@@ -174,7 +174,7 @@ def _play_and_report(
             results[name] = play(missions.scenario, policy, missions.episodes, missions.seed, progress.after_slot)
     actions = {name: getattr(policy, "action", None) for name, policy in policies.items()}
     try:
-        notes = _write(missions, results, actions, own, json)
+        notes = _write(missions, results, policies, own, json)
     finally:  # hours of figures are shown even if a disk has filled meanwhile
         print("\n".join(evaluation_lines(missions.scenario, results, actions, missions.seed, overrides.scenario)))
     for note in notes if not quiet else []:
@@ -184,7 +184,7 @@ def _play_and_report(
 def _write(
     missions: Missions,
     results: dict[str, Evaluation],
-    actions: dict[str, str | None],
+    policies: dict[str, Planner],
     own: dict[str, RunConfig],
     json: Path | None,
 ) -> list[str]:
@@ -194,11 +194,11 @@ def _write(
 
     scenario = missions.scenario
     head = {"scenario": scenario.name, "episodes": missions.episodes, "seed": missions.seed}
-    content = {name: to_json(result, scenario, actions[name]) for name, result in results.items()}
+    content = {name: to_json(result, scenario, policies[name]) for name, result in results.items()}
     notes = []
     for run, config in own.items():
         # Under the algorithm's name, by which the figures know the run's own policy; planners stand beside it.
-        beside = {name: entry for name, entry in content.items() if actions[name] is None}
+        beside = {name: entry for name, entry in content.items() if "action" not in entry}
         path = Path(run) / "eval" / "default.json"
         if missions_in(path) > missions.episodes:
             notes.append(f"kept {path}: it is of more missions")

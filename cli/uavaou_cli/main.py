@@ -122,6 +122,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _complain(_explain_usage(error), BAD_INPUT)
     except (typer.Abort, KeyboardInterrupt):
         return _complain("interrupted", INTERRUPTED)
+    except SystemError as error:
+        from uavaou.experiments.interrupt import was_interrupt
+
+        if not was_interrupt(error):
+            raise
+        return _complain("interrupted", INTERRUPTED)
     except BrokenPipeError:  # uavaou ... | head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
@@ -137,11 +143,25 @@ def _complain(message: str, code: int) -> int:
     return code
 
 
+def _misread_number(error: Any) -> str | None:
+    """An option that is to be a number and is none: Typer gives pydantic's words, which leave out the value."""
+    from pydantic import ValidationError
+
+    option = next(iter(getattr(getattr(error, "param", None), "opts", ())), None)
+    if option is None or not isinstance(error.__cause__, ValidationError):
+        return None
+    found = error.__cause__.errors(include_url=False)[0]
+    expected = {"int": "a whole number, such as 4", "float": "a number, such as 0.5"}.get(found["type"].split("_")[0])
+    return None if expected is None else f"{option} {str(found['input'])[:40]}: expected {expected}"
+
+
 def _explain_usage(error: Any) -> str:
     """A usage error of Typer's as one line, with the nearest option and where to read on."""
     ctx = getattr(error, "ctx", None)
     if getattr(error, "option_name", None) == "--plugin":
         message = "--plugin stands before the command: uavaou --plugin FILE.py train ..."
+    elif (misread := _misread_number(error)) is not None:
+        message = misread
     elif hasattr(error, "possibilities"):
         options = [name for param in ctx.command.params for name in param.opts] if ctx is not None else []
         message = f"unknown option '{error.option_name}'{nearest(error.option_name, options)}"

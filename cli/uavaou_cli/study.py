@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +17,7 @@ from uavaou_cli.checks import given_path, one_of, within, writable_folder
 
 if TYPE_CHECKING:
     from uavaou.experiments.studies.engine import Engine
+    from uavaou.experiments.studies.jobs import Key
     from uavaou.experiments.study import Study
 
 ENGINES = ("local", "ray")
@@ -91,26 +93,57 @@ def report(study: _FILE, out: _OUT = Path("results")) -> None:
     """Rewrite the condensed results of a study from its finished runs, its page of tables, and print the table.
 
     Writes README.md, marl-eval.json and one recorded mission of each variant into DIR/studies/<name>/, and the
-    verdicts on the paper's claims into DIR/README.md where the study judges them.
+    verdicts on the paper's claims into DIR/README.md where the study judges them. While the study runs, its tables are
+    taken as they stand.
     """
-    from uavaou.experiments.lock import only_writer
-    from uavaou.experiments.studies.finished import report_study
-    from uavaou.experiments.studies.store import study_folder
-    from uavaou.experiments.study_missions import record_study_missions
+    from uavaou.experiments.lock import HeldError, only_writer
+    from uavaou.experiments.studies.store import StudyStore, study_folder
     from uavaou.reports.study_report import write_report
     from uavaou_cli.study_tables import study_lines
 
     chosen, folder = _study(study, out)
     writable_folder(folder)
-    with only_writer(folder, study_folder(out, chosen).lock):
-        _, problems = report_study(chosen, out)
-        record_study_missions(folder)
+    _refuse_nothing(chosen, out)
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(only_writer(folder, study_folder(out, chosen).lock))
+        except HeldError as held:  # by the study itself, which keeps the tables up to date
+            StudyStore(study_folder(out, chosen)).check(chosen)
+            note = f"uavaou: {held.by} is at work on the study: its page is written from the tables as they stand"
+            print(note, file=sys.stderr)
+        else:
+            _condense(chosen, out, folder)
         remarks = write_report(folder, out / "README.md")
-    for key, reason in problems.items():
-        print(f"uavaou: left out: {key.variant} on {key.scenario}, seed {key.seed}: {reason}", file=sys.stderr)
     for remark in remarks:
         print(f"uavaou: {remark}", file=sys.stderr)
     print("\n".join(study_lines(folder)))
+
+
+def _refuse_nothing(study: Study, out: Path) -> None:
+    """Refuse to report a study of which nothing has been evaluated, before anything is written."""
+    from uavaou.experiments.studies.finished import gather
+    from uavaou.experiments.studies.store import StudyStore, study_folder
+
+    if StudyStore(study_folder(out, study)).evaluated:
+        return
+    store, problems = gather(study, out)
+    if not store.evaluated:
+        _say_left_out(problems)
+        raise InputError(f"nothing of study '{study.name}' has been evaluated below '{out}' yet: run it first")
+
+
+def _condense(study: Study, out: Path, folder: Path) -> None:
+    from uavaou.experiments.studies.finished import report_study
+    from uavaou.experiments.study_missions import record_study_missions
+
+    _, problems = report_study(study, out)
+    _say_left_out(problems)
+    record_study_missions(folder)
+
+
+def _say_left_out(problems: Mapping[Key, str]) -> None:
+    for key, reason in problems.items():
+        print(f"uavaou: left out: {key.variant} on {key.scenario}, seed {key.seed}: {reason}", file=sys.stderr)
 
 
 def _study(name: str, out: Path) -> tuple[Study, Path]:

@@ -7,6 +7,7 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from uavaou.experiments.studies.jobs import PLAN
 from uavaou_cli.tables import duration
 
 if TYPE_CHECKING:
@@ -60,7 +61,8 @@ class StudyProgress:
             self._bar.update(self._variants, description=_running(standing), completed=done / max(all_of_it, 1))
         elif time.monotonic() >= self._next and standing.running:
             self._next = time.monotonic() + _LINE_EVERY_S
-            self._say(f"{_counts(standing)}, {_rate(standing)}; {_running(standing)}")
+            counts = ", ".join(part for part in (_counts(standing), _rate(standing)) if part)
+            self._say(f"{counts}; {_running(standing)}")
 
     def _say(self, text: str) -> None:
         if self._bar is not None:
@@ -81,6 +83,8 @@ def _share(standing: Standing) -> tuple[int, int]:
 
 
 def _rate(standing: Standing) -> str:
+    if not standing.left:
+        return ""  # planners and bounds do not say how far they are
     if not standing.slots:
         return "no rate yet"
     left_s = standing.left / standing.rate
@@ -93,11 +97,12 @@ def _running(standing: Standing) -> str:
     others = []
     for key, report in standing.running.items():
         if key.seed is None:
-            others.append(key.variant)
+            others.append(f"{'annealing a plan' if key.variant == PLAN else key.variant} for {key.scenario}")
         elif report is not None and report.mean_aou_s is not None:
             means.setdefault(key.variant, []).append(report.mean_aou_s / standing.tau_s[key.scenario])
         else:
             means.setdefault(key.variant, [])
     parts = [f"{name} {sum(values) / len(values):,.2f}" if values else f"{name} -" for name, values in means.items()]
-    shown = [*parts, *others][:_MOST_VARIANTS]
-    return ("mean AoU in slots: " if parts else "") + ", ".join(shown)
+    means_shown, others_shown = parts[:_MOST_VARIANTS], others[:_MOST_VARIANTS]
+    learning = ["mean AoU in slots: " + ", ".join(means_shown)] if parts else []
+    return "; ".join([*learning, *(["at work: " + ", ".join(others_shown)] if others else [])])

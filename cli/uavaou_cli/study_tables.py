@@ -65,4 +65,4 @@ def status_lines(study: Study, parts: Sequence[PartStatus]) -> list[str]:
 
 
 def _by(part: PartStatus) -> str:
-    return f", {part.detail}" if part.state == "running" else ""
+    return f", {part.detail}" if part.state == "running" and part.detail else ""

@@ -86,22 +86,13 @@ def save_training(
     newest.replace(folder.last)
 
 
-def read_progress(path: Path) -> Progress:
+def read_progress(file: ArrayFile) -> Progress:
     """Read where the training stood.
 
     Raises:
-        InputError: the file is missing, damaged or no checkpoint of this software.
+        InputError: the file is no checkpoint of this software.
     """
-    return _progress(ArrayFile(path), oldest=1)
-
-
-def load_policy(path: Path, model: BaseAlgorithm) -> None:
-    """Load a policy's weights into a model of the same shapes.
-
-    Raises:
-        InputError: the file cannot be read, or its shapes are not the model's.
-    """
-    load_policy_arrays(ArrayFile(path), model)
+    return _progress(file, oldest=1)
 
 
 def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[Progress, Arrays]:

@@ -72,8 +72,11 @@ def evaluate(
     return Evaluation(batches, total_violations(violations), np.concatenate(ages))
 
 
-def to_json(evaluation: Evaluation, scenario: Scenario, action: str | None) -> dict[str, Any]:
-    """One policy's part of the evaluation file: a value for each mission, and what the figures need."""
+def to_json(evaluation: Evaluation, scenario: Scenario, policy: Planner) -> dict[str, Any]:
+    """One policy's part of the evaluation file: a value for each mission, and what the figures need.
+
+    Of a trained policy also its ``action`` and ``policy_sha256``, its weights' digest: what it is an evaluation of.
+    """
     means = intervals(evaluation.aou_over_time_s)  # (K,) each
     content: dict[str, Any] = {
         "mean_aou_s": evaluation.values("mean_aou_s").tolist(),
@@ -92,6 +95,9 @@ def to_json(evaluation: Evaluation, scenario: Scenario, action: str | None) -> d
         content["aou_over_time_high_s"] = means.high.tolist()
     if scenario.layout == "fixed":
         content["update_period_slots"] = scenario.draw_layout().update_period.tolist()
+    action, digest = getattr(policy, "action", None), getattr(policy, "digest", None)  # planners have neither
     if action is not None:
         content["action"] = action
+    if digest:
+        content["policy_sha256"] = digest
     return content

@@ -94,6 +94,11 @@ class RunFolder:
         return self.path / "checkpoints" / "best.safetensors"
 
     @property
+    def policy(self) -> Path:
+        """The checkpoint whose policy is flown: ``best``, and ``last`` until there is one."""
+        return self.best if self.best.exists() else self.last
+
+    @property
     def lock(self) -> Path:
         """Held by the process that writes the run."""
         return self.path / ".lock"

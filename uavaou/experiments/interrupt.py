@@ -23,6 +23,14 @@ def ignore_repeats() -> None:
     _repeats_count = False
 
 
+def was_interrupt(error: SystemError) -> bool:
+    """Whether an error is a KeyboardInterrupt that came while a compiled function was being called.
+
+    Numba's dispatcher hands back a result then, with the exception still set, which Python reports as its own error.
+    """
+    return isinstance(error.__cause__, KeyboardInterrupt)
+
+
 class Interrupted(Exception):  # noqa: N818 - nothing went wrong
     """The training stopped because it was asked to, after a checkpoint."""
 

@@ -16,6 +16,18 @@ from uavaou.experiments.folder import RunFolder
 _PATIENCE_S = 1.0  # a writer killed a moment ago may have worker processes that are still ending
 
 
+class HeldError(InputError):
+    """Another process holds the folder.
+
+    Attributes:
+        by: which, as in "process 12 on host".
+    """
+
+    def __init__(self, folder: Path, by: str) -> None:
+        super().__init__(f"'{folder}' is being written by {by}: wait for it, or stop it")
+        self.by = by
+
+
 @contextmanager
 def one_writer(folder: RunFolder) -> Iterator[None]:
     """Hold a run folder as its only writer; see :func:`only_writer`."""
@@ -31,7 +43,8 @@ def only_writer(folder: Path, path: Path) -> Iterator[None]:
     left behind means nothing.
 
     Raises:
-        InputError: another process writes there, or the folder cannot be written.
+        HeldError: another process writes there.
+        InputError: the folder cannot be written.
     """
     lock = FileLock(path)
     try:
@@ -39,7 +52,7 @@ def only_writer(folder: Path, path: Path) -> Iterator[None]:
         lock.acquire(timeout=_PATIENCE_S)
         path.write_text(f"process {os.getpid()} on {platform.node()}\n", encoding="utf-8")
     except Timeout:
-        raise InputError(f"'{folder}' is being written by {_stated(path)}: wait for it, or stop it") from None
+        raise HeldError(folder, _stated(path)) from None
     except OSError as error:
         raise InputError(f"cannot write to '{folder}': {error.strerror or error}") from error
     try:

@@ -17,7 +17,15 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, nearest
 from uavaou.experiments.folder import RunConfig, RunFolder, config_folder
-from uavaou.experiments.study_fields import JUDGED, MOST_RUNS, ScenarioEntry, StudyFields, VariantEntry, usable_name
+from uavaou.experiments.study_fields import (
+    JUDGED,
+    MOST_RUNS,
+    ScenarioEntry,
+    StudyFields,
+    VariantEntry,
+    usable_name,
+    validated_entry,
+)
 from uavaou.fields import short, validated
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
 from uavaou.scenario import Scenario
@@ -27,6 +35,7 @@ SCHEMA = 1  # of study.yaml
 EVALUATION_SEED = 10_000  # mission j of every evaluation is seeded with this + j, as `uavaou eval` does
 BOUND = "bound"
 ANNEALED = ("anneal", "rolling")  # planners that take off with an annealed plan
+PLANNED = (*ANNEALED, "exact")  # planners whose figures depend on planning_seconds
 _PLAN_AHEAD = {*ROUTE_PLANNERS, *ANNEALED}
 
 
@@ -99,7 +108,12 @@ class Study:
         entries = [_scenario(entry, f"{path}: scenarios[{k}]", path) for k, entry in enumerate(fields.scenarios)]
         _check_distinct([name for name, _ in entries], f"{path}: scenarios")
         stated = {
-            name: validated(VariantEntry, {} if entry is None else entry, f"{path}: variants.{short(name)}")
+            name: validated_entry(
+                VariantEntry,
+                {} if entry is None else entry,
+                f"{path}: variants.{short(name)}",
+                "settings of the algorithm",
+            )
             for name, entry in fields.variants.items()
         }
         variants = {
@@ -158,7 +172,8 @@ class _PlainDumper(yaml.SafeDumper):
 
 def _scenario(entry: Any, source: str, path: Path) -> tuple[str, Scenario]:
     """The name in the study and the scenario of an entry: a name or a path, or a mapping that changes it."""
-    stated = validated(ScenarioEntry, {"scenario": entry} if isinstance(entry, str) else entry, source)
+    fields = {"scenario": entry} if isinstance(entry, str) else entry
+    stated = validated_entry(ScenarioEntry, fields, source, "changes of the scenario")
     if "name" in stated.set:
         raise InputError(f"{source}: set.name: write name beside set")
     scenario = _load_scenario(stated.scenario, source, path)
@@ -211,7 +226,7 @@ def _check(study: Study, source: str) -> None:
     for planner in study.planners:
         if planner not in PLANNERS:
             known = ", ".join(PLANNERS)
-            raise InputError(f"{source}: planners: unknown planner '{short(planner)}'{nearest(planner, PLANNERS)} "
+            raise InputError(f"{source}: planners: unknown planner {short(planner)}{nearest(planner, PLANNERS)} "
                              f"(known: {known})")  # fmt: skip
     _check_distinct(study.planners, f"{source}: planners")
     _check_comparisons(study, source)

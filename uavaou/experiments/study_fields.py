@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, StrictStr
 
 from uavaou.errors import InputError
-from uavaou.fields import Positive, PositiveWhole, short
+from uavaou.fields import Positive, PositiveWhole, short, validated
 
 LARGEST_SEED = 2**32 - 1  # what NumPy's and torch's global streams take
 MOST_RUNS = 100_000
 JUDGED = ("mappo", "vdn", "qmix")  # the variants that the paper's claims are about
 _LONGEST_NAME = 60
+_Entry = TypeVar("_Entry", bound=BaseModel)
 
 
 def _seeds(value: Any) -> Any:
@@ -30,6 +31,24 @@ def _seeds(value: Any) -> Any:
     return tuple(seeds)
 
 
+def _listed(example: str) -> BeforeValidator:
+    def listed(value: Any) -> Any:
+        if not isinstance(value, list):
+            raise ValueError(f"expected a list, such as {example}")
+        return value
+
+    return BeforeValidator(listed)
+
+
+def _mapped(example: str) -> BeforeValidator:
+    def mapped(value: Any) -> Any:
+        if not isinstance(value, dict):
+            raise ValueError(f"expected a mapping, such as {example}")
+        return value
+
+    return BeforeValidator(mapped)
+
+
 class StudyFields(BaseModel):
     """The fields of a study's file; the entries of ``scenarios`` and ``variants`` are looked at one by one."""
 
@@ -38,9 +57,9 @@ class StudyFields(BaseModel):
     description: StrictStr = ""
     slots: PositiveWhole | None = None  # training budget of every run; None: each algorithm's published one
     seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)]
-    scenarios: Annotated[list[Any], Field(min_length=1)]
-    variants: Annotated[dict[StrictStr, Any], Field(min_length=1)]
-    planners: list[StrictStr] = []
+    scenarios: Annotated[list[Any], Field(min_length=1), _listed("[paper, tiny]")]
+    variants: Annotated[dict[StrictStr, Any], Field(min_length=1), _mapped("{mappo: {}, vdn: {set: {gamma: 0.9}}}")]
+    planners: Annotated[list[StrictStr], _listed("[greedy, random]")] = []
     bound: StrictBool = False
     planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of annealing, once a scenario
     episodes: Annotated[PositiveWhole, Field(le=10_000)] = 100  # missions of the final evaluation
@@ -54,7 +73,7 @@ class ScenarioEntry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     scenario: StrictStr
-    set: dict[StrictStr, Any] = {}
+    set: Annotated[dict[StrictStr, Any], _mapped("{uavs: 3, layout_seed: 1}")] = {}
     name: StrictStr | None = None
 
 
@@ -64,8 +83,21 @@ class VariantEntry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     algorithm: StrictStr | None = None  # None: that of the variant's name
-    set: dict[StrictStr, Any] = {}
+    set: Annotated[dict[StrictStr, Any], _mapped("{gamma: 0.9}")] = {}
     against: StrictStr | None = None  # the variant it is held against in the report beside the reference
+
+
+def validated_entry(kind: type[_Entry], content: Any, source: str, settings: str) -> _Entry:
+    """Validate an entry of ``scenarios`` or ``variants``; ``settings`` says what may stand below its ``set``.
+
+    Raises:
+        InputError: naming the field, its value and what is allowed.
+    """
+    try:
+        return validated(kind, content, source)
+    except InputError as error:
+        hint = f"; {settings} go below set" if "unknown field" in str(error) else ""
+        raise InputError(f"{error}{hint}") from None
 
 
 def usable_name(name: str, source: str) -> str:

@@ -111,13 +111,13 @@ def play_suite(
         if job.entry is not None:
             policy = load(job.entry.folder, scenario)
             evaluation = evaluate(scenario, policy, episodes, seed, after_slot)
-            yield Result(job, to_json(evaluation, scenario, getattr(policy, "action", None)))
+            yield Result(job, to_json(evaluation, scenario, policy))
             continue
         key = (job.policy, scenario)
         if key not in played:
             try:
                 evaluation = evaluate(scenario, planners[job.policy], episodes, seed, after_slot)
-                played[key] = to_json(evaluation, scenario, None), ""
+                played[key] = to_json(evaluation, scenario, planners[job.policy]), ""
             except InputError as error:
                 played[key] = {}, str(error)
         yield Result(job, *played[key])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,13 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 
-from uavaou.algorithms.common.tensor_file import ArrayFile
+from uavaou.algorithms.common.tensor_file import POLICY, ArrayFile
+from uavaou.algorithms.common.weights import load_policy_arrays
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.actions import split_actions
 from uavaou.envs.flatten import flatten
 from uavaou.errors import InputError
-from uavaou.experiments.checkpoint import load_policy, read_progress
+from uavaou.experiments.checkpoint import read_progress
 from uavaou.experiments.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.world import Views, World
@@ -35,11 +35,13 @@ class TrainedPolicy:
         model: whose policy acts.
         views: what its UAVs see.
         action: ``greedy`` (the likeliest) or ``sample``.
+        digest: SHA-256 of the weights in the checkpoint that they were loaded from; empty where none was.
     """
 
     model: BaseAlgorithm
     views: Views
     action: str = "greedy"
+    digest: str = ""
     _rngs: list[np.random.Generator] = field(default_factory=list)
 
     def reset(self, world: World, seed: int) -> None:
@@ -103,9 +105,9 @@ def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | No
     config = path.read_config()
     scenario = config.scenario if scenario is None else scenario
     _check_shape(path, config, scenario)
-    checkpoint = path.best if path.best.exists() else path.last
-    if not checkpoint.is_file():
+    if not path.policy.is_file():
         raise InputError(f"'{path.path}' holds no checkpoint yet: its training has not reached the first one")
+    checkpoint = ArrayFile(path.policy)  # opened once: a training at work may put another in its place
     progress = read_progress(checkpoint)
     algorithm = config.algorithm
     env = flatten(scenario, missions=1, observation=algorithm.observation, collection=algorithm.collection)
@@ -114,18 +116,18 @@ def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | No
         model = make_model(algorithm, env, config.seed, device="cpu")
     except MemoryError as error:
         raise InputError(f"{path.config}: states a learner that does not fit the memory") from error
-    load_policy(checkpoint, model)
+    load_policy_arrays(checkpoint, model)
     model.policy.set_training_mode(False)
     views = Views(scenario, algorithm.observation, algorithm.collection)
-    return TrainedPolicy(model, views, action or progress.best_action)
+    return TrainedPolicy(model, views, action or progress.best_action, checkpoint.digest(POLICY))
 
 
-def _check_size(checkpoint: Path, config: RunConfig) -> None:
+def _check_size(checkpoint: ArrayFile, config: RunConfig) -> None:
     """Refuse to build networks larger than the checkpoint that is to fill them."""
     hidden = getattr(config.algorithm, "hidden", ())
-    elements = ArrayFile(checkpoint).elements
+    elements = checkpoint.elements
     if sum(a * b for a, b in pairwise(hidden)) > elements:
-        raise InputError(f"{checkpoint}: holds {elements:,} numbers, too few for hidden = {list(hidden)}")
+        raise InputError(f"{checkpoint.path}: holds {elements:,} numbers, too few for hidden = {list(hidden)}")
 
 
 def _check_shape(path: RunFolder, config: RunConfig, wanted: Scenario) -> None:

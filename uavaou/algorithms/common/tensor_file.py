@@ -21,6 +21,7 @@ from uavaou.errors import InputError
 from uavaou.files import replacing
 
 CHECKSUM = "checksum"
+POLICY = "policy."  # what the names of a policy's arrays begin with
 _UNSET = "0" * hashlib.sha256().digest_size * 2  # stands in the checksum's place while it is computed
 _MOST_HEADER = 4_000_000  # bytes; a checkpoint's header has some thousand
 _CHUNK = 1 << 24  # bytes
@@ -97,6 +98,18 @@ class ArrayFile:
         except (SafetensorError, TypeError, ValueError, AttributeError, KeyError) as error:
             raise InputError(f"{self.path}: '{name}' cannot be read ({error})") from error
         return array
+
+    def digest(self, prefix: str = "") -> str:
+        """SHA-256 of the arrays whose names begin with ``prefix``: names, types, shapes and values, not the text.
+
+        Raises:
+            InputError: an array cannot be read.
+        """
+        digest = hashlib.sha256()
+        for name in sorted(name for name in self.shapes if name.startswith(prefix)):
+            array = self.read(name)
+            digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode() + array.tobytes())
+        return digest.hexdigest()
 
     def json(self, name: str) -> Any:
         """An entry of the header's text, read as JSON.

@@ -8,15 +8,15 @@ import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from uavaou.algorithms.common.tensor_file import ArrayFile
+from uavaou.algorithms.common.tensor_file import POLICY, ArrayFile
 from uavaou.errors import InputError
 
-_POLICY, _OPTIMIZER = "policy.", "optimizer."
+_OPTIMIZER = "optimizer."
 
 
 def policy_arrays(model: BaseAlgorithm) -> dict[str, NDArray[Any]]:
     """The policy's weights and buffers."""
-    return {_POLICY + name: tensor.detach().cpu().numpy() for name, tensor in model.policy.state_dict().items()}
+    return {POLICY + name: tensor.detach().cpu().numpy() for name, tensor in model.policy.state_dict().items()}
 
 
 def optimizer_arrays(model: BaseAlgorithm) -> dict[str, NDArray[Any]]:
@@ -36,16 +36,16 @@ def load_policy_arrays(file: ArrayFile, model: BaseAlgorithm) -> None:
         InputError: its names or shapes are not the model's.
     """
     wanted = model.policy.state_dict()
-    names = {name.removeprefix(_POLICY) for name in file.shapes if name.startswith(_POLICY)}
+    names = {name.removeprefix(POLICY) for name in file.shapes if name.startswith(POLICY)}
     if names != set(wanted):
         raise InputError(f"{file.path}: does not hold this policy's tensors (was it trained with other settings?)")
     for name, tensor in wanted.items():
-        shape = file.shapes[_POLICY + name]
+        shape = file.shapes[POLICY + name]
         if shape != tuple(tensor.shape):
             raise InputError(
                 f"{file.path}: {name} has shape {shape}, this scenario and configuration need {tuple(tensor.shape)}"
             )
-    model.policy.load_state_dict({name: th.from_numpy(file.read(_POLICY + name)) for name in wanted})
+    model.policy.load_state_dict({name: th.from_numpy(file.read(POLICY + name)) for name in wanted})
 
 
 def load_optimizer_arrays(file: ArrayFile, model: BaseAlgorithm) -> None:

@@ -24,11 +24,11 @@ _DIGITS = 6
 def keep_best(store: StudyStore, study: Study, out: Path) -> None:
     """Copy the best run of each variant and scenario into the results, and drop those it is better than.
 
-    A best run whose folder, or whose evaluation on the study's missions, is not here is left out until
-    ``study report`` finds it; the one kept before stays until then.
+    A best run whose folder, or whose evaluation on the study's missions, is not here or cannot be read is left out
+    until ``study report`` finds it; the one kept before stays until then.
 
     Raises:
-        InputError: a run cannot be read or the results cannot be written.
+        InputError: the results cannot be written.
     """
     for scenario in study.scenarios:
         for variant in study.variants:
@@ -45,19 +45,30 @@ def _keep(store: StudyStore, study: Study, out: Path, key: Key) -> None:
     config = RunConfig(study.scenarios[key.scenario], study.variants[key.variant], key.seed)
     run = next(run for run in study.runs() if (run.variant, run.scenario, run.seed) == tuple(key))
     source = study.folder(out, run)
-    here = source.best.is_file() and source.exists() and source.read_config() == config
-    entry = find_evaluation(source, config.algorithm.name, study.episodes) if here else None
-    if entry is not None:
-        try:
+    found = _read(source, config, study.episodes)
+    try:
+        if found is not None:
+            entry, meta = found
             _copy(source, RunFolder(kept), config, study.episodes, entry)
             with replacing(kept / "README.md") as file:
-                file.write("\n".join(card_lines(store, study, key, read_json(source.meta))) + "\n")
-        except OSError as error:
-            raise InputError(f"cannot write to '{kept}': {error.strerror or error}") from error
-    if RunFolder(kept).best.is_file():
-        for other in kept.parent.glob("seed-*"):
-            if other != kept:
-                shutil.rmtree(other)
+                file.write("\n".join(card_lines(store, study, key, meta)) + "\n")
+        if RunFolder(kept).best.is_file():
+            for other in kept.parent.glob("seed-*"):
+                if other != kept:
+                    shutil.rmtree(other)
+    except OSError as error:
+        raise InputError(f"cannot write to '{kept}': {error.strerror or error}") from error
+
+
+def _read(source: RunFolder, config: RunConfig, episodes: int) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """The evaluation and ``meta.json`` of a run; None where it is not here, or damaged: who condensed it told why."""
+    try:
+        if not (source.best.is_file() and source.exists() and source.read_config() == config):
+            return None
+        entry = find_evaluation(source, config.algorithm.name, episodes)
+        return None if entry is None else (entry, read_json(source.meta))
+    except InputError:
+        return None
 
 
 def _copy(source: RunFolder, kept: RunFolder, config: RunConfig, episodes: int, evaluation: Mapping[str, Any]) -> None:

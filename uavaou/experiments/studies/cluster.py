@@ -56,6 +56,8 @@ class Cluster:
             raise InputError("--address ray://...: run the command on a machine of the cluster, with --address auto")
         self._jobs = jobs
         self._address = address
+        self._begun: set[Key] = set()  # trainings that have reported
+        self._given_up: set[Any] = set()  # cancelled tasks
         self._plugins = [str(Path(place).resolve()) if place.endswith(".py") else place for place in plugins]
 
     def __enter__(self) -> Self:
@@ -82,6 +84,7 @@ class Cluster:
             while True:
                 if stopping() and not asked:
                     asked = True
+                    yield from self._news()
                     self._stop(running)
                 while not asked and len(running) < self._room() and (job := take()) is not None:
                     problem = self._open(job)
@@ -108,7 +111,9 @@ class Cluster:
         """Ask trainings for their last checkpoint; what else runs, and what waits for a CPU, is given up."""
         ray.get(self._keeper.stop.remote())
         for reference, job in running.items():
-            if not isinstance(job, Training):
+            # A training that has not reported has nothing to save, and may wait for a CPU without end.
+            if not isinstance(job, Training) or job.key not in self._begun:
+                self._given_up.add(reference)
                 ray.cancel(reference, force=True)
 
     def _open(self, job: Job) -> Ended | None:
@@ -120,6 +125,7 @@ class Cluster:
 
     def _news(self) -> Iterator[Event]:
         reports: dict[Key, Report] = ray.get(self._keeper.news.remote())
+        self._begun.update(reports)
         for key, report in reports.items():
             yield Advanced(key, report)
 
@@ -129,7 +135,8 @@ class Cluster:
         except ray.exceptions.TaskCancelledError:
             ended = Ended(job.key, None)
         except ray.exceptions.RayError as error:
-            ended = Ended(job.key, None, f"Ray: {str(error).strip().splitlines()[0][:300]}")
+            reason = f"Ray: {str(error).strip().splitlines()[0][:300]}"
+            ended = Ended(job.key, None, "" if reference in self._given_up else reason)
         if isinstance(job, Training):
             ray.get(self._keeper.close.remote(job.key))
         return ended

@@ -76,9 +76,27 @@ def condense_run(store: StudyStore, study: Study, out: Path, run: StudyRun) -> b
     evaluation = find_evaluation(folder, name, study.episodes) if is_trained(folder, run) else None
     if evaluation is None:
         return False
-    store.put(run_key(run), run_rows(run_key(run), name, run.config.scenario, folder, evaluation))
-    store.write_config(run_key(run), run.config)
+    store.put(run_key(run), run_rows(run_key(run), name, run.config.scenario, folder, evaluation), run.config)
     return True
+
+
+def gather(study: Study, out: Path) -> tuple[StudyStore, dict[Key, str]]:
+    """Read the condensed results that there are, and the figures of the runs that are here; writes nothing.
+
+    Returns:
+        The results, and why runs that are here could not be read.
+
+    Raises:
+        InputError: the results folder holds another study's, or cannot be read.
+    """
+    store, problems = StudyStore(study_folder(out, study)), {}
+    store.check(study)
+    for run in study.runs():
+        try:
+            condense_run(store, study, out, run)
+        except InputError as problem:
+            problems[run_key(run)] = str(problem)
+    return store, problems
 
 
 def report_study(study: Study, out: Path) -> tuple[StudyStore, dict[Key, str]]:
@@ -90,13 +108,7 @@ def report_study(study: Study, out: Path) -> tuple[StudyStore, dict[Key, str]]:
     Raises:
         InputError: the results folder holds another study's, or cannot be written.
     """
-    store, problems = StudyStore(study_folder(out, study)), {}
-    store.check(study)
-    for run in study.runs():
-        try:
-            condense_run(store, study, out, run)
-        except InputError as problem:
-            problems[run_key(run)] = str(problem)
+    store, problems = gather(study, out)
     store.write(study)
     keep_best(store, study, out)
     return store, problems

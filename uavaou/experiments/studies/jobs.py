@@ -129,7 +129,7 @@ def _train(job: Training, tell: Tell) -> None:
 
 
 def _evaluate(folder: RunFolder, config: RunConfig, episodes: int) -> None:
-    """Write the evaluation, as ``uavaou eval`` does; one of other missions that are more is kept."""
+    """Write the evaluation, as ``uavaou eval`` does; one of more missions is kept."""
     from uavaou.experiments.evaluation import evaluate, to_json
     from uavaou.experiments.folder import missions_in, write_json
     from uavaou.experiments.trained import load_run
@@ -137,7 +137,7 @@ def _evaluate(folder: RunFolder, config: RunConfig, episodes: int) -> None:
     policy = load_run(folder)
     found = evaluate(config.scenario, policy, episodes, EVALUATION_SEED)
     head = {"scenario": config.scenario.name, "episodes": episodes, "seed": EVALUATION_SEED}
-    policies = {config.algorithm.name: to_json(found, config.scenario, policy.action)}
+    policies = {config.algorithm.name: to_json(found, config.scenario, policy)}
     usual, own = _evaluation_paths(folder, episodes)
     write_json(own if missions_in(usual) > episodes else usual, head | {"policies": policies})
 
@@ -148,16 +148,40 @@ def _evaluation_paths(folder: RunFolder, episodes: int) -> tuple[Path, Path]:
 
 
 def find_evaluation(folder: RunFolder, algorithm: str, episodes: int) -> dict[str, Any] | None:
-    """The policy's part of the evaluation on a study's missions; None where there is none that can be read."""
-    for path in _evaluation_paths(folder, episodes):
-        try:
-            content = read_json(path)
-            if (content["episodes"], content["seed"]) == (episodes, EVALUATION_SEED):
-                entry: dict[str, Any] = content["policies"][algorithm]
-                return entry
-        except (ValueError, KeyError, TypeError):
-            continue
-    return None
+    """The policy's part of the evaluation on a study's missions; None where there is none that can be read.
+
+    Only one of the present best checkpoint counts, with the action that it was chosen by: ``uavaou eval`` may have
+    played another action, or the best of that time in the middle of the training.
+
+    Raises:
+        InputError: there is one, and the checkpoint cannot be read.
+    """
+    found = [entry for path in _evaluation_paths(folder, episodes) if (entry := _entry(path, algorithm, episodes))]
+    if not found or not folder.policy.is_file():
+        return None
+    present = _policy_played(folder)
+    return next((entry for entry in found if (entry.get("policy_sha256"), entry.get("action")) == present), None)
+
+
+def _entry(path: Path, algorithm: str, episodes: int) -> dict[str, Any] | None:
+    """A policy's part of an evaluation file; None where that is of other missions, or cannot be read."""
+    try:
+        content = read_json(path)
+        entry = content["policies"][algorithm]
+        wanted = (content["episodes"], content["seed"]) == (episodes, EVALUATION_SEED)
+    except (ValueError, KeyError, TypeError):
+        return None
+    return entry if wanted and isinstance(entry, dict) else None
+
+
+def _policy_played(folder: RunFolder) -> tuple[str, str | None]:
+    """The digest of the weights that the evaluation is to be of, and the action; needs no torch."""
+    from uavaou.algorithms.common.tensor_file import POLICY, ArrayFile
+
+    checkpoint = ArrayFile(folder.policy)
+    progress = checkpoint.json("progress")
+    action = progress.get("best_action", "greedy") if isinstance(progress, dict) else None
+    return checkpoint.digest(POLICY), action
 
 
 def _plan(job: Planning) -> dict[str, Any]:
@@ -180,7 +204,7 @@ def _play(job: Playing) -> dict[str, Any]:
     if isinstance(planner, Anneal | Rolling):
         assert job.plan is not None
         planner.keep(job.plan, job.scenario, job.scenario.draw_layout())
-    return to_json(evaluate(job.scenario, planner, job.episodes, EVALUATION_SEED), job.scenario, None)
+    return to_json(evaluate(job.scenario, planner, job.episodes, EVALUATION_SEED), job.scenario, planner)
 
 
 def _bound(job: Bounding) -> dict[str, Any]:

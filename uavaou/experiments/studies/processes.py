@@ -9,11 +9,13 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from uavaou.errors import InputError
+from uavaou.experiments.interrupt import was_interrupt
 from uavaou.experiments.studies.engine import Advanced, Ended, Event, Events, Take
 from uavaou.experiments.studies.jobs import Job, Report, StoppedEarlyError, perform
 
@@ -127,12 +129,18 @@ def _work(job: Job, pipe: Connection, plugins: Sequence[str]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_follow_parent, daemon=True).start()
+
+    def say(said: Report | Ended) -> None:
+        with suppress(OSError):  # nobody listens: the study's own process is dead, and _follow_parent says what to do
+            pipe.send(said)
+
     try:
         prepare(plugins)
-        pipe.send(outcome(job, pipe.send))
+        say(outcome(job, say))
     except KeyboardInterrupt:
-        pipe.send(Ended(job.key, None))
+        say(Ended(job.key, None))
     finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it may yet come, and there is nothing left to stop
         pipe.close()
 
 
@@ -171,6 +179,8 @@ def outcome(job: Job, tell: Callable[[Report], None]) -> Ended:
     except InputError as problem:
         return Ended(job.key, None, str(problem))
     except Exception as error:  # a bug keeps its traceback, and stops no other run
+        if isinstance(error, SystemError) and was_interrupt(error):
+            return Ended(job.key, None)
         traceback.print_exc(file=sys.stderr)
         said = f"{type(error).__name__}: {error}".split("\n")[0]
         return Ended(job.key, None, f"an error of the program, whose traceback was printed: {said[:300]}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from uavaou.experiments.studies.jobs import (
     reference_keys,
     run_key,
 )
-from uavaou.experiments.studies.store import study_folder, write_failures
+from uavaou.experiments.studies.store import study_folder, write_failures, write_working
 from uavaou.experiments.study import ANNEALED, BOUND, Study
 from uavaou.planners.plan import Plan
 
@@ -43,7 +43,7 @@ class Standing:
         total: trainings, planners and bounds of the study.
         done: those that have results.
         failed: why others have none.
-        running: the last report of each training that runs; None before the first.
+        running: the last report of each training that runs; None before the first, and for plans, planners and bounds.
         budget: slots of each training.
         slots: trained by this command.
         left: slots still to be trained.
@@ -150,6 +150,7 @@ class _Work:
         self._trained = {key: trained_slots(study.folder(out, self._runs[key])) for key in todo if key in self._runs}
         self.standing.left = sum(max(budget[key] - slots, 0) for key, slots in self._trained.items())
         write_failures(self._store.folder, {})
+        self._note_working()  # nothing: what is there is of a command that was killed
 
     def take(self) -> Job | None:
         """The next job whose plan, where it needs one, is there."""
@@ -163,7 +164,9 @@ class _Work:
             if job is not None:
                 if not isinstance(job, Planning):
                     self._todo.remove(key)
-                    self.standing.running[key] = None
+                self.standing.running[job.key] = None
+                if job.key.seed is None:
+                    self._note_working()
                 return job
         return None
 
@@ -197,10 +200,12 @@ class _Work:
     def end(self, event: Ended) -> None:
         """A job has ended: keep what came of it, before anything else."""
         key = event.key
+        self.standing.running.pop(key, None)
+        if key.seed is None:
+            self._note_working()
         if key.variant == PLAN:
             self._end_plan(event)
             return
-        self.standing.running.pop(key, None)
         if event.result is None:
             if event.reason:
                 self._fail(key, event.reason)
@@ -215,21 +220,35 @@ class _Work:
 
     def _end_plan(self, event: Ended) -> None:
         waiting = [key for key in self._todo if key.scenario == event.key.scenario and key.variant in ANNEALED]
+        reason = event.reason
         if event.result is not None:
             path = plan_path(self._out, self._study, event.key.scenario)
-            write_json(path, event.result)
-            self._plans[event.key.scenario], _ = Plan.load(path)
-        elif event.reason:
+            try:
+                write_json(path, event.result)
+                self._plans[event.key.scenario], _ = Plan.load(path)
+            except InputError as problem:
+                reason = str(problem)
+            except OSError as error:
+                reason = f"cannot write '{path}': {error.strerror or error}"
+        if reason:
             for key in waiting:
                 self._todo.remove(key)
-                self._fail(key, f"no plan: {event.reason}")
+                self._fail(key, f"no plan: {reason}")
 
     def _fail(self, key: Key, reason: str) -> None:
         self.standing.failed[key] = reason
         if key in self._runs:
             self.standing.left -= max(self.standing.budget[key] - self._trained[key], 0)
         self.standing.news.append(f"{_label(key)} failed: {reason}")
-        write_failures(self._store.folder, self.standing.failed)
+        try:
+            write_failures(self._store.folder, self.standing.failed)
+        except InputError as problem:  # a full disk: what else runs may yet find room
+            self.standing.news.append(str(problem))
+
+    def _note_working(self) -> None:
+        """For ``uavaou study status``, which can do without."""
+        with suppress(InputError):
+            write_working(self._store.folder, [key for key in self.standing.running if key.seed is None])
 
     def _condense(self, key: Key, result: dict[str, Any]) -> None:
         scenario = self._study.scenarios[key.scenario]

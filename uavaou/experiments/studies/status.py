@@ -10,9 +10,9 @@ from uavaou.errors import InputError
 from uavaou.experiments.folder import RunFolder
 from uavaou.experiments.lock import holder
 from uavaou.experiments.studies.finished import is_trained, trained_slots
-from uavaou.experiments.studies.jobs import Key, reference_keys, run_key
-from uavaou.experiments.studies.store import StudyStore, read_failures, study_folder
-from uavaou.experiments.study import Study, StudyRun
+from uavaou.experiments.studies.jobs import PLAN, Key, reference_keys, run_key
+from uavaou.experiments.studies.store import StudyStore, read_failures, read_working, study_folder
+from uavaou.experiments.study import ANNEALED, Study, StudyRun
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class PartStatus:
         slots: trained; None for planners and bounds.
         budget: slots of the training.
         rate: slots a second while it runs.
-        detail: the process that runs it, or why it failed.
+        detail: the process that runs it, what it waits for while it runs, or why it failed.
     """
 
     key: Key
@@ -45,11 +45,19 @@ def study_status(study: Study, out: Path) -> list[PartStatus]:
     folder = study_folder(out, study)
     store = StudyStore(folder)
     store.check(study)
-    failures = read_failures(folder)
+    failures, working = read_failures(folder), read_working(folder)
     parts = [_run_status(study, out, run, store, failures) for run in study.runs()]
     for key in reference_keys(study):
-        state = "finished" if key in store else "failed" if key in failures else "waiting"
-        parts.append(PartStatus(key, state, detail=failures.get(key, "") if state == "failed" else ""))
+        if key in store:
+            parts.append(PartStatus(key, "finished"))
+        elif key in working:
+            parts.append(PartStatus(key, "running"))
+        elif key.variant in ANNEALED and Key(PLAN, key.scenario) in working:
+            parts.append(PartStatus(key, "running", detail="its plan is being annealed"))
+        elif key in failures:
+            parts.append(PartStatus(key, "failed", detail=failures[key]))
+        else:
+            parts.append(PartStatus(key, "waiting"))
     return parts
 
 

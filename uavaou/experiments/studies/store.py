@@ -7,7 +7,7 @@ condensed its run, since a run counts by its row in the last table.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,15 +15,17 @@ import yaml
 
 from uavaou.errors import InputError
 from uavaou.experiments.folder import RunConfig, read_config
+from uavaou.experiments.lock import holder
 from uavaou.experiments.statistics import interval
 from uavaou.experiments.studies.condense import Rows, number
 from uavaou.experiments.studies.jobs import Key, reference_keys, run_key
-from uavaou.experiments.study import BOUND, EVALUATION_SEED, Study
+from uavaou.experiments.study import BOUND, EVALUATION_SEED, PLANNED, Study
 from uavaou.experiments.study_results import COLUMNS, read_rows
 from uavaou.files import folder_name, replacing
 from uavaou.zoo import read_yaml_mapping
 
 FAILURES = ("variant", "scenario", "seed", "reason")
+WORKING = ("variant", "scenario")
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,11 @@ class StudyFolder:
     def failures(self) -> Path:
         """Why runs failed; not there when none has."""
         return self.path / "failures.csv"
+
+    @property
+    def working(self) -> Path:
+        """The plans, planners and bounds at work, which have no folder to be locked; means nothing without the lock."""
+        return self.path / ".working.csv"
 
     def table(self, name: str) -> Path:
         """A table of :data:`COLUMNS`."""
@@ -78,6 +85,7 @@ class StudyStore:
     def __init__(self, folder: StudyFolder) -> None:
         self.folder = folder
         self._units: dict[Key, Rows] = {}
+        self._configs: dict[Key, RunConfig] = {}  # not yet written
         for name, columns in COLUMNS.items():
             if folder.table(name).is_file():
                 for row in read_rows(folder.table(name), columns):
@@ -88,6 +96,11 @@ class StudyStore:
 
     def __contains__(self, key: Key) -> bool:
         return key in self._units
+
+    @property
+    def evaluated(self) -> bool:
+        """Whether there is anything to report: a bound alone is nothing."""
+        return any(key.variant != BOUND for key in self._units)
 
     def keys(self) -> Iterator[Key]:
         """What there are results of."""
@@ -108,12 +121,14 @@ class StudyStore:
         found = interval([float(row[place]) for row in self._units[key]["missions"]])
         return number(found.mean), number(found.low), number(found.high)
 
-    def put(self, key: Key, rows: Rows) -> None:
-        """Take in new rows, in the place of those there were."""
+    def put(self, key: Key, rows: Rows, config: RunConfig | None = None) -> None:
+        """Take in new rows, in the place of those there were, and the configuration of a run."""
         self._units[key] = rows
+        if config is not None:
+            self._configs[key] = config
 
     def write(self, study: Study) -> None:
-        """Write all tables and ``study.yaml``; rows stand in the order of the study.
+        """Write all tables, ``study.yaml`` and new configurations; rows stand in the order of the study.
 
         Raises:
             InputError: they cannot be written.
@@ -122,6 +137,7 @@ class StudyStore:
         units = [self._units[key] for key in order if key in self._units]
         try:
             self.folder.path.mkdir(parents=True, exist_ok=True)
+            self._write_configs()
             with replacing(self.folder.study) as file:
                 file.write("# The study as resolved: every setting of every run.\n" + study.to_yaml())
             for name, columns in COLUMNS.items():
@@ -131,6 +147,14 @@ class StudyStore:
                     writer.writerows(row for unit in units for row in unit.get(name, []))
         except OSError as error:
             raise InputError(f"cannot write to '{self.folder.path}': {error.strerror or error}") from error
+
+    def _write_configs(self) -> None:
+        for key, config in self._configs.items():
+            path = self.folder.config(key)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(path) as file:
+                file.write(config.to_yaml())
+        self._configs.clear()
 
     def check(self, study: Study) -> None:
         """Refuse a study whose results cannot stand beside those that are there.
@@ -146,6 +170,9 @@ class StudyStore:
         for name, value in protocol.items():
             if held.get(name) != value:
                 raise InputError(f"{where} evaluations with {name} = {held.get(name)!r}, not {value}: {advice}")
+        stated, wanted = held.get("planning_seconds"), study.planning_seconds
+        if stated is not None and stated != wanted and any(key.variant in PLANNED for key in self._units):
+            raise InputError(f"{where} planners with planning_seconds = {stated!r}, not {wanted!r}: {advice}")
         runs = {run_key(run): run.config for run in study.runs()}
         references = set(reference_keys(study))
         for key in self._units:
@@ -160,13 +187,6 @@ class StudyStore:
     def _same(self, key: Key, config: RunConfig) -> bool:
         path = self.folder.config(key)
         return path.is_file() and read_config(path) == config
-
-    def write_config(self, key: Key, config: RunConfig) -> None:
-        """Write the ``config.yaml`` of a run."""
-        path = self.folder.config(key)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as file:
-            file.write(config.to_yaml())
 
 
 def _key(path: Path, row: dict[str, str]) -> Key:
@@ -208,12 +228,43 @@ def read_failures(folder: StudyFolder) -> dict[Key, str]:
 
 
 def write_failures(folder: StudyFolder, failures: dict[Key, str]) -> None:
-    """Keep why runs failed, for ``uavaou study status``."""
-    if not failures:
-        folder.failures.unlink(missing_ok=True)
-        return
-    with replacing(folder.failures) as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(FAILURES)
-        for key, reason in failures.items():
-            writer.writerow([key.variant, key.scenario, "" if key.seed is None else key.seed, reason])
+    """Keep why runs failed, for ``uavaou study status``.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    rows = [[key.variant, key.scenario, "" if key.seed is None else key.seed, why] for key, why in failures.items()]
+    _write_or_remove(folder.failures, FAILURES, rows)
+
+
+def read_working(folder: StudyFolder) -> set[Key]:
+    """The plans, planners and bounds that a study which runs now is at work on."""
+    if holder(folder.lock) is None:
+        return set()
+    try:
+        return {Key(row[0], row[1]) for row in read_rows(folder.working, WORKING)}
+    except InputError:  # none is, or it has just ended
+        return set()
+
+
+def write_working(folder: StudyFolder, keys: Iterable[Key]) -> None:
+    """Keep what has no folder to be locked and is at work, for ``uavaou study status``.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    _write_or_remove(folder.working, WORKING, [[key.variant, key.scenario] for key in keys])
+
+
+def _write_or_remove(path: Path, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Write a table; without rows there is none."""
+    try:
+        if not rows:
+            path.unlink(missing_ok=True)
+            return
+        with replacing(path) as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(rows)
+    except OSError as error:
+        raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
