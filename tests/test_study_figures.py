@@ -182,6 +182,7 @@ def test_one_study_keeps_no_other_from_being_drawn(
     tmp_path: Path, drawn: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("os.cpu_count", lambda: 1)  # other processes would not show what they draw
     studies = tmp_path / "results" / "studies"
     write_study(studies / "begun", {}, {}, bound=None)
     assert main(["plot", "figures"]) == 2  # nothing to draw
@@ -196,6 +197,22 @@ def test_one_study_keeps_no_other_from_being_drawn(
     assert main(["plot", "figures"]) == 2
     assert len(drawn) == 9
     assert "damaged/runs.csv" in capsys.readouterr().err
+
+
+def test_studies_are_drawn_side_by_side(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    studies = tmp_path / "results" / "studies"
+    for name in ("one", "two"):
+        write_study(studies / name, {"mappo": MAPPO}, {}, 1, missions=1, bound=None)
+    (studies / "one" / "runs.csv").unlink()
+    assert main(["plot", "figures"]) == 2
+    said = capsys.readouterr()
+    assert "left out: results/studies/one/runs.csv" in said.err
+    assert said.out.splitlines()[0] == "results/studies/two/figures/figure-3-reward.png"
+    assert all((tmp_path / line).is_file() for line in said.out.splitlines())
 
 
 def test_missions_that_end_together_are_one_point() -> None:

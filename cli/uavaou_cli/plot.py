@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -41,19 +45,38 @@ def figures(
 
 
 def _draw_all(studies: list[Path], out: Path | None) -> None:
-    """Draw the studies that can be drawn; one that is damaged, or has only begun, keeps no other from it."""
+    """Draw the studies that can be drawn, as many at a time as there are cores.
+
+    One that is damaged, or has only begun, keeps no other from it.
+    """
     from uavaou.experiments.study_tables import NothingYetError
 
     problems: list[InputError] = []
-    for study in studies:
+    places = [_place(study, studies, out) for study in studies]
+    for place in places:
+        writable_folder(place)
+    for drawing in _drawings(studies, places):
         try:
-            _draw_study(study, _place(study, studies, out))
+            print("\n".join(map(str, drawing())), flush=True)
         except InputError as problem:
             problems.append(problem)
             print(f"uavaou: left out: {problem}", file=sys.stderr)
     damaged = [problem for problem in problems if not isinstance(problem, NothingYetError)]
     if damaged or len(problems) == len(studies):
         raise InputError(f"{len(problems)} of {len(studies)} studies could not be drawn")
+
+
+def _drawings(studies: list[Path], places: list[Path]) -> Iterator[Callable[[], list[Path]]]:
+    """What gives the pictures of each study, drawn when it is asked for or, on several cores, before."""
+    from uavaou.reports.study_figures import plot_study
+
+    workers = min(len(studies), os.cpu_count() or 1)
+    if workers == 1:
+        yield from (partial(plot_study, study, place) for study, place in zip(studies, places, strict=True))
+        return
+    with ProcessPoolExecutor(workers) as pool:
+        drawn = [pool.submit(plot_study, study, place) for study, place in zip(studies, places, strict=True)]
+        yield from (future.result for future in drawn)
 
 
 def _place(study: Path, studies: list[Path], out: Path | None) -> Path:
