@@ -12,7 +12,7 @@ from uavaou.envs.actions import split_actions
 from uavaou.world import Views
 
 MISSIONS = 64
-MANY = 512  # missions: what a World takes more time for than the Python around it
+MANY = 1024  # missions: what a World takes more time for than the Python around it
 BATCHES = (1, 4, 16, 64, 256, 1024, 4096)
 FLEETS = (1, 2, 4, 8, 16, 32)
 DEVICES = (5, 25, 50, 100, 250, 500, 1000)

@@ -18,7 +18,7 @@ from benchmarks.training import ALGORITHMS, memory, parts, training
 def test_stepping_measures_every_contestant() -> None:
     rates = stepping(slots=2, repeats=1)
     assert [rate.name for rate in rates] == [
-        "World.step alone, 512 missions, the reset and 20 slots",
+        "World.step alone, 1024 missions, the reset and 20 slots",
         "World.step alone",
         "World.step, local views and masks, global state",
         "batched stage, 1 process",
