@@ -147,12 +147,14 @@ def _misread_number(error: Any) -> str | None:
     """An option that is to be a number and is none: Typer gives pydantic's words, which leave out the value."""
     from pydantic import ValidationError
 
+    from uavaou.fields import short
+
     option = next(iter(getattr(getattr(error, "param", None), "opts", ())), None)
     if option is None or not isinstance(error.__cause__, ValidationError):
         return None
     found = error.__cause__.errors(include_url=False)[0]
     expected = {"int": "a whole number, such as 4", "float": "a number, such as 0.5"}.get(found["type"].split("_")[0])
-    return None if expected is None else f"{option} {str(found['input'])[:40]}: expected {expected}"
+    return None if expected is None else f"{option} = {short(found['input'])}: expected {expected}"
 
 
 def _explain_usage(error: Any) -> str:
