@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -74,7 +75,8 @@ def _drawings(studies: list[Path], places: list[Path]) -> Iterator[Callable[[], 
     if workers == 1:
         yield from (partial(plot_study, study, place) for study, place in zip(studies, places, strict=True))
         return
-    with ProcessPoolExecutor(workers) as pool:
+    # Ctrl-C reaches the whole group: a worker ends at once, and this process says so.
+    with ProcessPoolExecutor(workers, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL)) as pool:
         drawn = [pool.submit(plot_study, study, place) for study, place in zip(studies, places, strict=True)]
         yield from (future.result for future in drawn)
 

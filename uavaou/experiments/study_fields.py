@@ -31,22 +31,16 @@ def _seeds(value: Any) -> Any:
     return tuple(seeds)
 
 
-def _listed(example: str) -> BeforeValidator:
-    def listed(value: Any) -> Any:
-        if not isinstance(value, list):
-            raise ValueError(f"expected a list, such as {example}")
+def _expecting(kind: type[list[Any]] | type[dict[Any, Any]], example: str) -> BeforeValidator:
+    """Refuse what is no ``kind`` in the words of a YAML file."""
+    word = "list" if kind is list else "mapping"
+
+    def checked(value: Any) -> Any:
+        if not isinstance(value, kind):
+            raise ValueError(f"expected a {word}, such as {example}")
         return value
 
-    return BeforeValidator(listed)
-
-
-def _mapped(example: str) -> BeforeValidator:
-    def mapped(value: Any) -> Any:
-        if not isinstance(value, dict):
-            raise ValueError(f"expected a mapping, such as {example}")
-        return value
-
-    return BeforeValidator(mapped)
+    return BeforeValidator(checked)
 
 
 class StudyFields(BaseModel):
@@ -57,9 +51,11 @@ class StudyFields(BaseModel):
     description: StrictStr = ""
     slots: PositiveWhole | None = None  # training budget of every run; None: each algorithm's published one
     seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)]
-    scenarios: Annotated[list[Any], Field(min_length=1), _listed("[paper, tiny]")]
-    variants: Annotated[dict[StrictStr, Any], Field(min_length=1), _mapped("{mappo: {}, vdn: {set: {gamma: 0.9}}}")]
-    planners: Annotated[list[StrictStr], _listed("[greedy, random]")] = []
+    scenarios: Annotated[list[Any], Field(min_length=1), _expecting(list, "[paper, tiny]")]
+    variants: Annotated[
+        dict[StrictStr, Any], Field(min_length=1), _expecting(dict, "{mappo: {}, vdn: {set: {gamma: 0.9}}}")
+    ]
+    planners: Annotated[list[StrictStr], _expecting(list, "[greedy, random]")] = []
     bound: StrictBool = False
     planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of annealing, once a scenario
     episodes: Annotated[PositiveWhole, Field(le=10_000)] = 100  # missions of the final evaluation
@@ -73,7 +69,7 @@ class ScenarioEntry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     scenario: StrictStr
-    set: Annotated[dict[StrictStr, Any], _mapped("{uavs: 3, layout_seed: 1}")] = {}
+    set: Annotated[dict[StrictStr, Any], _expecting(dict, "{uavs: 3, layout_seed: 1}")] = {}
     name: StrictStr | None = None
 
 
@@ -83,7 +79,7 @@ class VariantEntry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     algorithm: StrictStr | None = None  # None: that of the variant's name
-    set: Annotated[dict[StrictStr, Any], _mapped("{gamma: 0.9}")] = {}
+    set: Annotated[dict[StrictStr, Any], _expecting(dict, "{gamma: 0.9}")] = {}
     against: StrictStr | None = None  # the variant it is held against in the report beside the reference
 
 
