@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from uavaou.envs.map import BLACK, BLUE, VERMILLION
-from uavaou.experiments.evaluation import evaluate
+from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners import make_planner
 from uavaou.reports import style
 from uavaou.scenario import Scenario

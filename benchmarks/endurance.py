@@ -16,9 +16,9 @@ import torch
 
 from uavaou import Scenario
 from uavaou.algorithms.registry import load_config
-from uavaou.experiments.callback import Standing
-from uavaou.experiments.folder import RunConfig, RunFolder
-from uavaou.experiments.run import train
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.recorder import Standing
+from uavaou.runs.train import train
 
 PARTS = 40  # of the training, at the end of each of which is measured
 _WARM = PARTS // 10  # parts in which caches fill; not counted

@@ -13,8 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from uavaou.experiments.evaluation import evaluate
-from uavaou.experiments.statistics import interval
+from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal
 from uavaou.planners.base import Planner
@@ -23,6 +22,7 @@ from uavaou.planners.exact import LARGEST, program_size
 from uavaou.planners.plan import Plan
 from uavaou.planners.rolling import Rolling
 from uavaou.scenario import Scenario
+from uavaou.statistics import interval
 
 RESULTS = Path("results/planners")
 SCENARIOS = {"tiny": Scenario.load("tiny"), "quickstart": Scenario.load("quickstart")} | {

@@ -18,12 +18,13 @@ from torch import nn
 
 from benchmarks.measure import Measurement, Stopwatch, exactly, seconds_of, side_by_side
 from uavaou import MAPPO, Scenario, flatten
-from uavaou.algorithms.common.action_head import MoveSelectionDistribution
-from uavaou.algorithms.common.clipped_adam import ClippedAdam
-from uavaou.algorithms.common.networks import Layers, Linear
 from uavaou.algorithms.config import AlgorithmConfig, MappoConfig
-from uavaou.algorithms.mappo import collecting, gradients
-from uavaou.algorithms.mappo.partners import Partner
+from uavaou.algorithms.fast import gradients
+from uavaou.algorithms.fast.adam import ClippedAdam
+from uavaou.algorithms.fast.workers import Partner
+from uavaou.algorithms.mappo import collecting
+from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
+from uavaou.algorithms.nets.mlp import Layers, Linear
 from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64

@@ -21,7 +21,7 @@ settings.load_profile("uavaou")
 @pytest.fixture
 def one_thread() -> Iterator[None]:
     """Torch computes with one thread."""
-    from uavaou.algorithms.common import threads  # torch only where a test asks for it
+    from uavaou.algorithms import threads  # torch only where a test asks for it
 
     with threads.one_thread():
         yield

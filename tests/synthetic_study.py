@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from uavaou.experiments.study_results import COLUMNS
 from uavaou.scenario import Scenario
+from uavaou.studies.results import COLUMNS
 
 DEVICES = 10
 SCENARIO = Scenario.load("quickstart").replace(devices=DEVICES)

@@ -13,8 +13,8 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import scenarios
 
+from tests.strategies import scenarios
 from uavaou.errors import InputError
 from uavaou.scenario import Range, Scenario, WholeRange
 from uavaou.world.world import World

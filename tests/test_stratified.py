@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uavaou.experiments import stratified
-from uavaou.experiments.stratified import (
+from uavaou import stratified
+from uavaou.stratified import (
     interquartile_mean,
     mean_score,
     performance_profile,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uavaou.experiments.stratified import Estimate
-from uavaou.experiments.trainings import Groups, mean_of_trainings, ratio_of_trainings
+from uavaou.stratified import Estimate
+from uavaou.trainings import Groups, mean_of_trainings, ratio_of_trainings
 
 VALUES, REFERENCE = [70.0, 80.0, 75.0, 71.0], [40.0, 42.0, 38.0]
 

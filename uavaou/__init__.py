@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from uavaou.algorithms.config import AlgorithmConfig as AlgorithmConfig
     from uavaou.algorithms.mappo import IPPO as IPPO
     from uavaou.algorithms.mappo import MAPPO as MAPPO
-    from uavaou.algorithms.qmix import QMIX as QMIX
+    from uavaou.algorithms.qlearning import IQL as IQL
+    from uavaou.algorithms.qlearning import QMIX as QMIX
+    from uavaou.algorithms.qlearning import VDN as VDN
     from uavaou.algorithms.registry import register_algorithm as register_algorithm
-    from uavaou.algorithms.vdn import IQL as IQL
-    from uavaou.algorithms.vdn import VDN as VDN
     from uavaou.envs import uavaou_v0 as uavaou_v0
     from uavaou.envs.flatten import flatten as flatten
     from uavaou.envs.local_rows import LocalRows as LocalRows
@@ -31,9 +31,9 @@ _HOMES = {
     "flatten": "uavaou.envs.flatten",
     "MAPPO": "uavaou.algorithms.mappo",
     "IPPO": "uavaou.algorithms.mappo",
-    "VDN": "uavaou.algorithms.vdn",
-    "IQL": "uavaou.algorithms.vdn",
-    "QMIX": "uavaou.algorithms.qmix",
+    "VDN": "uavaou.algorithms.qlearning",
+    "IQL": "uavaou.algorithms.qlearning",
+    "QMIX": "uavaou.algorithms.qlearning",
     "AlgorithmConfig": "uavaou.algorithms.config",
     "register_algorithm": "uavaou.algorithms.registry",
     "LocalRows": "uavaou.envs.local_rows",

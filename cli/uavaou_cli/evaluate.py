@@ -15,9 +15,9 @@ from uavaou_cli.evaluate_suite import Request, evaluate_suite
 from uavaou_cli.overrides import Overrides, parse_overrides
 
 if TYPE_CHECKING:
-    from uavaou.experiments.evaluation import Evaluation
-    from uavaou.experiments.folder import RunConfig
+    from uavaou.evaluation.evaluate import Evaluation
     from uavaou.planners.base import Planner
+    from uavaou.runs.folder import RunConfig
     from uavaou.scenario import Scenario
 
 ACTIONS = ("greedy", "sample")
@@ -92,8 +92,8 @@ def evaluate(
 
 
 def _read_configs(folders: list[str], planners: list[str], suite: bool) -> dict[str, RunConfig]:
-    from uavaou.experiments.folder import RunFolder
     from uavaou.planners import PLANNERS
+    from uavaou.runs.folder import RunFolder
 
     if not folders and not planners and not suite:
         raise InputError(f"nothing to evaluate: give run folders, or --policy with one of {', '.join(PLANNERS)}")
@@ -149,8 +149,8 @@ def _make_planners(names: list[str], time_limit: float | None) -> dict[str, Plan
 def _load_runs(configs: dict[str, RunConfig], missions: Missions, action: str | None) -> dict[str, Planner]:
     if not configs:
         return {}
-    from uavaou.experiments.folder import RunFolder
-    from uavaou.experiments.trained import load_run
+    from uavaou.runs.folder import RunFolder
+    from uavaou.runs.policy import load_run
 
     return {name: load_run(RunFolder(Path(name)), missions.scenario, action) for name in configs}
 
@@ -163,7 +163,7 @@ def _play_and_report(
     json: Path | None,
     quiet: bool,
 ) -> None:
-    from uavaou.experiments.evaluation import evaluate as play
+    from uavaou.evaluation.evaluate import evaluate as play
     from uavaou_cli.progress import EvaluationProgress
     from uavaou_cli.tables import evaluation_lines
 
@@ -189,8 +189,8 @@ def _write(
     json: Path | None,
 ) -> list[str]:
     """Write the files; returns a note on each."""
-    from uavaou.experiments.evaluation import to_json
-    from uavaou.experiments.folder import missions_in, write_json
+    from uavaou.evaluation.evaluate import to_json
+    from uavaou.runs.folder import missions_in, write_json
 
     scenario = missions.scenario
     head = {"scenario": scenario.name, "episodes": missions.episodes, "seed": missions.seed}

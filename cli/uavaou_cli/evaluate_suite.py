@@ -13,12 +13,12 @@ from uavaou_cli.checks import writable_file
 from uavaou_cli.overrides import Overrides
 
 if TYPE_CHECKING:
-    from uavaou.experiments.folder import RunConfig, RunFolder
-    from uavaou.experiments.suite_results import Job, Result
-    from uavaou.experiments.suite_runs import Assignment, Entry, Missing
-    from uavaou.experiments.suites import Place, Suite
     from uavaou.planners.base import Planner
+    from uavaou.runs.folder import RunConfig, RunFolder
     from uavaou.scenario import Scenario
+    from uavaou.suites.assignment import Assignment, Entry, Missing
+    from uavaou.suites.results import Job, Result
+    from uavaou.suites.suite import Place, Suite
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ def evaluate_suite(request: Request, configs: Mapping[str, RunConfig], planners:
 
 
 def _plan(request: Request, configs: Mapping[str, RunConfig], planners: list[str]) -> Plan:
-    from uavaou.experiments.suite_results import suite_jobs
-    from uavaou.experiments.suite_runs import assign, missing_runs, name_entries, needs
-    from uavaou.experiments.suites import Suite, suite_name, suite_places
     from uavaou.scenario import Scenario
+    from uavaou.suites.assignment import assign, missing_runs, name_entries, needs
+    from uavaou.suites.results import suite_jobs
+    from uavaou.suites.suite import Suite, suite_name, suite_places
 
     suite = Suite.load(request.suite)
     source = request.scenario or suite.scenario
@@ -114,7 +114,7 @@ def _check_runs(plan: Plan, action: str | None) -> None:
 
 def _loader(action: str | None) -> Any:
     def load(folder: RunFolder, scenario: Scenario) -> Planner:
-        from uavaou.experiments.trained import load_run  # imports torch, which planners do without
+        from uavaou.runs.policy import load_run  # imports torch, which planners do without
 
         return load_run(folder, scenario, action)
 
@@ -122,7 +122,7 @@ def _loader(action: str | None) -> Any:
 
 
 def _play(plan: Plan, planners: Mapping[str, Planner], request: Request, results: list[Result]) -> None:
-    from uavaou.experiments.suite_results import play_suite
+    from uavaou.suites.results import play_suite
     from uavaou_cli.progress import EvaluationProgress
 
     slots = max((job.place.scenario.slots for job in plan.jobs if job.place.scenario is not None), default=0)
@@ -137,8 +137,8 @@ def _play(plan: Plan, planners: Mapping[str, Planner], request: Request, results
 
 def _write(plan: Plan, results: list[Result], request: Request) -> list[str]:
     """Write the files; returns a note on each."""
-    from uavaou.experiments.folder import missions_in, write_json
-    from uavaou.experiments.suite_results import csv_rows, suite_json, write_csv
+    from uavaou.runs.folder import missions_in, write_json
+    from uavaou.suites.results import csv_rows, suite_json, write_csv
 
     episodes, seed, notes = request.episodes, request.seed, []
     for entry in plan.entries:

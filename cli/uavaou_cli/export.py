@@ -30,8 +30,8 @@ def export(
     if format == "sb3" and out.suffix != ".zip":
         raise InputError(f"--out {out}: a file for Stable-Baselines3 ends in .zip")
     writable_file(out)
-    from uavaou.experiments.folder import RunFolder
-    from uavaou.experiments.trained import load_run
+    from uavaou.runs.folder import RunFolder
+    from uavaou.runs.policy import load_run
 
     folder = RunFolder(given_path("RUN", run))
     model: Any = load_run(folder).model

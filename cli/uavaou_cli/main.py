@@ -123,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (typer.Abort, KeyboardInterrupt):
         return _complain("interrupted", INTERRUPTED)
     except SystemError as error:
-        from uavaou.experiments.interrupt import was_interrupt
+        from uavaou.runs.interrupt import was_interrupt
 
         if not was_interrupt(error):
             raise

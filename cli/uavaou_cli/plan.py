@@ -76,7 +76,7 @@ def gap(
     chosen = _scenario(scenario, parse_overrides(set_ or []))
     if chosen.layout == "resample":
         raise InputError("uavaou gap: the bound is that of one layout; set scenario.layout=fixed")
-    from uavaou.experiments.evaluation import evaluate
+    from uavaou.evaluation.evaluate import evaluate
     from uavaou.planners.bound import lower_bound
     from uavaou_cli.progress import EvaluationProgress
     from uavaou_cli.tables import gap_lines
@@ -101,8 +101,8 @@ def _policies(scenario: Scenario, runs: list[str], time_limit: float | None) -> 
     planned = {name: make_planner(name, time_limit if name in ("anneal", "rolling") else None) for name in names}
     if not runs:
         return planned
-    from uavaou.experiments.folder import RunFolder
-    from uavaou.experiments.trained import load_run
+    from uavaou.runs.folder import RunFolder
+    from uavaou.runs.policy import load_run
 
     return {name: load_run(RunFolder(Path(name)), scenario) for name in runs} | planned
 
@@ -124,11 +124,11 @@ def _scenario(name: str, overrides: Overrides) -> Scenario:
 def _plan_and_report(
     scenario: Scenario, name: str, time_limit: float | None, episodes: int, seed: int, folder: Path, quiet: bool
 ) -> None:
-    from uavaou.experiments.evaluation import evaluate
-    from uavaou.experiments.folder import write_json
+    from uavaou.evaluation.evaluate import evaluate
     from uavaou.planners import make_planner
     from uavaou.planners.bound import lower_bound
     from uavaou.planners.plan import RoutePlanner
+    from uavaou.runs.folder import write_json
     from uavaou_cli.progress import PlanningProgress
     from uavaou_cli.tables import evaluation_lines, plan_lines
 
@@ -150,7 +150,7 @@ def _plan_and_report(
 
 
 def _draw(scenario: Scenario, planner: Planner, seed: int, folder: Path) -> None:
-    from uavaou.experiments.missions import record_mission
+    from uavaou.evaluation.recorded_mission import record_mission
     from uavaou.reports.trajectories import plot_trajectories
 
     recording = record_mission(scenario, planner, seed)

@@ -35,7 +35,7 @@ def figures(
     studies = [folder for folder in given if (folder / "study.yaml").is_file()]
     runs = [folder for folder in given if folder not in studies]
     if not given:
-        from uavaou.experiments.study_tables import study_folders
+        from uavaou.studies.tables import study_folders
 
         _draw_all(study_folders(Path("results")), out)
         return
@@ -50,7 +50,7 @@ def _draw_all(studies: list[Path], out: Path | None) -> None:
 
     One that is damaged, or has only begun, keeps no other from it.
     """
-    from uavaou.experiments.study_tables import NothingYetError
+    from uavaou.studies.tables import NothingYetError
 
     problems: list[InputError] = []
     places = [_place(study, studies, out) for study in studies]
@@ -87,7 +87,7 @@ def _place(study: Path, studies: list[Path], out: Path | None) -> Path:
 
 
 def _draw_runs(runs: list[Path], target: Path) -> None:
-    from uavaou.experiments.folder import RunFolder
+    from uavaou.runs.folder import RunFolder
 
     for folder in runs:
         RunFolder(folder).read_config()
@@ -135,15 +135,15 @@ def trajectories(
 ) -> None:
     """Draw one mission of a run's best policy, as PNG and PDF: where the UAVs flew, how the devices aged."""
     within("--episode-seed", episode_seed, 0, LARGEST_SEED)
-    from uavaou.experiments.folder import RunFolder
+    from uavaou.runs.folder import RunFolder
 
     folder = RunFolder(run)
     scenario = folder.read_config().scenario
     target = out if out is not None else run / "figures"
     writable_folder(target)
-    from uavaou.experiments.missions import record_mission
-    from uavaou.experiments.trained import load_run
+    from uavaou.evaluation.recorded_mission import record_mission
     from uavaou.reports.trajectories import plot_trajectories
+    from uavaou.runs.policy import load_run
 
     recording = record_mission(scenario, load_run(folder), episode_seed)
     print("\n".join(map(str, plot_trajectories(scenario, recording, target, f"mission-{episode_seed}"))))

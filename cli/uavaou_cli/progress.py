@@ -8,8 +8,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
-    from uavaou.experiments.search import TrialRecord
     from uavaou.planners.plan import Progress
+    from uavaou.tuning.search import TrialRecord
     from uavaou.world import World
 
 _BAR_EVERY_S = 0.5
@@ -74,7 +74,7 @@ class EvaluationProgress(_Progress):
             self._bar.update(self._task, completed=self._before, description=self._name, rate="", aou="")
 
     def after_slot(self, slots: int, world: World) -> None:
-        """``slots`` of the policy's are done; for :func:`uavaou.experiments.evaluation.evaluate`."""
+        """``slots`` of the policy's are done; for :func:`uavaou.evaluation.evaluate.evaluate`."""
         now = time.monotonic()
         if self._quiet or now < self._next:
             return

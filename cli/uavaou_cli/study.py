@@ -16,9 +16,9 @@ from uavaou.errors import InputError
 from uavaou_cli.checks import given_path, one_of, within, writable_folder
 
 if TYPE_CHECKING:
-    from uavaou.experiments.studies.engine import Engine
-    from uavaou.experiments.studies.jobs import Key
-    from uavaou.experiments.study import Study
+    from uavaou.studies.engine import Engine
+    from uavaou.studies.jobs import Key
+    from uavaou.studies.study import Study
 
 ENGINES = ("local", "ray")
 MOST_JOBS = 4096
@@ -57,7 +57,7 @@ def run(
         raise InputError(f"--address {address!r}: is that of a Ray cluster, for --engine ray")
     chosen, folder = _study(study, out)
     writable_folder(folder)
-    from uavaou.experiments.studies.runner import run_study
+    from uavaou.studies.runner import run_study
     from uavaou_cli.study_progress import StudyProgress
     from uavaou_cli.study_tables import study_lines
 
@@ -82,7 +82,7 @@ def run(
 
 def status(study: _FILE, out: _OUT = Path("results")) -> None:
     """Show how the runs of a study stand."""
-    from uavaou.experiments.studies.status import study_status
+    from uavaou.studies.status import study_status
     from uavaou_cli.study_tables import status_lines
 
     chosen, _ = _study(study, out)
@@ -96,9 +96,9 @@ def report(study: _FILE, out: _OUT = Path("results")) -> None:
     verdicts on the paper's claims into DIR/README.md where the study judges them. While the study runs, its tables are
     taken as they stand.
     """
-    from uavaou.experiments.lock import HeldError, only_writer
-    from uavaou.experiments.studies.store import StudyStore, study_folder
     from uavaou.reports.study_report import write_report
+    from uavaou.runs.lock import HeldError, only_writer
+    from uavaou.studies.store import StudyStore, study_folder
     from uavaou_cli.study_tables import study_lines
 
     chosen, folder = _study(study, out)
@@ -121,8 +121,8 @@ def report(study: _FILE, out: _OUT = Path("results")) -> None:
 
 def _refuse_nothing(study: Study, out: Path) -> None:
     """Refuse to report a study of which nothing has been evaluated, before anything is written."""
-    from uavaou.experiments.studies.finished import gather
-    from uavaou.experiments.studies.store import StudyStore, study_folder
+    from uavaou.studies.finished import gather
+    from uavaou.studies.store import StudyStore, study_folder
 
     if StudyStore(study_folder(out, study)).evaluated:
         return
@@ -133,8 +133,8 @@ def _refuse_nothing(study: Study, out: Path) -> None:
 
 
 def _condense(study: Study, out: Path, folder: Path) -> None:
-    from uavaou.experiments.studies.finished import report_study
-    from uavaou.experiments.study_missions import record_study_missions
+    from uavaou.studies.finished import report_study
+    from uavaou.studies.missions import record_study_missions
 
     _, problems = report_study(study, out)
     _say_left_out(problems)
@@ -148,8 +148,8 @@ def _say_left_out(problems: Mapping[Key, str]) -> None:
 
 def _study(name: str, out: Path) -> tuple[Study, Path]:
     """The study, and the folder of its condensed results."""
-    from uavaou.experiments.studies.store import study_folder
-    from uavaou.experiments.study import Study
+    from uavaou.studies.store import study_folder
+    from uavaou.studies.study import Study
 
     given_path("STUDY", name)
     if out.exists() and not out.is_dir():
@@ -161,10 +161,10 @@ def _study(name: str, out: Path) -> tuple[Study, Path]:
 def _engine(stack: ExitStack, name: str, jobs: int | None, address: str | None, plugins: list[str]) -> Engine:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if name == "local":
-        from uavaou.experiments.studies.processes import Processes
+        from uavaou.studies.processes import Processes
 
         return Processes(jobs or cores, plugins)
-    from uavaou.experiments.studies.cluster import Cluster
+    from uavaou.studies.cluster import Cluster
 
     return stack.enter_context(Cluster(jobs if address else jobs or cores, address, plugins))
 

@@ -7,11 +7,11 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from uavaou.experiments.studies.jobs import PLAN
+from uavaou.studies.jobs import PLAN
 from uavaou_cli.tables import duration
 
 if TYPE_CHECKING:
-    from uavaou.experiments.studies.runner import Standing
+    from uavaou.studies.runner import Standing
 
 _LINE_EVERY_S = 10.0
 _MOST_VARIANTS = 6

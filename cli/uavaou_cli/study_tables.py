@@ -12,16 +12,16 @@ from uavaou_cli.tables import WIDTH, aligned, duration, figure
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from uavaou.experiments.studies.status import PartStatus
-    from uavaou.experiments.study import Study
     from uavaou.reports.standings import Standing
+    from uavaou.studies.status import PartStatus
+    from uavaou.studies.study import Study
 
 
 def study_lines(folder: Path) -> list[str]:
     """The results of a study: for each scenario the mean AoU of every variant and planner, the best first."""
-    from uavaou.experiments.study_results import read_study
-    from uavaou.experiments.study_tables import by_run
     from uavaou.reports.standings import standings
+    from uavaou.studies.results import read_study
+    from uavaou.studies.tables import by_run
 
     results = read_study(folder)
     lines = [f"study {results.study['name']}: mean AoU in slots, {results.study['episodes']} missions a run"]
@@ -46,7 +46,7 @@ def _cells(one: Standing) -> tuple[str, ...]:
 
 def status_lines(study: Study, parts: Sequence[PartStatus]) -> list[str]:
     """A row for each run, planner and bound, and the time left."""
-    from uavaou.experiments.studies.status import seconds_left
+    from uavaou.studies.status import seconds_left
 
     states = ("finished", "trained", "running", "stopped", "failed", "waiting")
     counts = [(state, sum(part.state == state for part in parts)) for state in states]

@@ -11,10 +11,10 @@ from uavaou.zoo import zoo_names
 from uavaou_cli.tables import WIDTH, aligned, figure
 
 if TYPE_CHECKING:
-    from uavaou.experiments.suite_results import Result
-    from uavaou.experiments.suite_runs import Missing
-    from uavaou.experiments.suites import Place, Suite
     from uavaou.scenario import Scenario
+    from uavaou.suites.assignment import Missing
+    from uavaou.suites.results import Result
+    from uavaou.suites.suite import Place, Suite
     from uavaou_cli.evaluate_suite import Plan
 
 
@@ -85,7 +85,7 @@ def _violations(results: Sequence[Result]) -> list[str]:
 
 def _budgets(results: Sequence[Result]) -> list[str]:
     """How long the policies were trained, where that differs."""
-    from uavaou.experiments.suite_runs import budget_lines
+    from uavaou.suites.assignment import budget_lines
 
     flown = [(r.job.policy, r.job.place.point.label, r.job.entry.slots) for r in results if r.job.entry is not None]
     lines = [part for line in budget_lines(flown) for part in textwrap.wrap(line, WIDTH)]
@@ -115,7 +115,7 @@ def _refusals(results: Sequence[Result]) -> list[str]:
 
 def _elsewhere(plan: Plan, results: Sequence[Result]) -> list[str]:
     """In what the training of a run flown zero-shot differed from the suite's scenario, what all points set apart."""
-    from uavaou.experiments.suite_runs import differences
+    from uavaou.suites.assignment import differences
 
     lines: list[str] = []
     set_everywhere = set.intersection(*(set(place.point.set) for place in plan.places))

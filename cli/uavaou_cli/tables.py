@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from uavaou.experiments.evaluation import Evaluation
-    from uavaou.experiments.folder import RunConfig
-    from uavaou.experiments.run import Outcome
-    from uavaou.experiments.search import Search, SearchFolder, TrialRecord
-    from uavaou.experiments.statistics import Interval
+    from uavaou.evaluation.evaluate import Evaluation
     from uavaou.planners.bound import Bound
     from uavaou.planners.plan import Plan
+    from uavaou.runs.folder import RunConfig
+    from uavaou.runs.train import Outcome
     from uavaou.scenario import Scenario
+    from uavaou.statistics import Interval
+    from uavaou.tuning.search import Search, SearchFolder, TrialRecord
 
 WIDTH = 80
 _GAP = "  "
@@ -123,7 +123,7 @@ def _ratio(value: float, base: float) -> str:
 
 
 def _cells(scenario: Scenario, result: Evaluation, action: str | None) -> list[tuple[str, str]]:
-    from uavaou.experiments.statistics import interval
+    from uavaou.statistics import interval
 
     aou = result.values("mean_aou_s")
     return [
@@ -196,7 +196,7 @@ def tuning_lines(
     folder: SearchFolder, search: Search, records: Sequence[TrialRecord], scenario: str, plugins: Sequence[str]
 ) -> list[str]:
     """The best trials of a search, what they changed, and the command that trains with the best."""
-    from uavaou.experiments.search import ranked
+    from uavaou.tuning.search import ranked
 
     best = ranked(records)
     counted = [record for record in records if record.counts]

@@ -15,7 +15,7 @@ from uavaou_cli.checks import LARGEST_SEED, available_device, one_of, within, wr
 from uavaou_cli.overrides import parse_overrides
 
 if TYPE_CHECKING:
-    from uavaou.experiments.folder import RunConfig, RunFolder
+    from uavaou.runs.folder import RunConfig, RunFolder
 
 DEVICES = ("auto", "cpu", "cuda")
 _ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # in the help, without the registry; tested
@@ -74,7 +74,7 @@ def train(
     if resume and not folder.exists() and not quiet:
         print(f"no run in '{folder.path}' yet: starting one", file=sys.stderr)
     try:
-        from uavaou.experiments.run import train as run_training
+        from uavaou.runs.train import train as run_training
         from uavaou_cli.tables import training_lines
 
         outcome = run_training(plan, folder, device, backend, resume, quiet, checkpoint_every)
@@ -91,7 +91,7 @@ def _plan(
     scenario: str, algorithm: str, seed: int, slots: int | None, out: Path, items: list[str]
 ) -> tuple[RunConfig, RunFolder]:
     """What to train, and the folder that is its own."""
-    from uavaou.experiments.folder import RunConfig, run_folder
+    from uavaou.runs.folder import RunConfig, run_folder
     from uavaou.scenario import Scenario
 
     overrides = parse_overrides(items)
@@ -107,7 +107,7 @@ def _plan(
 
 def _again(path: Path, out: Path, given: Mapping[str, object]) -> tuple[RunConfig, RunFolder]:
     """The training of a ``config.yaml``, which nothing is added to, and its folder."""
-    from uavaou.experiments.folder import config_folder, read_config
+    from uavaou.runs.folder import config_folder, read_config
 
     for option, value in given.items():
         if value is not None and value != []:

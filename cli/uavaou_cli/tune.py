@@ -15,7 +15,7 @@ from uavaou_cli.checks import LARGEST_SEED, within, writable_folder
 from uavaou_cli.overrides import parse_overrides
 
 if TYPE_CHECKING:
-    from uavaou.experiments.search import Search, SearchFolder
+    from uavaou.tuning.search import Search, SearchFolder
 
 DEFAULT_TRIALS = 12
 DEFAULT_TOP = 4
@@ -79,7 +79,7 @@ def tune(
         top = top or DEFAULT_TOP
         search, folder = _continuation(from_, top, scenario, algorithm, seconds, slots, seed, out, set_ or [])
     wanted = top or trials or DEFAULT_TRIALS
-    from uavaou.experiments.tuning import read_trials, run_search
+    from uavaou.tuning.trials import read_trials, run_search
     from uavaou_cli.progress import TuningProgress
     from uavaou_cli.tables import tuning_lines
 
@@ -109,10 +109,10 @@ def _search(
     items: list[str],
 ) -> tuple[Search, SearchFolder]:  # fmt: skip
     """The search that the options ask for, and its folder."""
-    from uavaou.experiments.folder import run_folder
-    from uavaou.experiments.search import Search, SearchFolder
-    from uavaou.experiments.search_space import RESERVED, SearchSpace
+    from uavaou.runs.folder import run_folder
     from uavaou.scenario import Scenario
+    from uavaou.tuning.search import Search, SearchFolder
+    from uavaou.tuning.search_space import RESERVED, SearchSpace
 
     overrides = parse_overrides(items)
     for name in RESERVED:
@@ -131,9 +131,9 @@ def _continuation(
     out: Path, items: list[str],
 ) -> tuple[Search, SearchFolder]:  # fmt: skip
     """The search that plays the best trials of another one again, and its folder."""
-    from uavaou.experiments.folder import run_folder
-    from uavaou.experiments.search import Search, SearchFolder, ranked
+    from uavaou.runs.folder import run_folder
     from uavaou.scenario import Scenario
+    from uavaou.tuning.search import Search, SearchFolder, ranked
 
     overrides = parse_overrides(items)
     for name in overrides.algorithm:
@@ -141,7 +141,7 @@ def _continuation(
     before = SearchFolder(source).read()
     if algorithm not in (None, before.algorithm.name):
         raise InputError(f"--from {source}: a search of {before.algorithm.name}, not of --algorithm {algorithm}")
-    from uavaou.experiments.tuning import read_trials
+    from uavaou.tuning.trials import read_trials
 
     best = ranked(read_trials(SearchFolder(source)))
     if len(best) < top:

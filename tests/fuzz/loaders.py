@@ -17,14 +17,14 @@ import atheris
 with atheris.instrument_imports(include=["uavaou"]):
     import numpy as np
 
-    from uavaou.algorithms.common.safe_io import _about
-    from uavaou.algorithms.common.tensor_file import ArrayFile, write_arrays
+    from uavaou.algorithms.io.save_load import _about
+    from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
     from uavaou.devices_csv import read_devices_csv
     from uavaou.errors import InputError
-    from uavaou.experiments.checkpoint import Progress, _progress
-    from uavaou.experiments.folder import RunConfig, RunFolder
     from uavaou.files import read_json
     from uavaou.reports.run_results import read_run
+    from uavaou.runs.checkpoint import Progress, _progress
+    from uavaou.runs.folder import RunConfig, RunFolder
     from uavaou.scenario import Scenario
 
 PLACE = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))

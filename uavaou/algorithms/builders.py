@@ -12,8 +12,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from uavaou.algorithms.config import JointQConfig, MappoConfig, QmixConfig
 from uavaou.algorithms.mappo import IPPO, MAPPO
-from uavaou.algorithms.qmix import QMIX
-from uavaou.algorithms.vdn import IQL, VDN
+from uavaou.algorithms.qlearning import IQL, QMIX, VDN
 from uavaou.envs.flatten import MissionVecEnv
 
 

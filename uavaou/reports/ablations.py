@@ -1,7 +1,7 @@
 """The table of an ablation study: each variant against the published settings, with a sentence that is computed.
 
 What is compared is one mean AoU a training seed, over that seed's missions. The ratio of two variants and its interval
-are those of :mod:`uavaou.experiments.trainings`. A variant that changes more than one thing names the variant without
+are those of :mod:`uavaou.trainings`. A variant that changes more than one thing names the variant without
 the one in question; the sentence then speaks of that ratio.
 """
 
@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.errors import unknown
-from uavaou.experiments.stratified import Estimate
-from uavaou.experiments.trainings import ratio_of_trainings
 from uavaou.reports.markdown import rounded, table, with_interval
+from uavaou.stratified import Estimate
+from uavaou.trainings import ratio_of_trainings
 
 Floats = NDArray[np.float64]
 

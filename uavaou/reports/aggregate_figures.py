@@ -10,16 +10,16 @@ from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from uavaou.envs.map import BLACK
-from uavaou.experiments.stratified import (
+from uavaou.reports import style
+from uavaou.reports.drawing import Looks
+from uavaou.reports.references import FIXED_RULES, comparable, in_all_scenarios
+from uavaou.stratified import (
     Estimate,
     interquartile_mean,
     performance_profile,
     probability_of_improvement,
 )
-from uavaou.experiments.study_tables import StudyTables
-from uavaou.reports import style
-from uavaou.reports.drawing import Looks
-from uavaou.reports.references import FIXED_RULES, comparable, in_all_scenarios
+from uavaou.studies.tables import StudyTables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,7 +1,7 @@
 """The paper's claims, and ours, held against a study: verdicts are computed from its tables, whatever they are.
 
 :mod:`uavaou.reports.verdicts` says how. Ratios and their intervals over trainings are those of
-:mod:`uavaou.experiments.trainings`.
+:mod:`uavaou.trainings`.
 """
 
 from __future__ import annotations
@@ -12,10 +12,6 @@ from fractions import Fraction
 import numpy as np
 from scipy.stats import rankdata
 
-from uavaou.experiments.stratified import Estimate
-from uavaou.experiments.study_results import StudyResults
-from uavaou.experiments.study_tables import StudyTables, by_run
-from uavaou.experiments.trainings import mean_of_trainings, ratio_of_trainings
 from uavaou.reports.references import best_planner
 from uavaou.reports.training_claims import convergence, last_reward, time_to_level
 from uavaou.reports.verdicts import (
@@ -33,6 +29,10 @@ from uavaou.reports.verdicts import (
     positive,
     size_verdict,
 )
+from uavaou.stratified import Estimate
+from uavaou.studies.results import StudyResults
+from uavaou.studies.tables import StudyTables, by_run
+from uavaou.trainings import mean_of_trainings, ratio_of_trainings
 
 LOWEST = "the minimum value of AoU is achieved through MAPPO-AoU"
 REDUCED = "Compared to VDN and QMIX, the AoU during the execution is reduced by a factor of 1/2 and 2/3 respectively"

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from uavaou.experiments.statistics import Interval
 from uavaou.reports import style
+from uavaou.statistics import Interval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.errors import InputError
-from uavaou.experiments.statistics import interval, intervals
 from uavaou.reports import style
 from uavaou.reports.drawing import (
     COMMUNICATIONS,
@@ -34,6 +33,7 @@ from uavaou.reports.drawing import (
     time_unit,
 )
 from uavaou.reports.run_results import PolicyResult, Run, read_run
+from uavaou.statistics import interval, intervals
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 
 from uavaou.envs.map import add_age_bar, age_scale, draw_devices, draw_ground, uav_colour
-from uavaou.experiments.missions import RecordedMission
+from uavaou.evaluation.recorded_mission import RecordedMission
 from uavaou.reports import style
 from uavaou.reports.trajectories import device_area, draw_steps, draw_strip, fleet_handles
 

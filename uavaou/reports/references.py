@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from uavaou.experiments.study_tables import StudyTables
+from uavaou.studies.tables import StudyTables
 
 Floats = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaou.experiments.stratified import Estimate, interquartile_mean, mean_score
-from uavaou.experiments.study_results import StudyResults, rows_of
-from uavaou.experiments.study_tables import StudyTables
+from uavaou.stratified import Estimate, interquartile_mean, mean_score
+from uavaou.studies.results import StudyResults, rows_of
+from uavaou.studies.tables import StudyTables
 
 Floats = NDArray[np.float64]
 

@@ -12,10 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaou.experiments.missions import read_mission
-from uavaou.experiments.statistics import Interval, interval, intervals
-from uavaou.experiments.study_results import Table
-from uavaou.experiments.study_tables import StudyTables, load_study
+from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.files import folder_name
 from uavaou.reports import style
 from uavaou.reports.aggregate_figures import aggregate_figures
@@ -38,6 +35,9 @@ from uavaou.reports.drawing import (
 )
 from uavaou.reports.mission_figures import mission_figures
 from uavaou.reports.references import best_planner
+from uavaou.statistics import Interval, interval, intervals
+from uavaou.studies.results import Table
+from uavaou.studies.tables import StudyTables, load_study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

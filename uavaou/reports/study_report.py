@@ -11,11 +11,6 @@ from itertools import product
 from pathlib import Path
 
 from uavaou.errors import InputError
-from uavaou.experiments.folder import write_json
-from uavaou.experiments.marl_eval import to_marl_eval
-from uavaou.experiments.studies.store import StudyFolder, read_failures
-from uavaou.experiments.study_results import StudyResults, read_study
-from uavaou.experiments.study_tables import StudyTables, by_run
 from uavaou.files import replacing
 from uavaou.reports.ablations import ablation_table, ablations
 from uavaou.reports.claims import judge
@@ -23,6 +18,11 @@ from uavaou.reports.claims_table import claims_markdown, write_claims
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.references import below_bound
 from uavaou.reports.standings import Standing, standings
+from uavaou.runs.folder import write_json
+from uavaou.studies.marl_eval import to_marl_eval
+from uavaou.studies.results import StudyResults, read_study
+from uavaou.studies.store import StudyFolder, read_failures
+from uavaou.studies.tables import StudyTables, by_run
 
 _NOTE = """\
 Mean AoU per slot in units of the slot length τ, over the missions of the final evaluation, which no training and no

@@ -16,10 +16,10 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from uavaou.errors import InputError
-from uavaou.experiments.statistics import Interval, interval
-from uavaou.experiments.suite_runs import budget_lines
 from uavaou.files import read_text
 from uavaou.reports import style
+from uavaou.statistics import Interval, interval
+from uavaou.suites.assignment import budget_lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,9 +10,6 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from uavaou.experiments.study_results import Table
-from uavaou.experiments.study_tables import StudyTables
-from uavaou.experiments.trainings import ratio_of_trainings
 from uavaou.reports.convergence import WITHIN, Moment, converged, reached, smooth
 from uavaou.reports.markdown import rounded, with_interval
 from uavaou.reports.verdicts import (
@@ -30,6 +27,9 @@ from uavaou.reports.verdicts import (
     not_measured,
     positive,
 )
+from uavaou.studies.results import Table
+from uavaou.studies.tables import StudyTables
+from uavaou.trainings import ratio_of_trainings
 
 FEWER_ITERATIONS = "requires fewer iterations to achieve convergence compared to conventional Value-based RL algorithms"
 HIGHER_REWARDS = "MAPPO-AoU converges faster and achieves higher rewards than the benchmarks"

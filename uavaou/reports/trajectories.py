@@ -22,7 +22,7 @@ from uavaou.envs.map import (
     uav_colour,
     uav_offset,
 )
-from uavaou.experiments.missions import Recording
+from uavaou.evaluation.recorded_mission import Recording
 from uavaou.reports.style import (
     COLUMN_WIDTH_IN,
     GREY,

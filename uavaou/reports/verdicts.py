@@ -18,10 +18,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaou.experiments.stratified import Estimate
-from uavaou.experiments.study_fields import JUDGED
-from uavaou.experiments.study_tables import StudyTables
 from uavaou.reports.markdown import rounded
+from uavaou.stratified import Estimate
+from uavaou.studies.fields import JUDGED
+from uavaou.studies.tables import StudyTables
 
 Floats = NDArray[np.float64]
 Trainings = Mapping[str, Floats]  # scenario -> (S,), one value a training; (), a number, of what is not trained

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from uavaou.algorithms.common.rollout import SlotRolloutBuffer
+from uavaou.algorithms.mappo.buffer import SlotRolloutBuffer
 
 if TYPE_CHECKING:
     from uavaou.algorithms.mappo.mappo import MAPPO

@@ -17,15 +17,15 @@ from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
-from uavaou.algorithms.common.clipped_adam import ClippedAdam
-from uavaou.algorithms.common.memory import keep_freed_memory
-from uavaou.algorithms.common.policy import CentralizedValuePolicy
-from uavaou.algorithms.common.rollout import SlotBatch, SlotRolloutBuffer
-from uavaou.algorithms.common.safe_io import SafeSaveLoad
-from uavaou.algorithms.common.threads import one_thread
+from uavaou.algorithms.fast.adam import ClippedAdam
+from uavaou.algorithms.fast.gradients import Slots, WrittenGradients
+from uavaou.algorithms.fast.memory import keep_freed_memory
+from uavaou.algorithms.fast.workers import Partner, share_out
+from uavaou.algorithms.io.save_load import SafeSaveLoad
+from uavaou.algorithms.mappo.buffer import SlotBatch, SlotRolloutBuffer
 from uavaou.algorithms.mappo.collecting import collect
-from uavaou.algorithms.mappo.gradients import Slots, WrittenGradients
-from uavaou.algorithms.mappo.partners import Partner, share_out
+from uavaou.algorithms.mappo.policy import CentralizedValuePolicy
+from uavaou.algorithms.threads import one_thread
 from uavaou.errors import InputError, unknown
 
 ADVANTAGES = ("none", "rollout", "batch")

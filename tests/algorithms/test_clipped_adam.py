@@ -1,0 +1,80 @@
+"""Clipping and Adam in one: the same numbers as by torch, bit for bit; tensors in one piece of shared memory."""
+
+from __future__ import annotations
+
+import pytest
+import torch as th
+
+from uavaou.algorithms.fast.adam import ClippedAdam
+from uavaou.algorithms.fast.memory import Flat, share_parameters
+
+SHAPES = [[(24, 37), (24,), (31, 24), (31,)], [(16, 5), (16,), (1, 16), (1,)]]  # two groups, some of odd sizes
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def parameters_and_adam() -> tuple[list[th.nn.Parameter], th.optim.Adam]:
+    generator = th.Generator().manual_seed(0)
+    groups = [[th.nn.Parameter(th.randn(shape, generator=generator)) for shape in group] for group in SHAPES]
+    adam = th.optim.Adam([{"params": group} for group in groups], lr=1e-3, eps=1e-5, fused=True)
+    adam.param_groups[1]["lr"] = 6e-4
+    return [parameter for group in groups for parameter in group], adam
+
+
+def torch_step(optimizer: th.optim.Adam, gradients: list[th.Tensor]) -> None:
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    for parameter, gradient in zip(parameters, gradients, strict=True):
+        parameter.grad = gradient.clone()
+    for group in optimizer.param_groups:
+        th.nn.utils.clip_grad_norm_(group["params"], 5.0)
+    optimizer.step()
+
+
+def test_steps_are_torchs_bit_for_bit_whoever_takes_them() -> None:
+    expected, torchs = parameters_and_adam()
+    parameters, optimizer = parameters_and_adam()
+    share_parameters(parameters)
+    generator = th.Generator().manual_seed(1)
+    for first in (True, False):  # that begins, and that goes on from torch's step below
+        flat = Flat(parameters)
+        for parameter, part in zip(parameters, flat.parts, strict=True):
+            parameter.grad = part
+        adam = ClippedAdam(optimizer, 5.0)
+        for scale in (1.0, 0.01, 3.0):  # clipped, not clipped, clipped
+            step = [th.randn(parameter.shape, generator=generator) * scale for parameter in parameters]
+            th._foreach_copy_(flat.parts, step)
+            torch_step(torchs, step)
+            adam.step()
+            assert all(map(th.equal, parameters, expected))
+        if first:
+            torch_step(torchs, step)
+            torch_step(optimizer, step)
+    for ours, theirs in zip(optimizer.state.values(), torchs.state.values(), strict=True):
+        assert {name: value.tolist() for name, value in ours.items()} == {
+            name: value.tolist() for name, value in theirs.items()
+        }
+
+
+def test_parts_are_views_that_begin_at_cache_lines() -> None:
+    flat = Flat([th.zeros(3, 5), th.zeros(()), th.zeros(16)])
+    assert [part.shape for part in flat.parts] == [(3, 5), (), (16,)]
+    assert all(part.data_ptr() % 64 == 0 for part in flat.parts)
+    flat.whole += 1.0
+    assert all(bool((part == 1.0).all()) for part in flat.parts)
+
+
+@pytest.mark.parametrize(
+    "optimizer",
+    [
+        lambda parameters: th.optim.SGD(parameters),
+        lambda parameters: th.optim.AdamW(parameters, fused=True),
+        lambda parameters: th.optim.Adam(parameters),
+        lambda parameters: th.optim.Adam(parameters, fused=True, weight_decay=0.1),
+        lambda parameters: th.optim.Adam(parameters, fused=True, amsgrad=True),
+    ],
+)
+def test_other_optimizers_are_left_to_torch(optimizer: object) -> None:
+    parameters, adam = parameters_and_adam()
+    assert ClippedAdam.serves(adam)
+    assert callable(optimizer)
+    assert not ClippedAdam.serves(optimizer(parameters))

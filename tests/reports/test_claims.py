@@ -1,0 +1,381 @@
+"""Verdicts come out each way on studies whose truth is known, and reach a README."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import gmean, spearmanr, ttest_1samp
+
+from tests.synthetic_study import BUDGET, DEFAULT, MAPPO, PLANNERS, QMIX, VDN, Variant, write_study
+from uavaou.errors import InputError
+from uavaou.reports.claims import judge
+from uavaou.reports.claims_table import END, begin_marker, claims_markdown, write_claims
+from uavaou.reports.convergence import converged, reached, smooth
+from uavaou.reports.verdicts import Claim, direction_verdict, size_verdict
+from uavaou.stratified import Estimate
+from uavaou.studies.results import read_study, rows_of
+from uavaou.trainings import ratio_of_trainings
+
+MANY = 9  # seeds
+ANY = "<!-- claims:begin -->"  # of no study by name
+BEGIN = begin_marker("paper")
+
+
+def verdicts(folder: Path, **changes: object) -> list[Claim]:
+    """The claims of a study with some variants changed: ``mappo=replace(MAPPO, aou=30)``; planners and bound too."""
+    options = {name: changes.pop(name) for name in ("planners", "bound", "seeds", "scenarios") if name in changes}
+    variants = {name: variant for name, variant in (DEFAULT | changes).items() if variant is not None}
+    return judge(read_study(write_study(folder, variants, **options)))  # type: ignore[arg-type]
+
+
+def of(claims: list[Claim], *words: str) -> Claim:
+    found = [claim for claim in claims if all(word in claim.claim for word in words)]
+    assert len(found) == 1, [claim.claim for claim in found]
+    return found[0]
+
+
+def test_every_claim_is_supported_where_it_is_true(tmp_path: Path) -> None:
+    claims = verdicts(tmp_path / "true")
+    assert len(claims) == 19
+    assert {claim.verdict for claim in claims[:-1]} == {"supported"}
+    assert claims[-1].verdict == "a figure"  # the bound lies below everyone: that is no claim
+    assert all(claim.command == "uavaou study run true.yaml" for claim in claims)
+    reduced = of(claims, "reduced by 1/2")
+    assert reduced.estimate is not None
+    assert reduced.estimate.value == pytest.approx(0.4, rel=0.05)
+    assert reduced.estimate.low < reduced.estimate.value < reduced.estimate.high
+
+
+def test_every_claim_of_the_paper_fails_where_it_is_false(tmp_path: Path) -> None:
+    worse = Variant(200.0, converges=58_000, communications=200.0, served=5.0, by_period=+10.0)
+    claims = verdicts(tmp_path / "false", mappo=worse)
+    assert {claim.verdict for claim in claims[:-1]} == {"not supported"}
+    assert claims[-1].verdict == "a figure"
+
+
+def test_how_far_the_bound_is_has_an_interval_over_seeds(tmp_path: Path) -> None:
+    folder = write_study(tmp_path / "study", bound=20.0)
+    claim = of(judge(read_study(folder)), "lower bound")
+    rows = rows_of(read_study(folder).missions, variant="mappo")
+    means = [rows["mean_aou_slots"][rows["seed"] == seed].mean() for seed in range(4)]
+    assert claim.estimate == ratio_of_trainings({"": means}, {"": 20.0})
+    assert claim.estimate.low < 2 < claim.estimate.high
+
+
+# Each claim between yes and no: the estimate lies on the claimed side, the interval reaches the other.
+HALF: list[tuple[dict[str, object], tuple[str, ...]]] = [
+    ({"vdn": replace(VDN, aou=60.0)}, ("reduced by 1/2",)),
+    ({"vdn": replace(VDN, aou=110.0, spread=0.3)}, ("reduced by 1/2",)),
+    ({"qmix": replace(QMIX, aou=80.0)}, ("reduced by 2/3", "1/3 is left")),
+    ({"qmix": replace(QMIX, aou=50.0)}, ("reduced by 2/3", "2/3 is left")),
+    ({"planners": {"greedy": Variant(42.0)}, "mappo": replace(MAPPO, spread=0.2)}, ("best planner",)),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), HALF, ids=range(len(HALF)))
+def test_claims_are_partly_supported(tmp_path: Path, changes: dict[str, object], words: tuple[str, ...]) -> None:
+    claim = of(verdicts(tmp_path / "study", **changes), *words)
+    assert claim.verdict == "partly supported", claim
+
+
+@pytest.mark.parametrize(
+    ("missing", "unmeasured"),
+    [({"vdn": None}, 7), ({"vdn": None, "qmix": None}, 16), ({"mappo": None}, 19), ({"bound": None}, 1)],
+)
+def test_what_is_missing_is_not_measured(tmp_path: Path, missing: dict[str, object], unmeasured: int) -> None:
+    claims = verdicts(tmp_path / "study", **missing)
+    without = [claim for claim in claims if claim.verdict == "not measured"]
+    assert len(without) == unmeasured
+    assert all(claim.estimate is None and "the study has no" in claim.measured for claim in without)
+
+
+def test_one_seed_supports_no_claim(tmp_path: Path) -> None:
+    """Missions of one training say nothing of another: whatever there are of them, there is no interval."""
+    claims = verdicts(tmp_path / "study", seeds=1)
+    assert {claim.verdict for claim in claims[:-1]} == {"partly supported"}
+    for claim in claims:
+        assert claim.estimate is not None
+        assert np.isnan([claim.estimate.low, claim.estimate.high]).all()
+
+
+def test_one_training_of_the_other_supports_no_claim(tmp_path: Path) -> None:
+    folder = write_study(tmp_path / "study")
+    path = folder / "runs.csv"
+    rows = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(row for row in rows if not (row.startswith("vdn") and row.split(",")[3] != "0")))
+    claims = judge(read_study(folder))
+    against = [claim for claim in claims if "VDN" in claim.claim]
+    assert len(against) == 7
+    assert {claim.verdict for claim in against} == {"partly supported"}
+    assert of(claims, "reduced by 2/3", "1/3 is left").verdict == "supported"
+
+
+def test_the_planner_beside_mappo_is_the_best_with_full_information(tmp_path: Path) -> None:
+    planners = PLANNERS | {"random": Variant(1.0)}  # looks at nothing: no planner with full information
+    claim = of(verdicts(tmp_path / "study", planners=planners), "best planner")
+    assert "`best-first`" in claim.measured
+    assert claim.verdict == "supported"
+
+
+def test_correlation_is_spearmans(tmp_path: Path) -> None:
+    folder = write_study(tmp_path / "study", {"mappo": replace(MAPPO, by_period=-1.0)}, seeds=3)
+    results = read_study(folder)
+    claim = of(judge(results), "generate more often")
+    literal = []
+    for seed in range(3):
+        rows = rows_of(results.devices, variant="mappo", seed=seed)
+        literal.append(spearmanr(rows["communications"], rows["update_period_slots"]).statistic)
+    assert claim.estimate is not None
+    assert claim.estimate.value == pytest.approx(np.mean(literal))
+    interval = ttest_1samp(literal, 0).confidence_interval(0.95)
+    assert claim.estimate[1:] == pytest.approx((max(interval.low, -1), min(interval.high, 1)))
+
+
+def test_a_correlation_is_never_beyond_one(tmp_path: Path) -> None:
+    claim = of(verdicts(tmp_path / "study", seeds=2, mappo=replace(MAPPO, by_period=-0.6)), "generate more often")
+    assert claim.estimate is not None
+    assert claim.estimate.low == -1 or claim.estimate.high == 1
+
+
+@pytest.mark.parametrize(
+    ("estimate", "lower", "expected"),
+    [
+        (Estimate(0.8, 0.7, 0.9), True, "supported"),
+        (Estimate(0.8, 0.7, 1.1), True, "partly supported"),
+        (Estimate(1.2, 0.9, 1.5), True, "not supported"),
+        (Estimate(1.0, 1.0, 1.0), True, "not supported"),
+        (Estimate(0.8, np.nan, np.nan), True, "partly supported"),
+        (Estimate(1.2, 1.1, 1.3), False, "supported"),
+        (Estimate(1.2, 0.9, 1.3), False, "partly supported"),
+        (Estimate(1.0, 1.0, 1.0), False, "not supported"),
+    ],
+)
+def test_direction(estimate: Estimate, lower: bool, expected: str) -> None:
+    assert direction_verdict(estimate, 1, lower=lower) == expected
+
+
+@pytest.mark.parametrize(
+    ("estimate", "expected"),
+    [
+        (Estimate(0.4, 0.3, 0.45), "supported"),
+        (Estimate(0.5, 0.5, 0.5), "supported"),
+        (Estimate(0.52, 0.48, 0.56), "partly supported"),
+        (Estimate(0.6, 0.55, 0.65), "partly supported"),
+        (Estimate(0.75, 0.45, 0.99), "partly supported"),  # a wide interval supports no more than a narrow one
+        (Estimate(0.5, 0.2, 1.2), "partly supported"),
+        (Estimate(0.75, 0.45, 1.01), "not supported"),
+        (Estimate(1.5, 1.4, 1.6), "not supported"),
+        (Estimate(0.4, np.nan, np.nan), "partly supported"),
+        (Estimate(0.6, np.nan, np.nan), "not supported"),
+    ],
+)
+def test_size(estimate: Estimate, expected: str) -> None:
+    assert size_verdict(estimate, 0.5) == expected
+
+
+# -- convergence ---------------------------------------------------------------------------------------
+
+
+def test_smoothing_is_the_mean_of_three() -> None:
+    np.testing.assert_allclose(smooth(np.array([6.0, 4.0, 2.0, 0.0, 7.0])), [6, 5, 4, 2, 3])
+
+
+def slow_converged(aou: list[float]) -> tuple[int, bool]:
+    smoothed = [sum(aou[max(0, e - 2) : e + 1]) / len(aou[max(0, e - 2) : e + 1]) for e in range(len(aou))]
+    for e in range(len(aou)):
+        if all(value <= 1.1 * min(smoothed) for value in smoothed[e:]):
+            return e, True
+    return len(aou) - 1, False
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_convergence_is_the_first_evaluation_after_which_nothing_leaves(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    aou = 50 * (1 + 9 * np.exp(-np.arange(25) / 4)) * rng.lognormal(0, 0.12, 25)
+    assert converged(aou) == slow_converged(aou.tolist())
+
+
+def test_a_training_that_gets_worse_has_not_converged() -> None:
+    assert converged(np.array([9.0, 3.0, 3.0, 3.0, 9.0])) == (4, False)
+    assert converged(np.array([5.0])) == (0, True)
+
+
+def test_levels_are_reached_or_not() -> None:
+    aou = np.array([9.0, 6.0, 3.0, 3.0, 3.0])
+    assert reached(aou, 4.5) == (3, True)
+    assert reached(aou, 2.9) == (4, False)
+
+
+def validated_at(folder: Path, variant: str, curves: list[list[float]], times: list[list[int]]) -> None:
+    """Replace a variant's validation by AoU at slots, a pair of lists for each seed."""
+    path = folder / "validation.csv"
+    rows = [row for row in path.read_text().splitlines() if not row.startswith(f"{variant},")]
+    for seed, (aou, slots) in enumerate(zip(curves, times, strict=True)):
+        rows += [
+            f"{variant},paper,{seed},{at},{at / 100},{value},{value}" for value, at in zip(aou, slots, strict=True)
+        ]
+    path.write_text("\n".join(rows) + "\n")
+
+
+def test_times_to_a_level_are_those_of_every_training(tmp_path: Path) -> None:
+    """Best AoU of VDN 10 and 20: the level is 16.5, where its second training never gets; MAPPO's both do."""
+    folder = write_study(tmp_path / "study", seeds=2)
+    slots = [100, 200, 300, 400, 500]
+    validated_at(folder, "vdn", [[90, 30, 10, 10, 10], [90, 20, 20, 20, 20]], [slots, [2 * at for at in slots]])
+    validated_at(folder, "mappo", [[9, 9, 9, 9, 9], [90, 9, 9, 9, 9]], [slots, slots])
+    claim = of(judge(read_study(folder)), "level of VDN")
+    assert claim.estimate == ratio_of_trainings({"": [100, 400]}, {"": [500, 1000]})
+    assert "(16.5 τ): MAPPO 250 slots, VDN 750 slots (1 of 2 trainings never: the budget counts)" in claim.measured
+    assert claim.estimate is not None
+    assert claim.estimate.low < 1 < claim.estimate.high
+    assert claim.verdict == "partly supported"
+
+
+def test_convergence_is_that_of_every_training(tmp_path: Path) -> None:
+    folder = write_study(tmp_path / "study", seeds=2)
+    slots = [100, 200, 300, 400, 500]
+    validated_at(folder, "mappo", [[9, 9, 9, 9, 9], [90, 9, 9, 9, 9]], [slots, slots])
+    validated_at(folder, "vdn", [[90, 9, 9, 9, 9], [9, 9, 9, 90, 90]], [slots, slots])
+    claim = of(judge(read_study(folder)), "converges", "VDN")
+    assert claim.estimate == ratio_of_trainings({"": [100, 400]}, {"": [400, 500]})
+    assert "MAPPO 250 slots, VDN 450 slots (1 of 2 trainings not converged: the budget counts)" in claim.measured
+
+
+def test_runs_that_never_get_there_count_with_the_budget(tmp_path: Path) -> None:
+    claim = of(verdicts(tmp_path / "study", mappo=replace(MAPPO, aou=400.0)), "level of VDN")
+    assert f"MAPPO {BUDGET:,} slots (4 of 4 trainings never: the budget counts)" in claim.measured
+    assert claim.verdict == "not supported"
+
+
+def test_a_run_that_never_gets_there_supports_nothing(tmp_path: Path) -> None:
+    """Its budget may end before the other's trainings get to the level: that is no sooner."""
+    vdn = replace(VDN, spread=0.002)
+    folder = write_study(tmp_path / "study", {"mappo": replace(MAPPO, aou=400.0), "vdn": vdn})
+    path = folder / "validation.csv"
+    rows = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(row for row in rows if not (row.startswith("mappo") and int(row.split(",")[3]) > 30_000)))
+    claim = of(judge(read_study(folder)), "level of VDN")
+    assert claim.estimate is not None
+    assert claim.estimate.high < 1
+    assert claim.verdict == "not supported"
+
+
+def test_the_last_reward_is_that_of_the_last_tenth(tmp_path: Path) -> None:
+    folder = write_study(tmp_path / "study")
+    claim = of(judge(read_study(folder)), "higher rewards", "VDN")
+    late = {}
+    for variant in ("mappo", "vdn"):
+        rows = rows_of(read_study(folder).curves, variant=variant)
+        last = rows["slots"] > 0.9 * BUDGET
+        assert last.sum() == 4 * 2  # of 20 groups a seed
+        late[variant] = [-rows["reward_s"][last & (rows["seed"] == seed)].mean() for seed in range(4)]
+    assert claim.estimate is not None
+    assert claim.estimate.value == pytest.approx(gmean(late["mappo"]) / gmean(late["vdn"]))
+    assert claim.estimate.value < 1
+
+
+def test_a_scenario_without_ages_is_not_compared(tmp_path: Path) -> None:
+    """A ratio there would be none; the study's other figures stay."""
+    folder = write_study(tmp_path / "study", scenarios=("paper", "still"), seeds=2, missions=3)
+    rows = (folder / "missions.csv").read_text().splitlines()
+    still = [",".join([*row.split(",")[:4], "0,0,0,0"]) if ",still," in row else row for row in rows]
+    (folder / "missions.csv").write_text("\n".join(still) + "\n")
+    claims = judge(read_study(folder))
+    assert of(claims, "reduced by 1/2").verdict == "not measured"
+    assert of(claims, "more communications", "VDN").verdict == "not measured"
+    assert of(claims, "converges", "VDN").verdict == "supported"
+
+
+# -- README --------------------------------------------------------------------------------------------
+
+
+def test_the_table_is_written_between_the_markers_and_again(tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text(f"# Mine\n\n{BEGIN}\nthe last table\n{END}\n\nThe end.\n", encoding="utf-8")
+    results = read_study(write_study(tmp_path / "study"))
+    claims = judge(results)
+    write_claims(readme, "paper", claims)
+    text = readme.read_text(encoding="utf-8")
+    assert text.startswith(f"# Mine\n\n{BEGIN}\n")
+    assert text.endswith(f"{END}\n\nThe end.\n")
+    assert "the last table" not in text
+    assert claims_markdown(claims) in text
+    write_claims(readme, "paper", claims)
+    assert readme.read_text(encoding="utf-8") == text
+
+
+def test_every_row_has_its_cells(tmp_path: Path) -> None:
+    claims = verdicts(tmp_path / "study", vdn=None, seeds=1)
+    rows = [line for line in claims_markdown(claims).splitlines() if line.startswith("|")]
+    assert len(rows) == 2 + len(claims)
+    assert {row.count("|") for row in rows} == {7}
+    assert "none: one training" in "".join(rows)
+    assert "nan" not in "".join(rows)
+
+
+def test_a_readme_without_markers_gets_them(tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    claims = verdicts(tmp_path / "study")
+    write_claims(readme, "paper", claims)
+    first = readme.read_text(encoding="utf-8")
+    assert first.count(BEGIN) == first.count(END) == 1
+    write_claims(readme, "paper", claims)
+    assert readme.read_text(encoding="utf-8") == first
+
+
+def test_another_studys_verdicts_are_left_alone(tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    claims = [Claim("it flies", "", "not measured", "nothing")]
+    name = "a --> b é"  # of a file, too
+    readme.write_text(f"{ANY}\nof no study by name\n{END}\n", encoding="utf-8")
+    assert write_claims(readme, name, claims) == name
+    text = readme.read_text(encoding="utf-8")
+    assert "of no study" not in text
+    assert text.count("-->") == 2
+    assert write_claims(readme, "paper", claims) == name
+    assert readme.read_text(encoding="utf-8") == text
+    assert write_claims(readme, name, [replace(claims[0], claim="it lands")]) == name
+    assert "it lands" in readme.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        BEGIN, ANY, END, f"{END} {BEGIN}", f"{BEGIN} {BEGIN} {END}", f"{ANY} {BEGIN} {END}", f"{BEGIN} {END} {END}",
+        f"<!-- claims:begin of mine --> {END}",
+    ],
+)  # fmt: skip
+def test_markers_without_a_pair_lose_nothing(tmp_path: Path, text: str) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"README\.md"):
+        write_claims(readme, "paper", [Claim("it flies", "", "not measured", "nothing")])
+    assert readme.read_text(encoding="utf-8") == text
+
+
+Break = Callable[[Path], object]
+
+
+def rename_scenario(folder: Path, name: str) -> None:
+    for path in folder.glob("*.csv"):
+        path.write_text(path.read_text().replace("paper", name))
+
+
+@pytest.mark.parametrize(
+    ("break_it", "words"),
+    [
+        (lambda folder: (folder / "study.yaml").write_text("scenarios: [paper]"), "'scenarios' is missing"),
+        (lambda folder: (folder / "study.yaml").write_text("scenarios: {paper: {slots: 3}}"), "slot_length_s = None"),
+        (lambda folder: (folder / "missions.csv").unlink(), "missions.csv"),
+        (lambda folder: rename_scenario(folder, "../up"), "'../up' cannot name a folder"),
+    ],
+)
+def test_a_damaged_study_is_an_input_error(tmp_path: Path, break_it: Break, words: str) -> None:
+    folder = write_study(tmp_path / "study", seeds=1)
+    break_it(folder)
+    with pytest.raises(InputError, match=words):
+        judge(read_study(folder))

@@ -1,0 +1,187 @@
+"""The page of a study: a table of every scenario, a reference to hold the others against, the paper's claims."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.synthetic_study import MAPPO, VDN, Variant, write_study
+from uavaou import InputError
+from uavaou.reports.claims_table import begin_marker
+from uavaou.reports.standings import standings
+from uavaou.reports.study_report import write_report
+from uavaou.studies.results import read_study, rows_of
+from uavaou.studies.study import Study
+from uavaou.studies.tables import by_run
+
+
+def study_with(folder: Path, **fields: Any) -> Path:
+    write_study(folder)
+    content = yaml.safe_load((folder / "study.yaml").read_text())
+    (folder / "study.yaml").write_text(yaml.safe_dump(content | fields, sort_keys=False))
+    return folder
+
+
+def page(folder: Path) -> str:
+    write_report(folder, folder.parent / "README.md")
+    return (folder / "README.md").read_text()
+
+
+def test_every_policy_stands_in_the_table_with_its_mean_the_best_first(tmp_path: Path) -> None:
+    folder = study_with(tmp_path / "paper")
+    rows = [line.split(" | ") for line in page(folder).splitlines() if line.startswith(("| `", "| lower"))]
+    assert [row[0].strip("| `") for row in rows] == [
+        "lower bound", "mappo", "best-first", "greedy", "vdn", "qmix", "random",
+    ]  # fmt: skip
+    missions = read_study(folder).missions
+    for row in rows[1:]:
+        mean = rows_of(missions, variant=row[0].strip("| `"))["mean_aou_slots"].mean()
+        assert float(row[2].split()[0].replace(",", "")) == pytest.approx(mean, rel=1e-3)
+    assert json.loads((folder / "marl-eval.json").read_text())
+    assert not (tmp_path / "README.md").exists()
+
+
+def test_a_reference_and_claims_are_told_where_the_study_asks_for_them(tmp_path: Path) -> None:
+    plain = page(study_with(tmp_path / "plain"))
+    assert "Against" not in plain
+    assert "claims" not in plain
+    text = page(study_with(tmp_path / "asked", reference="vdn", claims=True))
+    assert "## Against `vdn`" in text
+    assert "better with mappo" in text
+    assert "## The paper's claims" in text
+    assert begin_marker("asked") in (tmp_path / "README.md").read_text()
+
+
+def test_verdicts_of_another_study_are_left_alone_and_that_is_said(tmp_path: Path) -> None:
+    first, second = (study_with(tmp_path / name, claims=True) for name in ("first", "second"))
+    assert write_report(first, tmp_path / "README.md") == []
+    text = (tmp_path / "README.md").read_text()
+    (remark,) = write_report(second, tmp_path / "README.md")
+    assert remark == f"{tmp_path / 'README.md'}: left as it is: the claims there are judged from study 'first'"
+    assert (tmp_path / "README.md").read_text() == text
+    assert "## The paper's claims" in (second / "README.md").read_text()
+
+
+def test_a_page_says_what_is_not_done_and_what_failed(tmp_path: Path) -> None:
+    folder = study_with(tmp_path / "paper")
+    assert "Not finished" not in page(folder)
+    (folder / "failures.csv").write_text(
+        "variant,scenario,seed,reason\nvdn,paper,3,out\n of memory\nrolling,paper,,no plan\nmappo,paper,0,an old one\n"
+        .replace("out\n of memory", '"out\n of memory"')
+    )  # fmt: skip
+    assert page(folder).count("Failed when last tried") == 1  # of a planner
+    runs = (folder / "runs.csv").read_text().splitlines(keepends=True)
+    (folder / "runs.csv").write_text("".join(row for row in runs if not row.startswith("vdn")))
+    text = page(folder)
+    assert "**Not finished: 8 of 12 trainings are done.**" in text
+    assert "- `vdn` on paper, seed 3: out of memory\n- `rolling` on paper: no plan\n" in text
+    assert "an old one" not in text  # it is done by now
+
+
+def test_a_bound_that_is_broken_is_told(tmp_path: Path) -> None:
+    """Of a planner and of one training alone; a mean that is below by chance is none."""
+    assert write_report(study_with(tmp_path / "paper"), tmp_path / "README.md") == []
+    folder = write_study(tmp_path / "broken", planners={"greedy": Variant(24.9)}, bound=37.8)
+    means = by_run(read_study(folder)).stack("missions", "mappo", "paper", "mean_aou_slots").mean(axis=1)
+    assert means.min() < 37.8 < means.max()
+    missions = (folder / "missions.csv").read_text().splitlines(keepends=True)
+    low = [",".join([*row.split(",")[:4], "30", *row.split(",")[5:]]) if row.startswith("vdn,paper,2,") else row
+           for row in missions]  # fmt: skip
+    (folder / "missions.csv").write_text("".join(low))
+    remarks = write_report(folder, tmp_path / "README.md")
+    assert remarks[0].startswith(
+        "'vdn' on 'paper' has a mean AoU of 30 slots, which is below the certified bound of 37.8"
+    )
+    assert [remark.split("'")[1] for remark in remarks] == ["vdn", "greedy"]
+    for remark in remarks:
+        assert f"**Something is wrong: {remark}.**" in (folder / "README.md").read_text()
+
+
+def test_a_variant_is_held_against_another_where_the_study_says_so(tmp_path: Path) -> None:
+    text = page(study_with(tmp_path / "paper", reference="mappo", against={"qmix": "vdn"}))
+    assert "| ratio to mappo | ratio to another |" in text
+    assert "| vdn: 1." in text
+    assert "worse with qmix than with vdn" in text
+
+
+def test_a_study_that_is_not_finished_has_a_page(tmp_path: Path) -> None:
+    """A scenario without the reference, a variant with one seed, a name that would end a cell, no bound."""
+    folder = write_study(tmp_path / "own 1", {"published": MAPPO, "a|b": VDN}, {}, 2, ("paper", "b"), bound=None)
+    content = yaml.safe_load((folder / "study.yaml").read_text())
+    (folder / "study.yaml").write_text(yaml.safe_dump(content | {"reference": "published"}))
+    runs = (folder / "runs.csv").read_text().splitlines(keepends=True)
+    (folder / "runs.csv").write_text("".join(row for row in runs if "published,published,b," not in row))
+    text = page(folder)
+    assert "uavaou study run 'own 1.yaml'" in text
+    compared = text.partition("## Against `published`")[2]
+    assert "| a\\|b | 2 |" in compared
+    assert "###" not in compared  # one scenario has both
+    table = text.partition("## b\n")[2].partition("##")[0]
+    assert "`a\\|b`" in table
+    assert "published" not in table
+
+
+def test_one_seed_and_planners_have_intervals_over_missions(tmp_path: Path) -> None:
+    results = read_study(write_study(tmp_path / "one", seeds=1, missions=9))
+    found = {one.policy: one for one in standings(results, by_run(results))["paper"]}
+    for name in ("mappo", "greedy"):
+        scores = rows_of(results.missions, variant=name)["mean_aou_slots"]
+        assert found[name].mean.value == pytest.approx(scores.mean())
+        spread = scores.std() / 3
+        assert found[name].mean.high - found[name].mean.low == pytest.approx(2 * 1.96 * spread, rel=0.15)
+    assert (found["mappo"].seeds, found["greedy"].seeds) == (1, 0)
+    assert found["mappo"].wall_s == pytest.approx(60)
+    assert found["lower bound"].scores.tolist() == [[25.0]]
+
+
+def test_a_reference_must_be_a_variant(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}}\nreference: mapo\n")
+    with pytest.raises(InputError, match=r"reference: no variant 'mapo'.*mappo.*\(variants: mappo, vdn\)"):
+        Study.load(path)
+    path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}}\nreference: vdn\n")
+    assert Study.load(path).to_dict()["reference"] == "vdn"
+
+
+def test_the_claims_are_about_three_variants(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}, qmix: {}}\nclaims: true\n")
+    assert Study.load(path).claims
+    path.write_text(path.read_text().replace("qmix:", "qmix2: {algorithm: qmix}, x:").replace("x: {}", "ippo: {}"))
+    with pytest.raises(
+        InputError, match=r"claims = True: .* mappo, vdn, qmix, there is no 'qmix'; did you mean 'qmix2'"
+    ):
+        Study.load(path)
+
+
+@pytest.mark.parametrize(
+    ("vdn", "more", "words"),
+    [
+        ("mapo", "reference: mappo", r"variants.'vdn': against: no variant 'mapo'; did you mean 'mappo'\?"),
+        ("vdn", "reference: mappo", r"variants.'vdn': against = 'vdn': expected another variant"),
+        ("qmix", "", r"variants.'vdn': against = 'qmix': is beside the study's reference"),
+        ("qmix", "reference: vdn", r"against = 'qmix': the reference is what the others are held against"),
+        ("3", "reference: mappo", r"variants.'vdn': against = 3"),
+    ],
+)
+def test_what_a_variant_is_held_against_is_another(tmp_path: Path, vdn: str, more: str, words: str) -> None:
+    path = tmp_path / "own.yaml"
+    variants = f"variants: {{mappo: {{}}, vdn: {{against: {vdn}}}, qmix: {{}}}}"
+    path.write_text(f"seeds: 1\nscenarios: [tiny]\n{variants}\n{more}\n")
+    with pytest.raises(InputError, match=words):
+        Study.load(path)
+
+
+def test_the_ablations_hold_location_against_masks_off(tmp_path: Path) -> None:
+    assert Study.load("ablations").to_dict()["against"] == {"observation location": "masks off"}
+
+
+def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
+    folder = study_with(tmp_path / "paper")
+    (folder / "README.md").mkdir()
+    with pytest.raises(InputError, match="cannot be written"):
+        write_report(folder, tmp_path / "README.md")

@@ -1,0 +1,317 @@
+"""Checkpoints: whole or absent, damaged ones recognised, what a disk or a number does to a training."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import os
+import resource
+import shutil
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from safetensors.numpy import load_file
+
+from uavaou import InputError, Scenario
+from uavaou.algorithms.io import tensor_file
+from uavaou.algorithms.registry import load_config
+from uavaou.runs import checkpoint
+from uavaou.runs import recorder as callback
+from uavaou.runs.checkpoint import DamagedCheckpointWarning
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.policy import load_run
+from uavaou.runs.train import train
+
+SMALL = {
+    "slots": 240, "missions": 4, "rollout_slots": 12, "batch_rows": 96, "evaluate_every_slots": 120,
+    "evaluation_missions": 2, "hidden": [8],
+}  # fmt: skip
+
+
+def small(**changes: Any) -> RunConfig:
+    return RunConfig(Scenario.load("tiny"), load_config("mappo", SMALL | changes), seed=0)
+
+
+def every_update(config: RunConfig, folder: RunFolder, **options: Any) -> Any:
+    return train(config, folder, quiet=True, checkpoint_every_s=0, **options)
+
+
+class StoppedError(Exception):
+    """Raised in the middle of a training."""
+
+
+def stop_in_update(monkeypatch: pytest.MonkeyPatch, update: int) -> None:
+    seen = {"updates": 0}
+    check = callback.check_learner
+
+    def counted(*arguments: Any) -> None:
+        check(*arguments)
+        seen["updates"] += 1
+        if seen["updates"] == update:
+            raise StoppedError
+
+    monkeypatch.setattr(callback, "check_learner", counted)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunFolder, RunFolder]:
+    """One run as it ends, and one stopped after its third checkpoint."""
+    place = tmp_path_factory.mktemp("runs")
+    whole, stopped = RunFolder(place / "whole"), RunFolder(place / "stopped")
+    every_update(small(), whole)
+    with pytest.MonkeyPatch.context() as patch:
+        stop_in_update(patch, 4)
+        with pytest.raises(StoppedError):
+            every_update(small(), stopped)
+    return whole, stopped
+
+
+@pytest.fixture
+def stopped(runs: tuple[RunFolder, RunFolder], tmp_path: Path) -> RunFolder:
+    return RunFolder(Path(shutil.copytree(runs[1].path, tmp_path / "run")))
+
+
+def assert_ends_as(folder: RunFolder, whole: RunFolder) -> None:
+    one, other = load_file(folder.last), load_file(whole.last)
+    assert one.keys() == other.keys()
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+def flip(path: Path, place: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[place] ^= 4
+    path.write_bytes(content)
+
+
+# -- damage --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("place", [0, 3, 9, 60, 300, 900, -1, -700, -5000])
+def test_a_flipped_bit_costs_one_checkpoint(place: int, stopped: RunFolder, runs: tuple[RunFolder, RunFolder]) -> None:
+    flip(stopped.last, place)
+    with pytest.warns(DamagedCheckpointWarning) as warned:
+        every_update(small(), stopped, resume=True)
+    said = str(warned[0].message)
+    assert str(stopped.last) in said
+    assert f"going on from {stopped.previous}, which has 96 slots" in said
+    assert "\n" not in said
+    assert stopped.last.with_suffix(".damaged").is_file()
+    assert_ends_as(stopped, runs[0])
+
+
+@pytest.mark.parametrize("left", [0, 7, 100, 3000, -1])
+def test_a_truncated_one_too(left: int, stopped: RunFolder, runs: tuple[RunFolder, RunFolder]) -> None:
+    stopped.last.write_bytes(stopped.last.read_bytes()[:left])
+    with pytest.warns(DamagedCheckpointWarning, match="going on from"):
+        every_update(small(), stopped, resume=True)
+    assert_ends_as(stopped, runs[0])
+
+
+def test_every_bit_of_a_checkpoint_is_covered(stopped: RunFolder, tmp_path: Path) -> None:
+    content = stopped.last.read_bytes()
+    path = tmp_path / "flipped.safetensors"
+    rng = np.random.default_rng(0)
+    for place in [*range(200), *rng.integers(0, len(content), 200)]:
+        path.write_bytes(content)
+        flip(path, int(place))
+        with pytest.raises(InputError):
+            checkpoint._progress(tensor_file.ArrayFile(path), oldest=checkpoint.SCHEMA)
+
+
+def test_a_kill_between_the_two_renames_costs_one_checkpoint(
+    stopped: RunFolder, runs: tuple[RunFolder, RunFolder]
+) -> None:
+    stopped.last.unlink()
+    every_update(small(), stopped, resume=True)
+    assert_ends_as(stopped, runs[0])
+
+
+def test_two_damaged_ones_are_said_in_words(stopped: RunFolder) -> None:
+    flip(stopped.last, -1)
+    flip(stopped.previous, -1)
+    with pytest.raises(InputError, match=r"last\.safetensors: damaged.*previous\.safetensors: damaged.*no checkpoint"):
+        every_update(small(), stopped, resume=True)
+
+
+def test_a_finished_run_survives_damage(runs: tuple[RunFolder, RunFolder], tmp_path: Path) -> None:
+    folder = RunFolder(Path(shutil.copytree(runs[0].path, tmp_path / "run")))
+    flip(folder.last, -1)
+    with pytest.warns(DamagedCheckpointWarning):
+        assert every_update(small(), folder, resume=True).progress.slots == 240
+
+
+@pytest.mark.parametrize("name", ["episodes.csv", "progress.csv"])
+def test_rows_that_are_gone_are_missed(name: str, stopped: RunFolder) -> None:
+    (stopped.path / name).write_text("")
+    with pytest.raises(InputError, match="but the checkpoint counts"):
+        every_update(small(), stopped, resume=True)
+    (stopped.path / name).unlink()
+    with pytest.raises(InputError, match="but the checkpoint counts"):
+        every_update(small(), stopped, resume=True)
+
+
+def test_checkpoints_of_another_schema_are_refused_in_words(stopped: RunFolder, tmp_path: Path) -> None:
+    for path in (stopped.last, stopped.previous):
+        file = tensor_file.ArrayFile(path)
+        arrays = {name: file.read(name) for name in file.shapes}
+        for schema, says in (("1", "this version reads 2"), ("3", "this version reads 2")):
+            tensor_file.write_arrays(path, arrays, file.text | {"schema": schema})
+            with pytest.raises(InputError, match=f"written with checkpoint schema {schema}, {says}"):
+                checkpoint._progress(tensor_file.ArrayFile(path), oldest=checkpoint.SCHEMA)
+    published = Path(__file__).parent / "data" / "schema-1"
+    assert load_run(RunFolder(published)).model is not None  # schema 1, without a checksum
+
+
+# -- disks ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def _largest_file() -> Iterator[None]:
+    """No file may grow past 20 kB: less than a checkpoint, more than the other files."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # the write then fails, as on a full disk
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+def files(folder: RunFolder) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.last.parent.iterdir()}
+
+
+def test_a_limit_on_files_stops_the_training_in_words(
+    stopped: RunFolder, runs: tuple[RunFolder, RunFolder], request: pytest.FixtureRequest
+) -> None:
+    before = files(stopped)
+    request.getfixturevalue("_largest_file")
+    with pytest.raises(InputError, match=r"cannot write to .*: File too large; last good checkpoint: .* at slot 144$"):
+        every_update(small(), stopped, resume=True)
+    assert files(stopped) == before
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+    every_update(small(), stopped, resume=True)
+    assert_ends_as(stopped, runs[0])
+
+
+@pytest.mark.parametrize(("code", "says"), [(errno.ENOSPC, "No space left on device"), (errno.EROFS, "Read-only file")])
+@pytest.mark.parametrize("call", ["fsync", "write", "row"])
+def test_a_disk_that_fails_stops_the_training_in_words(
+    code: int, says: str, call: str, stopped: RunFolder, runs: tuple[RunFolder, RunFolder]
+) -> None:
+    before = files(stopped)
+
+    def fail(*_: Any, **__: Any) -> Any:
+        raise OSError(code, os.strerror(code))
+
+    with pytest.MonkeyPatch.context() as patch:
+        if call == "fsync":
+            patch.setattr("uavaou.files.os.fsync", fail)
+        elif call == "write":
+            patch.setattr("uavaou.runs.checkpoint.write_arrays", fail)
+        else:
+            patch.setattr("uavaou.runs.records.EpisodesCsv.flush", fail)
+        with pytest.raises(InputError, match=f"cannot write to .*: {says}"):
+            every_update(small(), stopped, resume=True)
+    assert files(stopped) == before
+    every_update(small(), stopped, resume=True)
+    assert_ends_as(stopped, runs[0])
+
+
+# -- numbers -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("quantity", ["reward", "loss", "weight"])
+def test_a_number_that_goes_bad_stops_the_training(
+    quantity: str, stopped: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from uavaou.algorithms.mappo import MAPPO
+    from uavaou.envs import batched
+
+    before = files(stopped)
+    trained = MAPPO.train
+
+    def spoilt(model: Any) -> None:
+        trained(model)
+        if quantity == "loss":
+            model.logger.record("train/value_loss", float("inf"))
+        else:
+            with th.no_grad():
+                model.policy.actor_body[0].weight[2, 3] = float("nan")
+
+    if quantity == "reward":
+        monkeypatch.setattr(batched, "training_reward", lambda world, _: np.full(world.missions, np.nan, np.float32))
+    else:
+        monkeypatch.setattr(MAPPO, "train", spoilt)
+    says = {
+        "reward": r"stopped at slot 148: the reward of row 0 is nan",
+        "loss": r"stopped at slot 192: train/value_loss is inf",
+        "weight": r"stopped at slot 192: the weights hold nan in actor_body\.0\.weight",
+    }[quantity]
+    with pytest.raises(InputError, match=rf"{says}; last good checkpoint: .*last\.safetensors, at slot 144; a lower"):
+        every_update(small(), stopped, resume=True)
+    assert files(stopped) == before
+
+
+# -- the interval --------------------------------------------------------------------------------------
+
+
+def test_costly_checkpoints_are_written_less_often() -> None:
+    assert callback.pause_s(30.0, 0.1) == 30.0
+    assert callback.pause_s(30.0, 2.0) == pytest.approx(2.0 / 0.025)
+    assert callback.pause_s(0.0, 2.0) == 0.0
+
+
+# -- learners with a replay ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("algorithm", ["qmix", "vdn"])
+@pytest.mark.parametrize("update", [3, 20])  # before the ring of the replay is full, and after
+def test_a_replay_is_part_of_the_checkpoint(
+    algorithm: str, update: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = {name: value for name, value in SMALL.items() if name not in ("rollout_slots", "batch_rows")}
+    replay = {"replay_slots": 160, "learning_starts": 24, "batch_slots": 8, "slots_per_update": 8}
+    config = RunConfig(Scenario.load("tiny"), load_config(algorithm, settings | replay), seed=0)
+    whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
+    every_update(config, whole)
+    with monkeypatch.context() as patch:
+        stop_in_update(patch, update + 1)
+        with pytest.raises(StoppedError):
+            every_update(config, parted)
+    held = load_file(parted.last)
+    assert held["replay.position"].tolist() == [(2 * update) % 40, int(2 * update >= 40)]
+    assert len(held["replay.local"]) == min(2 * update, 40)
+    every_update(config, parted, resume=True)
+    assert_ends_as(parted, whole)
+    assert not any(name.startswith("replay.") for name in load_file(whole.last))  # it has no more use for it
+    for name in ("episodes.csv", "progress.csv"):
+        one, other = (_without_wall(folder.path / name) for folder in (whole, parted))
+        assert one == other
+        assert len(one) > 2
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [("batched", "batched"), ("supersuit", "batched"), ("batched", "supersuit")]
+)
+def test_missions_in_other_processes_are_part_of_it_too(
+    before: str, after: str, runs: tuple[RunFolder, RunFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = RunFolder(tmp_path / "run")
+    config = small(processes=2)
+    with monkeypatch.context() as patch:
+        stop_in_update(patch, 4)
+        with pytest.raises(StoppedError):
+            every_update(config, folder, backend=before)
+    every_update(config, folder, backend=after, resume=True)
+    assert_ends_as(folder, runs[0])  # which one process has stepped
+
+
+def _without_wall(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return [{name: value for name, value in row.items() if "wall" not in name} for row in csv.DictReader(file)]

@@ -1,0 +1,229 @@
+"""Trainings that are killed, at any moment and again and again, end as the one that was never touched."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import random
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from tests.command_line import forked, start_command
+from uavaou import Scenario
+from uavaou.algorithms.registry import load_config
+from uavaou.evaluation.evaluate import evaluate
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.policy import load_run
+from uavaou.runs.train import train
+
+KILLS = 20
+ON_POLICY = {"rollout_slots": 25, "batch_rows": 100}
+OFF_POLICY = {
+    "replay_slots": 600, "learning_starts": 200, "batch_slots": 16, "slots_per_update": 20, "target_update": 5,
+}  # fmt: skip
+SMALL = {"missions": 4, "evaluate_every_slots": 700, "evaluation_missions": 2, "hidden": [16]}
+
+
+def configuration(algorithm: str, slots: int = 1500, **changes: Any) -> RunConfig:
+    own = OFF_POLICY if algorithm in ("vdn", "qmix", "iql") else ON_POLICY
+    settings = load_config(algorithm, SMALL | own | {"slots": slots} | changes)
+    return RunConfig(Scenario.load("quickstart").replace(slots=40), settings, seed=0)
+
+
+def play(config: RunConfig, path: Path) -> None:
+    """Train, or go on, with a checkpoint after every update: as many moments as possible to be killed in one."""
+    import torch as th
+
+    th.set_num_threads(1)
+    train(config, RunFolder(path), resume=True, quiet=True, checkpoint_every_s=0)
+
+
+def start(config: RunConfig, path: Path) -> Any:
+    process = forked.Process(target=play, args=(config, path))
+    process.start()
+    return process
+
+
+def kill_until_done(config: RunConfig, path: Path, seed: int, longest_s: float) -> int:
+    """Kill the training after random times until one gets to its end; returns how often it was killed."""
+    rng, kills = random.Random(seed), 0
+    while True:
+        process = start(config, path)
+        process.join(rng.uniform(0, longest_s))
+        if process.exitcode is not None:
+            assert process.exitcode == 0
+            return kills
+        process.kill()
+        process.join()
+        kills += 1
+        longest_s *= 1.03  # a slow machine gets to the end as well
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return [{name: value for name, value in row.items() if "wall" not in name} for row in csv.DictReader(file)]
+
+
+def assert_the_same(one: RunFolder, other: RunFolder) -> None:
+    for name in ("best", "last", "previous"):
+        wanted, found = load_file(getattr(one, name)), load_file(getattr(other, name))
+        assert wanted.keys() == found.keys()
+        for key in wanted:
+            np.testing.assert_array_equal(wanted[key], found[key], err_msg=key)
+    assert table(one.episodes) == table(other.episodes)
+    assert table(one.path / "progress.csv") == table(other.path / "progress.csv")
+    metas = [json.loads(run.meta.read_text()) for run in (one, other)]
+    assert metas[0]["best_score"] == metas[1]["best_score"]
+    assert metas[1]["finished"]
+
+
+def assert_they_fly_the_same(one: RunFolder, other: RunFolder) -> None:
+    scores = [evaluate(Scenario.load("quickstart"), load_run(run), 3, 0).values("mean_aou_s") for run in (one, other)]
+    np.testing.assert_array_equal(*scores)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("algorithm", "processes"), [("mappo", 1), ("qmix", 1), ("mappo", 2)])
+def test_a_training_killed_at_random_times_is_the_one_never_touched(
+    algorithm: str, processes: int, tmp_path: Path
+) -> None:
+    config = configuration(algorithm, processes=processes)
+    whole = RunFolder(tmp_path / "whole")
+    start(configuration(algorithm, slots=100), tmp_path / "first").join()  # starts the server of processes too
+    began = time.monotonic()
+    untouched = start(config, whole.path)
+    untouched.join()
+    assert untouched.exitcode == 0
+    length = time.monotonic() - began
+    kills = runs = 0
+    while kills < (KILLS if processes == 1 else 5):
+        folder = RunFolder(tmp_path / f"killed-{runs}")
+        kills += kill_until_done(config, folder.path, seed=runs, longest_s=length / 2)
+        assert_the_same(whole, folder)
+        runs += 1
+    assert_they_fly_the_same(whole, folder)
+    print(f"{algorithm}, {processes} processes: {kills} kills of {runs} runs of {length:.1f} s")
+
+
+TRAIN = (
+    "train --scenario quickstart --slots 200000 --quiet --set algorithm.missions=8 --set algorithm.rollout_slots=50 "
+    "--set algorithm.batch_rows=400 --set algorithm.evaluation_missions=2"
+)
+
+
+def wait_for_missions(out: Path, missions: int = 20) -> RunFolder:
+    """Wait until missions have ended."""
+    deadline = time.monotonic() + 300
+    while time.monotonic() < deadline:
+        for episodes in out.glob("*/*/seed-0/episodes.csv"):
+            if episodes.read_text().count("\n") > missions:
+                return RunFolder(episodes.parent)
+        time.sleep(0.05)
+    raise AssertionError("the training did not begin")
+
+
+def ended(process: Any) -> int | None:
+    process.join(120)
+    code: int | None = process.exitcode
+    return code
+
+
+def play_with_two_threads(config: RunConfig, path: Path) -> None:
+    import torch as th
+
+    th.set_num_threads(2)
+    train(config, RunFolder(path), resume=True, quiet=True, checkpoint_every_s=0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs forked processes")
+def test_a_killed_training_leaves_no_process_behind_and_resumes_with_as_many(tmp_path: Path) -> None:
+    config = configuration("mappo", slots=40_000, rollout_slots=150, batch_rows=600, evaluate_every_slots=40_000)
+
+    def started(path: Path) -> Any:
+        process = forked.Process(target=play_with_two_threads, args=(config, path))
+        process.start()
+        return process
+
+    whole = started(tmp_path / "whole")
+    assert ended(whole) == 0
+    broken = started(tmp_path / "broken")
+    run = RunFolder(tmp_path / "broken")
+    deadline = time.monotonic() + 120
+    while not run.last.is_file() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    children = Path(f"/proc/{broken.pid}/task/{broken.pid}/children").read_text().split()
+    broken.kill()
+    assert ended(broken) == -signal.SIGKILL
+    assert len(children) == 1
+    while Path(f"/proc/{children[0]}").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not Path(f"/proc/{children[0]}").exists()
+    assert ended(started(tmp_path / "broken")) == 0
+    assert_the_same(RunFolder(tmp_path / "whole"), run)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_signal_is_answered_with_a_checkpoint(
+    number: signal.Signals, code: int, processes: int, tmp_path: Path
+) -> None:
+    process = start_command(f"{TRAIN} --set algorithm.processes={processes} --out {tmp_path}", tmp_path / "stderr")
+    folder = wait_for_missions(tmp_path)
+    os.killpg(process.pid, number)  # as a terminal does: to the workers too
+    assert ended(process) == code
+    said = (tmp_path / "stderr").read_text()
+    assert said.count("\n") == 1, said
+    again = said.split("to go on: uavaou ")[1]
+    assert again.endswith("--resume\n")
+    slots = json.loads(folder.meta.read_text())["slots"]
+    assert f"interrupted after {slots:,} slots" in said
+    process = start_command(again, tmp_path / "stderr")
+    wait_for_missions(tmp_path, slots // 60 + 20)
+    os.killpg(process.pid, number)
+    assert ended(process) == code
+    assert json.loads(folder.meta.read_text())["slots"] > slots
+
+
+@pytest.mark.slow
+def test_a_second_signal_leaves_at_once_and_loses_nothing(tmp_path: Path) -> None:
+    # Minutes to an update.
+    process = start_command(f"{TRAIN.replace('=50', '=20000')} --out {tmp_path}", tmp_path / "stderr")
+    folder = wait_for_missions(tmp_path)
+    os.killpg(process.pid, signal.SIGINT)
+    time.sleep(0.3)
+    assert process.is_alive()
+    rows = folder.episodes.read_text().count("\n")
+    began = time.monotonic()
+    os.killpg(process.pid, signal.SIGINT)
+    assert ended(process) == 130
+    assert time.monotonic() - began < 20
+    assert (tmp_path / "stderr").read_text().count("\n") == 1
+    assert folder.episodes.read_text().count("\n") >= rows
+
+
+@pytest.mark.slow
+def test_a_second_writer_is_refused_and_a_dead_one_is_not(tmp_path: Path) -> None:
+    first = start_command(f"{TRAIN} --out {tmp_path} --resume", tmp_path / "first")
+    folder = wait_for_missions(tmp_path)
+    assert ended(start_command(f"{TRAIN} --out {tmp_path} --resume", tmp_path / "second")) == 2
+    said = (tmp_path / "second").read_text()
+    assert f"is being written by process {first.pid}" in said
+    assert said.count("\n") == 1
+    assert first.is_alive()
+    first.kill()
+    first.join()
+    folder.episodes.unlink()
+    third = start_command(f"{TRAIN} --out {tmp_path} --resume", tmp_path / "third")
+    wait_for_missions(tmp_path)
+    os.killpg(third.pid, signal.SIGINT)
+    assert ended(third) == 130

@@ -1,0 +1,216 @@
+"""A training run on disk: what it writes, what it refuses, and that a resumed run is the run never stopped."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from safetensors.torch import load_file
+
+from uavaou import InputError, Scenario
+from uavaou.algorithms.registry import load_config
+from uavaou.evaluation.evaluate import evaluate
+from uavaou.planners import make_planner
+from uavaou.runs import recorder as callback_module
+from uavaou.runs.folder import RunConfig, RunFolder, run_folder
+from uavaou.runs.policy import load_run
+from uavaou.runs.train import train
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+SMALL = {
+    "slots": 1200, "missions": 4, "rollout_slots": 25, "batch_rows": 100, "evaluate_every_slots": 400,
+    "evaluation_missions": 2, "hidden": [16],
+}  # fmt: skip
+
+
+def small(algorithm: str = "mappo", seed: int = 0, **changes: Any) -> RunConfig:
+    scenario = Scenario.load("quickstart").replace(slots=40)
+    return RunConfig(scenario, load_config(algorithm, SMALL | changes), seed)
+
+
+class StoppedError(Exception):
+    """Raised in the middle of a training."""
+
+
+def stop_after(monkeypatch: pytest.MonkeyPatch, missions: int) -> None:
+    """Let the training die when that many missions have ended."""
+    write = callback_module.EpisodesCsv.write
+
+    def dying(self: Any, ended: Any, slots: int, wall_s: float) -> None:
+        write(self, ended, slots, wall_s)
+        if self._mission >= missions:
+            raise StoppedError
+
+    monkeypatch.setattr(callback_module.EpisodesCsv, "write", dying)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return [{k: v for k, v in row.items() if "wall" not in k} for row in csv.DictReader(file)]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "before", "after"),
+    [
+        ("mappo", "batched", "batched"),
+        ("ippo", "batched", "batched"),
+        ("mappo", "batched", "supersuit"),
+        ("mappo", "supersuit", "batched"),
+    ],
+)
+@pytest.mark.parametrize("layout", ["fixed", "resample"])
+def test_a_resumed_run_is_the_run_never_stopped(
+    algorithm: str, before: str, after: str, layout: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = small(algorithm)
+    config = RunConfig(config.scenario.replace(layout=layout), config.algorithm, config.seed)
+    whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
+    train(config, whole, quiet=True, checkpoint_every_s=0)
+    with monkeypatch.context() as patch:
+        stop_after(patch, missions=20)
+        with pytest.raises(StoppedError):
+            train(config, parted, backend=before, quiet=True, checkpoint_every_s=0)
+    assert json.loads(parted.meta.read_text())["finished"] is False
+    train(config, parted, backend=after, resume=True, quiet=True)
+    for name in ("best", "last"):
+        one, other = load_file(getattr(whole, name)), load_file(getattr(parted, name))
+        assert one.keys() == other.keys()
+        for key in one:
+            assert th.equal(one[key], other[key]), key
+    assert rows(whole.episodes) == rows(parted.episodes)
+    progress = [rows(folder.path / "progress.csv") for folder in (whole, parted)]
+    assert progress[0] == progress[1]
+    assert len(progress[0]) == 12
+    assert progress[0][-1]["evaluation/mean_aou_greedy_s"]
+
+
+def test_the_same_config_gives_the_same_run_and_another_seed_another(tmp_path: Path) -> None:
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train(small(seed=seed), RunFolder(tmp_path / name), quiet=True)
+    weights = {name: load_file(RunFolder(tmp_path / name).last) for name in "abc"}
+    key = "policy.actor_body.0.weight"
+    assert th.equal(weights["a"][key], weights["b"][key])
+    assert not th.equal(weights["a"][key], weights["c"][key])
+    assert rows(tmp_path / "a" / "episodes.csv") == rows(tmp_path / "b" / "episodes.csv")
+
+
+def test_what_a_run_writes(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "run")
+    config = small()
+    outcome = train(config, folder, quiet=True)
+    assert folder.read_config() == config
+    assert outcome.agent_steps == 2 * outcome.progress.slots == 2400
+    episodes = rows(folder.episodes)
+    assert [row["mission"] for row in episodes] == [str(n) for n in range(1, 29)]
+    # 4 missions of 40 slots end together.
+    assert [int(row["slots"]) for row in episodes[::4]] == [160 * n for n in range(1, 8)]
+    meta = json.loads(folder.meta.read_text())
+    assert meta["finished"] is True
+    assert meta["slots"] * 2 == meta["agent_steps"]
+    assert list((folder.path / "tensorboard").iterdir())
+    assert "evaluation/mean_aou_greedy_s" in (folder.path / "progress.csv").read_text()
+
+
+@pytest.mark.parametrize("backend", ["batched", "supersuit"])
+@pytest.mark.parametrize("processes", [1, 2])
+def test_every_backend_trains_the_same_policy(backend: str, processes: int, tmp_path: Path) -> None:
+    weights = []
+    for name, arguments, count in (("reference", {}, 1), ("other", {"backend": backend}, processes)):
+        folder = RunFolder(tmp_path / name)
+        train(small(slots=300, processes=count), folder, quiet=True, **arguments)
+        weights.append(load_file(folder.best)["policy.actor_body.0.weight"])
+    assert th.equal(weights[0], weights[1])
+
+
+def test_a_folder_that_holds_a_run_is_refused(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "run")
+    train(small(slots=200), folder, quiet=True)
+    before = {path: path.read_bytes() for path in folder.path.rglob("*") if path.is_file()}
+    with pytest.raises(InputError, match=r"already holds a run: add --resume"):
+        train(small(slots=200), folder, quiet=True)
+    with pytest.raises(InputError, match="another configuration"):
+        train(small(slots=300), folder, resume=True, quiet=True)
+    assert before == {path: path.read_bytes() for path in folder.path.rglob("*") if path.is_file()}
+
+
+def test_a_run_that_cannot_be_built_leaves_nothing_behind(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "run")
+    with pytest.raises(InputError, match="not enough memory for the learner"):
+        train(small(rollout_slots=1_000_000, missions=65_536), folder, quiet=True)
+    assert not folder.path.exists()
+
+
+def test_different_runs_have_different_folders() -> None:
+    paper = Scenario.load("paper")
+    names = {
+        run_folder(Path("r"), scenario, changed, algorithm, tuned, seed).path
+        for scenario in (paper, paper.replace(layout_seed=5), Scenario.load("tiny"))
+        for changed in ({}, {"slots": "5"}, {"slots": "50"}, {"slots": "5", "devices": "5"}, {"description": "a/b,c=1"})
+        for algorithm in ("mappo", "ippo")
+        for tuned in ({}, {"learning_rate": "1e-4"}, {"learning_rate": "0.0001"}, {"hidden": "[" + "64, " * 90 + "64]"})
+        for seed in (0, 1)
+    }
+    assert len(names) == 3 * 5 * 2 * 4 * 2
+    assert all(len(part) < 200 and "/" not in part for name in names for part in name.parts)
+    folder = run_folder(Path("results"), paper, {"layout_seed": "7"}, "mappo", {"slots": "1000", "gamma": "0.9"}, 3)
+    assert str(folder.path) == "results/paper+layout_seed=7/mappo+gamma=0.9,slots=1000/seed-3"
+
+
+@pytest.mark.parametrize("damage", ["truncated", "garbage", "missing"])
+def test_a_damaged_checkpoint_is_said_in_words(damage: str, tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "run")
+    train(small(slots=200), folder, quiet=True)
+    content = folder.best.read_bytes()
+    if damage == "missing":
+        folder.best.unlink()
+        folder.last.unlink()
+    else:
+        folder.best.write_bytes(content[:100] if damage == "truncated" else b"\x80\x04garbage")
+    with pytest.raises(InputError, match=r"checkpoint|safetensors"):
+        load_run(folder)
+
+
+def test_a_run_does_not_fit_another_shape(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "run")
+    train(small(slots=200), folder, quiet=True)
+    with pytest.raises(InputError, match="trained with 2 uavs and 8 devices; scenario 'paper' has 3 and 25"):
+        load_run(folder, Scenario.load("paper"))
+    with pytest.raises(InputError, match="is not a run folder"):
+        load_run(RunFolder(tmp_path))
+
+
+@pytest.mark.parametrize("action", ["greedy", "sample"])
+def test_a_missions_result_does_not_depend_on_the_missions_beside_it(action: str, tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "run")
+    train(small(slots=200), folder, quiet=True)
+    policy = load_run(folder, action=action)
+    scenario = policy.views.scenario
+    many = evaluate(scenario, policy, 6, 500).values("mean_aou_s")
+    alone = [evaluate(scenario, policy, 1, 500 + j).mean_aou_s for j in range(6)]
+    np.testing.assert_array_equal(many, alone)
+
+
+def test_an_evaluation_by_hand() -> None:
+    scenario = Scenario.load("tiny")
+    result = evaluate(scenario, make_planner("stay"), 3, 0)
+    assert result.aou_over_time_s.shape == (3, 12)
+    np.testing.assert_allclose(result.aou_over_time_s.mean(axis=1), result.values("mean_aou_s"))
+    assert result.values("flight_time_s").shape == (3, 2)
+    np.testing.assert_allclose(result.values("flight_time_s"), [[160 / 15, 180 / 15]] * 3)
+    assert result.violations == {"rate": 0, "association": 0, "flight_time": 0, "bounds": 0, "cds": 0}
+
+
+@pytest.mark.slow
+def test_mappo_learns_quickstart(tmp_path: Path) -> None:
+    scenario = Scenario.load("quickstart")
+    folder = RunFolder(tmp_path / "run")
+    config = load_config("mappo", {"slots": 60_000, "missions": 16, "rollout_slots": 60, "batch_rows": 960})
+    train(RunConfig(scenario, config, 0), folder, quiet=True)
+    learned = evaluate(scenario, load_run(folder), 50, 10_000).mean_aou_s
+    assert learned < 0.2 * evaluate(scenario, make_planner("random"), 50, 10_000).mean_aou_s

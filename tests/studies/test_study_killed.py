@@ -1,0 +1,282 @@
+"""Studies on processes and on a Ray cluster: interrupted, killed, and gone on with, they end as the untouched one."""
+
+from __future__ import annotations
+
+import csv
+import json
+import multiprocessing
+import os
+import shlex
+import signal
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.command_line import start_command
+from uavaou.runs.lock import holder
+from uavaou.studies.engine import Advanced, Engine
+from uavaou.studies.jobs import Bounding, Job, Key, Report, Training, run_key
+from uavaou.studies.processes import Processes, _work
+from uavaou.studies.results import read_study
+from uavaou.studies.runner import Standing, run_study
+from uavaou.studies.study import Study
+from uavaou_cli.main import main
+
+SMALL = (
+    "missions: 8, rollout_slots: 20, batch_rows: 160, hidden: [16], evaluation_missions: 2, evaluate_every_slots: 2000"
+)
+LONG = f"""
+slots: 16000
+seeds: 1
+scenarios: [quickstart]
+variants:
+  mappo: {{set: {{{SMALL}}}}}
+  ippo: {{set: {{{SMALL}}}}}
+planners: [greedy]
+episodes: 4
+"""
+
+
+def wait_for_missions(out: Path, runs: int, missions: int) -> list[Path]:
+    """Wait until that many runs have played that many missions; returns their folders."""
+    deadline = time.monotonic() + 300
+    while time.monotonic() < deadline:
+        found = [path for path in out.glob("*/*/seed-*/episodes.csv") if path.read_text().count("\n") > missions]
+        if len(found) >= runs:
+            return [path.parent for path in found]
+        time.sleep(0.05)
+    raise AssertionError("the runs did not begin")
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return [{name: value for name, value in row.items() if "wall" not in name} for row in csv.DictReader(file)]
+
+
+def assert_the_same(one: Path, other: Path, study: Study) -> None:
+    """The same episodes and evaluations in all runs, and the same condensed figures."""
+    for run in study.runs():
+        ours, theirs = (study.folder(place, run).path for place in (one, other))
+        assert rows(ours / "episodes.csv") == rows(theirs / "episodes.csv")
+        assert rows(ours / "progress.csv") == rows(theirs / "progress.csv")
+        assert json.loads((ours / "eval/default.json").read_text()) == json.loads(
+            (theirs / "eval/default.json").read_text()
+        )
+    results = [read_study(place / "studies" / study.name) for place in (one, other)]
+    for table in ("runs", "missions", "curves", "validation", "execution", "devices", "bounds"):
+        tables = [getattr(found, table) for found in results]
+        for column in set(tables[0]) - {"wall_s", "cpu_s"}:
+            np.testing.assert_array_equal(tables[0][column], tables[1][column], err_msg=f"{table}, {column}")
+
+
+@pytest.fixture(scope="module")
+def untouched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Study]:
+    """The long study, run without a stop."""
+    place = tmp_path_factory.mktemp("untouched")
+    (place / "long.yaml").write_text(LONG)
+    study = Study.load(place / "long.yaml")
+    assert run_study(study, place / "out", Processes(2), lambda standing: None, quiet=True).failed == {}
+    return place, study
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_makes_every_run_save_and_the_same_command_goes_on(
+    number: signal.Signals, code: int, untouched: tuple[Path, Study], tmp_path: Path
+) -> None:
+    place, study = untouched
+    line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
+    process = start_command(line, tmp_path / "stderr")
+    folders = wait_for_missions(tmp_path / "out", 2, 20)
+    os.killpg(process.pid, number)  # as a terminal does: to the children too
+    process.join(120)
+    assert process.exitcode == code
+    said = (tmp_path / "stderr").read_text()
+    assert said.count("\n") == 1, said
+    assert said.split("to go on: uavaou ")[1] == f"{line}\n"
+    metas = [json.loads((folder / "meta.json").read_text()) for folder in folders]
+    assert all(0 < meta["slots"] < 16_000 for meta in metas)
+    assert all(holder(folder / ".lock") is None for folder in folders)
+    process = start_command(line, tmp_path / "again")
+    process.join(300)
+    assert process.exitcode == 0
+    assert_the_same(tmp_path / "out", place / "out", study)
+    assert all(json.loads((folder / "meta.json").read_text())["cpu_s"] > meta["cpu_s"] > 0
+               for folder, meta in zip(folders, metas, strict=True))  # fmt: skip
+
+
+@pytest.mark.slow
+def test_runs_save_and_end_when_the_study_itself_is_killed(untouched: tuple[Path, Study], tmp_path: Path) -> None:
+    place, study = untouched
+    line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
+    process = start_command(line, tmp_path / "stderr")
+    folders = wait_for_missions(tmp_path / "out", 2, 20)
+    os.kill(process.pid, signal.SIGKILL)
+    process.join()
+    deadline = time.monotonic() + 60
+    while any(holder(folder / ".lock") for folder in folders) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert all(json.loads((folder / "meta.json").read_text())["slots"] > 0 for folder in folders)
+    assert (tmp_path / "stderr").read_text() == ""  # the runs end without a word: nobody is there to hear it
+    assert main(shlex.split(line)) == 0
+    assert_the_same(tmp_path / "out", place / "out", study)
+
+
+@pytest.mark.parametrize("what", ["a training", "a bound"])
+def test_a_job_whose_listener_is_gone_does_its_work_without_a_word(
+    what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "long.yaml").write_text(LONG.replace("16000", "640").replace("[quickstart]", "[tiny]"))
+    run = next(iter(Study.load(tmp_path / "long.yaml").runs()))
+    job: Job = Bounding(run_key(run), run.config.scenario)
+    if what == "a training":
+        job = Training(run_key(run), run.config, tmp_path / "run", 2, None)
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(job, theirs, []))
+    process.start()
+    ours.close()  # before it can have said anything
+    theirs.close()
+    process.join(120)
+    assert process.exitcode == 0
+    assert capfd.readouterr().err == ""
+    if what == "a training":
+        meta = json.loads((tmp_path / "run/meta.json").read_text())
+        assert meta["finished"]
+        assert (tmp_path / "run/eval/default.json").is_file()
+
+
+def test_a_training_on_a_cluster_that_has_not_begun_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may wait for a CPU that never comes; one that has reported is asked for its last checkpoint."""
+    pytest.importorskip("ray")
+    from uavaou.studies import cluster
+
+    cancelled: list[str] = []
+    news = [{Key("mappo", "tiny", 0): Report(640, None, "process 1")}]
+    keeper = SimpleNamespace(
+        stop=SimpleNamespace(remote=lambda: None), news=SimpleNamespace(remote=lambda: news.pop() if news else {})
+    )
+    fake = SimpleNamespace(get=lambda value: value, cancel=lambda reference, force: cancelled.append(reference))
+    monkeypatch.setattr(cluster, "ray", fake)
+    engine = cluster.Cluster(None)
+    engine._keeper = keeper
+    config = next(iter(Study.load("smoke").runs())).config
+    training = {seed: Training(Key("mappo", "tiny", seed), config, tmp_path, 2, None) for seed in (0, 1)}
+    bounding = Bounding(Key("bound", "tiny"), config.scenario)
+    assert len(list(engine._news())) == 1
+    engine._stop({"begun": training[0], "queued": training[1], "bound": bounding})
+    assert cancelled == ["queued", "bound"]
+
+
+class Killing:
+    """An engine that kills the process of each training with SIGKILL once, in the middle."""
+
+    def __init__(self, engine: Engine, times: int) -> None:
+        self._engine = engine
+        self._times = times
+        self.killed: list[int] = []
+        self.workers: set[str] = set()
+
+    def events(self, take: Any, stopping: Any) -> Any:
+        for event in self._engine.events(take, stopping):
+            if isinstance(event, Advanced):
+                self.workers.add(event.report.by)
+                process = int(event.report.by.split()[1])
+                if len(self.killed) < self._times and event.report.slots >= 3000 and process not in self.killed:
+                    os.kill(process, signal.SIGKILL)
+                    self.killed.append(process)
+            yield event
+
+
+def ignore(standing: Standing) -> None:
+    """Show nothing."""
+
+
+@pytest.mark.slow
+def test_a_killed_process_is_a_failure_that_the_same_command_mends(
+    untouched: tuple[Path, Study], tmp_path: Path
+) -> None:
+    place, study = untouched
+    engine = Killing(Processes(2), times=1)
+    ended = run_study(study, tmp_path, engine, ignore, quiet=True, checkpoint_every_s=0)
+    (reason,) = ended.failed.values()
+    assert "ended by SIGKILL" in reason
+    assert ended.done == 2
+    assert run_study(study, tmp_path, Processes(2), ignore, quiet=True).failed == {}
+    assert_the_same(tmp_path, place / "out", study)
+
+
+@pytest.mark.slow
+def test_a_killed_worker_of_a_cluster_costs_a_checkpoint_interval_and_its_run_goes_on(
+    untouched: tuple[Path, Study], tmp_path: Path
+) -> None:
+    pytest.importorskip("ray")
+    from uavaou.studies.cluster import Cluster
+
+    place, study = untouched
+    with Cluster(jobs=2) as cluster:
+        engine = Killing(cluster, times=2)
+        ended = run_study(study, tmp_path, engine, ignore, quiet=True, checkpoint_every_s=0)
+    assert ended.failed == {}
+    assert ended.done == 3
+    assert len(engine.killed) == 2
+    assert len(engine.workers) >= 4  # who took over is another process
+    assert_the_same(tmp_path, place / "out", study)
+
+
+@pytest.mark.slow
+def test_a_study_on_a_cluster_stops_with_checkpoints_and_goes_on_without_it(
+    untouched: tuple[Path, Study], tmp_path: Path
+) -> None:
+    pytest.importorskip("ray")
+    place, study = untouched
+    line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'} --engine ray"
+    process = start_command(f"{line} --checkpoint-every 0", tmp_path / "stderr")
+    folders = wait_for_missions(tmp_path / "out", 2, 5)
+    assert all(str(holder(folder / ".lock")).startswith("process ") for folder in folders)
+    os.killpg(process.pid, signal.SIGINT)
+    process.join(120)
+    assert process.exitcode == 130
+    said = (tmp_path / "stderr").read_text()
+    assert said.count("\n") == 1, said
+    assert all(0 < json.loads((folder / "meta.json").read_text())["slots"] < 16_000 for folder in folders)
+    assert main(shlex.split(line.replace(" --engine ray", ""))) == 0
+    assert_the_same(tmp_path / "out", place / "out", study)
+
+
+@pytest.mark.slow
+def test_the_smoke_study_killed_and_resumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = f"study run smoke --jobs 2 --out {tmp_path / 'out'}"
+    process = start_command(line, tmp_path / "stderr")
+    wait_for_missions(tmp_path / "out", 1, 20)
+    process.kill()
+    process.join()
+    time.sleep(1)
+    process = start_command(line, tmp_path / "stderr")
+    process.join(600)
+    assert process.exitcode == 0, (tmp_path / "stderr").read_text()
+    said = (tmp_path / "stderr").read_text()
+    assert "14/14  " in said
+    assert main(["study", "status", "smoke", "--out", str(tmp_path / "out")]) == 0
+    assert "14 parts, 14 finished" in capsys.readouterr().out
+    results = read_study(tmp_path / "out/studies/smoke")
+    assert len(results.runs["seed"]) == 8
+    assert set(results.runs["violations"]) == {0}
+    assert (results.runs["mean_aou_slots"] >= results.bounds["bound_slots"].min()).all()
+
+
+def test_a_cluster_without_ray_is_refused_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.delitem(sys.modules, "uavaou.studies.cluster", raising=False)
+    assert main(shlex.split(f"study run smoke --engine ray --out {tmp_path / 'out'}")) == 2
+    assert "pip install 'uavaou[ray]'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,1 @@
+"""What makes training fast and nothing else: without this folder everything trains, slower."""

@@ -1,0 +1,1 @@
+"""Safe save and load: arrays and JSON, no pickle."""

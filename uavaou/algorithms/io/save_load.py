@@ -1,0 +1,203 @@
+"""``save`` and ``load`` of learners without pickle: a stranger's file runs no code.
+
+SB3's own ``save`` writes a zip of pickles, and its ``load`` runs whatever they say. Here a learner is its weights
+and optimizer in safetensors, and the arguments that it was made with as JSON beside them.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import BasePolicy
+
+from uavaou.algorithms.io.tensor_file import CHECKSUM, ArrayFile, write_arrays
+from uavaou.algorithms.io.weights import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
+from uavaou.errors import InputError
+from uavaou.world.views import MOVES, Columns, RowLayout
+
+SCHEMA = 1
+_KIND = "uavaou learner"
+_NOT_SAVED = ("self", "policy", "env", "device", "tensorboard_log", "verbose", "_init_setup_model")
+_UNUSABLE = (TypeError, ValueError, KeyError, IndexError, AttributeError, AssertionError, RuntimeError, MemoryError)
+
+
+class SafeSaveLoad(BaseAlgorithm):
+    """Saves and loads an SB3 learner whose policy has a ``row_layout``; comes before SB3's class among the bases.
+
+    Arguments are saved as they were given; a schedule as its value when it is saved.
+    """
+
+    _given: dict[str, Any]
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        """Note the arguments, whatever the learner does with them."""
+        learner = super().__new__(cls)
+        given = inspect.signature(cls.__init__).bind_partial(learner, *args, **kwargs).arguments
+        learner._given = given.pop("kwargs", {}) | given
+        return learner
+
+    def save(self, path: str | Path, exclude: Any = None, include: Any = None) -> None:  # type: ignore[override]
+        """Write the learner to a safetensors file, to go on with :meth:`load`; runs have checkpoints of their own.
+
+        Args:
+            path: of the file; ``.safetensors`` is added where it has no suffix.
+            exclude, include: not used; SB3's :meth:`save_sb3` takes them.
+
+        Raises:
+            InputError: an argument that the learner was made with is no plain value.
+            OSError: the file cannot be written.
+        """
+        if exclude or include:
+            raise InputError("exclude, include: arguments of save_sb3; save writes what load needs")
+        layout: Any = self.policy.row_layout
+        about = {
+            "class": type(self).__name__,
+            "arguments": self._plain_arguments(),
+            "layout": asdict(layout),
+            "rows": self.n_envs,
+            "num_timesteps": self.num_timesteps,
+            "n_updates": getattr(self, "_n_updates", 0),
+        }
+        arrays = policy_arrays(self) | optimizer_arrays(self)
+        write_arrays(_with_suffix(path), arrays, {"kind": _KIND, "schema": str(SCHEMA), "about": json.dumps(about)})
+
+    @classmethod
+    def load(  # type: ignore[override]
+        cls, path: str | Path, env: Any = None, device: th.device | str = "auto", **changes: Any
+    ) -> Self:
+        """Read a learner that :meth:`save` wrote.
+
+        Args:
+            path: of the file.
+            env: to learn on; None to predict, or to be set later.
+            device: where the networks run.
+            changes: arguments that replace the saved ones, a schedule among them.
+
+        Raises:
+            InputError: the file is missing, damaged, of another class or no learner of this software.
+        """
+        file = ArrayFile(_with_suffix(path))
+        about = _about(file, cls.__name__)
+        try:
+            layout = _layout(about["layout"])
+            arguments = about["arguments"] | changes
+            policy_kwargs = dict(arguments.get("policy_kwargs") or {})
+            _check_size(file, layout, policy_kwargs.get("net_arch") or (1,))
+            policy_kwargs["row_layout"] = layout
+            arguments["policy_kwargs"] = policy_kwargs
+            learner = cls._make(arguments, layout, int(about["rows"]), env, device)
+            load_policy_arrays(file, learner)
+            load_optimizer_arrays(file, learner)
+            learner.num_timesteps, learner._n_updates = int(about["num_timesteps"]), int(about["n_updates"])
+        except _UNUSABLE as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{file.path}: no {cls.__name__} can be made of it ({error})") from error
+        return learner
+
+    @classmethod
+    def _make(cls, arguments: dict[str, Any], layout: RowLayout, rows: int, env: Any, device: th.device | str) -> Self:
+        policy = next(iter(cls.policy_aliases))
+        if env is not None:
+            if env.row_layout != layout:
+                raise InputError("env: its rows are not those that the learner was saved with")
+            return cls(policy, env, device=device, **arguments)
+        learner = cls(policy, None, device=device, _init_setup_model=False, **arguments)
+        if not 1 <= rows <= 65_536 * layout.uavs or rows % layout.uavs:
+            raise ValueError(f"rows = {rows}")
+        learner.n_envs = rows
+        learner.observation_space = spaces.Box(-np.inf, np.inf, (layout.local_size + layout.global_size,), np.float32)
+        learner.action_space = (
+            spaces.MultiDiscrete([MOVES] + [2] * layout.devices) if layout.selects else spaces.Discrete(MOVES)
+        )
+        learner._setup_model()
+        return learner
+
+    def save_sb3(self, path: str | Path, exclude: Any = None, include: Any = None) -> None:
+        """Write SB3's own zip, for tools that read it. Whoever loads such a file runs what is in it."""
+        super().save(path, exclude=[*(exclude or ()), "_given"], include=include)
+
+    def set_parameters(self, load_path_or_dict: Any, *args: Any, **kwargs: Any) -> None:
+        """As SB3's, from a dict of tensors; files are read by :meth:`load`."""
+        if not isinstance(load_path_or_dict, dict):
+            raise InputError("set_parameters: expected a dict of tensors; a file is read by load")
+        super().set_parameters(load_path_or_dict, *args, **kwargs)
+
+    def load_replay_buffer(self, *args: Any, **kwargs: Any) -> None:
+        """Refused: SB3's replay files are pickles."""
+        raise InputError("load_replay_buffer: reads pickles; a run's checkpoints hold its replay (train --resume)")
+
+    def _plain_arguments(self) -> dict[str, Any]:
+        given = {name: value for name, value in self._given.items() if name not in _NOT_SAVED}
+        policy_kwargs = dict(given.pop("policy_kwargs", None) or {})
+        policy_kwargs.pop("row_layout", None)
+        plain = {name: self._at_present(value) for name, value in given.items()} | {"policy_kwargs": policy_kwargs}
+        for name, value in plain.items():
+            try:
+                json.dumps(value)
+            except (TypeError, ValueError):
+                raise InputError(f"{name} = {value!r}: only plain values can be saved") from None
+        return plain
+
+    def _at_present(self, value: Any) -> Any:
+        is_schedule = isinstance(value, Callable) and not isinstance(value, type)  # type: ignore[arg-type]
+        return value(self._current_progress_remaining) if is_schedule else value
+
+
+class NoPickledPolicy(BasePolicy):
+    """A policy that is saved and loaded with its learner alone: SB3's ``load`` of a policy runs pickles."""
+
+    def save(self, path: str) -> None:
+        """Refused, since it could not be loaded."""
+        raise InputError("a policy is saved with its learner: use the learner's save")
+
+    @classmethod
+    def load(cls, path: str, device: th.device | str = "auto") -> Self:
+        """Refused."""
+        raise InputError(f"{path}: a policy is loaded with its learner: use the learner's load")
+
+
+def _with_suffix(path: str | Path) -> Path:
+    path = Path(path)
+    return path if path.suffix else path.with_suffix(".safetensors")
+
+
+def _about(file: ArrayFile, name: str) -> dict[str, Any]:
+    if file.text.get("kind") != _KIND or CHECKSUM not in file.text:
+        raise InputError(f"{file.path}: not a learner saved by this software")
+    if file.text.get("schema") != str(SCHEMA):
+        raise InputError(f"{file.path}: schema {file.text.get('schema')!r:.20}: this version reads schema {SCHEMA}")
+    about = file.json("about")
+    if not isinstance(about, dict) or not isinstance(about.get("arguments"), dict):
+        raise InputError(f"{file.path}: not a learner saved by this software")
+    if about.get("class") != name:
+        raise InputError(f"{file.path}: holds a {about.get('class')!r:.40}, not a {name}")
+    return about
+
+
+def _layout(stated: dict[str, Any]) -> RowLayout:
+    parts = {part: tuple(Columns(**columns) for columns in stated[part]) for part in ("local", "state")}
+    for part in parts.values():
+        end = 0
+        for columns in part:  # one run of columns follows the other
+            if columns.start != end or not isinstance(columns.stop, int) or columns.stop < end:
+                raise ValueError(f"columns {columns}")
+            end = columns.stop
+    return RowLayout(int(stated["uavs"]), int(stated["devices"]), str(stated["collection"]), **parts)
+
+
+def _check_size(file: ArrayFile, layout: RowLayout, hidden: Any) -> None:
+    """Refuse to build networks larger than the file that is to fill them."""
+    sizes = [layout.local_size, *(int(size) for size in hidden), MOVES + layout.devices]
+    if any(size < 0 for size in sizes) or sum(a * b for a, b in pairwise(sizes)) > file.elements:
+        raise InputError(f"{file.path}: states networks of {sizes} units, which it does not hold")

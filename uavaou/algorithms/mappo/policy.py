@@ -1,0 +1,182 @@
+"""Actor and critic of MAPPO in SB3's form: the actor reads ``local``, the critic the global state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.type_aliases import Schedule
+from torch import nn
+
+from uavaou.algorithms.local_policy import LocalPolicy
+from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
+from uavaou.algorithms.nets.mlp import ACTIVATIONS, mlp
+from uavaou.algorithms.nets.value_norm import PopArt
+from uavaou.errors import unknown
+from uavaou.world.views import RowLayout
+
+CRITIC_INPUTS = ("global", "local")
+
+
+class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
+    """A decentralised actor and a centralised critic over rows ``[local | global]``.
+
+    All UAVs share the parameters. Masks are read from the row where the observation has them.
+
+    Args:
+        observation_space, action_space, lr_schedule: as SB3 passes them.
+        row_layout: which columns of a row hold what; :class:`~uavaou.MAPPO` fills it in from the VecEnv.
+        critic_input: ``global`` (MAPPO) or ``local`` (IPPO).
+        net_arch: hidden layer sizes of actor and critic.
+        activation: ``relu`` or ``tanh``.
+        selection_bias: initial logit of selecting a device in range; collecting costs nothing in this model.
+        masks: whether moves that are not allowed and devices out of range have probability 0, in training and in
+            flight; without, the policy may choose them and the World rejects them. What it observes is the same.
+    """
+
+    action_dist: MoveSelectionDistribution
+    value_net: PopArt  # type: ignore[assignment]
+
+    def __init__(
+        self,
+        observation_space: spaces.Box,
+        action_space: spaces.Space[Any],
+        lr_schedule: Schedule,
+        row_layout: RowLayout,
+        critic_input: str = "global",
+        net_arch: list[int] | None = None,
+        activation: str = "tanh",
+        selection_bias: float = 2.0,
+        masks: bool = True,
+        **kwargs: Any,
+    ) -> None:
+        if critic_input not in CRITIC_INPUTS:
+            raise unknown("critic_input", critic_input, CRITIC_INPUTS)
+        if activation not in ACTIVATIONS:
+            raise unknown("activation", activation, ACTIVATIONS)
+        self.row_layout = row_layout
+        self.critic_input = critic_input
+        self.selection_bias = selection_bias
+        self.masks = masks
+        self._hidden = list(net_arch or [128, 128])
+        self._activation = activation
+        allowed, in_range = row_layout.local_columns("allowed_moves"), row_layout.local_columns("in_range")
+        self._allowed_moves = allowed if masks else None
+        self._in_range = in_range if masks and row_layout.selects else None
+        super().__init__(
+            observation_space, action_space, lr_schedule, net_arch=self._hidden,
+            activation_fn=ACTIVATIONS[activation], **kwargs,
+        )  # fmt: skip
+
+    def _build(self, lr_schedule: Schedule) -> None:
+        layout = self.row_layout
+        devices = layout.devices if layout.selects else 0
+        self.action_dist = MoveSelectionDistribution(devices)
+        critic_size = layout.global_size if self.critic_input == "global" else layout.local_size
+        self.actor_body = mlp(layout.local_size, self._hidden, self._activation)
+        action_net = self.action_dist.proba_distribution_net(self._hidden[-1])
+        self.critic_body = mlp(critic_size, self._hidden, self._activation)
+        self.value_net = PopArt(self._hidden[-1])
+        for module, gain in ((action_net, 0.01), (self.value_net.linear, 1.0)):
+            nn.init.orthogonal_(module.weight, gain=gain)
+            nn.init.zeros_(module.bias)
+        if devices:
+            nn.init.constant_(action_net.bias[-devices:], self.selection_bias)
+        self.action_net = action_net
+        self.optimizer = self.optimizer_class(  # type: ignore[call-arg]
+            [{"params": self.actor_parameters()}, {"params": self.critic_parameters()}],
+            lr=lr_schedule(1),
+            **self.optimizer_kwargs,
+        )
+
+    def actor_parameters(self) -> list[nn.Parameter]:
+        """Parameters of the actor, which the critic does not share."""
+        return [*self.actor_body.parameters(), *self.action_net.parameters()]
+
+    def critic_parameters(self) -> list[nn.Parameter]:
+        """Parameters of the critic."""
+        return [*self.critic_body.parameters(), *self.value_net.parameters()]
+
+    def actor_and_critic_parameters(self) -> list[nn.Parameter]:
+        """Those of both, the actor's first."""
+        return [*self.actor_parameters(), *self.critic_parameters()]
+
+    @property
+    def mask_columns(self) -> tuple[int, int]:
+        """First local column of the allowed moves and of the devices in range; -1 where the action has no such mask."""
+        first = [-1 if columns is None else int(columns.start) for columns in (self._allowed_moves, self._in_range)]
+        return first[0], first[1]
+
+    # -- the two networks ----------------------------------------------------------------------------
+
+    def action_distribution(self, local: th.Tensor) -> MoveSelectionDistribution:
+        """The policy of UAVs that see ``local`` (B, local)."""
+        return self.distribution_of(self.action_net(self.actor_body(local)), local)
+
+    def distribution_of(self, logits: th.Tensor, local: th.Tensor) -> MoveSelectionDistribution:
+        """The policy that ``logits`` (B, 5 + I) mean to UAVs that see ``local`` (B, local)."""
+        allowed = None if self._allowed_moves is None else local[:, self._allowed_moves]
+        in_range = None if self._in_range is None else local[:, self._in_range]
+        return MoveSelectionDistribution(self.action_dist.devices).proba_distribution(logits, allowed, in_range)
+
+    @th.no_grad()
+    def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
+        """Actions (B, 1 + I) for ``local`` (B, local): the likeliest, or drawn from ``uniforms`` (B, 5 + I)."""
+        distribution = self.action_distribution(local)
+        return distribution.mode() if uniforms is None else distribution.sample(uniforms)
+
+    def normalised_values(self, critic_rows: th.Tensor) -> th.Tensor:
+        """Normalised values of critic inputs (B, global) or, for IPPO, (B, local); (B,)."""
+        values: th.Tensor = self.value_net(self.critic_body(critic_rows))
+        return values[:, 0]
+
+    def critic_values(self, critic_rows: th.Tensor) -> th.Tensor:
+        """Values in units of the training reward, (B,)."""
+        return self.value_net.denormalise(self.normalised_values(critic_rows))
+
+    # -- SB3's interface, on rows --------------------------------------------------------------------
+
+    def forward(self, obs: th.Tensor, deterministic: bool = False) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+        """Actions (B, 1 + I), values (B, 1) and log-probabilities (B,) of rows (B, local + global)."""
+        distribution = self.get_distribution(obs)
+        actions = distribution.get_actions(deterministic=deterministic)
+        return actions, self.predict_values(obs), distribution.log_prob(actions)
+
+    def get_distribution(self, obs: th.Tensor) -> MoveSelectionDistribution:  # type: ignore[override]
+        """The policy for rows; reads their local part alone."""
+        return self.action_distribution(obs[:, : self.row_layout.local_size])
+
+    def predict_values(self, obs: th.Tensor) -> th.Tensor:  # type: ignore[override]
+        """Values of rows, (B, 1); where the rows are whole slots, each slot's state goes through the critic once."""
+        local_size, uavs = self.row_layout.local_size, self.row_layout.uavs
+        if self.critic_input == "local":
+            return self.critic_values(obs[:, :local_size])[:, None]
+        states = obs[:, local_size:]
+        if len(states) % uavs == 0:
+            slots = states.view(-1, uavs, states.shape[1])  # (slots, U, global)
+            if th.equal(slots, slots[:, :1].expand_as(slots)):  # whole slots: one value serves all their rows
+                return self.critic_values(slots[:, 0]).repeat_interleave(uavs)[:, None]
+        return self.critic_values(states)[:, None]
+
+    def evaluate_actions(  # type: ignore[override]
+        self, obs: th.Tensor, actions: th.Tensor
+    ) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+        """Values (B, 1), log-probabilities (B,) and entropies (B,) of actions taken in rows."""
+        distribution = self.get_distribution(obs)
+        return self.predict_values(obs), distribution.log_prob(actions), distribution.entropy()
+
+    def _predict(  # type: ignore[override]
+        self, observation: th.Tensor, deterministic: bool = False
+    ) -> th.Tensor:
+        return self.get_distribution(observation).get_actions(deterministic=deterministic)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        data = super()._get_constructor_parameters()
+        data.update(
+            row_layout=self.row_layout, critic_input=self.critic_input, net_arch=self._hidden,
+            activation=self._activation, selection_bias=self.selection_bias, masks=self.masks,
+        )  # fmt: skip
+        data.pop("activation_fn", None)
+        return data

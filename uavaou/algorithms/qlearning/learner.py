@@ -1,0 +1,163 @@
+"""Q-learning of a team from a joint replay, in SB3's form: what VDN, QMIX and IQL share."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.noise import ActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.utils import LinearSchedule
+from torch.nn import functional
+
+from uavaou.algorithms.io.save_load import SafeSaveLoad
+from uavaou.algorithms.qlearning.policy import JointQPolicy
+from uavaou.algorithms.qlearning.replay import JointBatch, JointReplay
+from uavaou.errors import InputError
+
+_STATISTICS_INTERVAL = 20  # gradient steps between updates of the targets' statistics
+
+
+class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
+    """Double Q-learning of Q_tot from joint transitions, with target networks and parameters shared by all agents.
+
+    Subclasses name the mixer. Values are normalised by running statistics of their targets; what the networks
+    predict does not change when the statistics do.
+
+    Args:
+        policy: ``"JointQPolicy"``.
+        env: what :func:`uavaou.flatten` returns, or any ``VecEnv`` with team-major rows ``[local | global]``, one
+            reward for a whole team, missions that end by termination, and a ``row_layout``.
+        learning_rate: Adam's, or its schedule.
+        buffer_size: slots in the replay, of all missions together.
+        learning_starts: slots of all missions together before the first gradient step.
+        batch_size: joint transitions (whole slots, all agents) in a gradient step.
+        tau: how far the target networks move at an update of theirs; 1 copies.
+        gamma: discount factor.
+        train_freq: slots of every mission between updates.
+        gradient_steps: of an update.
+        n_steps: slots of reward before the bootstrap.
+        target_update_interval: gradient steps between updates of the target networks.
+        exploration_fraction: of the training over which epsilon falls linearly.
+        exploration_initial_eps, exploration_final_eps: epsilon, the probability that an agent acts at random.
+        max_grad_norm: gradient clip.
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"JointQPolicy": JointQPolicy}
+    mixer: ClassVar[str]
+    policy: JointQPolicy
+    replay_buffer: JointReplay  # type: ignore[assignment]
+
+    def __init__(
+        self,
+        policy: str | type[JointQPolicy] = "JointQPolicy",
+        env: Any = None,
+        learning_rate: Any = 5e-4,
+        buffer_size: int = 200_000,
+        learning_starts: int = 10_000,
+        batch_size: int = 512,
+        tau: float = 0.01,
+        gamma: float = 0.99,
+        train_freq: int = 4,
+        gradient_steps: int = 1,
+        n_steps: int = 3,
+        target_update_interval: int = 1,
+        exploration_fraction: float = 0.3,
+        exploration_initial_eps: float = 1.0,
+        exploration_final_eps: float = 0.02,
+        max_grad_norm: float = 10.0,
+        policy_kwargs: dict[str, Any] | None = None,
+        _init_setup_model: bool = True,
+        **kwargs: Any,
+    ) -> None:
+        if env is not None and not hasattr(env, "row_layout"):
+            raise InputError(f"env = {env!r}: expected what uavaou.flatten returns, or a VecEnv with a row_layout")
+        policy_kwargs = dict(policy_kwargs or {})
+        policy_kwargs.setdefault("mixer", self.mixer)
+        if env is not None:
+            policy_kwargs.setdefault("row_layout", env.row_layout)
+        kwargs.setdefault("replay_buffer_class", JointReplay)
+        kwargs.setdefault(
+            "replay_buffer_kwargs",
+            {"row_layout": policy_kwargs.get("row_layout"), "n_steps": n_steps, "gamma": gamma},
+        )
+        uavs = policy_kwargs["row_layout"].uavs if "row_layout" in policy_kwargs else 1
+        super().__init__(
+            policy, env, learning_rate, buffer_size=buffer_size, learning_starts=learning_starts * uavs,
+            batch_size=batch_size, tau=tau, gamma=gamma, train_freq=train_freq, gradient_steps=gradient_steps,
+            policy_kwargs=policy_kwargs, support_multi_env=True, sde_support=False,
+            supported_action_spaces=(spaces.Discrete, spaces.MultiDiscrete), **kwargs,
+        )  # fmt: skip
+        self.target_update_interval = target_update_interval
+        self.exploration_schedule = LinearSchedule(exploration_initial_eps, exploration_final_eps, exploration_fraction)
+        self.max_grad_norm = max_grad_norm
+        if _init_setup_model:
+            self._setup_model()
+
+    def _sample_action(
+        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Epsilon-greedy actions of all rows, one coin an agent."""
+        self.policy.epsilon.fill_(self.exploration_schedule(self._current_progress_remaining))
+        assert isinstance(self._last_obs, np.ndarray)
+        actions, _ = self.predict(self._last_obs, deterministic=False)
+        return actions, actions
+
+    def _store_transition(  # type: ignore[override]
+        self,
+        replay_buffer: JointReplay,
+        buffer_action: NDArray[Any],
+        new_obs: NDArray[np.float32],
+        reward: NDArray[np.float32],
+        dones: NDArray[np.bool_],
+        infos: list[dict[str, Any]],
+    ) -> None:
+        """Store the slot just played; what follows it is stored with the next."""
+        assert isinstance(self._last_obs, np.ndarray)
+        replay_buffer.add(self._last_obs, buffer_action, reward, dones)
+        self._last_obs = new_obs
+
+    def train(self, gradient_steps: int, batch_size: int) -> None:
+        """Take gradient steps on joint transitions from the replay."""
+        if not self.replay_buffer.can_sample():
+            return
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.policy.optimizer)
+        figures = [self._update(self.replay_buffer.sample(batch_size)) for _ in range(gradient_steps)]
+        loss, value, target = np.mean(figures, axis=0)
+        self.logger.record("train/loss", float(loss))
+        self.logger.record("train/mean_value", float(value))
+        self.logger.record("train/mean_target", float(target))
+        self.logger.record("train/epsilon", float(self.policy.epsilon))
+        self.logger.record("train/replay_slots", self.replay_buffer.slots)
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+
+    def _update(self, batch: JointBatch) -> tuple[float, float, float]:
+        """One gradient step; returns loss, and mean Q_tot and target in units of the reward."""
+        policy = self.policy
+        targets = self.targets(batch)
+        if self._n_updates % _STATISTICS_INTERVAL == 0:
+            policy.update_statistics(targets)
+        if self._n_updates % self.target_update_interval == 0:
+            policy.update_target(self.tau)
+        values = policy.team_values(batch.local, batch.states, batch.actions)  # (B, V)
+        loss = functional.mse_loss(values, policy.returns.normalise(targets).expand_as(values))
+        policy.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        th.nn.utils.clip_grad_norm_(policy.trained_parameters(), self.max_grad_norm)
+        policy.optimizer.step()
+        self._n_updates += 1
+        mean = policy.returns.denormalise(values.detach().mean())
+        return loss.item(), mean.item(), targets.mean().item()
+
+    def targets(self, batch: JointBatch) -> th.Tensor:
+        """TD targets of Q_tot in units of the reward, (B, V): n slots of reward, and what follows unless it ended."""
+        following = self.policy.following_values(batch.next_local, batch.next_states)  # (B, V)
+        return batch.rewards[:, None] + batch.discounts[:, None] * following
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        return ["policy", "policy.optimizer"], []

@@ -1,0 +1,120 @@
+"""From the agents' utilities to the team's value, monotone in each, so that greedy agents make a greedy team."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import torch as th
+from torch import nn
+from torch.nn import functional
+
+from uavaou.algorithms.nets.mlp import Linear, UtilityNetwork, rescale_linear
+from uavaou.errors import unknown
+
+MIXERS = ("none", "sum", "monotonic")
+
+
+def make_mixer(name: str, agents: int, state_size: int, width: int = 32, hypernet_width: int = 64) -> Mixer:
+    """The mixer of IQL (``none``), VDN (``sum``) or QMIX (``monotonic``).
+
+    Args:
+        name: one of :data:`MIXERS`.
+        agents: U.
+        state_size: of the global state.
+        width, hypernet_width: of :class:`MonotonicMixer`.
+
+    Raises:
+        InputError: the name is none of these.
+    """
+    if name not in MIXERS:
+        raise unknown("mixer", name, MIXERS)
+    if name == "monotonic":
+        return MonotonicMixer(agents, state_size, width, hypernet_width)
+    return SumMixer(agents) if name == "sum" else NoMixer(agents)
+
+
+class Mixer(nn.Module, ABC):
+    """Mixes utilities (B, U) in states (B, state) to team values (B, V)."""
+
+    def __init__(self, agents: int) -> None:
+        super().__init__()
+        self.agents = agents
+
+    @abstractmethod
+    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+        """Team values, (B, V): V is 1, or U where nothing is mixed."""
+
+    @abstractmethod
+    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
+        """From now on give ``values * ratio + shift`` with the utilities of ``network``, which may change for it."""
+
+
+class NoMixer(Mixer):
+    """Every agent for itself: independent Q-learning on the team's reward."""
+
+    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+        """The utilities, (B, U)."""
+        return utilities
+
+    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
+        """Rescale every utility."""
+        network.rescale(ratio, shift)
+
+
+class SumMixer(Mixer):
+    """Q_tot = sum_u Q_u: value decomposition networks (Sunehag et al. 2018, arXiv 1706.05296)."""
+
+    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+        """Q_tot, (B, 1)."""
+        return utilities.sum(dim=1, keepdim=True)
+
+    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
+        """Rescale every utility; each bears its part of the shift."""
+        network.rescale(ratio, shift / self.agents)
+
+
+class MonotonicMixer(Mixer):
+    """QMIX's mixing network, whose weights >= 0 come from the state (Rashid et al. 2018, arXiv 1803.11485).
+
+    Args:
+        agents: U.
+        state_size: of the global state.
+        width: units of the mixing network's hidden layer.
+        hypernet_width: units of the hidden layer of the networks that give its weights.
+    """
+
+    def __init__(self, agents: int, state_size: int, width: int = 32, hypernet_width: int = 64) -> None:
+        super().__init__(agents)
+        self.width = width
+        self.first_weights = _Hypernet(state_size, hypernet_width, agents * width)
+        self.first_bias = Linear(state_size, width)
+        self.second_weights = _Hypernet(state_size, hypernet_width, width)
+        self.value = _Hypernet(state_size, hypernet_width, 1)
+
+    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+        """Q_tot, (B, 1)."""
+        first = self.first_weights(states).abs().view(-1, self.agents, self.width)  # (B, U, width)
+        hidden = functional.elu(th.bmm(utilities[:, None], first)[:, 0] + self.first_bias(states))  # (B, width)
+        second = self.second_weights(states).abs()  # (B, width)
+        mixed: th.Tensor = (hidden * second).sum(dim=1, keepdim=True) + self.value(states)
+        return mixed
+
+    @th.no_grad()
+    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
+        """Rescale the mixing network's outer layer; the utilities stay."""
+        for hypernet in (self.second_weights, self.value):
+            rescale_linear(hypernet.outer, ratio)
+        self.value.outer.bias.add_(shift)
+
+
+class _Hypernet(nn.Module):
+    """Weights of the mixing network from the state."""
+
+    def __init__(self, inputs: int, hidden: int, outputs: int) -> None:
+        super().__init__()
+        self.inner = Linear(inputs, hidden)
+        self.outer = Linear(hidden, outputs)
+
+    def forward(self, states: th.Tensor) -> th.Tensor:
+        weights: th.Tensor = self.outer(functional.relu(self.inner(states)))
+        return weights

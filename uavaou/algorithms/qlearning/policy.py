@@ -1,0 +1,164 @@
+"""The policy of VDN, QMIX and IQL in SB3's form: utilities by branches, a mixer, and their target networks."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from typing import Any
+
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.type_aliases import Schedule
+from stable_baselines3.common.utils import polyak_update
+from torch import nn
+
+from uavaou.algorithms.local_policy import LocalPolicy
+from uavaou.algorithms.nets.mlp import ACTIVATIONS, UtilityNetwork
+from uavaou.algorithms.nets.value_norm import ReturnStatistics
+from uavaou.algorithms.qlearning.branches import Branches
+from uavaou.algorithms.qlearning.mixers import make_mixer
+from uavaou.errors import unknown
+from uavaou.world.views import MOVES, RowLayout
+
+
+class JointQPolicy(LocalPolicy):
+    """Utilities that all UAVs share and a mixer, over rows ``[local | global]``.
+
+    Flying needs the utilities alone, which read ``local``; the mixer reads the global state and is for training.
+
+    Args:
+        observation_space, action_space, lr_schedule: as SB3 passes them; the action is Discrete or MultiDiscrete.
+        row_layout: which columns of a row hold what; the algorithm fills it in from the VecEnv. Masks are read
+            from the local columns ``action_mask`` (a flag for each option of each branch), or ``allowed_moves``
+            and ``in_range``, where there are such.
+        mixer: ``sum`` (VDN), ``monotonic`` (QMIX) or ``none`` (IQL).
+        net_arch: hidden layer sizes of the utility network.
+        activation: ``relu`` or ``tanh``.
+        selection_bias: by how much selecting a device in range is valued above not selecting it, at first;
+            collecting costs nothing in this model.
+        masks: whether options that are not allowed are left out, of choices, targets and exploration alike;
+            without, the World rejects them. What is observed is the same.
+        mixer_width, hypernet_width: hidden units of the monotonic mixer and of the networks that give its weights.
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Box,
+        action_space: spaces.Space[Any],
+        lr_schedule: Schedule,
+        row_layout: RowLayout,
+        mixer: str,
+        net_arch: list[int] | None = None,
+        activation: str = "relu",
+        selection_bias: float = 0.1,
+        masks: bool = True,
+        mixer_width: int = 32,
+        hypernet_width: int = 64,
+        optimizer_class: type[th.optim.Optimizer] = th.optim.Adam,
+        optimizer_kwargs: dict[str, Any] | None = None,
+    ) -> None:
+        if activation not in ACTIVATIONS:
+            raise unknown("activation", activation, ACTIVATIONS)
+        super().__init__(
+            observation_space, action_space, optimizer_class=optimizer_class, optimizer_kwargs=optimizer_kwargs
+        )
+        self.row_layout = row_layout
+        self.branches = Branches.of_space(action_space)
+        self._hidden = list(net_arch or [128, 128])
+        self._activation = activation
+        self.selection_bias = selection_bias
+        self.masks = masks
+        self.utilities = UtilityNetwork(row_layout.local_size, self._hidden, activation, self.branches)
+        if row_layout.selects:
+            with th.no_grad():
+                self.utilities.advantage.bias[MOVES + 1 :: 2] = selection_bias
+        self._mixer = {"mixer": mixer, "mixer_width": mixer_width, "hypernet_width": hypernet_width}
+        self.mixer = make_mixer(mixer, row_layout.uavs, row_layout.global_size, mixer_width, hypernet_width)
+        self.target_utilities = deepcopy(self.utilities).requires_grad_(False)
+        self.target_mixer = deepcopy(self.mixer).requires_grad_(False)
+        self.returns = ReturnStatistics(decay=0.9)
+        self.epsilon: th.Tensor
+        self.register_buffer("epsilon", th.zeros(()))  # of the exploration when the policy was last trained
+        self.optimizer = optimizer_class(self.trained_parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
+
+    def trained_parameters(self) -> list[nn.Parameter]:
+        """Parameters of the utilities and of the mixer, without their targets'."""
+        return [*self.utilities.parameters(), *self.mixer.parameters()]
+
+    def allowed(self, local: th.Tensor) -> th.Tensor | None:
+        """Which options are allowed, (B, sum(n_b)), from the masks in ``local`` (B, local); None where it has none."""
+        if not self.masks:
+            return None
+        whole = self.row_layout.local_columns("action_mask")
+        if whole is not None:
+            return local[:, whole] > 0.5
+        moves, in_range = self.row_layout.local_columns("allowed_moves"), self.row_layout.local_columns("in_range")
+        if moves is None or in_range is None:
+            return None
+        allowed = local[:, moves] > 0.5
+        if not self.row_layout.selects:
+            return allowed
+        selectable = local[:, in_range] > 0.5  # (B, I)
+        bits = th.stack([th.ones_like(selectable), selectable], dim=2)  # (B, I, 2): not selecting is always allowed
+        return th.cat([allowed, bits.flatten(1)], dim=1)
+
+    @th.no_grad()
+    def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
+        """Actions (B, M) of ``local`` (B, local): greedy, or epsilon-greedy from ``uniforms`` (B, >= 1 + M).
+
+        One coin decides for a whole composite action: with one a branch, hardly any action would stay greedy.
+        """
+        allowed = self.allowed(local)
+        greedy = self.branches.greedy(self.utilities(local, allowed), allowed)
+        if uniforms is None:
+            return greedy
+        explores = uniforms[:, :1] < self.epsilon
+        return th.where(explores, self.branches.uniform(uniforms[:, 1 : 1 + self.branches.count], allowed), greedy)
+
+    def team_values(self, local: th.Tensor, states: th.Tensor, actions: th.Tensor) -> th.Tensor:
+        """Normalised Q_tot (B, V) of joint actions (B * U, M) in ``local`` (B * U, local), ``states`` (B, global)."""
+        values = self.branches.mean(self.utilities(local, self.allowed(local)), actions)  # (B * U,)
+        mixed: th.Tensor = self.mixer(values.view(-1, self.row_layout.uavs), states)
+        return mixed
+
+    @th.no_grad()
+    def following_values(self, local: th.Tensor, states: th.Tensor) -> th.Tensor:
+        """Q_tot (B, V) in units of the reward, of the next slots: chosen online, valued by the target networks.
+
+        Double Q-learning (van Hasselt et al. 2016). The joint action is the greedy one of each agent, which is
+        the team's, as the mixers are monotone.
+        """
+        allowed = self.allowed(local)
+        choice = self.branches.greedy(self.utilities(local, allowed), allowed)
+        values = self.branches.mean(self.target_utilities(local, allowed), choice)
+        return self.returns.denormalise(self.target_mixer(values.view(-1, self.row_layout.uavs), states))
+
+    @th.no_grad()
+    def update_statistics(self, targets: th.Tensor) -> None:
+        """Take in targets of Q_tot, in units of the reward; what the networks predict stays as it was."""
+        ratio, shift = self.returns.update(targets)
+        for utilities, mixer in ((self.utilities, self.mixer), (self.target_utilities, self.target_mixer)):
+            mixer.rescale(utilities, ratio, shift)
+
+    @th.no_grad()
+    def update_target(self, fraction: float) -> None:
+        """Move the target networks towards the trained ones; ``fraction`` 1 copies."""
+        for own, target in ((self.utilities, self.target_utilities), (self.mixer, self.target_mixer)):
+            polyak_update(own.parameters(), target.parameters(), fraction)
+
+    def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:  # type: ignore[override]
+        local = observation[:, : self.row_layout.local_size]
+        uniforms = None if deterministic else th.rand((len(local), 1 + self.branches.count)).to(local.device)
+        actions = self.act(local, uniforms)
+        return actions[:, 0] if isinstance(self.action_space, spaces.Discrete) else actions
+
+    def forward(self, obs: th.Tensor, deterministic: bool = False) -> th.Tensor:
+        """Actions of rows."""
+        return self._predict(obs, deterministic)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        data = super()._get_constructor_parameters()
+        data.update(
+            row_layout=self.row_layout, net_arch=self._hidden, activation=self._activation,
+            selection_bias=self.selection_bias, masks=self.masks, **self._mixer,
+        )  # fmt: skip
+        return data

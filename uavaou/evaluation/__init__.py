@@ -1,0 +1,1 @@
+"""Policies on missions: what they reach, and an independent check of the constraints."""

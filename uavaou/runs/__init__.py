@@ -1,0 +1,1 @@
+"""One training on disk: its folder, its records, its checkpoints, and the policy that comes of it."""

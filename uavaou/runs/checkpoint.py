@@ -1,0 +1,241 @@
+"""Checkpoints: arrays in safetensors with a checksum, everything else as JSON in its header; nothing that can run code.
+
+``best`` holds the policy's weights alone. ``last`` holds what going on needs: weights, optimizer, random streams,
+the learner's own state, its replay and the missions in the air; ``previous`` is the ``last`` before it.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from uavaou.algorithms.io.tensor_file import CHECKSUM, ArrayFile, write_arrays
+from uavaou.algorithms.io.weights import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
+from uavaou.errors import InputError
+from uavaou.runs.folder import RunFolder
+
+SCHEMA = 2  # 1 had no checksum; its policies are still read
+_WORLD, _STREAM, _LEARNER, _REPLAY = "world.", "stream.", "learner.", "replay."
+_UNUSABLE = (KeyError, ValueError, TypeError, IndexError, RuntimeError, AttributeError, OverflowError)
+
+_MOST = 10**15  # of anything counted or measured
+
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a training stands."""
+
+    slots: int = 0
+    missions: int = 0  # finished training missions, rows of episodes.csv
+    wall_s: float = 0.0
+    updates: int = 0
+    next_evaluation: int = 0
+    best_score: float | None = None  # mean AoU on the validation missions, s
+    best_action: str = "greedy"  # the action that the best score was reached with
+    rows: int = 0  # of progress.csv
+    row_slots: int = 0  # slots at the last of them
+    figures: dict[str, float | int] = field(default_factory=dict)  # logged since
+    budget_left: float = 1.0  # what SB3's schedules go by
+    cpu_s: float | None = None  # of the training processes so far, playing and learning; None: not measured
+
+
+class DamagedCheckpointWarning(UserWarning):
+    """The newest checkpoint could not be used, the one before it is."""
+
+
+def save_policy(path: Path, model: BaseAlgorithm, progress: Progress) -> None:
+    """Write the policy's weights."""
+    _write(path, policy_arrays(model), progress)
+
+
+def save_training(
+    folder: RunFolder, model: BaseAlgorithm, progress: Progress, world: Arrays, replay: bool = True
+) -> None:
+    """Write everything that resuming needs; the checkpoint before it is kept.
+
+    Args:
+        folder: of the run.
+        model: the learner.
+        progress: where it stands.
+        world: :meth:`uavaou.envs.flatten.MissionVecEnv.missions_state`.
+        replay: include the replay; a finished training has no more use for it.
+
+    Raises:
+        OSError: it cannot be written; what was there before is untouched.
+    """
+    arrays = policy_arrays(model) | optimizer_arrays(model)
+    arrays |= {_WORLD + name: array for name, array in world.items()}
+    arrays |= {_LEARNER + name: _to_numpy(value) for name, value in _learner_state(model).items()}
+    arrays |= _streams(model)
+    if replay:
+        arrays |= _replay_arrays(model)
+    newest = folder.last.with_name("newest.safetensors")
+    _write(newest, arrays, progress)
+    if folder.last.exists():
+        folder.last.replace(folder.previous)
+    newest.replace(folder.last)
+
+
+def read_progress(file: ArrayFile) -> Progress:
+    """Read where the training stood.
+
+    Raises:
+        InputError: the file is no checkpoint of this software.
+    """
+    return _progress(file, oldest=1)
+
+
+def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[Progress, Arrays]:
+    """Load the newest checkpoint that is whole into a learner; returns where it stood and the missions in the air.
+
+    A damaged ``last`` is set aside as ``last.damaged``, with a warning that names it and the one taken.
+
+    Raises:
+        InputError: no checkpoint can be used.
+    """
+    problems: list[str] = []
+    for path in (folder.last, folder.previous):
+        if not path.exists():
+            continue
+        try:
+            file = ArrayFile(path)
+            progress = _progress(file, oldest=SCHEMA)
+            world = _load_state(file, model)
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        if problems:
+            folder.last.replace(folder.last.with_suffix(".damaged"))
+            message = f"{problems[0]}; going on from {path}, which has {progress.slots:,} slots"
+            warnings.warn(message, DamagedCheckpointWarning, stacklevel=2)
+        return progress, world
+    raise InputError("; ".join(problems) + "; no checkpoint is left to go on from")
+
+
+def _progress(file: ArrayFile, oldest: int) -> Progress:
+    schema = file.text.get("schema", "")
+    if not schema.isdigit():
+        raise InputError(f"{file.path}: not a checkpoint of this software")
+    if not oldest <= int(schema) <= SCHEMA:
+        verb = "reads" if oldest == SCHEMA else "reads schemas 1 to"
+        raise InputError(f"{file.path}: written with checkpoint schema {schema}, this version {verb} {SCHEMA}")
+    if int(schema) > 1 and CHECKSUM not in file.text:
+        raise InputError(f"{file.path}: damaged: its checksum is missing")
+    stated = file.json("progress")
+    try:
+        progress = Progress(**stated)
+        counts = (progress.slots, progress.missions, progress.updates, progress.next_evaluation, progress.rows)
+        usable = all(isinstance(count, int) and 0 <= count <= _MOST for count in (*counts, progress.row_slots))
+        measured = (progress.wall_s, progress.cpu_s or 0.0, progress.best_score or 0.0, progress.budget_left)
+        numbers = (*measured, *progress.figures.values())
+        usable &= all(isinstance(number, int | float) and abs(number) <= _MOST for number in numbers)
+        usable &= progress.best_action in ("greedy", "sample")
+    except (TypeError, AttributeError) as error:
+        raise InputError(f"{file.path}: not a checkpoint of this software") from error
+    if not usable:
+        raise InputError(f"{file.path}: not a checkpoint of this software (impossible progress {stated!r:.200})")
+    return progress
+
+
+def _load_state(file: ArrayFile, model: BaseAlgorithm) -> Arrays:
+    """Load everything but the missions, which are returned."""
+    load_policy_arrays(file, model)
+    try:
+        load_optimizer_arrays(file, model)
+        state = _part(file, _LEARNER)
+        if state:
+            model.load_training_state(state)  # type: ignore[attr-defined]
+        _load_replay(file, model)
+        _load_streams(file, model)
+    except _UNUSABLE as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{file.path}: does not hold the state of this training ({error})") from error
+    return _part(file, _WORLD)
+
+
+def _part(file: ArrayFile, prefix: str) -> Arrays:
+    return {name.removeprefix(prefix): file.read(name) for name in file.shapes if name.startswith(prefix)}
+
+
+def _learner_state(model: BaseAlgorithm) -> dict[str, Any]:
+    """What a learner keeps beside weights, optimizer and random streams; most keep nothing."""
+    return model.training_state() if hasattr(model, "training_state") else {}
+
+
+def _replay_arrays(model: BaseAlgorithm) -> Arrays:
+    replay = getattr(model, "replay_buffer", None)
+    if replay is None:
+        return {}
+    held = replay.buffer_size if replay.full else replay.pos
+    arrays = {name: array[:held] for name, array in _ring(replay).items()}  # (T, N, ...) up to where it is filled
+    return {_REPLAY + name: array for name, array in arrays.items()} | {
+        _REPLAY + "position": np.array([replay.pos, int(replay.full)])
+    }
+
+
+def _load_replay(file: ArrayFile, model: BaseAlgorithm) -> None:
+    replay = getattr(model, "replay_buffer", None)
+    stored = _part(file, _REPLAY)
+    if replay is None or not stored:
+        return
+    position, full = (int(value) for value in stored.pop("position"))
+    ring = _ring(replay)
+    held = replay.buffer_size if full else position
+    if stored.keys() != ring.keys() or not 0 <= position < replay.buffer_size or full not in (0, 1):
+        raise InputError(f"{file.path}: does not hold this learner's replay")
+    for name, array in ring.items():
+        if stored[name].shape != (held, *array.shape[1:]) or stored[name].dtype != array.dtype:
+            raise InputError(f"{file.path}: replay.{name} has shape {stored[name].shape} and type {stored[name].dtype}")
+        array[:held] = stored[name]
+    replay.pos, replay.full = position, bool(full)
+
+
+def _ring(replay: Any) -> Arrays:
+    """The arrays (T, ...) of a replay: those it names, or all that an SB3 replay has."""
+    if hasattr(replay, "state_arrays"):
+        named: Arrays = replay.state_arrays()
+        return named
+    return {name: value for name, value in vars(replay).items() if isinstance(value, np.ndarray)}
+
+
+def _streams(model: BaseAlgorithm) -> Arrays:
+    legacy = np.random.get_state(legacy=False)
+    assert isinstance(legacy, dict)
+    arrays = {
+        _STREAM + "torch": th.get_rng_state().numpy(),
+        _STREAM + "numpy": legacy["state"]["key"],
+        _STREAM + "numpy_position": np.array([legacy["state"]["pos"]]),
+    }
+    if model.device.type == "cuda":
+        arrays[_STREAM + "cuda"] = th.cuda.get_rng_state(model.device).numpy()
+    return arrays
+
+
+def _load_streams(file: ArrayFile, model: BaseAlgorithm) -> None:
+    position = int(file.read(_STREAM + "numpy_position")[0])
+    if not 0 <= position <= 624:
+        raise InputError(f"{file.path}: {_STREAM}numpy_position = {position}: expected 0 to 624")
+    th.set_rng_state(th.from_numpy(file.read(_STREAM + "torch")))
+    np.random.set_state(("MT19937", file.read(_STREAM + "numpy"), position, 0, 0.0))
+    if model.device.type == "cuda" and _STREAM + "cuda" in file.shapes:
+        th.cuda.set_rng_state(th.from_numpy(file.read(_STREAM + "cuda")), model.device)
+
+
+def _to_numpy(value: Any) -> NDArray[Any]:
+    return value.detach().cpu().numpy() if isinstance(value, th.Tensor) else np.asarray(value)
+
+
+def _write(path: Path, arrays: Arrays, progress: Progress) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_arrays(path, arrays, {"schema": str(SCHEMA), "progress": json.dumps(asdict(progress))})

@@ -1,0 +1,139 @@
+"""A trained run as a policy that evaluation takes like any planner; it reads local observations alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
+
+from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
+from uavaou.algorithms.io.weights import load_policy_arrays
+from uavaou.algorithms.registry import make_model
+from uavaou.envs.actions import split_actions
+from uavaou.envs.flatten import flatten
+from uavaou.errors import InputError
+from uavaou.runs.checkpoint import read_progress
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.scenario import Scenario
+from uavaou.world import Views, World
+from uavaou.world.views import MOVES
+
+_STREAM = 3  # spawn key of the policies' random streams, apart from the layouts' (1) and the planners' (2)
+
+
+@dataclass
+class TrainedPolicy:
+    """A learner's policy in the planners' interface.
+
+    Attributes:
+        model: whose policy acts.
+        views: what its UAVs see.
+        action: ``greedy`` (the likeliest) or ``sample``.
+        digest: SHA-256 of the weights in the checkpoint that they were loaded from; empty where none was.
+    """
+
+    model: BaseAlgorithm
+    views: Views
+    action: str = "greedy"
+    digest: str = ""
+    _rngs: list[np.random.Generator] = field(default_factory=list)
+
+    def reset(self, world: World, seed: int) -> None:
+        """Start missions; mission j samples from a stream seeded with ``seed + j``."""
+        lanes = range(world.missions)
+        self._rngs = [np.random.default_rng(np.random.SeedSequence(seed + j, spawn_key=(_STREAM,))) for j in lanes]
+
+    def act(self, world: World) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
+        """Moves (N, U) and selections (N, U, I), None for every device in range."""
+        uavs = world.scenario.uavs
+        device = self.model.device
+        local = th.from_numpy(self.views.local(world).reshape(world.missions * uavs, -1)).to(device)
+        uniforms = None if self.action == "greedy" else self._uniforms(uavs).to(device)
+        actions = _act(self.model, local, uniforms).cpu().numpy()
+        return split_actions(actions, world.missions, uavs, self.views.layout.selects)
+
+    def _uniforms(self, uavs: int) -> th.Tensor:
+        width = MOVES + (self.views.layout.devices if self.views.layout.selects else 0)
+        drawn = np.stack([rng.random((uavs, width), dtype=np.float32) for rng in self._rngs])  # (N, U, 5 + I)
+        return th.from_numpy(drawn.reshape(-1, width))
+
+
+@th.no_grad()
+def _act(model: BaseAlgorithm, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
+    """Actions (B, 1 + I) or (B,) of a learner for ``local`` (B, local): the likeliest, or drawn from ``uniforms``.
+
+    ``policy.act`` where there is one. Any other SB3 policy reads ``local`` as its observation; one without a
+    distribution (DQN) has its greedy action alone.
+    """
+    policy: Any = model.policy
+    if hasattr(policy, "act"):
+        chosen: th.Tensor = policy.act(local, uniforms)
+        return chosen
+    if uniforms is None or not isinstance(policy, ActorCriticPolicy):
+        return th.from_numpy(model.predict(local.cpu().numpy(), deterministic=True)[0])
+    categories: Any = policy.get_distribution(local).distribution
+    if not isinstance(categories, list):  # Discrete(5): the move alone
+        return _draw(categories.probs, uniforms[:, 0])
+    columns = [0, *range(MOVES, uniforms.shape[1])]  # one uniform for the move, one for each device
+    drawn = [_draw(part.probs, uniforms[:, k]) for part, k in zip(categories, columns, strict=True)]
+    return th.stack(drawn, dim=1)
+
+
+def _draw(probabilities: th.Tensor, uniforms: th.Tensor) -> th.Tensor:
+    """Categories (B,) of ``probabilities`` (B, C), by inversion of their distribution function at ``uniforms`` (B,)."""
+    ends = probabilities.cumsum(dim=1)  # (B, C)
+    return (uniforms[:, None] >= ends[:, :-1]).sum(dim=1)
+
+
+def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | None = None) -> TrainedPolicy:
+    """Load the best policy of a run.
+
+    Args:
+        path: the run's folder.
+        scenario: to act in, of the same shape; None for the one trained on.
+        action: ``greedy`` or ``sample``; None for the one that the best checkpoint was chosen by.
+
+    Raises:
+        InputError: the folder is no run, holds no checkpoint, or was trained on another shape.
+    """
+    config = path.read_config()
+    scenario = config.scenario if scenario is None else scenario
+    _check_shape(path, config, scenario)
+    if not path.policy.is_file():
+        raise InputError(f"'{path.path}' holds no checkpoint yet: its training has not reached the first one")
+    checkpoint = ArrayFile(path.policy)  # opened once: a training at work may put another in its place
+    progress = read_progress(checkpoint)
+    algorithm = config.algorithm
+    env = flatten(scenario, missions=1, observation=algorithm.observation, collection=algorithm.collection)
+    _check_size(checkpoint, config)
+    try:
+        model = make_model(algorithm, env, config.seed, device="cpu")
+    except MemoryError as error:
+        raise InputError(f"{path.config}: states a learner that does not fit the memory") from error
+    load_policy_arrays(checkpoint, model)
+    model.policy.set_training_mode(False)
+    views = Views(scenario, algorithm.observation, algorithm.collection)
+    return TrainedPolicy(model, views, action or progress.best_action, checkpoint.digest(POLICY))
+
+
+def _check_size(checkpoint: ArrayFile, config: RunConfig) -> None:
+    """Refuse to build networks larger than the checkpoint that is to fill them."""
+    hidden = getattr(config.algorithm, "hidden", ())
+    elements = checkpoint.elements
+    if sum(a * b for a, b in pairwise(hidden)) > elements:
+        raise InputError(f"{checkpoint.path}: holds {elements:,} numbers, too few for hidden = {list(hidden)}")
+
+
+def _check_shape(path: RunFolder, config: RunConfig, wanted: Scenario) -> None:
+    if not config.fits(wanted):
+        trained = config.scenario
+        raise InputError(
+            f"'{path.path}' was trained with {trained.uavs} uavs and {trained.devices} devices; "
+            f"scenario '{wanted.name}' has {wanted.uavs} and {wanted.devices}, which its network does not fit"
+        )

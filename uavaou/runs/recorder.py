@@ -1,0 +1,253 @@
+"""What happens between the updates of a training: rows, evaluations, checkpoints, and whether to go on."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+
+from uavaou.envs.flatten import MissionVecEnv
+from uavaou.evaluation.evaluate import evaluate
+from uavaou.runs.checkpoint import Progress, save_policy, save_training
+from uavaou.runs.folder import RunConfig, RunFolder, describe_machine, write_json
+from uavaou.runs.health import check_learner, check_rewards, last_good
+from uavaou.runs.interrupt import Interrupted, Interrupts
+from uavaou.runs.policy import TrainedPolicy
+from uavaou.runs.records import Display, EpisodesCsv, ProgressCsv, Recent, plain
+
+VALIDATION_SEED = 900_000  # missions that choose the best checkpoint: neither trained nor tested on
+CHECKPOINT_EVERY_S = 30.0
+MOST_SHARE = 0.025  # of the wall-clock, for checkpoints: a large replay is written less often
+_ROWS_AN_EVALUATION = 50  # of progress.csv at most; learners that update every few slots would write millions
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a training stands after an update."""
+
+    slots: int  # of all missions together
+    updates: int  # as SB3 counts them; 0 while nothing was learnt
+    cpu_s: float  # of this process, spent on playing and learning; without evaluation and saving
+    evaluated: bool  # whether the policy has just been evaluated
+    best_score: float | None  # so far, mean AoU on the validation missions, s
+    best_action: str  # the action that it was reached with
+    mean_aou_s: float | None = None  # of recent training missions
+
+
+Watch = Callable[[Standing], None]
+
+
+class Recorder(BaseCallback):
+    """Writes episodes and figures, evaluates on the validation missions, keeps the best and the last checkpoint.
+
+    Args:
+        config: what is trained.
+        folder: where it goes.
+        env: what it is trained on.
+        progress: where it stands.
+        display: shows it.
+        interrupts: whether it was asked to stop.
+        checkpoint_every_s: wall-clock between checkpoints; more where they are costly. 0: after every update.
+        watch: called after each update; an exception of its ends the training.
+    """
+
+    def __init__(
+        self, config: RunConfig, folder: RunFolder, env: MissionVecEnv, progress: Progress, display: Display,
+        interrupts: Interrupts, checkpoint_every_s: float, watch: Watch | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__()
+        self.progress = progress
+        self.progress_csv = ProgressCsv(folder.path / "progress.csv", progress.rows)
+        self.stopped_by: signal.Signals | None = None
+        self._config = config
+        self._folder = folder
+        self._env = env
+        self._display = display
+        self._interrupts = interrupts
+        self._every_s = checkpoint_every_s
+        self._uavs = config.scenario.uavs
+        self._recent = Recent(config.algorithm.missions)
+        self._episodes = EpisodesCsv(folder.episodes, progress.missions)
+        self._machine = describe_machine()
+        self._saved = progress.slots  # slots at the last checkpoint
+        self._checkpoints, self._checkpoints_s = 0, 0.0
+        self._began = time.monotonic()
+        self._next_checkpoint = self._began + checkpoint_every_s
+        self._started = self._began - progress.wall_s
+        self._watch = watch
+        self._cpu_before = time.process_time()  # of this training: what is spent on other things moves it on
+        self._cpu_s = 0.0  # of this process at the last update
+        self._cpu_s_earlier = progress.cpu_s  # of the processes before it
+
+    @property
+    def _slots(self) -> int:
+        return self.num_timesteps // self._uavs
+
+    @property
+    def _wall_s(self) -> float:
+        return time.monotonic() - self._started
+
+    @property
+    def kept(self) -> str:
+        """Where the last good checkpoint is."""
+        return last_good(self._folder, self._saved)
+
+    def _on_training_start(self) -> None:
+        self.num_timesteps = self.model.num_timesteps
+        for name, value in self.progress.figures.items():
+            self.logger.record(name, value)
+
+    def _on_step(self) -> bool:
+        check_rewards(self.locals["rewards"], self._slots, self.kept)
+        if self.locals["dones"].any():
+            infos = self.locals["infos"][:: self._uavs]
+            missions = [info["mission"] for info in infos if "mission" in info]
+            self._episodes.write(missions, self._slots, self._wall_s)
+            self._recent.add(missions)
+            self.progress = replace(self.progress, missions=self.progress.missions + len(missions))
+            self.logger.record("rollout/mean_aou_s", self._recent.mean)
+        return True
+
+    def _on_rollout_start(self) -> None:
+        # Between an update and the next rollout: the one moment at which nothing is half done.
+        if self._slots > self._saved:  # not again what the checkpoint resumed from had done
+            self._after_update(finished=False)
+        elif self._interrupts.received is not None:
+            self._stop()
+
+    def _on_training_end(self) -> None:
+        self._after_update(finished=True)
+
+    def _after_update(self, finished: bool) -> None:
+        """Check, show and log the rollout and its update; evaluate and save where that is due."""
+        self._cpu_s = time.process_time() - self._cpu_before
+        check_learner(self.model, self._slots, self.kept)
+        self._display.update(self._slots, self._recent.mean)
+        scores: dict[str, float] = {}
+        if finished or self._slots >= self.progress.next_evaluation:
+            scores = {action: self._score(action) for action in ("greedy", "sample")}
+        self._log(scores)
+        if scores:
+            self._note(scores)
+        asked = self._interrupts.received is not None
+        if finished or asked or time.monotonic() >= self._next_checkpoint:
+            self._save(finished)
+        if self._watch is not None:
+            self._watch(self._standing(evaluated=bool(scores)))
+        self._cpu_before = time.process_time() - self._cpu_s
+        if asked and not finished:
+            self._stop()
+
+    def _standing(self, evaluated: bool) -> Standing:
+        updates, best = getattr(self.model, "_n_updates", 0), (self.progress.best_score, self.progress.best_action)
+        return Standing(self._slots, updates, self._cpu_s, evaluated, *best, self._recent.mean)
+
+    def _stop(self) -> None:
+        self.stopped_by = self._interrupts.received
+        raise Interrupted
+
+    def _log(self, scores: dict[str, float]) -> None:
+        """A row of figures, not more often than they are read."""
+        every = self._config.algorithm.evaluate_every_slots / _ROWS_AN_EVALUATION
+        if not scores and self._slots - self.progress.row_slots < every:
+            return
+        self.logger.record("time/slots", self._slots)
+        self.logger.record("time/agent_steps", self.num_timesteps)
+        self.logger.record("time/wall_s", round(self._wall_s, 1))
+        for name, score in scores.items():
+            self.logger.record(f"evaluation/mean_aou_{name}_s", score)
+        self.logger.dump(self.num_timesteps)
+        self.progress = replace(self.progress, rows=self.progress.rows + 1, row_slots=self._slots)
+
+    def _note(self, scores: dict[str, float]) -> None:
+        """Keep the policy where it is the best so far."""
+        action = min(scores, key=lambda name: scores[name])
+        improved = self.progress.best_score is None or scores[action] < self.progress.best_score
+        every = self._config.algorithm.evaluate_every_slots
+        self.progress = replace(self.progress, next_evaluation=(self._slots // every + 1) * every)
+        if improved:
+            self.progress = replace(self.progress, best_score=scores[action], best_action=action)
+            save_policy(self._folder.best, self.model, self._present())
+        self._display.message(
+            f"{self._slots:,} slots: mean AoU on {self._config.algorithm.evaluation_missions} validation missions "
+            f"{scores['greedy']:,.1f} s greedy, {scores['sample']:,.1f} s sampled{' (best so far)' if improved else ''}"
+        )
+
+    def _score(self, action: str) -> float:
+        algorithm = self._config.algorithm
+        policy = TrainedPolicy(self.model, self._env.views, action)
+        return evaluate(self._config.scenario, policy, algorithm.evaluation_missions, VALIDATION_SEED).mean_aou_s
+
+    def _present(self) -> Progress:
+        """Where the training stands now."""
+        figures = {name: plain(value) for name, value in self.logger.name_to_value.items() if value is not None}
+        return replace(
+            self.progress,
+            slots=self._slots,
+            wall_s=self._wall_s,
+            cpu_s=None if self._cpu_s_earlier is None else self._cpu_s_earlier + self._cpu_s,
+            updates=getattr(self.model, "_n_updates", 0),
+            figures=figures,
+            budget_left=self.model._current_progress_remaining,
+        )
+
+    def _save(self, finished: bool) -> None:
+        """Write a checkpoint; a finished training's takes the place of the previous one too, and needs no replay."""
+        began = time.monotonic()
+        self._episodes.flush()
+        self.progress_csv.flush()
+        self.progress = self._present()
+        state = self._env.missions_state()
+        state["episode_starts"] = np.asarray(self.model._last_episode_starts, dtype=np.int64)
+        for _ in range(2 if finished else 1):
+            save_training(self._folder, self.model, self.progress, state, replay=not finished)
+        self._saved = self._slots
+        now = time.monotonic()
+        self._checkpoints += 1
+        self._checkpoints_s += now - began
+        self._next_checkpoint = now + pause_s(self._every_s, now - began)
+
+    def close(self) -> None:
+        """Close the files."""
+        self._episodes.close()
+
+    def write_meta(self) -> None:
+        """Write ``meta.json``."""
+        model = getattr(self, "model", None)  # an interrupt may come before SB3 has set it
+        checkpoints = {
+            "written": self._checkpoints,
+            "seconds": round(self._checkpoints_s, 3),
+            "of_wall_s": round(time.monotonic() - self._began, 3),
+        }
+        device = None if model is None else str(model.device)
+        stands = replace(self.progress, slots=self._saved)
+        write_meta(self._folder, self._config, stands, self._machine, device, checkpoints)
+
+
+def write_meta(
+    folder: RunFolder, config: RunConfig, progress: Progress, machine: dict[str, Any], device: str | None,
+    checkpoints: dict[str, float],
+) -> None:  # fmt: skip
+    """Write ``meta.json``: the machine, the budgets, and where the last checkpoint stands."""
+    stands = {name: value for name, value in asdict(progress).items() if name not in ("slots", "figures")}
+    content: dict[str, Any] = {
+        **machine,
+        "slots": progress.slots,
+        "agent_steps": progress.slots * config.scenario.uavs,
+        "slots_budget": config.algorithm.slots,
+        "finished": progress.slots >= config.algorithm.slots,
+        "device": device,
+        "checkpoints": checkpoints,
+        **stands,
+    }
+    write_json(folder.meta, content)
+
+
+def pause_s(every_s: float, cost_s: float) -> float:
+    """How long to wait after a checkpoint that took ``cost_s``: ``every_s``, and longer where it was costly."""
+    return max(every_s, cost_s / MOST_SHARE) if every_s else 0.0

@@ -1,0 +1,180 @@
+"""One training run: its folder, its seed, its checkpoints, and going on after a stop."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from contextlib import closing, suppress
+from dataclasses import dataclass
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
+
+from uavaou.algorithms.registry import make_model
+from uavaou.envs.flatten import MissionVecEnv, flatten
+from uavaou.errors import InputError
+from uavaou.files import read_json, refuse_links, replacing
+from uavaou.runs.checkpoint import Progress, load_training
+from uavaou.runs.folder import RunConfig, RunFolder, describe_machine
+from uavaou.runs.interrupt import Interrupted, Interrupts
+from uavaou.runs.lock import one_writer
+from uavaou.runs.recorder import CHECKPOINT_EVERY_S, Recorder, Watch, write_meta
+from uavaou.runs.records import Display
+
+LANE_SEEDS = 1_000_000  # a training's missions are seeded from LANE_SEEDS * (seed + 1) on
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a training ended."""
+
+    folder: RunFolder
+    progress: Progress
+    agent_steps: int
+    stopped_by: signal.Signals | None = None  # asked to stop before the end
+
+
+def train(
+    config: RunConfig,
+    folder: RunFolder,
+    device: str = "auto",
+    backend: str = "batched",
+    resume: bool = False,
+    quiet: bool = False,
+    checkpoint_every_s: float = CHECKPOINT_EVERY_S,
+    watch: Watch | None = None,
+) -> Outcome:
+    """Train to the budget, writing the run folder on the way.
+
+    Args:
+        config: what is trained.
+        folder: where it goes; must not hold a run unless ``resume``.
+        device: ``auto``, ``cpu`` or ``cuda``, for the networks.
+        backend: ``batched``, or ``supersuit`` for SuperSuit's own stage.
+        resume: go on from the last checkpoint.
+        quiet: show nothing while training.
+        checkpoint_every_s: wall-clock between checkpoints; more where writing them would take more than
+            2.5 % of it. 0: after every update.
+        watch: called after each update; an exception of its ends the training.
+
+    Raises:
+        InputError: the folder holds a run already, holds another one, is written by another process or cannot be
+            written; or a loss, a reward or a weight is no longer finite. What the last checkpoint holds is kept.
+    """
+    refuse_links(folder.path)
+    _check_folder(folder, config, resume)
+    try:
+        env = _make_missions(config, backend)
+    except MemoryError as error:
+        raise InputError(f"not enough memory for missions = {config.algorithm.missions}: lower it") from error
+    try:
+        model = _make_learner(config, env, device)
+        with one_writer(folder):
+            resuming = _check_folder(folder, config, resume)  # again: another process may have been here
+            _claim(folder, config)
+            # Of a process that only waits for those that step the missions, CPU seconds say little.
+            cpu_s = 0.0 if config.algorithm.processes == 1 else None
+            started = Progress(next_evaluation=config.algorithm.evaluate_every_slots, cpu_s=cpu_s)
+            progress = _restore(folder, model, env, config) if resuming else started
+            return _learn(config, folder, model, env, progress, quiet, checkpoint_every_s, watch)
+    finally:
+        env.close()
+
+
+def _make_missions(config: RunConfig, backend: str) -> MissionVecEnv:
+    algorithm = config.algorithm
+    return flatten(
+        config.scenario,
+        missions=algorithm.missions,
+        seed=LANE_SEEDS * (config.seed + 1),
+        processes=algorithm.processes,
+        backend=backend,
+        observation=algorithm.observation,
+        collection=algorithm.collection,
+        reward=algorithm.reward,
+    )
+
+
+def _make_learner(config: RunConfig, env: MissionVecEnv, device: str) -> BaseAlgorithm:
+    try:
+        model = make_model(config.algorithm, env, config.seed, device)
+    except MemoryError as error:
+        raise InputError("not enough memory for the learner: lower missions or what it stores of each") from error
+    env.seed(LANE_SEEDS * (config.seed + 1))  # SB3 seeded the missions with the learner's seed
+    return model
+
+
+def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
+    """Whether there is a checkpoint to go on from; refuses a folder that holds a run which is not to be resumed."""
+    if not folder.exists():
+        return False
+    if not resume:
+        raise InputError(f"'{folder.path}' already holds a run: add --resume to go on with it, or choose another --out")
+    if folder.read_config() != config:
+        raise InputError(f"'{folder.path}' holds a run with another configuration (see its config.yaml); not resumed")
+    return folder.last.is_file() or folder.previous.is_file()
+
+
+def _claim(folder: RunFolder, config: RunConfig) -> None:
+    """Make the folder this run's own."""
+    try:
+        folder.last.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(folder.config) as file:
+            file.write(config.to_yaml())
+    except OSError as error:
+        raise InputError(f"cannot write to '{folder.path}': {error.strerror}") from error
+
+
+def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> Progress:
+    progress, missions = load_training(folder, model)
+    model.num_timesteps = progress.slots * config.scenario.uavs
+    model._n_updates = progress.updates
+    model._current_progress_remaining = progress.budget_left
+    starts = missions.pop("episode_starts", None)
+    if starts is None or starts.shape != (env.num_envs,):
+        raise InputError(f"{folder.last}: does not hold the missions in the air")
+    model._last_episode_starts = starts.astype(bool)
+    assert model.observation_space.shape is not None
+    model._last_obs = env.load_missions_state(missions)[:, : model.observation_space.shape[0]]  # LocalRows or all
+    return progress
+
+
+def _learn(
+    config: RunConfig, folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: Progress, quiet: bool,
+    checkpoint_every_s: float, watch: Watch | None,
+) -> Outcome:  # fmt: skip
+    uavs = config.scenario.uavs
+    remaining = config.algorithm.slots - progress.slots
+    if remaining <= 0:  # resumed, but finished before
+        if not _said_to_be_finished(folder):  # killed between its last checkpoint and its last word
+            write_meta(folder, config, progress, describe_machine(), str(model.device), {})
+        return Outcome(folder, progress, model.num_timesteps)
+    with (
+        Interrupts(quiet) as interrupts,
+        closing(Display(config.algorithm.slots, progress.slots, uavs, quiet)) as display,
+    ):
+        recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s, watch)
+        writers: list[KVWriter] = [recorder.progress_csv, TensorBoardOutputFormat(str(folder.path / "tensorboard"))]
+        model.set_logger(Logger(str(folder.path), writers))
+        try:
+            # No logging by SB3: it would write a row before the update that the row is about.
+            first = progress.slots == 0
+            model.learn(remaining * uavs, callback=recorder, log_interval=sys.maxsize, reset_num_timesteps=first)
+        except Interrupted:
+            pass
+        except (EOFError, ConnectionError) as error:
+            raise InputError(f"a worker process has ended (out of memory?); {recorder.kept}") from error
+        except OSError as error:
+            raise InputError(f"cannot write to '{folder.path}': {error.strerror or error}; {recorder.kept}") from error
+        finally:
+            for end in (recorder.close, model.logger.close, recorder.write_meta):
+                with suppress(OSError):  # a full disk was told of above
+                    end()
+    return Outcome(folder, recorder.progress, model.num_timesteps, recorder.stopped_by)
+
+
+def _said_to_be_finished(folder: RunFolder) -> bool:
+    try:
+        return bool(read_json(folder.meta)["finished"])
+    except (InputError, KeyError, TypeError):
+        return False

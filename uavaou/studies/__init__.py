@@ -1,0 +1,1 @@
+"""Studies: many trainings and the planners beside them, resumable, with condensed results."""

@@ -1,0 +1,186 @@
+"""The jobs of a study in processes of this machine, one core each."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+from uavaou.errors import InputError
+from uavaou.runs.interrupt import was_interrupt
+from uavaou.studies.engine import Advanced, Ended, Event, Events, Take
+from uavaou.studies.jobs import Job, Report, StoppedEarlyError, perform
+
+_LOOK_EVERY_S = 0.5
+
+
+@dataclass
+class _Worker:
+    """A process and what it said last."""
+
+    job: Job
+    process: Any
+    pipe: Connection
+    asked: bool = False  # to stop
+    last: Ended | None = None
+
+
+class Processes:
+    """Performs jobs in child processes, each in one of its own with one torch thread.
+
+    Args:
+        jobs: processes at a time.
+        plugins: what registers algorithms that are not this package's.
+    """
+
+    def __init__(self, jobs: int, plugins: Sequence[str] = ()) -> None:
+        self._jobs = jobs
+        self._plugins = list(plugins)
+        self._context = multiprocessing.get_context("spawn")  # torch's threads do not survive a fork
+
+    def events(self, take: Take, stopping: Callable[[], bool]) -> Events:
+        """See :class:`~uavaou.studies.engine.Engine`."""
+        workers: list[_Worker] = []
+        try:
+            while True:
+                asked = stopping()
+                while not asked and len(workers) < self._jobs and (job := take()) is not None:
+                    workers.append(self._start(job))
+                if not workers:
+                    return
+                if asked:
+                    _ask_to_stop(workers)
+                wait([worker.process.sentinel if worker.last else worker.pipe for worker in workers], _LOOK_EVERY_S)
+                for worker in list(workers):
+                    yield from _heard(worker)
+                    if not worker.process.is_alive():
+                        yield from _heard(worker)  # what it said with its last breath
+                        yield _ended(worker)
+                        workers.remove(worker)
+                yield None
+        finally:
+            for worker in workers:
+                worker.process.kill()
+
+    def _start(self, job: Job) -> _Worker:
+        ours, theirs = self._context.Pipe(duplex=False)
+        arguments = (job, theirs, self._plugins)
+        # Not a daemon: a training may have processes of its own, for its missions.
+        process = self._context.Process(target=_work, args=arguments)
+        terminal = signal.getsignal(signal.SIGINT)
+        in_main = threading.current_thread() is threading.main_thread()
+        if in_main:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is for this process to pass on
+        try:
+            process.start()
+        finally:
+            if in_main:
+                signal.signal(signal.SIGINT, terminal)
+        theirs.close()
+        return _Worker(job, process, ours)
+
+
+def _ask_to_stop(workers: Sequence[_Worker]) -> None:
+    for worker in workers:
+        if not worker.asked:
+            worker.asked = True
+            worker.process.terminate()
+
+
+def _heard(worker: _Worker) -> Iterator[Event]:
+    """What a worker has said since."""
+    try:
+        while worker.pipe.poll():
+            said = worker.pipe.recv()
+            if isinstance(said, Report):
+                yield Advanced(worker.job.key, said)
+            else:
+                worker.last = said
+    except (EOFError, OSError):
+        return
+
+
+def _ended(worker: _Worker) -> Ended:
+    """How a job ended whose process has."""
+    worker.process.join()
+    worker.pipe.close()
+    if worker.last is not None:
+        return worker.last
+    code = worker.process.exitcode
+    if worker.asked:
+        return Ended(worker.job.key, None)
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name
+        hint = " (out of memory?)" if name == "SIGKILL" else ""
+        return Ended(worker.job.key, None, f"its process was ended by {name}{hint}")
+    return Ended(worker.job.key, None, f"its process ended with code {code}")
+
+
+def _work(job: Job, pipe: Connection, plugins: Sequence[str]) -> None:
+    """What a child process runs."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+    def say(said: Report | Ended) -> None:
+        with suppress(OSError):  # nobody listens: the study's own process is dead, and _follow_parent says what to do
+            pipe.send(said)
+
+    try:
+        prepare(plugins)
+        say(outcome(job, say))
+    except KeyboardInterrupt:
+        say(Ended(job.key, None))
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it may yet come, and there is nothing left to stop
+        pipe.close()
+
+
+def _leave(*_: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough
+    raise KeyboardInterrupt
+
+
+def _follow_parent() -> None:
+    """Stop with a last checkpoint when the study's own process has been killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def prepare(plugins: Sequence[str]) -> None:
+    """Make this process ready for jobs: one thread, whose sums are the same whatever runs beside it."""
+    import torch as th
+
+    from uavaou.algorithms.registry import load_plugin
+    from uavaou.runs.interrupt import ignore_repeats
+
+    ignore_repeats()
+    th.set_num_threads(1)
+    for place in plugins:
+        load_plugin(place)
+
+
+def outcome(job: Job, tell: Callable[[Report], None]) -> Ended:
+    """Perform a job; what goes wrong with it is its own affair, and no other's."""
+    try:
+        return Ended(job.key, perform(job, tell))
+    except StoppedEarlyError:
+        return Ended(job.key, None)
+    except InputError as problem:
+        return Ended(job.key, None, str(problem))
+    except Exception as error:  # a bug keeps its traceback, and stops no other run
+        if isinstance(error, SystemError) and was_interrupt(error):
+            return Ended(job.key, None)
+        traceback.print_exc(file=sys.stderr)
+        said = f"{type(error).__name__}: {error}".split("\n")[0]
+        return Ended(job.key, None, f"an error of the program, whose traceback was printed: {said[:300]}")

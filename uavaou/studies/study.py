@@ -1,0 +1,284 @@
+"""What a study is: variants of algorithms, scenarios and seeds, and the planners and bounds beside them.
+
+``zoo_configs/studies/*.yaml`` and a user's own files have the fields of ``StudyFields``; :meth:`Study.load` checks them
+and resolves every run's configuration before anything is trained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from uavaou.algorithms.config import AlgorithmConfig
+from uavaou.algorithms.registry import load_config
+from uavaou.errors import InputError, nearest
+from uavaou.fields import short, validated
+from uavaou.planners import PLANNERS, ROUTE_PLANNERS
+from uavaou.runs.folder import RunConfig, RunFolder, config_folder
+from uavaou.scenario import Scenario
+from uavaou.studies.fields import (
+    JUDGED,
+    MOST_RUNS,
+    ScenarioEntry,
+    StudyFields,
+    VariantEntry,
+    usable_name,
+    validated_entry,
+)
+from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
+
+SCHEMA = 1  # of study.yaml
+EVALUATION_SEED = 10_000  # mission j of every evaluation is seeded with this + j, as `uavaou eval` does
+BOUND = "bound"
+ANNEALED = ("anneal", "rolling")  # planners that take off with an annealed plan
+PLANNED = (*ANNEALED, "exact")  # planners whose figures depend on planning_seconds
+_PLAN_AHEAD = {*ROUTE_PLANNERS, *ANNEALED}
+
+
+@dataclass(frozen=True)
+class StudyRun:
+    """One training of a study."""
+
+    variant: str
+    scenario: str  # its name in the study
+    seed: int
+    config: RunConfig
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study, resolved: every setting of every run is known.
+
+    Attributes:
+        name: of its results' folder.
+        description: one sentence.
+        seeds: of the trainings.
+        scenarios: by their names in the study.
+        variants: settings by the variants' names.
+        planners: evaluated on each scenario.
+        bound: whether each scenario's certified bound is computed.
+        planning_seconds: that annealing may take, once a scenario.
+        episodes: missions of every evaluation.
+        reference: the variant that the report holds the others against; None for no such table.
+        claims: whether the report judges the paper's claims.
+        against: variants that the report holds against another one beside the reference, and which.
+    """
+
+    name: str
+    description: str
+    seeds: tuple[int, ...]
+    scenarios: dict[str, Scenario]
+    variants: dict[str, AlgorithmConfig]
+    planners: tuple[str, ...]
+    bound: bool
+    planning_seconds: float
+    episodes: int
+    reference: str | None = None
+    claims: bool = False
+    against: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, source: str | Path) -> Study:
+        """Load a study by its name or path.
+
+        Raises:
+            InputError: there is none, or naming the field, its value and what is allowed.
+        """
+        name = str(source)
+        if name in zoo_names("studies"):
+            return cls.from_file(zoo_path("studies", name))
+        path = Path(source)
+        if path.suffix not in (".yaml", ".yml"):
+            names = zoo_names("studies")
+            known = f"(studies: {', '.join(names)}; or a path ending in .yaml)"
+            raise InputError(f"unknown study '{name[:40]}'{nearest(name, names)} {known}")
+        return cls.from_file(path)
+
+    @classmethod
+    def from_file(cls, path: Path) -> Study:
+        """Load a study from a YAML file; scenario files are found beside it."""
+        content = read_yaml_mapping(path)
+        fields = validated(StudyFields, content, str(path))
+        if fields.slots is None and "slots" in content:
+            raise InputError(f"{path}: slots = None: expected a number; leave it out for the published budgets")
+        entries = [_scenario(entry, f"{path}: scenarios[{k}]", path) for k, entry in enumerate(fields.scenarios)]
+        _check_distinct([name for name, _ in entries], f"{path}: scenarios")
+        stated = {
+            name: validated_entry(
+                VariantEntry,
+                {} if entry is None else entry,
+                f"{path}: variants.{short(name)}",
+                "settings of the algorithm",
+            )
+            for name, entry in fields.variants.items()
+        }
+        variants = {
+            name: _variant(name, entry, fields.slots, f"{path}: variants.{short(name)}")
+            for name, entry in stated.items()
+        }
+        study = cls(
+            path.stem, fields.description, fields.seeds, dict(entries), variants, tuple(fields.planners), fields.bound,
+            fields.planning_seconds, fields.episodes, fields.reference, fields.claims,
+            {name: entry.against for name, entry in stated.items() if entry.against is not None},
+        )  # fmt: skip
+        _check(study, str(path))
+        return study
+
+    def runs(self) -> Iterator[StudyRun]:
+        """Every training, all variants with the first seed before any with the second."""
+        for seed in self.seeds:
+            for scenario_name, scenario in self.scenarios.items():
+                for variant, algorithm in self.variants.items():
+                    yield StudyRun(variant, scenario_name, seed, RunConfig(scenario, algorithm, seed))
+
+    def folder(self, out: Path, run: StudyRun) -> RunFolder:
+        """The run folder of a training below ``out``, the one that ``uavaou train`` would give it."""
+        return config_folder(out, run.config)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of ``study.yaml``: everything resolved."""
+        return {
+            "schema": SCHEMA,
+            "name": self.name,
+            "description": self.description,
+            "seeds": list(self.seeds),
+            "episodes": self.episodes,
+            "evaluation_seed": EVALUATION_SEED,
+            "planners": list(self.planners),
+            "bound": self.bound,
+            "planning_seconds": self.planning_seconds,
+            "reference": self.reference,
+            "claims": self.claims,
+            "against": self.against,
+            "variants": {name: config.model_dump(mode="json") for name, config in self.variants.items()},
+            "scenarios": {name: scenario.to_dict() for name, scenario in self.scenarios.items()},
+        }
+
+    def to_yaml(self) -> str:
+        """:meth:`to_dict` as YAML."""
+        return yaml.dump(self.to_dict(), Dumper=_PlainDumper, sort_keys=False, width=120)
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """Writes what stands in two places twice: references are not read back."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _scenario(entry: Any, source: str, path: Path) -> tuple[str, Scenario]:
+    """The name in the study and the scenario of an entry: a name or a path, or a mapping that changes it."""
+    fields = {"scenario": entry} if isinstance(entry, str) else entry
+    stated = validated_entry(ScenarioEntry, fields, source, "changes of the scenario")
+    if "name" in stated.set:
+        raise InputError(f"{source}: set.name: write name beside set")
+    scenario = _load_scenario(stated.scenario, source, path)
+    changed = ",".join(f"{key}={value}" for key, value in sorted(stated.set.items()))
+    name = stated.name or (f"{scenario.name}+{changed}" if changed else scenario.name)
+    if stated.set:
+        try:
+            scenario = scenario.replace(**stated.set)
+        except InputError as error:
+            raise InputError(f"{source}: set: {error}") from None
+    return usable_name(name, f"{source}: name"), scenario
+
+
+def _load_scenario(name: str, source: str, path: Path) -> Scenario:
+    try:
+        beside = path.parent / name
+        return Scenario.load(beside if name.endswith((".yaml", ".yml")) else name)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None
+
+
+def _variant(name: str, stated: VariantEntry, slots: int | None, source: str) -> AlgorithmConfig:
+    usable_name(name, source)
+    if name in PLANNERS or name == BOUND:
+        raise InputError(f"{source}: a planner or the bound has that name: choose another")
+    changes = dict(stated.set)
+    if "name" in changes:
+        raise InputError(f"{source}: set.name: choose the algorithm with algorithm")
+    if slots is not None and "slots" in changes:
+        raise InputError(f"{source}: set.slots: the study has slots for every run: give one of them")
+    try:
+        return load_config(stated.algorithm or name, changes | ({} if slots is None else {"slots": slots}))
+    except InputError as error:
+        hint = "" if stated.algorithm else "; a variant of another name states its algorithm"
+        raise InputError(f"{source}: {error}{hint if 'unknown algorithm' in str(error) else ''}") from None
+
+
+def _check_distinct(names: Sequence[str], source: str) -> None:
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise InputError(f"{source}[{index}]: a second '{name}': give it another name")
+
+
+def _check(study: Study, source: str) -> None:
+    """What fields say together."""
+    if len(study.seeds) * len(study.scenarios) * len(study.variants) > MOST_RUNS:
+        raise InputError(f"{source}: more than {MOST_RUNS:,} runs")
+    if not study.name.isprintable() or study.name.startswith("."):
+        raise InputError(f"{source}: the study's name, that of the file, cannot be a folder's")
+    for planner in study.planners:
+        if planner not in PLANNERS:
+            known = ", ".join(PLANNERS)
+            raise InputError(f"{source}: planners: unknown planner {short(planner)}{nearest(planner, PLANNERS)} "
+                             f"(known: {known})")  # fmt: skip
+    _check_distinct(study.planners, f"{source}: planners")
+    _check_comparisons(study, source)
+    _check_layouts(study, source)
+    _check_folders(study, source)
+
+
+def _check_comparisons(study: Study, source: str) -> None:
+    """What the report is to compare must be there."""
+    known = f"(variants: {', '.join(study.variants)})"
+    named = {"reference": study.reference} if study.reference is not None else {}
+    named |= {f"variants.{short(name)}: against": other for name, other in study.against.items()}
+    for field_name, name in named.items():
+        if name not in study.variants:
+            hint = nearest(name, study.variants)
+            raise InputError(f"{source}: {field_name}: no variant {short(name)}{hint} {known}")
+    for name, other in study.against.items():
+        where = f"{source}: variants.{short(name)}: against = {short(other)}"
+        if other == name:
+            raise InputError(f"{where}: expected another variant {known}")
+        if study.reference is None:
+            raise InputError(f"{where}: is beside the study's reference, which it does not name {known}")
+        if name == study.reference:
+            raise InputError(f"{where}: the reference is what the others are held against: leave it out")
+    if study.claims:
+        for name in JUDGED:
+            if name not in study.variants:
+                hint = nearest(name, study.variants)
+                raise InputError(f"{source}: claims = True: expected variants named {', '.join(JUDGED)}, "
+                                 f"there is no '{name}'{hint} {known}")  # fmt: skip
+
+
+def _check_layouts(study: Study, source: str) -> None:
+    """Plans and bounds are those of one layout."""
+    for name, scenario in study.scenarios.items():
+        if scenario.layout == "resample":
+            ahead = [planner for planner in study.planners if planner in _PLAN_AHEAD]
+            what = "bound: true" if study.bound else f"planners: {ahead[0]}" if ahead else None
+            if what:
+                raise InputError(f"{source}: {what}: scenario '{name}' draws a new layout for each mission")
+
+
+def _check_folders(study: Study, source: str) -> None:
+    """Refuse two names for one training."""
+    seen: dict[Path, StudyRun] = {}
+    for run in study.runs():
+        if run.seed != study.seeds[0]:
+            break
+        path = study.folder(Path(), run).path
+        if path in seen:
+            other = seen[path]
+            pairs = (run.variant, other.variant), (run.scenario, other.scenario)
+            what = " and ".join(f"'{a}' and '{b}'" for a, b in pairs if a != b)
+            raise InputError(f"{source}: {what} are the same training under two names: leave one out")
+        seen[path] = run

@@ -1,0 +1,1 @@
+"""Evaluation suites: one scenario changed point by point, and who flies each point."""

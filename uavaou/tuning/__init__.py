@@ -1,0 +1,1 @@
+"""Hyperparameter search: what is searched, its trials, and its results."""

@@ -1,0 +1,228 @@
+"""A hyperparameter search on disk: what it searches, and how each of its trials ended.
+
+A search's folder holds ``search.yaml`` (what is searched; processes that join read it there), ``journal.log``
+(Optuna's, which all of them write), ``trials/<number>/`` (a run folder each), ``tune.csv`` and ``best.yaml``.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from uavaou.algorithms.config import AlgorithmConfig
+from uavaou.algorithms.registry import config_from_dict
+from uavaou.errors import InputError
+from uavaou.files import replacing
+from uavaou.runs.folder import RunFolder
+from uavaou.scenario import Scenario
+from uavaou.tuning.search_space import SearchSpace
+from uavaou.zoo import read_yaml_mapping
+
+SCHEMA = 1
+REPORTS = 10  # evaluations of a trial, at equal fractions of its budget
+_PARTS = {"scenario": dict, "algorithm": dict, "space": dict, "budget": dict, "first": list}
+_BUDGETS = ("seconds", "slots")
+
+
+@dataclass(frozen=True)
+class Search:
+    """What is searched.
+
+    Attributes:
+        scenario: what every trial trains on.
+        algorithm: the settings that trials start from; its ``slots`` are not a trial's.
+        space: the fields that are varied.
+        seconds: CPU seconds of playing and learning that each trial has; None where ``slots`` is given.
+        slots: training slots that each trial has; None where ``seconds`` is given.
+        seed: of the sampler, and of every trial's training.
+        first: values of the space's fields to try before the sampler's.
+    """
+
+    scenario: Scenario
+    algorithm: AlgorithmConfig
+    space: SearchSpace
+    seconds: float | None
+    slots: int | None
+    seed: int
+    first: tuple[dict[str, Any], ...]
+
+    def __post_init__(self) -> None:
+        if (self.seconds is None) == (self.slots is None):
+            raise InputError("budget of a trial: give seconds or slots, one of them")
+        if self.algorithm.processes != 1:
+            raise InputError(f"algorithm.processes = {self.algorithm.processes}: a trial has one core, so 1")
+        self.space.check(self.algorithm)
+
+    def config(self, values: Mapping[str, Any], slots: int) -> AlgorithmConfig:
+        """The settings of a trial: ``values`` of the varied fields, and a budget that it is evaluated at tenths of.
+
+        Raises:
+            InputError: the values do not go together.
+        """
+        schedule = {"slots": slots, "evaluate_every_slots": -(-slots // REPORTS)}
+        return self._changed(dict(values) | schedule)
+
+    def published(self, values: Mapping[str, Any]) -> AlgorithmConfig:
+        """The settings for a training to the full budget, with ``values`` of the varied fields."""
+        return self._changed(values)
+
+    def _changed(self, values: Mapping[str, Any]) -> AlgorithmConfig:
+        fields = self.algorithm.model_dump(mode="json") | dict(values)
+        return type(self.algorithm).from_dict(fields, source=f"algorithm '{self.algorithm.name}'")
+
+    def to_yaml(self) -> str:
+        """The content of ``search.yaml``."""
+        content = {
+            "schema": SCHEMA,
+            "seed": self.seed,
+            "budget": {"slots": self.slots} if self.seconds is None else {"seconds": self.seconds},
+            "space": self.space.to_dict(),
+            "first": [dict(values) for values in self.first],
+            "algorithm": self.algorithm.model_dump(mode="json"),
+            "scenario": self.scenario.to_dict(),
+        }
+        return yaml.dump(content, Dumper=_PlainDumper, sort_keys=False)
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """Writes what stands in two places twice, instead of a reference from one to the other."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+@dataclass(frozen=True)
+class SearchFolder:
+    """The paths of one search."""
+
+    path: Path
+
+    @property
+    def config(self) -> Path:
+        """What is searched."""
+        return self.path / "search.yaml"
+
+    @property
+    def journal(self) -> Path:
+        """Optuna's journal."""
+        return self.path / "journal.log"
+
+    @property
+    def lock(self) -> Path:
+        """Held by a process for as long as it chooses a trial or writes the tables."""
+        return self.path / "search.lock"
+
+    @property
+    def table(self) -> Path:
+        """A row for each trial."""
+        return self.path / "tune.csv"
+
+    @property
+    def best(self) -> Path:
+        """The best trial's settings, in the form of ``zoo_configs/algorithms/*.yaml``."""
+        return self.path / "best.yaml"
+
+    def trial(self, number: int) -> RunFolder:
+        """The run folder of a trial."""
+        return RunFolder(self.path / "trials" / f"{number:04d}")
+
+    def trial_lock(self, number: int) -> Path:
+        """Held by the process that plays the trial, for as long as it lives."""
+        return self.path / "trials" / f"{number:04d}.lock"
+
+    def read(self) -> Search:
+        """Read ``search.yaml``.
+
+        Raises:
+            InputError: the folder holds no search, or what it holds cannot be used.
+        """
+        if not self.config.is_file():
+            raise InputError(f"'{self.path}' holds no search: it has no search.yaml")
+        content = read_yaml_mapping(self.config)
+        if content.get("schema") != SCHEMA:
+            raise InputError(f"{self.config}: schema = {content.get('schema')!r}: this version reads schema {SCHEMA}")
+        for part, kind in _PARTS.items():
+            if not isinstance(content.get(part), kind):
+                raise InputError(f"{self.config}: the part '{part}' is missing")
+        budget = content["budget"]
+        return Search(
+            scenario=Scenario.from_dict(content["scenario"], source=f"{self.config}: scenario"),
+            algorithm=config_from_dict(content["algorithm"], self.config),
+            space=SearchSpace.from_dict(content["space"], f"{self.config}: space"),
+            seconds=budget.get("seconds"),
+            slots=budget.get("slots"),
+            seed=int(content.get("seed", 0)),
+            first=tuple(content["first"]),
+        )
+
+    def claim(self, search: Search) -> None:
+        """Make the folder this search's own, or join the same search that it holds.
+
+        Raises:
+            InputError: it holds another search, or cannot be written.
+        """
+        if self.config.is_file():
+            if self.read() != search:
+                raise InputError(f"'{self.path}' holds another search (see its search.yaml): choose another --out")
+            return
+        try:
+            self.trial(0).path.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(self.config) as file:
+                file.write(search.to_yaml())
+        except OSError as error:
+            raise InputError(f"cannot write to '{self.path}': {error.strerror}") from error
+
+
+@dataclass(frozen=True)
+class TrialRecord:
+    """How a trial ended, or stands."""
+
+    number: int
+    state: str  # complete, pruned, failed, interrupted (its settings are tried again), running or waiting
+    score: float | None  # best mean AoU on the validation missions, s
+    action: str | None  # the action that it was reached with
+    slots: int | None  # trained
+    cpu_s: float | None  # spent on playing and learning
+    reason: str  # why it failed
+    values: dict[str, Any]  # of the varied fields, as Optuna keeps them
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is one of the trials that were asked for."""
+        return self.state in ("complete", "pruned", "failed")
+
+
+def ranked(records: Sequence[TrialRecord]) -> list[TrialRecord]:
+    """The trials that were played to the end, the best first."""
+    ended = [record for record in records if record.state == "complete"]
+    return sorted(ended, key=lambda record: (record.score, record.number))
+
+
+def write_results(folder: SearchFolder, search: Search, records: Sequence[TrialRecord]) -> None:
+    """Write ``tune.csv``, and ``best.yaml`` when a trial has been played to the end."""
+    varied = list(search.space.dimensions)
+    with replacing(folder.table) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["trial", "state", "mean_aou_s", "action", "slots", "cpu_s", *varied, "reason"])
+        for record in records:
+            if record.state != "waiting":
+                score = None if record.score is None else f"{record.score:.6g}"
+                cpu_s = None if record.cpu_s is None else f"{record.cpu_s:.2f}"
+                values = [record.values.get(name) for name in varied]
+                writer.writerow(
+                    [record.number, record.state, score, record.action, record.slots, cpu_s, *values, record.reason]
+                )
+    for record in ranked(records)[:1]:
+        settings = search.published(search.space.restored(record.values)).model_dump(mode="json")
+        with replacing(folder.best) as file:
+            file.write(
+                f"# The best of a search on '{search.scenario.name}', trial {record.number}: mean AoU "
+                f"{record.score:.6g} s on the validation missions\n"
+                f"# after {record.slots:,} slots. The budget below is not the trial's, but a training's of its own.\n"
+            )
+            yaml.dump(settings, file, Dumper=_PlainDumper, sort_keys=False, default_flow_style=None)

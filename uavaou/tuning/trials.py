@@ -1,0 +1,326 @@
+"""Hyperparameter search on Optuna: trials of an ordinary training each, by as many processes as join.
+
+Processes share a journal file and two kinds of locks, which the operating system lifts when a process dies:
+what it was playing is then tried again. Trials are compared at equal fractions of their budgets, and a
+budget of CPU seconds becomes slots by a short training before each trial, so that every schedule ends with it.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import shutil
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, suppress
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch as th
+
+from uavaou.algorithms.registry import load_plugin
+from uavaou.errors import InputError
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.recorder import Standing, Watch
+from uavaou.runs.train import train
+from uavaou.tuning.search import REPORTS, Search, SearchFolder, TrialRecord, write_results
+
+try:
+    import optuna
+    from filelock import FileLock, Timeout
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend
+    from optuna.trial import FrozenTrial, Trial, TrialState
+except ModuleNotFoundError as error:
+    raise InputError(f"tuning needs Optuna, and '{error.name}' is not installed: pip install 'uavaou[tune]'") from None
+
+_STUDY = "uavaou"
+_STATES = {
+    TrialState.COMPLETE: "complete",
+    TrialState.PRUNED: "pruned",
+    TrialState.RUNNING: "running",
+    TrialState.WAITING: "waiting",
+}
+_STARTUP_TRIALS = 6  # drawn at random before the sampler learns from them
+# Learning curves cross early, and a learning rate that falls to the end pays late: nothing is pruned before
+# three trials were played to the end, nor in the first third of a trial.
+_PRUNE_AFTER_TRIALS, _PRUNE_AFTER_REPORTS = 3, REPORTS // 3
+_PROBE_SHARE, _LEAST_PROBE_S = 0.05, 1.0  # of a trial's seconds: what its rate is measured in
+_OVERSHOOT = 1.1  # a first rollout that takes more than its trial's seconds, by this factor, is no trial
+_LOOK_EVERY_S = 0.5
+_PATIENCE_S = 20.0  # for workers to end by themselves after an interrupt
+
+
+def read_trials(folder: SearchFolder) -> list[TrialRecord]:
+    """How every trial of a search stands, by number."""
+    return _records(_study(folder))
+
+
+def run_search(
+    folder: SearchFolder, trials: int, jobs: int, plugins: Sequence[str], show: Callable[[list[TrialRecord]], None]
+) -> list[TrialRecord]:
+    """Go on with a search until ``trials`` have ended in all, in ``jobs`` processes of one core each.
+
+    Args:
+        folder: a search's, which other processes and machines may be working on as well.
+        trials: that are to have ended, those of earlier calls included.
+        jobs: worker processes.
+        plugins: what registers the algorithm, where it is not this package's.
+        show: called now and then with how the trials stand.
+
+    Raises:
+        InputError: a worker was killed.
+        RuntimeError: a worker ended with an error, which it has printed.
+    """
+    study = _study(folder)
+    jobs = min(jobs, trials - sum(record.counts for record in _records(study)))
+    context = multiprocessing.get_context("spawn")  # torch's threads do not survive a fork
+    arguments = (folder.path, trials, list(plugins))
+    workers = [context.Process(target=_worker, args=arguments, daemon=True) for _ in range(jobs)]
+    terminal = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is for this process to pass on
+    for worker in workers:
+        worker.start()
+    signal.signal(signal.SIGINT, terminal)
+    try:
+        while alive := [worker.sentinel for worker in workers if worker.is_alive()]:
+            wait(alive, _LOOK_EVERY_S)
+            show(_records(study))
+    except KeyboardInterrupt:
+        _interrupt(workers)
+        raise
+    for code in (worker.exitcode for worker in workers):
+        if code is not None and code < 0:
+            raise InputError(
+                f"a worker was ended by {signal.Signals(-code).name}: the same command goes on without loss"
+            )
+        if code:
+            raise RuntimeError(f"a worker ended with code {code}; its error stands above")
+    return _records(study)
+
+
+def _interrupt(workers: Sequence[Any]) -> None:
+    """End the workers, which give their trials back where there is time."""
+    for worker in workers:
+        if worker.is_alive():
+            worker.terminate()
+    deadline = time.monotonic() + _PATIENCE_S
+    for worker in workers:
+        worker.join(max(deadline - time.monotonic(), 0.0))
+        if worker.is_alive():
+            worker.kill()
+
+
+def _worker(path: Path, trials: int, plugins: Sequence[str]) -> None:
+    """What a worker process runs; asked to end, it gives back what it was playing."""
+
+    def end(*_: object) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, end)
+    th.set_num_threads(1)
+    try:
+        for place in plugins:
+            load_plugin(place)
+        work(SearchFolder(path), trials)
+    except KeyboardInterrupt:
+        raise SystemExit(128 + signal.SIGINT) from None
+
+
+def work(folder: SearchFolder, trials: int) -> None:
+    """Play trials of a search, one after the other, until ``trials`` have ended or are being played."""
+    search, study = folder.read(), _study(folder)
+    if search.seconds is not None:
+        warm_up(search)
+    while (claimed := _claim(folder, search, study, trials)) is not None:
+        trial, values, lock = claimed
+        with lock:
+            _play(folder, search, study, trial, values)
+        with FileLock(folder.lock):
+            write_results(folder, search, _records(study))
+
+
+def _study(folder: SearchFolder) -> optuna.Study:
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    pruner = optuna.pruners.MedianPruner(_PRUNE_AFTER_TRIALS, _PRUNE_AFTER_REPORTS)
+    with FileLock(folder.lock):
+        storage = JournalStorage(JournalFileBackend(str(folder.journal)))
+        return optuna.create_study(storage=storage, study_name=_STUDY, pruner=pruner, load_if_exists=True)
+
+
+def _claim(
+    folder: SearchFolder, search: Search, study: optuna.Study, trials: int
+) -> tuple[Trial, dict[str, Any], AbstractContextManager[Any]] | None:
+    """The next trial with its values and the lock that says it is played; None where there are enough."""
+    with FileLock(folder.lock):
+        _recover(folder, study)
+        if not study.get_trials(deepcopy=False):
+            for values in search.first:
+                study.enqueue_trial(values)
+        begun = sum(record.counts or record.state == "running" for record in _records(study))
+        if begun >= trials:
+            return None
+        # A seed for each trial: a search that was stopped goes on drawing as it would have done.
+        seed = int(np.random.SeedSequence((search.seed, begun)).generate_state(1)[0])
+        study.sampler = optuna.samplers.TPESampler(
+            n_startup_trials=_STARTUP_TRIALS, multivariate=True, constant_liar=True, seed=seed
+        )
+        trial = study.ask()
+        values = search.space.suggest(trial)
+        return trial, values, FileLock(folder.trial_lock(trial.number)).acquire()
+
+
+def _recover(folder: SearchFolder, study: optuna.Study) -> None:
+    """Queue again what dead processes were playing."""
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        try:
+            with FileLock(folder.trial_lock(trial.number), timeout=0):
+                if study.get_trials(deepcopy=False)[trial.number].state is TrialState.RUNNING:
+                    _give_back(study, trial)
+        except Timeout:
+            continue  # alive
+
+
+def _give_back(study: optuna.Study, trial: FrozenTrial | Trial) -> None:
+    """End a trial that was not played, and queue its values."""
+    study.tell(trial.number, state=TrialState.FAIL)  # without a reason: it does not count
+    study.enqueue_trial(trial.params)
+
+
+def _play(folder: SearchFolder, search: Search, study: optuna.Study, trial: Trial, values: dict[str, Any]) -> None:
+    """Train a trial to its budget, unless it is pruned or cannot be trained, and tell the study."""
+    run = folder.trial(trial.number)
+    try:
+        slots = search.slots or affordable_slots(search, values)
+        watch = _Watch(trial, slots)
+        config = RunConfig(search.scenario, search.config(values, slots), search.seed)
+        outcome = train(config, run, device="cpu", quiet=True, watch=watch, checkpoint_every_s=math.inf)
+        if outcome.stopped_by is not None:
+            raise KeyboardInterrupt
+        study.tell(trial, outcome.progress.best_score)
+    except InputError as problem:
+        trial.set_user_attr("reason", str(problem))
+        study.tell(trial, state=TrialState.FAIL)
+    except optuna.TrialPruned:
+        study.tell(trial, state=TrialState.PRUNED)
+    except KeyboardInterrupt:
+        _give_back(study, trial)
+        shutil.rmtree(run.path, ignore_errors=True)
+        raise
+    for checkpoint in (run.last, run.previous):  # a trial is not resumed
+        checkpoint.unlink(missing_ok=True)
+
+
+class _Watch:
+    """Reports a training's evaluations to Optuna, by the tenth of the budget, and ends it where Optuna prunes it."""
+
+    def __init__(self, trial: Trial, slots: int) -> None:
+        self._trial = trial
+        self._slots = slots
+
+    def __call__(self, standing: Standing) -> None:
+        if not standing.evaluated or standing.best_score is None:
+            return
+        tenth = min(standing.slots * REPORTS // self._slots, REPORTS)
+        self._trial.report(standing.best_score, tenth)
+        for name in ("slots", "cpu_s", "best_score", "best_action"):
+            self._trial.set_user_attr(name, getattr(standing, name))
+        if tenth < REPORTS and self._trial.should_prune():
+            raise optuna.TrialPruned
+
+
+class _Measured(Exception):  # noqa: N818 - the way out of a training that has shown its rate
+    """Carries the slots that a trial can afford."""
+
+    def __init__(self, slots: int) -> None:
+        self.slots = slots
+
+
+def affordable_slots(search: Search, values: dict[str, Any]) -> int:
+    """The slots that these settings play and learn from in the search's CPU seconds, in whole rollouts.
+
+    Raises:
+        InputError: the settings cannot be trained, or their first rollout takes more than the seconds.
+    """
+    assert search.seconds is not None
+    return _probe(search, values, _Rate(search.seconds))
+
+
+def warm_up(search: Search) -> None:
+    """Play and learn from one rollout: what a process does once, such as compiling, is on no trial's account."""
+
+    def stop(standing: Standing) -> None:
+        raise _Measured(standing.slots)
+
+    with suppress(InputError):  # these settings may not fit this machine, others may
+        _probe(search, {}, stop)
+
+
+def _probe(search: Search, values: dict[str, Any], watch: Watch) -> int:
+    """Train without end until the watch has measured, and forget the training."""
+    config = search.config(values, slots=10**12).model_copy(update={"evaluation_missions": 1})
+    with tempfile.TemporaryDirectory() as place:
+        try:
+            train(
+                RunConfig(search.scenario, config, search.seed), RunFolder(Path(place) / "probe"), device="cpu",
+                quiet=True, watch=watch, checkpoint_every_s=math.inf,
+            )  # fmt: skip
+        except _Measured as measured:
+            return measured.slots
+    raise KeyboardInterrupt  # what a training without end has ended by
+
+
+class _Rate:
+    """Watches a training until its rate is known, then raises :class:`_Measured`.
+
+    The rate is that of slots with updates: before its first one, a learner with a replay buffer is quicker.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._rollout = 0  # slots
+        self._first: Standing | None = None  # after the first update
+
+    def __call__(self, standing: Standing) -> None:
+        self._rollout = self._rollout or standing.slots
+        if standing.cpu_s >= self._seconds:
+            self._stop(standing)
+        if self._first is None:
+            self._first = standing if standing.updates else None
+            return
+        spent = standing.cpu_s - self._first.cpu_s
+        if spent >= max(_PROBE_SHARE * self._seconds, min(_LEAST_PROBE_S, self._seconds / 4)):
+            rate = (standing.slots - self._first.slots) / spent
+            slots = self._first.slots + rate * (self._seconds - self._first.cpu_s)
+            raise _Measured(max(int(slots / self._rollout), 1) * self._rollout)
+
+    def _stop(self, standing: Standing) -> None:
+        if standing.slots == self._rollout and standing.cpu_s > _OVERSHOOT * self._seconds:
+            raise InputError(
+                f"one rollout of {standing.slots:,} slots takes {standing.cpu_s:.1f} s of CPU, and a trial has "
+                f"{self._seconds:g} s"
+            )
+        raise _Measured(standing.slots)
+
+
+def _records(study: optuna.Study) -> list[TrialRecord]:
+    return [_record(trial) for trial in study.get_trials(deepcopy=False)]
+
+
+def _record(trial: FrozenTrial) -> TrialRecord:
+    known = trial.user_attrs
+    failed = "failed" if "reason" in known else "interrupted"
+    return TrialRecord(
+        number=trial.number,
+        state=_STATES.get(trial.state, failed),
+        score=known.get("best_score"),
+        action=known.get("best_action"),
+        slots=known.get("slots"),
+        cpu_s=known.get("cpu_s"),
+        reason=known.get("reason", ""),
+        values=dict(trial.params),
+    )
