@@ -12,10 +12,10 @@ from gymnasium import spaces
 
 from tests.two_step_game import TwoStepGame, play_greedily
 from uavaou import IQL, QMIX, VDN, InputError, Scenario, flatten
-from uavaou.algorithms.nets.mlp import UtilityNetwork
 from uavaou.algorithms.qlearning.learner import JointQLearning
 from uavaou.algorithms.qlearning.mixers import MIXERS, MonotonicMixer, SumMixer, make_mixer
 from uavaou.algorithms.qlearning.replay import JointReplay
+from uavaou.algorithms.qlearning.utility import UtilityNetwork
 from uavaou.world.views import Columns, RowLayout
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -102,7 +102,7 @@ def test_a_learner_saved_without_masks_is_loaded_without(tmp_path: Path) -> None
 def test_published_settings_state_it_and_old_runs_load() -> None:
     for name in ("mappo", "vdn", "qmix"):
         assert yaml.safe_load(zoo_path("algorithms", name).read_text())["masks"] is True
-    old = Path(__file__).parent / "data" / "schema-1"
+    old = Path(__file__).parents[1] / "data" / "schema-1"
     assert "masks" not in (old / "config.yaml").read_text()
     config: Any = RunFolder(old).read_config().algorithm
     assert config.masks is True

@@ -164,7 +164,7 @@ def test_checkpoints_of_another_schema_are_refused_in_words(stopped: RunFolder, 
             tensor_file.write_arrays(path, arrays, file.text | {"schema": schema})
             with pytest.raises(InputError, match=f"written with checkpoint schema {schema}, {says}"):
                 checkpoint._progress(tensor_file.ArrayFile(path), oldest=checkpoint.SCHEMA)
-    published = Path(__file__).parent / "data" / "schema-1"
+    published = Path(__file__).parents[1] / "data" / "schema-1"
     assert load_run(RunFolder(published)).model is not None  # schema 1, without a checksum
 
 

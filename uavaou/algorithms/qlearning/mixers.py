@@ -8,7 +8,8 @@ import torch as th
 from torch import nn
 from torch.nn import functional
 
-from uavaou.algorithms.nets.mlp import Linear, UtilityNetwork, rescale_linear
+from uavaou.algorithms.nets.mlp import Linear, rescale_linear
+from uavaou.algorithms.qlearning.utility import UtilityNetwork
 from uavaou.errors import unknown
 
 MIXERS = ("none", "sum", "monotonic")

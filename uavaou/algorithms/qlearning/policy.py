@@ -12,10 +12,11 @@ from stable_baselines3.common.utils import polyak_update
 from torch import nn
 
 from uavaou.algorithms.local_policy import LocalPolicy
-from uavaou.algorithms.nets.mlp import ACTIVATIONS, UtilityNetwork
+from uavaou.algorithms.nets.mlp import ACTIVATIONS
 from uavaou.algorithms.nets.value_norm import ReturnStatistics
 from uavaou.algorithms.qlearning.branches import Branches
 from uavaou.algorithms.qlearning.mixers import make_mixer
+from uavaou.algorithms.qlearning.utility import UtilityNetwork
 from uavaou.errors import unknown
 from uavaou.world.views import MOVES, RowLayout
 
