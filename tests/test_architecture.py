@@ -15,6 +15,7 @@ LAYERS = (
     "files",
     "zoo",
     "fields",
+    "csv_tables",
     "devices_csv",
     "scenario",
     "world",

@@ -1,0 +1,188 @@
+"""CSV tables: one reader, whose errors name file, line and column, and one writer, which replaces a file atomically.
+
+Files are UTF-8 with commas, a header line and ``\\n`` line ends. The reader accepts a byte-order mark, spaces after
+commas and blank lines. An empty cell is a missing value.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import compress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaou.errors import InputError
+from uavaou.fields import short
+from uavaou.files import read_text, replacing
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_MOST_BYTES = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """The cells of a CSV file with R rows; every row has a cell for every column."""
+
+    path: Path
+    columns: tuple[str, ...]
+    rows: list[list[str]]
+    lines: list[int]  # the line of the file in which each row ends, for error messages
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def mappings(self) -> Iterator[dict[str, str]]:
+        """Each row as a mapping from column to cell."""
+        return (dict(zip(self.columns, row, strict=True)) for row in self.rows)
+
+    def text(self, column: str) -> list[str]:
+        """The cells of a column, (R,)."""
+        place = self.columns.index(column)
+        return [row[place] for row in self.rows]
+
+    def floats(self, column: str, *, missing: bool = False) -> Floats:
+        """A column as finite numbers, (R,); nan for an empty cell.
+
+        Args:
+            column: its name.
+            missing: whether empty cells are allowed.
+
+        Raises:
+            InputError: a cell is empty or not a finite number.
+        """
+        cells = self.text(column)
+        values = np.array([_float(cell) for cell in cells], dtype=np.float64)
+        for row in np.flatnonzero(~np.isfinite(values)):
+            if not missing or cells[row].strip():
+                raise self.error(int(row), column, "a finite number")
+            values[row] = np.nan
+        return values
+
+    def integers(self, column: str, *, missing: int | None = None) -> Ints:
+        """A column as 64-bit integers, (R,).
+
+        Args:
+            column: its name.
+            missing: the value of an empty cell; None where empty cells are not allowed.
+
+        Raises:
+            InputError: a cell is empty or not an integer.
+        """
+        values = np.empty(len(self.rows), dtype=np.int64)
+        for row, cell in enumerate(self.text(column)):
+            try:
+                values[row] = missing if missing is not None and not cell.strip() else int(cell)
+            except (ValueError, OverflowError):
+                raise self.error(row, column, "an integer") from None
+        return values
+
+    def where(self, chosen: Iterable[bool]) -> CsvTable:
+        """The rows for which ``chosen``, (R,), is true."""
+        chosen = list(chosen)
+        return CsvTable(self.path, self.columns, list(compress(self.rows, chosen)), list(compress(self.lines, chosen)))
+
+    def error(self, row: int, column: str, expected: str) -> InputError:
+        """The error for a cell that is not what is ``expected``; it quotes at most 60 characters of the cell."""
+        cell = self.rows[row][self.columns.index(column)]
+        return InputError(f"{self.path}: line {self.lines[row]}, column '{column}': {short(cell)} is not {expected}")
+
+
+def read_csv(path: Path, columns: Sequence[str] = (), *, exact: bool = False, whole_lines: bool = False) -> CsvTable:
+    """Read a CSV file.
+
+    Args:
+        path: of the file, at most 1 GB.
+        columns: that it must have.
+        exact: whether it must have these columns alone, in this order.
+        whole_lines: whether to leave out a last line without a line end, which an interrupted writer leaves.
+
+    Raises:
+        InputError: the file cannot be read, lacks a column, has a column twice, or has a row of another length.
+    """
+    text = read_text(path, _MOST_BYTES).removeprefix("\ufeff")
+    if whole_lines:
+        text = text[: text.rfind("\n") + 1]
+    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
+    header: list[str] = []
+    rows, lines = [], []
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        for row in reader:
+            if row:
+                rows.append(row)
+                lines.append(reader.line_num)
+    except csv.Error as error:
+        raise InputError(f"{path}: line {reader.line_num}: not a CSV file: {error}") from error
+    _check_header(path, header, columns, exact)
+    for row, line in zip(rows, lines, strict=True):
+        if len(row) != len(header):
+            raise InputError(f"{path}: line {line}: {len(row)} values, expected {len(header)}")
+    return CsvTable(path, tuple(header), rows, lines)
+
+
+def _check_header(path: Path, header: list[str], columns: Sequence[str], exact: bool) -> None:
+    if len(header) == 1 and set(header[0]) & set(";\t"):
+        raise InputError(f"{path}: line 1: the columns are not separated by commas")
+    for name in columns:
+        if name not in header:
+            raise InputError(f"{path}: column '{name}' is missing (header: {short(', '.join(header))})")
+    for name in header:
+        if header.count(name) > 1:
+            raise InputError(f"{path}: column {short(name)} is there twice")
+    if exact and header != list(columns):
+        raise InputError(f"{path}: expected the columns {', '.join(columns)}")
+
+
+def _float(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
+
+
+def write_csv(
+    path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any] | Mapping[str, Any]], digits: int = 6
+) -> None:
+    """Write a CSV file, whole or not at all; missing folders are made.
+
+    Args:
+        path: of the file.
+        columns: the header.
+        rows: a sequence in the order of the columns, or a mapping from column to value, each. Strings and integers are
+            written as they are, floats as :func:`number` does, None and nan as empty cells.
+        digits: significant digits of a float.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            for row in rows:
+                values = [row[name] for name in columns] if isinstance(row, Mapping) else row
+                writer.writerow([_cell(value, digits) for value in values])
+    except OSError as error:
+        raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
+
+
+def _cell(value: Any, digits: int) -> Any:
+    return number(value, digits) if value is None or isinstance(value, float | np.floating) else value
+
+
+def number(value: float | None, digits: int = 6) -> str:
+    """A number with so many significant digits, a whole number with all of its digits; empty for None and nan."""
+    if value is None or math.isnan(value):
+        return ""
+    value = float(value)
+    return str(int(value)) if value.is_integer() and abs(value) < 1e15 else f"{value:.{digits}g}"
