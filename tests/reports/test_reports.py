@@ -136,11 +136,6 @@ def test_the_same_figure_gives_the_same_bytes(tmp_path: Path) -> None:
     assert not any(b"CreationDate" in content for content in written[0])
 
 
-def test_reports_start_without_torch() -> None:
-    code = "import uavaou.reports.figures, uavaou.reports.trajectories, sys; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
 def test_curve_means_the_missions_of_each_bin(tmp_path: Path) -> None:
     run = read_run(write_run(tmp_path, missions=80))
     curve = training_curve([run], "mean_aou_s")

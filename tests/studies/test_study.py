@@ -837,17 +837,6 @@ def test_figures_have_six_digits() -> None:
     assert [number(value) for value in values] == ["0.123457", "123456789", "3", "-15000000", "", ""]
 
 
-def test_the_reader_needs_no_torch() -> None:
-    import subprocess
-    import sys
-
-    code = "import sys; import uavaou.studies.results, uavaou.studies.study; print('torch' in sys.modules)"
-    root = str(Path(__file__).resolve().parents[2])
-    shown = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path.insert(0, {root!r}); {code}"], capture_output=True, text=True
-    )
-    assert shown.stdout.strip() == "False"
-
 
 def test_the_columns_are_those_that_others_read() -> None:
     assert COLUMNS["runs"] == (
