@@ -837,7 +837,6 @@ def test_figures_have_six_digits() -> None:
     assert [number(value) for value in values] == ["0.123457", "123456789", "3", "-15000000", "", ""]
 
 
-
 def test_the_columns_are_those_that_others_read() -> None:
     assert COLUMNS["runs"] == (
         "variant", "algorithm", "scenario", "seed", "slots", "agent_steps", "wall_s", "cpu_s", "best_slots",
