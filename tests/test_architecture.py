@@ -15,9 +15,9 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = (
     "errors",
     "files",
-    "csv_tables",
     "zoo",
     "fields",
+    "csv_tables",
     "csv_tables",
     "devices_csv",
     "scenario",
