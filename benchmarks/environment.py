@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.measure import Measurement, exactly, exponent, side_by_side
 from uavaou import Scenario, World, flatten
-from uavaou.envs.actions import split_actions
+from uavaou.envs.spaces import split_actions
 from uavaou.world import Views
 
 MISSIONS = 64

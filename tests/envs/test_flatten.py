@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import gymnasium
@@ -16,7 +17,10 @@ from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from uavaou import MAPPO, InputError, Scenario, flatten, uavaou_v0
+from uavaou.envs import batched
+from uavaou.envs.batched import BatchedMissions
 from uavaou.envs.rewards import training_reward
+from uavaou.envs.uavaou_v0 import UavAouEnv
 from uavaou.world import Views, World
 
 WAYS: list[dict[str, Any]] = [
@@ -165,24 +169,74 @@ def test_missions_of_different_processes_differ() -> None:
     np.testing.assert_array_equal(repeated[2:4], repeated[4:6])
 
 
-def test_a_truncation_is_told_to_sb3() -> None:
-    class Truncated:
-        def __init__(self, venv: Any) -> None:
-            self.venv = venv
+def test_a_truncation_is_marked_for_sb3(monkeypatch: pytest.MonkeyPatch) -> None:
+    step = UavAouEnv.step
 
-        def __getattr__(self, name: str) -> Any:
-            return getattr(self.venv, name)
+    def truncated_step(self: UavAouEnv, actions: dict[str, Any]) -> Any:
+        observations, rewards, ends, never, infos = step(self, actions)
+        return observations, rewards, never, ends, infos
 
-        def step_wait(self) -> Any:
-            rows, rewards, _, _, infos = self.venv.step_wait()
-            return rows, rewards, np.zeros(len(rows), np.uint8), np.ones(len(rows), np.uint8), infos
+    monkeypatch.setattr(UavAouEnv, "step", truncated_step)
+    mended, stage = flatten(small(), missions=1, backend="supersuit"), raw()
+    for env, marked in ((mended, True), (stage, False)):
+        env.reset()
+        for _ in range(9):
+            _, _, dones, infos = env.step(np.zeros((env.num_envs, 9), dtype=np.int64))
+        assert dones.all()
+        assert all(info.get("TimeLimit.truncated", False) == marked for info in infos)
 
-    env = flatten(small(), missions=1)
+
+def test_a_batch_goes_through_supersuit_without_a_copy() -> None:
+    env = flatten(small(), missions=2)
+    (stage,) = env.venv.vec_envs
     env.reset()
-    env.venv = Truncated(env.venv)
-    _, _, dones, infos = env.step(np.zeros((2, 9), dtype=np.int64))
-    assert dones.all()
-    assert all(info["TimeLimit.truncated"] for info in infos)
+    written: list[Any] = []
+    read: list[Any] = []
+    rows, split = stage.views.rows, batched.split_actions
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stage.views, "rows", lambda world: written.append(rows(world)) or written[-1])
+        patch.setattr(batched, "split_actions", lambda actions, *shape: read.append(actions) or split(actions, *shape))
+        actions = np.zeros((4, 9), dtype=np.int64)
+        assert env.step(actions)[0] is written[0]
+        assert read[0] is actions
+    plain = supersuit.concat_vec_envs_v1(BatchedMissions(small(), 2, "local", "select", "root", None), 1)
+    plain.reset(seed=0)
+    assert not np.shares_memory(plain.vec_envs[0].step(actions)[0], plain.step(actions)[0])
+
+
+def test_supersuit_runs_on_the_default_path() -> None:
+    called: set[str] = set()
+
+    def note(frame: FrameType, event: str, _: Any) -> None:
+        if event == "call" and Path(supersuit.__file__).parent in Path(frame.f_code.co_filename).parents:
+            called.add(frame.f_code.co_qualname)
+
+    sys.setprofile(note)
+    try:
+        env = flatten(small(), missions=2)
+        env.seed(3)
+        env.reset()
+        env.step(np.zeros((4, 9), dtype=np.int64))
+        env.reset()
+    finally:
+        sys.setprofile(None)
+    ours = {name for name in called if "<" not in name}  # lambdas, comprehensions and inner functions left out
+    assert ours == {
+        "concat_vec_envs_v1",
+        "vec_env_args",
+        "MakeCPUAsyncConstructor",
+        "ConcatVecEnv.__init__",
+        "ConcatVecEnv.reset",
+        "ConcatVecEnv.step_async",
+        "ConcatVecEnv.step_wait",
+        "ConcatVecEnv.step",
+        "ConcatVecEnv.concatenate_actions",
+        "ConcatVecEnv.concat_obs",
+        "transpose",
+        "SB3VecEnvWrapper.__init__",
+        "SB3VecEnvWrapper.reset",
+        "SB3VecEnvWrapper.step_wait",
+    }
 
 
 def test_the_missions_end_is_a_termination() -> None:

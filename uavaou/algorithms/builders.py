@@ -13,7 +13,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from uavaou.algorithms.config import JointQConfig, MappoConfig, QmixConfig
 from uavaou.algorithms.mappo import IPPO, MAPPO
 from uavaou.algorithms.qlearning import IQL, QMIX, VDN
-from uavaou.envs.flatten import MissionVecEnv
+from uavaou.envs.vec_env import MissionVecEnv
 
 
 def _linear(start: float, final_fraction: float) -> Callable[[float], float]:

@@ -26,7 +26,7 @@ from uavaou.zoo import read_yaml_mapping, zoo_folder
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
-    from uavaou.envs.flatten import MissionVecEnv
+    from uavaou.envs.vec_env import MissionVecEnv
 
 Builder = Callable[[Any, Any, int, str], "BaseAlgorithm"]  # (config, env, seed, device)
 ENTRY_POINTS = "uavaou.algorithms"

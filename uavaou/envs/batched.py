@@ -13,13 +13,13 @@ from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from uavaou.envs.actions import action_space, split_actions
 from uavaou.envs.rewards import training_reward
+from uavaou.envs.spaces import action_space, row_space, split_actions
 from uavaou.scenario import Scenario
 from uavaou.world import Views, World
 
 Rows = NDArray[np.float32]
-Step = tuple[Rows, NDArray[np.float32], NDArray[np.uint8], NDArray[np.uint8], list[dict[str, Any]]]
+Step = tuple[Rows, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]
 
 
 class BatchedMissions(VectorEnv[Any, Any, Any]):
@@ -39,9 +39,8 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
         self.render_mode = render_mode
         self.metadata = {"render_modes": ["rgb_array"]}
         self.num_envs = missions * scenario.uavs
-        layout = self.views.layout
-        self.observation_space = spaces.Box(-np.inf, np.inf, (layout.local_size + layout.global_size,), np.float32)
-        self.action_space = action_space(scenario, collection)
+        self.observation_space: spaces.Space[Any] = row_space(self.views.layout)
+        self.action_space: spaces.Space[Any] = action_space(self.views.layout)
         self.world: World | None = None
         self._actions: NDArray[Any] | None = None
 
@@ -69,12 +68,12 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
             metrics = self.world.metrics()
             missions = [metrics.of(mission) for mission in range(self.missions)]
             infos = [
-                {"mission": missions[row // uavs], "terminal_observation": rows[row]} for row in range(self.num_envs)
+                {"mission": missions[row // uavs], "terminal_observation": rows[row], "TimeLimit.truncated": False}
+                for row in range(self.num_envs)
             ]
             self.world.reset()
             rows = self.views.rows(self.world)
-        ends = np.full(self.num_envs, over, dtype=np.uint8)
-        return rows, rewards, ends, np.zeros(self.num_envs, dtype=np.uint8), infos
+        return rows, rewards, np.full(self.num_envs, over), np.zeros(self.num_envs, dtype=np.bool_), infos
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions for :meth:`step_wait`."""

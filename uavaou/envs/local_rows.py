@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from uavaou.envs.flatten import MissionVecEnv
+from uavaou.envs.spaces import vector_space
+from uavaou.envs.vec_env import MissionVecEnv
 
 
 class LocalRows(VecEnvWrapper):
@@ -23,7 +23,7 @@ class LocalRows(VecEnvWrapper):
 
     def __init__(self, env: MissionVecEnv) -> None:
         self._size = env.local_size
-        super().__init__(env, observation_space=spaces.Box(-np.inf, np.inf, (self._size,), np.float32))
+        super().__init__(env, observation_space=vector_space(self._size))
 
     def reset(self) -> NDArray[np.float32]:
         """Start a mission in every lane; rows (N * U, local)."""

@@ -19,7 +19,7 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils import parallel_to_aec
 from pettingzoo.utils.env import AECEnv
 
-from uavaou.envs.actions import action_space, split_actions
+from uavaou.envs.spaces import action_space, split_actions, vector_space
 from uavaou.errors import unknown
 from uavaou.scenario import Scenario
 from uavaou.world import Views, World
@@ -75,10 +75,10 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         self.render_mode = render_mode
         self.possible_agents = [f"uav_{u}" for u in range(scenario.uavs)]
         self.agents: list[str] = []
-        local = spaces.Box(-np.inf, np.inf, (self.views.layout.local_size,), np.float32)
-        self.observation_spaces = dict.fromkeys(self.possible_agents, local)
-        self.action_spaces = {agent: action_space(scenario, collection) for agent in self.possible_agents}
-        self.state_space = spaces.Box(-np.inf, np.inf, (self.views.layout.global_size,), np.float32)
+        layout = self.views.layout
+        self.observation_spaces = dict.fromkeys(self.possible_agents, vector_space(layout.local_size))
+        self.action_spaces = {agent: action_space(layout) for agent in self.possible_agents}
+        self.state_space = vector_space(layout.global_size)
         self.world: World | None = None
         self._trail: list[NDArray[np.float64]] = []
 

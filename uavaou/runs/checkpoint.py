@@ -67,7 +67,7 @@ def save_training(
         folder: of the run.
         model: the learner.
         progress: where it stands.
-        world: :meth:`uavaou.envs.flatten.MissionVecEnv.missions_state`.
+        world: :meth:`uavaou.envs.vec_env.MissionVecEnv.missions_state`.
         replay: include the replay; a finished training has no more use for it.
 
     Raises:

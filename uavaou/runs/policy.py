@@ -15,8 +15,8 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
 from uavaou.algorithms.io.weights import load_policy_arrays
 from uavaou.algorithms.registry import make_model
-from uavaou.envs.actions import split_actions
 from uavaou.envs.flatten import flatten
+from uavaou.envs.spaces import split_actions
 from uavaou.errors import InputError
 from uavaou.runs.checkpoint import read_progress
 from uavaou.runs.folder import RunConfig, RunFolder

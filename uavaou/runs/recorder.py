@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
-from uavaou.envs.flatten import MissionVecEnv
+from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.runs.checkpoint import Progress, save_policy, save_training
 from uavaou.runs.folder import RunConfig, RunFolder, describe_machine, write_json

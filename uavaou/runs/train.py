@@ -11,7 +11,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 
 from uavaou.algorithms.registry import make_model
-from uavaou.envs.flatten import MissionVecEnv, flatten
+from uavaou.envs.flatten import flatten
+from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
 from uavaou.files import read_json, refuse_links, replacing
 from uavaou.runs.checkpoint import Progress, load_training

@@ -14,14 +14,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
 import torch as th
-from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 
 from uavaou.algorithms.io.tensor_file import CHECKSUM, ArrayFile, write_arrays
 from uavaou.algorithms.io.weights import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
+from uavaou.envs.spaces import action_space, row_space
 from uavaou.errors import InputError
 from uavaou.world.views import MOVES, Columns, RowLayout
 
@@ -116,10 +115,7 @@ class SafeSaveLoad(BaseAlgorithm):
         if not 1 <= rows <= 65_536 * layout.uavs or rows % layout.uavs:
             raise ValueError(f"rows = {rows}")
         learner.n_envs = rows
-        learner.observation_space = spaces.Box(-np.inf, np.inf, (layout.local_size + layout.global_size,), np.float32)
-        learner.action_space = (
-            spaces.MultiDiscrete([MOVES] + [2] * layout.devices) if layout.selects else spaces.Discrete(MOVES)
-        )
+        learner.observation_space, learner.action_space = row_space(layout), action_space(layout)
         learner._setup_model()
         return learner
 

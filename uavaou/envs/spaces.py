@@ -1,4 +1,4 @@
-"""The action of a UAV: a move, and in ``select`` collection the subset of devices it collects from."""
+"""The spaces of rows and actions. An action is a move and, in ``select`` collection, a subset of the devices."""
 
 from __future__ import annotations
 
@@ -8,29 +8,36 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from uavaou.scenario import Scenario
-from uavaou.world.views import MOVES
+from uavaou.world.views import MOVES, RowLayout
 
 
-def action_space(scenario: Scenario, collection: str) -> spaces.MultiDiscrete | spaces.Discrete:
+def vector_space(size: int) -> spaces.Box:
+    """Flat float32 vectors of ``size`` numbers, without bounds."""
+    return spaces.Box(-np.inf, np.inf, (size,), np.float32)
+
+
+def row_space(layout: RowLayout) -> spaces.Box:
+    """Rows ``[local | global]``."""
+    return vector_space(layout.local_size + layout.global_size)
+
+
+def action_space(layout: RowLayout) -> spaces.MultiDiscrete | spaces.Discrete:
     """``MultiDiscrete([5] + [2] * I)`` for ``select``, the move first; ``Discrete(5)`` for ``auto``."""
-    if collection == "auto":
-        return spaces.Discrete(MOVES)
-    return spaces.MultiDiscrete([MOVES] + [2] * scenario.devices)
+    return spaces.MultiDiscrete([MOVES] + [2] * layout.devices) if layout.selects else spaces.Discrete(MOVES)
 
 
 def split_actions(
     actions: NDArray[Any], missions: int, uavs: int, selects: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
-    """Split rows of actions into moves (N, U) and selections (N, U, I), None where every device in range is meant.
+    """Split rows of actions into moves (N, U) and selections (N, U, I).
 
     Args:
-        actions: whole numbers, (N * U, 1 + I) with ``selects``, else (N * U,) or (N * U, 1).
+        actions: integers, (N * U, 1 + I) with ``selects``, else (N * U,) or (N * U, 1).
         missions, uavs: N and U.
-        selects: whether the action holds a selection beside the move.
+        selects: whether the action holds a selection. Without one the selections are None: every device in range.
 
     Raises:
-        ValueError: the actions are no whole numbers, or a selection is neither 0 nor 1.
+        ValueError: the actions are not integers, or a selection is neither 0 nor 1.
     """
     actions = np.asarray(actions)
     if actions.dtype.kind not in "iub":
