@@ -18,7 +18,6 @@ import numpy as np
 
 from uavaou.envs.map import BLACK, BLUE, VERMILLION
 from uavaou.evaluation.evaluate import evaluate
-from uavaou.planners import make_planner
 from uavaou.reports import style
 from uavaou.scenario import Scenario
 
@@ -69,7 +68,7 @@ def write(rows: list[Row], folder: Path) -> None:
 def draw(rows: list[Row], folder: Path) -> None:
     """``curves.png`` and ``.pdf``: AoU on the validation missions against wall-clock, beside `greedy`."""
     scenario = Scenario.load(SCENARIO)
-    greedy = evaluate(scenario, make_planner("greedy"), 100, 10_000).mean_aou_s / scenario.slot_length_s
+    greedy = evaluate("greedy", scenario).mean_aou_s / scenario.slot_length_s
     looks = {"select": BLUE, "auto": VERMILLION}
     with style.house_style():
         figure, axes = style.new_axes(3.0)

@@ -75,7 +75,7 @@ def measured(name: str, scenario: Scenario, chosen: argparse.Namespace) -> Itera
         yield dict(zip(COLUMNS, (name, "bound", mean, "", "", bound.method, seconds), strict=True))
     for policy, planner in _policies(name, scenario, chosen).items():
         begun = time.monotonic()
-        found = interval(evaluate(scenario, planner, chosen.episodes, STREAMS).values("mean_aou_s") / tau)
+        found = interval(evaluate(planner, scenario, chosen.episodes, STREAMS).values("mean_aou_s") / tau)
         seconds = f"{time.monotonic() - begun:.0f}"
         figures = (f"{found.mean:.5g}", f"{found.low:.5g}", f"{found.high:.5g}", "", seconds)
         yield dict(zip(COLUMNS, (name, policy, *figures), strict=True))

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from uavaou.envs.flatten import flatten as flatten
     from uavaou.envs.local_rows import LocalRows as LocalRows
     from uavaou.errors import InputError as InputError
+    from uavaou.evaluation.evaluate import evaluate as evaluate
     from uavaou.scenario import Scenario as Scenario
     from uavaou.world import World as World
 
@@ -38,6 +39,7 @@ _HOMES = {
     "register_algorithm": "uavaou.algorithms.registry",
     "LocalRows": "uavaou.envs.local_rows",
     "InputError": "uavaou.errors",
+    "evaluate": "uavaou.evaluation.evaluate",
 }
 __all__ = [*_HOMES, "uavaou_v0"]
 

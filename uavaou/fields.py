@@ -77,14 +77,14 @@ def explain_validation(error: ValidationError, fields: list[str]) -> str:
     kind, message = first["type"], _message(first)
     if not loc:
         return message
-    if kind == "missing" and len(loc) == 1:
-        return f"the field {loc[0]} is missing"
     misspelt = next((d for d in details if d["type"] == "extra_forbidden" and d["loc"][0] == loc[0]), None)
     if misspelt is not None and isinstance(_field_input(details, loc[0]), dict):
         key = str(misspelt["loc"][-1])
         return f"{loc[0]}: unknown key '{_shortened(key)}'{nearest(key, ('low', 'high'))} (known: low, high)"
     branches = ("float", "int", "Range", "WholeRange", "constrained", "tuple", "function")
     path = loc[0] + "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in loc[1:] if not p.startswith(branches))
+    if kind == "missing":
+        return f"the field {path} is missing"
     several_forms = loc[0] in DEVICE_COLUMNS and len({d["loc"][1:2] for d in details}) > 1
     if several_forms and not isinstance(first["input"], int | float):
         message = "expected a number, {low: ..., high: ...} or a list with one number a device"

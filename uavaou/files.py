@@ -103,3 +103,14 @@ def read_json(path: Path, most_bytes: int = 512_000_000) -> Any:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: cannot be read as JSON: {error}") from error
+
+
+def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
+    """Replace a JSON file, and make its folder; without ``indent`` on one line.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as file:
+        file.write(json.dumps(content, indent=indent, separators=None if indent else (",", ":")) + "\n")

@@ -9,7 +9,6 @@ from pathlib import Path
 from uavaou.errors import InputError, unknown
 
 LARGEST_SEED = 2**32 - 1  # what NumPy's and torch's global streams take
-MOST_EPISODES = 10_000
 
 
 def one_of(option: str, value: str, allowed: Iterable[str]) -> None:

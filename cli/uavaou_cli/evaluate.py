@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uavaou.errors import InputError
-from uavaou_cli.checks import LARGEST_SEED, MOST_EPISODES, given_path, one_of, within, writable_file
+from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
+from uavaou_cli.checks import LARGEST_SEED, given_path, one_of, within, writable_file
 from uavaou_cli.evaluate_suite import Request, evaluate_suite
 from uavaou_cli.overrides import Overrides, parse_overrides
 
@@ -44,7 +45,7 @@ def evaluate(
         str | None, typer.Option(metavar="NAME", help="A preset or a YAML file. [default: the runs' own, else paper]")
     ] = None,
     episodes: Annotated[int, typer.Option(metavar="N", help="Missions that each policy plays.")] = 100,
-    seed: Annotated[int, typer.Option(metavar="N", help="Mission j is seeded with N + j.")] = 10_000,
+    seed: Annotated[int, typer.Option(metavar="N", help="Mission j is seeded with N + j.")] = EVALUATION_SEED,
     action: Annotated[
         str | None,
         typer.Option(metavar="greedy|sample", help="Of trained policies. [default: what was better in validation]"),
@@ -171,7 +172,7 @@ def _play_and_report(
     with EvaluationProgress(list(policies), missions.episodes * missions.scenario.slots, quiet) as progress:
         for name, policy in policies.items():
             progress.start(name)
-            results[name] = play(missions.scenario, policy, missions.episodes, missions.seed, progress.after_slot)
+            results[name] = play(policy, missions.scenario, missions.episodes, missions.seed, progress.after_slot)
     actions = {name: getattr(policy, "action", None) for name, policy in policies.items()}
     try:
         notes = _write(missions, results, policies, own, json)
@@ -189,28 +190,23 @@ def _write(
     json: Path | None,
 ) -> list[str]:
     """Write the files; returns a note on each."""
-    from uavaou.evaluation.evaluate import to_json
-    from uavaou.runs.folder import missions_in, write_json
+    from uavaou.runs.folder import RunFolder
+    from uavaou.runs.results import EvaluationFile, PolicyResult, keep_evaluation, own_evaluation, write_evaluation
 
-    scenario = missions.scenario
-    head = {"scenario": scenario.name, "episodes": missions.episodes, "seed": missions.seed}
-    content = {name: to_json(result, scenario, policies[name]) for name, result in results.items()}
-    notes = []
-    for run, config in own.items():
-        # Under the algorithm's name, by which the figures know the run's own policy; planners stand beside it.
-        beside = {name: entry for name, entry in content.items() if "action" not in entry}
-        path = Path(run) / "eval" / "default.json"
-        if missions_in(path) > missions.episodes:
-            notes.append(f"kept {path}: it is of more missions")
-            continue
-        try:
-            write_json(path, head | {"policies": {config.algorithm.name: content[run]} | beside})
-            notes.append(f"wrote {path}")
-        except OSError as error:
-            notes.append(f"not written: {path}: {error.strerror or error}")
+    scenario, episodes, seed = missions.scenario, missions.episodes, missions.seed
+    content = {name: PolicyResult.of(result, scenario, policies[name]) for name, result in results.items()}
+    planners = {name: result for name, result in content.items() if result.action is None}
+    notes = [
+        keep_evaluation(
+            RunFolder(Path(run)).evaluation(), own_evaluation(config, content[run], episodes, seed, beside=planners)
+        )
+        for run, config in own.items()
+    ]
     if json is not None:
         try:
-            write_json(json, head | {"policies": content})
+            write_evaluation(
+                json, EvaluationFile(scenario=scenario.name, episodes=episodes, seed=seed, policies=content)
+            )
         except OSError as error:
             raise InputError(f"cannot write '{json}': {error.strerror or error}") from error
         notes.append(f"wrote {json}")

@@ -137,26 +137,17 @@ def _play(plan: Plan, planners: Mapping[str, Planner], request: Request, results
 
 def _write(plan: Plan, results: list[Result], request: Request) -> list[str]:
     """Write the files; returns a note on each."""
-    from uavaou.runs.folder import missions_in, write_json
+    from uavaou.runs.results import keep_evaluation, write_evaluation
     from uavaou.suites.results import csv_rows, suite_json, write_csv
 
     episodes, seed, notes = request.episodes, request.seed, []
     for entry in plan.entries:
         content = suite_json(plan.suite, plan.base, results, episodes, seed, entry)
-        path = entry.folder.path / "eval" / f"{plan.name}.json"
-        if not content["points"]:
-            continue
-        if missions_in(path) > episodes:
-            notes.append(f"kept {path}: it is of more missions")
-            continue
-        try:
-            write_json(path, content, indent=None)
-            notes.append(f"wrote {path}")
-        except OSError as error:
-            notes.append(f"not written: {path}: {error.strerror or error}")
+        if content.points:
+            notes.append(keep_evaluation(entry.folder.evaluation(plan.name), content))
     if request.json is not None:
         content = suite_json(plan.suite, plan.base, results, episodes, seed)
-        notes.append(_written(request.json, lambda path: write_json(path, content, indent=None)))
+        notes.append(_written(request.json, lambda path: write_evaluation(path, content)))
     if request.out is not None:
         rows = csv_rows(plan.name, plan.suite, results)
         notes.append(_written(request.out, lambda path: write_csv(path, rows)))

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uavaou.errors import InputError
-from uavaou_cli.checks import LARGEST_SEED, MOST_EPISODES, one_of, within, writable_folder
+from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
+from uavaou_cli.checks import LARGEST_SEED, one_of, within, writable_folder
 from uavaou_cli.overrides import Overrides, parse_overrides
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ def plan(
         float | None, typer.Option(metavar="S", help="Seconds to plan. [default: a fixed amount of work]")
     ] = None,
     episodes: Annotated[int, typer.Option(metavar="N", help="Missions that the plan is flown in.")] = 64,
-    seed: Annotated[int, typer.Option(metavar="N", help="Mission j is seeded with N + j.")] = 10_000,
+    seed: Annotated[int, typer.Option(metavar="N", help="Mission j is seeded with N + j.")] = EVALUATION_SEED,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where it goes. [default: results/<scenario>/plan/<planner>]")
     ] = None,
@@ -63,7 +64,7 @@ def gap(
         typer.Option(metavar="S", help="Seconds that annealing may take. [default: a fixed amount of work]"),
     ] = None,
     episodes: Annotated[int, typer.Option(metavar="N", help="Missions that each policy plays.")] = 16,
-    seed: Annotated[int, typer.Option(metavar="N", help="Mission j is seeded with N + j.")] = 10_000,
+    seed: Annotated[int, typer.Option(metavar="N", help="Mission j is seeded with N + j.")] = EVALUATION_SEED,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD. Repeatable.")
     ] = None,
@@ -87,7 +88,7 @@ def gap(
         found = {}
         for name, policy in policies.items():
             progress.start(name)
-            found[name] = evaluate(chosen, policy, episodes, seed, progress.after_slot)
+            found[name] = evaluate(policy, chosen, episodes, seed, progress.after_slot)
     print("\n".join(gap_lines(chosen, bound, found, seed)))
 
 
@@ -125,10 +126,10 @@ def _plan_and_report(
     scenario: Scenario, name: str, time_limit: float | None, episodes: int, seed: int, folder: Path, quiet: bool
 ) -> None:
     from uavaou.evaluation.evaluate import evaluate
+    from uavaou.files import write_json
     from uavaou.planners import make_planner
     from uavaou.planners.bound import lower_bound
     from uavaou.planners.plan import RoutePlanner
-    from uavaou.runs.folder import write_json
     from uavaou_cli.progress import PlanningProgress
     from uavaou_cli.tables import evaluation_lines, plan_lines
 
@@ -143,7 +144,7 @@ def _plan_and_report(
     plan = plan if bound_s is None else replace(plan, bound_s=bound_s)
     planner.keep(plan, scenario, layout)
     write_json(folder / "plan.json", plan.to_dict(scenario))
-    found = evaluate(scenario, planner, episodes, seed)
+    found = evaluate(planner, scenario, episodes, seed)
     print("\n".join([*plan_lines(scenario, plan, took, folder / "plan.json"), ""]))
     print("\n".join(evaluation_lines(scenario, {name: found}, {name: None}, seed, {})))
     _draw(scenario, planner, seed, folder)

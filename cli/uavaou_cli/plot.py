@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from uavaou.errors import InputError
+from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou_cli.checks import LARGEST_SEED, within, writable_folder
 
 
@@ -128,7 +129,7 @@ def suite(
 
 def trajectories(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a training run.")],
-    episode_seed: Annotated[int, typer.Option(metavar="N", help="The seed of the mission.")] = 10_000,
+    episode_seed: Annotated[int, typer.Option(metavar="N", help="The seed of the mission.")] = EVALUATION_SEED,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where the pictures go. [default: RUN/figures]")
     ] = None,

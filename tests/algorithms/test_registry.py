@@ -247,9 +247,9 @@ def test_a_missions_result_does_not_depend_on_the_missions_beside_it(
     train(config, RunFolder(tmp_path), quiet=True)
     policy = load_run(RunFolder(tmp_path), action=action)
     th.manual_seed(1)
-    many = evaluate(config.scenario, policy, 4, 500).values("mean_aou_s")
+    many = evaluate(policy, config.scenario, 4, 500).values("mean_aou_s")
     th.manual_seed(2)
-    alone = [evaluate(config.scenario, policy, 1, 500 + j).mean_aou_s for j in range(4)]
+    alone = [evaluate(policy, config.scenario, 1, 500 + j).mean_aou_s for j in range(4)]
     np.testing.assert_array_equal(many, alone)
 
 

@@ -106,7 +106,7 @@ def test_exact_is_the_optimum_by_dynamic_programming(seed: int, monkeypatch: pyt
     assert plan.mean_aou_s == pytest.approx(optimum, abs=1e-9)
     assert plan.bound_s == pytest.approx(optimum, abs=1e-9)
     assert broken_rule(scenario, plan.routes) is None
-    assert evaluate(scenario, Exact(), 1, seed).mean_aou_s == pytest.approx(optimum, abs=1e-9)
+    assert evaluate(Exact(), scenario, 1, seed).mean_aou_s == pytest.approx(optimum, abs=1e-9)
     assert lower_bound(scenario, scenario.draw_layout()).mean_aou_s <= optimum
     for total in bounds(scenario, monkeypatch):
         assert total <= optimum
@@ -116,7 +116,7 @@ def test_exact_proves_tiny() -> None:
     plan = Exact(60).plan(TINY, TINY.draw_layout())
     assert plan.gap == 0.0
     for name in PLANNERS:
-        assert evaluate(TINY, make_planner(name), 1, 0).mean_aou_s >= plan.mean_aou_s - 1e-9
+        assert evaluate(make_planner(name), TINY, 1, 0).mean_aou_s >= plan.mean_aou_s - 1e-9
 
 
 def test_exact_refuses_what_it_cannot_do() -> None:
@@ -214,7 +214,7 @@ def test_a_tour_stays_home_where_nothing_is_in_reach() -> None:
 
 def test_the_expected_age_is_the_mean_over_missions() -> None:
     planner = Anneal()
-    found = evaluate(QUICKSTART, planner, 4000, 7).values("mean_aou_s")
+    found = evaluate(planner, QUICKSTART, 4000, 7).values("mean_aou_s")
     expected = planner.plans[0].mean_aou_s
     assert abs(found.mean() - expected) < 4 * found.std() / np.sqrt(len(found))
 
@@ -279,7 +279,7 @@ def test_ctrl_c_keeps_the_incumbent(name: str) -> None:
 
 def test_rolling_beats_the_plan_that_it_starts_from() -> None:
     planned, rolling = Anneal(), Rolling()
-    blind, seeing = (evaluate(QUICKSTART, policy, 20, 50).mean_aou_s for policy in (planned, rolling))
+    blind, seeing = (evaluate(policy, QUICKSTART, 20, 50).mean_aou_s for policy in (planned, rolling))
     assert seeing < blind
 
 
@@ -293,7 +293,7 @@ def test_no_policy_beats_the_bound(seed: int, fading: str) -> None:
     assert min(bounds) > 0
     assert bounds[1] <= bounds[0] * (1 + 1e-5)  # the ascent ends at or below the program's optimum, (Time) not binding
     for name in ("greedy", "best-first", "tour", "anneal", "rolling"):
-        found = evaluate(scenario, make_planner(name), 30, 0).values("mean_aou_s")
+        found = evaluate(make_planner(name), scenario, 30, 0).values("mean_aou_s")
         assert found.mean() + 3 * found.std() / np.sqrt(30) >= max(bounds)
 
 

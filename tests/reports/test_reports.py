@@ -194,11 +194,14 @@ BROKEN: list[tuple[Callable[[Path], object], list[str]]] = [
     (replace_in("episodes.csv", "\n2,48,", "\n2\n"), ["episodes.csv: line 3", "'slots'"]),
     (replace_in("config.yaml", "algorithm:", "algorithm: ]"), ["config.yaml", "not valid YAML"]),
     (replace_in("eval/default.json", "{", "["), ["default.json", "JSON"]),
-    (replace_in("eval/default.json", "policies", "rules"), ["default.json", "'policies' is missing"]),
-    (change_policy("mean_aou_s", None), ["default.json", "'greedy'", "'mean_aou_s' is missing"]),
-    (change_policy("communications", ["few"]), ["'greedy'", "'communications' is not a list of numbers"]),
-    (change_policy("aou_over_time_s", [[1.0]]), ["'aou_over_time_s' is not a list of numbers"]),
-    (change_policy("device_communications", [[1, 2]]), ["'device_communications' has 2 devices"]),
+    (replace_in("eval/default.json", "policies", "rules"), ["default.json", "field policies is missing"]),
+    (change_policy("mean_aou_s", None), ["default.json: ", "policies.greedy.mean_aou_s is missing"]),
+    (change_policy("communications", ["few"]), ["policies.greedy.communications = ['few']", "expected finite numbers"]),
+    (
+        change_policy("aou_over_time_s", [[1.0]]),
+        ["policies.greedy.aou_over_time_s = [[1.0]]: expected a list of numbers"],
+    ),
+    (change_policy("device_communications", [[1, 2]]), ["device_communications has 2 devices"]),
 ]
 
 

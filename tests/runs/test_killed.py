@@ -86,7 +86,7 @@ def assert_the_same(one: RunFolder, other: RunFolder) -> None:
 
 
 def assert_they_fly_the_same(one: RunFolder, other: RunFolder) -> None:
-    scores = [evaluate(Scenario.load("quickstart"), load_run(run), 3, 0).values("mean_aou_s") for run in (one, other)]
+    scores = [evaluate(load_run(run), Scenario.load("quickstart"), 3, 0).values("mean_aou_s") for run in (one, other)]
     np.testing.assert_array_equal(*scores)
 
 

@@ -1,9 +1,10 @@
-"""Missions in, figures out: every policy meets the same missions, and a checker counts violations."""
+"""Evaluation: every policy plays the same missions, and an independent checker counts constraint violations."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 
 from uavaou.evaluation.checker import ViolationCounter
 from uavaou.evaluation.checker import total as total_violations
+from uavaou.evaluation.seeds import EVALUATION_SEED
+from uavaou.planners import make_planner
 from uavaou.planners.base import Planner
 from uavaou.scenario import Scenario
-from uavaou.statistics import intervals
 from uavaou.world import MissionMetrics, World
 
 MISSIONS_TOGETHER = 128
@@ -38,21 +40,30 @@ class Evaluation:
 
 
 def evaluate(
-    scenario: Scenario,
-    policy: Planner,
-    episodes: int,
-    seed: int,
+    policy: Planner | str,
+    scenario: Scenario | str | Path,
+    episodes: int = 100,
+    seed: int = EVALUATION_SEED,
     after_slot: Callable[[int, World], None] | None = None,
 ) -> Evaluation:
     """Play ``episodes`` missions; mission j is seeded with ``seed + j``, its result whatever the others.
 
     Args:
-        scenario: what is played.
-        policy: a planner or a trained policy.
+        policy: a planner or a trained policy (:func:`uavaou.load_run`), or a planner's name.
+        scenario: what is played, or the name of a preset or the path of a YAML file.
         episodes: number of missions.
         seed: of mission 0.
         after_slot: called with the slots done of all missions together, and the World, after each slot.
+
+    Raises:
+        InputError: no planner or scenario has the name, or the planner refuses the scenario.
+
+    >>> from uavaou import evaluate
+    >>> evaluate("greedy", "quickstart", episodes=2).violations["association"]
+    0
     """
+    scenario = Scenario.load(scenario)
+    policy = make_planner(policy) if isinstance(policy, str) else policy
     batches, ages, violations = [], [], []
     for first in range(0, episodes, MISSIONS_TOGETHER):
         missions = min(MISSIONS_TOGETHER, episodes - first)
@@ -70,34 +81,3 @@ def evaluate(
         batches.append(world.metrics())
         ages.append(aou)
     return Evaluation(batches, total_violations(violations), np.concatenate(ages))
-
-
-def to_json(evaluation: Evaluation, scenario: Scenario, policy: Planner) -> dict[str, Any]:
-    """One policy's part of the evaluation file: a value for each mission, and what the figures need.
-
-    Of a trained policy also its ``action`` and ``policy_sha256``, its weights' digest: what it is an evaluation of.
-    """
-    means = intervals(evaluation.aou_over_time_s)  # (K,) each
-    content: dict[str, Any] = {
-        "mean_aou_s": evaluation.values("mean_aou_s").tolist(),
-        "communications": evaluation.values("communications").tolist(),
-        "devices_served": evaluation.values("devices_served").tolist(),
-        "flight_time_s": evaluation.values("flight_time_s").tolist(),
-        "violations": evaluation.violations,
-        "rejected_rate": evaluation.values("rejected_rate").tolist(),
-        "rejected_association": evaluation.values("rejected_association").tolist(),
-        "aou_over_time_s": means.mean.tolist(),
-        "device_mean_aou_s": evaluation.values("device_mean_aou_s").mean(axis=0).tolist(),
-        "device_communications": evaluation.values("device_communications").tolist(),
-    }
-    if len(evaluation.aou_over_time_s) > 1:  # one mission has no interval, and JSON no nan
-        content["aou_over_time_low_s"] = means.low.tolist()
-        content["aou_over_time_high_s"] = means.high.tolist()
-    if scenario.layout == "fixed":
-        content["update_period_slots"] = scenario.draw_layout().update_period.tolist()
-    action, digest = getattr(policy, "action", None), getattr(policy, "digest", None)  # planners have neither
-    if action is not None:
-        content["action"] = action
-    if digest:
-        content["policy_sha256"] = digest
-    return content

@@ -32,7 +32,8 @@ from uavaou.reports.drawing import (
     period_figure,
     time_unit,
 )
-from uavaou.reports.run_results import PolicyResult, Run, read_run
+from uavaou.reports.run_results import Run, read_run
+from uavaou.runs.results import PolicyResult
 from uavaou.statistics import interval, intervals
 
 if TYPE_CHECKING:
@@ -216,7 +217,7 @@ def _level(result: PolicyResult, measure: Measure, slots: float) -> Floats:
 
 def _execution_figure(results: Mapping[str, list[PolicyResult]], run: Run) -> Figure | None:
     """Figure 7, of the policies whose evaluation tells ages over time."""
-    timed = {name: [r for r in found if r.aou_over_time is not None] for name, found in results.items()}
+    timed = {name: [r for r in found if r.aou_over_time_s is not None] for name, found in results.items()}
     lines = {name: _over_time(found) for name, found in timed.items() if found}
     if not lines:
         return None
@@ -229,12 +230,12 @@ def _execution_figure(results: Mapping[str, list[PolicyResult]], run: Run) -> Fi
 
 def _over_time(found: Sequence[PolicyResult]) -> Line:
     """AoU over the slots with its interval: over the seeds, or as one file alone gives it."""
-    tables = [result.aou_over_time for result in found if result.aou_over_time is not None]
+    tables = [result.aou_over_time_s for result in found if result.aou_over_time_s is not None]
     slot = np.arange(1.0, len(tables[0]) + 1)
     if len(tables) > 1 and len({len(table) for table in tables}) == 1:
         mean, low, high = intervals(np.stack(tables))
         return Line(slot, mean, low, high, len(tables))
-    ends = (found[0].aou_over_time_low, found[0].aou_over_time_high)
+    ends = (found[0].aou_over_time_low_s, found[0].aou_over_time_high_s)
     low, high = (np.full(len(slot), np.nan) if end is None else end for end in ends)
     return Line(slot, tables[0], low, high, len(tables))
 
@@ -256,7 +257,7 @@ def _by_period(period: Floats, counts: Floats) -> ByPeriod:
 
 def _by_device(found: Sequence[PolicyResult]) -> tuple[Floats, Floats] | None:
     """Periods and communications a mission of each device of each seed's layout, (I,) each."""
-    pairs = [(r.update_period, r.device_communications) for r in found]
+    pairs = [(r.update_period_slots, r.device_communications) for r in found]
     known = [(period, counts.mean(axis=0)) for period, counts in pairs if period is not None and counts is not None]
     if not known:
         return None

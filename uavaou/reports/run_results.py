@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.errors import InputError
-from uavaou.files import read_json, read_text
+from uavaou.files import read_text
 from uavaou.reports import style
+from uavaou.runs.folder import RunFolder
+from uavaou.runs.results import PolicyResult, read_evaluations
 from uavaou.zoo import read_yaml_mapping
 
 Floats = NDArray[np.float64]
@@ -22,20 +22,6 @@ Floats = NDArray[np.float64]
 EPISODE_COLUMNS = ("slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
 _MOST_BYTES = 1_000_000_000  # of episodes.csv: some billion slots
 _LEARNED_NAMES = ("policy", "model", "learned")  # what an evaluation may call the run's own policy
-
-
-@dataclass(frozen=True)
-class PolicyResult:
-    """What one policy did in the missions of one evaluation; None where the file does not say."""
-
-    mean_aou_s: Floats  # (n,) s
-    communications: Floats  # (n,)
-    devices_served: Floats  # (n,)
-    update_period: Floats | None  # (I,) slots, k_i
-    device_communications: Floats | None  # (n, I)
-    aou_over_time: Floats | None  # (K,) s, mean over the missions
-    aou_over_time_low: Floats | None  # (K,) s
-    aou_over_time_high: Floats | None  # (K,) s
 
 
 @dataclass(frozen=True)
@@ -70,7 +56,7 @@ def read_run(folder: Path) -> Run:
         mission_slots=float(stated.get("slots", episodes["slots"][-1] / len(episodes["slots"]))),
         slot_length_s=float(stated["slot_length_s"]) if "slot_length_s" in stated else None,
         devices=int(stated["devices"]) if "devices" in stated else None,
-        evaluations={path.stem: found for path, found in _evaluations(folder, name) if found is not None},
+        evaluations=_evaluations(folder, name),
     )
 
 
@@ -110,70 +96,10 @@ def _read_column(path: Path, rows: list[list[str]], place: int, column: str) -> 
     return values
 
 
-def _evaluations(folder: Path, algorithm: str) -> Iterator[tuple[Path, dict[str, PolicyResult] | None]]:
-    for path in sorted(folder.glob("eval/*.json")):
-        yield path, _read_evaluation(path, algorithm)
-
-
-def _read_evaluation(path: Path, algorithm: str) -> dict[str, PolicyResult] | None:
-    """The policies of an evaluation; None for a suite, unless its one point is what the run was trained for."""
-    content = read_json(path)
-    if isinstance(content, dict) and "points" in content:
-        points = content["points"]
-        whole = isinstance(points, list) and len(points) == 1 and isinstance(points[0], dict)
-        if not whole or "trained" not in dict(points[0].get("how") or {}).values():
-            return None
-        content = points[0]
-    policies = content.get("policies") if isinstance(content, dict) else None
-    if not isinstance(policies, dict):
-        raise InputError(f"{path}: field 'policies' is missing or not a mapping")
-    base = style.base_name(algorithm)
-    own = {algorithm, base, *_LEARNED_NAMES}
+def _evaluations(folder: Path, algorithm: str) -> dict[str, dict[str, PolicyResult]]:
+    """Evaluation -> policy -> result; the run's own policy under the algorithm's name."""
+    own = {style.base_name(algorithm), *_LEARNED_NAMES}
     return {
-        algorithm if name in own else name: _read_policy(f"{path}: policy '{name}'", entry)
-        for name, entry in policies.items()
+        evaluation: {algorithm if name in own else name: result for name, result in policies.items()}
+        for evaluation, policies in read_evaluations(RunFolder(folder)).items()
     }
-
-
-def _read_policy(where: str, entry: Any) -> PolicyResult:
-    if not isinstance(entry, dict):
-        raise InputError(f"{where}: expected a mapping")
-    for field in ("mean_aou_s", "communications", "devices_served"):
-        if field not in entry:
-            raise InputError(f"{where}: field '{field}' is missing")
-    number = partial(_numbers, where, entry)
-    result = PolicyResult(
-        mean_aou_s=_given(number("mean_aou_s")),
-        communications=_given(number("communications")),
-        devices_served=_given(number("devices_served")),
-        update_period=number("update_period_slots"),
-        device_communications=number("device_communications", 2),
-        aou_over_time=number("aou_over_time_s"),
-        aou_over_time_low=number("aou_over_time_low_s"),
-        aou_over_time_high=number("aou_over_time_high_s"),
-    )
-    period, counts = result.update_period, result.device_communications
-    if period is not None and counts is not None and counts.shape[1] != len(period):
-        raise InputError(
-            f"{where}: field 'device_communications' has {counts.shape[1]} devices, "
-            f"'update_period_slots' has {len(period)}"
-        )
-    return result
-
-
-def _given(values: Floats | None) -> Floats:
-    assert values is not None  # its presence has been checked
-    return values
-
-
-def _numbers(where: str, entry: dict[str, Any], field: str, dimensions: int = 1) -> Floats | None:
-    if entry.get(field) is None:
-        return None
-    try:
-        values = np.asarray(entry[field], dtype=np.float64)
-    except (ValueError, TypeError):
-        values = np.empty(0)
-    if values.ndim != dimensions or values.size == 0 or not np.isfinite(values).all():
-        kind = "list of numbers" if dimensions == 1 else "table of numbers"
-        raise InputError(f"{where}: field '{field}' is not a {kind}")
-    return values

@@ -11,14 +11,13 @@ from itertools import product
 from pathlib import Path
 
 from uavaou.errors import InputError
-from uavaou.files import replacing
+from uavaou.files import replacing, write_json
 from uavaou.reports.ablations import ablation_table, ablations
 from uavaou.reports.claims import judge
 from uavaou.reports.claims_table import claims_markdown, write_claims
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.references import below_bound
 from uavaou.reports.standings import Standing, standings
-from uavaou.runs.folder import write_json
 from uavaou.studies.marl_eval import to_marl_eval
 from uavaou.studies.results import StudyResults, read_study
 from uavaou.studies.store import StudyFolder, read_failures

@@ -23,7 +23,7 @@ import yaml
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
-from uavaou.files import read_json, refuse_links, replacing
+from uavaou.files import refuse_links
 from uavaou.scenario import Scenario
 from uavaou.world import Views
 from uavaou.zoo import read_yaml_mapping, zoo_folder, zoo_names
@@ -97,6 +97,10 @@ class RunFolder:
     def policy(self) -> Path:
         """The checkpoint whose policy is flown: ``best``, and ``last`` until there is one."""
         return self.best if self.best.exists() else self.last
+
+    def evaluation(self, name: str = "default") -> Path:
+        """An evaluation's file; see :mod:`uavaou.runs.results`."""
+        return self.path / "eval" / f"{name}.json"
 
     @property
     def lock(self) -> Path:
@@ -227,22 +231,6 @@ def describe_machine() -> dict[str, Any]:
         "processor": _processor(),
         "cores": os.cpu_count(),
     }
-
-
-def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
-    """Write a JSON file, complete or not at all; without ``indent`` in one line."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as file:
-        file.write(json.dumps(content, indent=indent) + "\n")
-
-
-def missions_in(path: Path) -> int:
-    """The missions of an evaluation file; 0 where there is none that can be read."""
-    try:
-        episodes = read_json(path)["episodes"]
-    except (ValueError, KeyError, TypeError):
-        return 0
-    return episodes if isinstance(episodes, int) else 0
 
 
 def _commit() -> str | None:

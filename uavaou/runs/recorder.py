@@ -13,14 +13,15 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.evaluation.evaluate import evaluate
+from uavaou.evaluation.seeds import VALIDATION_SEED
+from uavaou.files import write_json
 from uavaou.runs.checkpoint import Progress, save_policy, save_training
-from uavaou.runs.folder import RunConfig, RunFolder, describe_machine, write_json
+from uavaou.runs.folder import RunConfig, RunFolder, describe_machine
 from uavaou.runs.health import check_learner, check_rewards, last_good
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.runs.records import Display, EpisodesCsv, ProgressCsv, Recent, plain
 
-VALIDATION_SEED = 900_000  # missions that choose the best checkpoint: neither trained nor tested on
 CHECKPOINT_EVERY_S = 30.0
 MOST_SHARE = 0.025  # of the wall-clock, for checkpoints: a large replay is written less often
 _ROWS_AN_EVALUATION = 50  # of progress.csv at most; learners that update every few slots would write millions
@@ -181,7 +182,7 @@ class Recorder(BaseCallback):
     def _score(self, action: str) -> float:
         algorithm = self._config.algorithm
         policy = TrainedPolicy(self.model, self._env.views, action)
-        return evaluate(self._config.scenario, policy, algorithm.evaluation_missions, VALIDATION_SEED).mean_aou_s
+        return evaluate(policy, self._config.scenario, algorithm.evaluation_missions, VALIDATION_SEED).mean_aou_s
 
     def _present(self) -> Progress:
         """Where the training stands now."""

@@ -14,6 +14,7 @@ from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import flatten
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
+from uavaou.evaluation.seeds import training_seeds
 from uavaou.files import read_json, refuse_links, replacing
 from uavaou.runs.checkpoint import Progress, load_training
 from uavaou.runs.folder import RunConfig, RunFolder, describe_machine
@@ -21,8 +22,6 @@ from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.lock import one_writer
 from uavaou.runs.recorder import CHECKPOINT_EVERY_S, Recorder, Watch, write_meta
 from uavaou.runs.records import Display
-
-LANE_SEEDS = 1_000_000  # a training's missions are seeded from LANE_SEEDS * (seed + 1) on
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ def _make_missions(config: RunConfig, backend: str) -> MissionVecEnv:
     return flatten(
         config.scenario,
         missions=algorithm.missions,
-        seed=LANE_SEEDS * (config.seed + 1),
+        seed=training_seeds(config.seed).start,
         processes=algorithm.processes,
         backend=backend,
         observation=algorithm.observation,
@@ -101,7 +100,7 @@ def _make_learner(config: RunConfig, env: MissionVecEnv, device: str) -> BaseAlg
         model = make_model(config.algorithm, env, config.seed, device)
     except MemoryError as error:
         raise InputError("not enough memory for the learner: lower missions or what it stores of each") from error
-    env.seed(LANE_SEEDS * (config.seed + 1))  # SB3 seeded the missions with the learner's seed
+    env.seed(training_seeds(config.seed).start)  # SB3 seeded the missions with the learner's seed
     return model
 
 

@@ -5,18 +5,19 @@ Best by validation: the test missions of the final evaluation choose nothing.
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from uavaou.errors import InputError
+from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.files import read_json, replacing
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.studies.jobs import Key, find_evaluation
+from uavaou.runs.results import PolicyResult, find_evaluation, own_evaluation, write_evaluation
+from uavaou.studies.jobs import Key
 from uavaou.studies.store import StudyStore
-from uavaou.studies.study import EVALUATION_SEED, Study
+from uavaou.studies.study import Study
 
 _DIGITS = 6
 
@@ -60,7 +61,7 @@ def _keep(store: StudyStore, study: Study, out: Path, key: Key) -> None:
         raise InputError(f"cannot write to '{kept}': {error.strerror or error}") from error
 
 
-def _read(source: RunFolder, config: RunConfig, episodes: int) -> tuple[dict[str, Any], dict[str, Any]] | None:
+def _read(source: RunFolder, config: RunConfig, episodes: int) -> tuple[PolicyResult, dict[str, Any]] | None:
     """The evaluation and ``meta.json`` of a run; None where it is not here, or damaged: who condensed it told why."""
     try:
         if not (source.best.is_file() and source.exists() and source.read_config() == config):
@@ -71,28 +72,14 @@ def _read(source: RunFolder, config: RunConfig, episodes: int) -> tuple[dict[str
         return None
 
 
-def _copy(source: RunFolder, kept: RunFolder, config: RunConfig, episodes: int, evaluation: Mapping[str, Any]) -> None:
+def _copy(source: RunFolder, kept: RunFolder, config: RunConfig, episodes: int, evaluation: PolicyResult) -> None:
     """Copy what ``uavaou eval`` and ``uavaou plot trajectories`` read."""
     kept.best.parent.mkdir(parents=True, exist_ok=True)
     for path, there in ((source.best, kept.best), (source.meta, kept.meta), (source.config, kept.config)):
         with replacing(there, "wb") as file:
             file.write(path.read_bytes())
-    content = {
-        "scenario": config.scenario.name, "episodes": episodes, "seed": EVALUATION_SEED,
-        "policies": {config.algorithm.name: _rounded(dict(evaluation))},
-    }  # fmt: skip
-    (kept.path / "eval").mkdir(exist_ok=True)
-    with replacing(kept.path / "eval" / "default.json") as file:
-        file.write(json.dumps(content, separators=(",", ":")) + "\n")
-
-
-def _rounded(value: Any) -> Any:
-    """Numbers to six significant digits, all through."""
-    if isinstance(value, dict):
-        return {key: _rounded(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_rounded(inner) for inner in value]
-    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+    content = own_evaluation(config, evaluation, episodes, EVALUATION_SEED)
+    write_evaluation(kept.evaluation(), content, _DIGITS)
 
 
 def card_lines(store: StudyStore, study: Study, key: Key, meta: Mapping[str, Any]) -> list[str]:

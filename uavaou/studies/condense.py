@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from uavaou.errors import InputError
 from uavaou.files import read_json, read_text
 from uavaou.runs.folder import RunFolder
+from uavaou.runs.results import PolicyResult
 from uavaou.scenario import Scenario
 from uavaou.statistics import interval
 from uavaou.studies.jobs import Key
@@ -25,7 +26,7 @@ _MOST_BYTES = 1_000_000_000
 _CURVE = ("reward_s", "mean_aou_s", "communications", "devices_served")
 
 
-def run_rows(key: Key, algorithm: str, scenario: Scenario, folder: RunFolder, evaluation: Mapping[str, Any]) -> Rows:
+def run_rows(key: Key, algorithm: str, scenario: Scenario, folder: RunFolder, evaluation: PolicyResult) -> Rows:
     """The rows of a finished training.
 
     Args:
@@ -45,7 +46,7 @@ def run_rows(key: Key, algorithm: str, scenario: Scenario, folder: RunFolder, ev
     return rows
 
 
-def evaluation_rows(key: Key, scenario: Scenario, evaluation: Mapping[str, Any], source: str) -> Rows:
+def evaluation_rows(key: Key, scenario: Scenario, evaluation: PolicyResult, source: str) -> Rows:
     """The rows of a final evaluation: missions, slots and devices.
 
     The reward of a mission is the sum over slots of r[t] = -sum_i sum_n A_i^n[t], which is -K times its mean AoU.
@@ -55,10 +56,10 @@ def evaluation_rows(key: Key, scenario: Scenario, evaluation: Mapping[str, Any],
     """
     tau, place = scenario.slot_length_s, _place(key)
     try:
-        aou_s = np.asarray(evaluation["mean_aou_s"], dtype=np.float64)  # (n,)
-        columns = aou_s / tau, -scenario.slots * aou_s, evaluation["communications"], evaluation["devices_served"]
+        aou_s = np.asarray(evaluation.mean_aou_s, dtype=np.float64)  # (n,)
+        columns = aou_s / tau, -scenario.slots * aou_s, evaluation.communications, evaluation.devices_served
         missions = [[*place, str(mission), *map(number, row)] for mission, row in enumerate(zip(*columns, strict=True))]
-        over_time = np.asarray(evaluation["aou_over_time_s"], dtype=np.float64) / tau  # (K,)
+        over_time = np.asarray(evaluation.aou_over_time_s, dtype=np.float64) / tau  # (K,)
         execution = [[*place, str(slot), number(value)] for slot, value in enumerate(over_time, start=1)]
         return {
             "missions": missions, "execution": execution, "devices": _device_rows(place, scenario, evaluation),
@@ -67,13 +68,13 @@ def evaluation_rows(key: Key, scenario: Scenario, evaluation: Mapping[str, Any],
         raise InputError(f"{source}: its evaluation cannot be used ({error!r}): evaluate it again") from error
 
 
-def _device_rows(place: list[str], scenario: Scenario, evaluation: Mapping[str, Any]) -> list[list[str]]:
+def _device_rows(place: list[str], scenario: Scenario, evaluation: PolicyResult) -> list[list[str]]:
     """None where each mission draws a new layout: a device is then nowhere in particular."""
     if scenario.layout == "resample":
         return []
     layout = scenario.draw_layout()
-    communications = np.asarray(evaluation["device_communications"], dtype=np.float64).mean(axis=0)  # (I,)
-    aou = np.asarray(evaluation["device_mean_aou_s"], dtype=np.float64) / scenario.slot_length_s  # (I,)
+    communications = np.asarray(evaluation.device_communications, dtype=np.float64).mean(axis=0)  # (I,)
+    aou = np.asarray(evaluation.device_mean_aou_s, dtype=np.float64) / scenario.slot_length_s  # (I,)
     columns = zip(*layout.positions.T, layout.update_period, communications, aou, strict=True)
     return [[*place, str(device), *map(number, row)] for device, row in enumerate(columns)]
 
@@ -108,15 +109,13 @@ def _validation_rows(key: Key, scenario: Scenario, path: Path) -> list[list[str]
     return rows
 
 
-def _run_row(
-    key: Key, algorithm: str, scenario: Scenario, folder: RunFolder, evaluation: Mapping[str, Any]
-) -> list[str]:
+def _run_row(key: Key, algorithm: str, scenario: Scenario, folder: RunFolder, evaluation: PolicyResult) -> list[str]:
     meta, tau = read_json(folder.meta), scenario.slot_length_s
     try:
-        found = interval(np.asarray(evaluation["mean_aou_s"], dtype=np.float64) / tau)
+        found = interval(evaluation.mean_aou_s / tau)
         best = None if meta.get("best_score") is None else meta["best_score"] / tau
         measured = meta["wall_s"], meta.get("cpu_s"), best, found.mean, found.low, found.high
-        counts = int(meta["slots"]), int(meta["agent_steps"]), sum(evaluation["violations"].values())
+        counts = int(meta["slots"]), int(meta["agent_steps"]), sum(evaluation.violations.values())
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder.meta}: cannot be used ({error!r})") from error
     steps = [str(counts[0]), str(counts[1])]

@@ -7,6 +7,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, StrictStr
 
 from uavaou.errors import InputError
+from uavaou.evaluation.seeds import MOST_EPISODES
 from uavaou.fields import Positive, PositiveWhole, short, validated
 
 LARGEST_SEED = 2**32 - 1  # what NumPy's and torch's global streams take
@@ -58,7 +59,7 @@ class StudyFields(BaseModel):
     planners: Annotated[list[StrictStr], _expecting(list, "[greedy, random]")] = []
     bound: StrictBool = False
     planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of annealing, once a scenario
-    episodes: Annotated[PositiveWhole, Field(le=10_000)] = 100  # missions of the final evaluation
+    episodes: Annotated[PositiveWhole, Field(le=MOST_EPISODES)] = 100  # missions of the final evaluation
     reference: StrictStr | None = None  # the variant that the others are held against in the report
     claims: StrictBool = False  # the report judges the paper's claims from this study
 

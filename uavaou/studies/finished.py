@@ -8,9 +8,10 @@ from uavaou.errors import InputError
 from uavaou.files import read_json
 from uavaou.planners.plan import Plan
 from uavaou.runs.folder import RunFolder, scenario_folder
+from uavaou.runs.results import find_evaluation
 from uavaou.studies.best import keep_best
 from uavaou.studies.condense import run_rows
-from uavaou.studies.jobs import Key, find_evaluation, run_key
+from uavaou.studies.jobs import Key, run_key
 from uavaou.studies.store import StudyStore, study_folder
 from uavaou.studies.study import Study, StudyRun
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from uavaou.files import read_json
 from uavaou.planners.plan import Plan
 from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.results import PolicyResult, find_evaluation, write_own_evaluation
 from uavaou.scenario import Scenario
-from uavaou.studies.study import ANNEALED, BOUND, EVALUATION_SEED, Study, StudyRun
+from uavaou.studies.study import ANNEALED, BOUND, Study, StudyRun
 
 PLAN = "plan"
 
@@ -130,58 +130,12 @@ def _train(job: Training, tell: Tell) -> None:
 
 def _evaluate(folder: RunFolder, config: RunConfig, episodes: int) -> None:
     """Write the evaluation, as ``uavaou eval`` does; one of more missions is kept."""
-    from uavaou.evaluation.evaluate import evaluate, to_json
-    from uavaou.runs.folder import missions_in, write_json
+    from uavaou.evaluation.evaluate import evaluate
     from uavaou.runs.policy import load_run
 
     policy = load_run(folder)
-    found = evaluate(config.scenario, policy, episodes, EVALUATION_SEED)
-    head = {"scenario": config.scenario.name, "episodes": episodes, "seed": EVALUATION_SEED}
-    policies = {config.algorithm.name: to_json(found, config.scenario, policy)}
-    usual, own = _evaluation_paths(folder, episodes)
-    write_json(own if missions_in(usual) > episodes else usual, head | {"policies": policies})
-
-
-def _evaluation_paths(folder: RunFolder, episodes: int) -> tuple[Path, Path]:
-    """Where the evaluation usually is, and where it is when that place is taken by one of more missions."""
-    return folder.path / "eval" / "default.json", folder.path / "eval" / f"first-{episodes}.json"
-
-
-def find_evaluation(folder: RunFolder, algorithm: str, episodes: int) -> dict[str, Any] | None:
-    """The policy's part of the evaluation on a study's missions; None where there is none that can be read.
-
-    Only one of the present best checkpoint counts, with the action that it was chosen by: ``uavaou eval`` may have
-    played another action, or the best of that time in the middle of the training.
-
-    Raises:
-        InputError: there is one, and the checkpoint cannot be read.
-    """
-    found = [entry for path in _evaluation_paths(folder, episodes) if (entry := _entry(path, algorithm, episodes))]
-    if not found or not folder.policy.is_file():
-        return None
-    present = _policy_played(folder)
-    return next((entry for entry in found if (entry.get("policy_sha256"), entry.get("action")) == present), None)
-
-
-def _entry(path: Path, algorithm: str, episodes: int) -> dict[str, Any] | None:
-    """A policy's part of an evaluation file; None where that is of other missions, or cannot be read."""
-    try:
-        content = read_json(path)
-        entry = content["policies"][algorithm]
-        wanted = (content["episodes"], content["seed"]) == (episodes, EVALUATION_SEED)
-    except (ValueError, KeyError, TypeError):
-        return None
-    return entry if wanted and isinstance(entry, dict) else None
-
-
-def _policy_played(folder: RunFolder) -> tuple[str, str | None]:
-    """The digest of the weights that the evaluation is to be of, and the action; needs no torch."""
-    from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
-
-    checkpoint = ArrayFile(folder.policy)
-    progress = checkpoint.json("progress")
-    action = progress.get("best_action", "greedy") if isinstance(progress, dict) else None
-    return checkpoint.digest(POLICY), action
+    found = evaluate(policy, config.scenario, episodes)
+    write_own_evaluation(folder, config, PolicyResult.of(found, config.scenario, policy), episodes)
 
 
 def _plan(job: Planning) -> dict[str, Any]:
@@ -194,7 +148,7 @@ def _plan(job: Planning) -> dict[str, Any]:
 
 
 def _play(job: Playing) -> dict[str, Any]:
-    from uavaou.evaluation.evaluate import evaluate, to_json
+    from uavaou.evaluation.evaluate import evaluate
     from uavaou.planners import make_planner
     from uavaou.planners.anneal import Anneal
     from uavaou.planners.rolling import Rolling
@@ -204,7 +158,8 @@ def _play(job: Playing) -> dict[str, Any]:
     if isinstance(planner, Anneal | Rolling):
         assert job.plan is not None
         planner.keep(job.plan, job.scenario, job.scenario.draw_layout())
-    return to_json(evaluate(job.scenario, planner, job.episodes, EVALUATION_SEED), job.scenario, planner)
+    found = evaluate(planner, job.scenario, job.episodes)
+    return PolicyResult.of(found, job.scenario, planner).to_dict()
 
 
 def _bound(job: Bounding) -> dict[str, Any]:

@@ -7,15 +7,14 @@ from urllib.parse import unquote
 
 from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import RecordedMission, read_mission, record_mission, write_mission
+from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.files import folder_name
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import load_run
 from uavaou.zoo import read_yaml_mapping
 
-MISSION_SEED = 10_000  # the first mission of every evaluation
 
-
-def record_study_missions(study: Path, mission_seed: int = MISSION_SEED) -> list[Path]:
+def record_study_missions(study: Path, mission_seed: int = EVALUATION_SEED) -> list[Path]:
     """Play one mission with the best policy of each variant and write ``mission-<variant>.json``.
 
     The policies are those in ``best/<scenario>/<variant>/seed-<n>/``, on the first of the study's scenarios that

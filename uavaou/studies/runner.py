@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from uavaou.errors import InputError
+from uavaou.fields import validated
+from uavaou.files import write_json
 from uavaou.planners.plan import Plan
-from uavaou.runs.folder import write_json
 from uavaou.runs.interrupt import Interrupts
 from uavaou.runs.lock import only_writer
+from uavaou.runs.results import PolicyResult
 from uavaou.studies.best import keep_best
 from uavaou.studies.condense import bound_rows, evaluation_rows
 from uavaou.studies.engine import Advanced, Ended, Engine
@@ -258,7 +260,9 @@ class _Work:
         elif key.variant == BOUND:
             self._store.put(key, bound_rows(key, scenario, result))
         else:
-            self._store.put(key, evaluation_rows(key, scenario, result, key.variant))
+            self._store.put(
+                key, evaluation_rows(key, scenario, validated(PolicyResult, result, key.variant), key.variant)
+            )
         self._store.write(self._study)
         if key in self._runs:
             keep_best(self._store, self._study, self._out)

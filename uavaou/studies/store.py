@@ -14,6 +14,7 @@ from pathlib import Path
 import yaml
 
 from uavaou.errors import InputError
+from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.files import folder_name, replacing
 from uavaou.runs.folder import RunConfig, read_config
 from uavaou.runs.lock import holder
@@ -21,7 +22,7 @@ from uavaou.statistics import interval
 from uavaou.studies.condense import Rows, number
 from uavaou.studies.jobs import Key, reference_keys, run_key
 from uavaou.studies.results import COLUMNS, read_rows
-from uavaou.studies.study import BOUND, EVALUATION_SEED, PLANNED, Study
+from uavaou.studies.study import BOUND, PLANNED, Study
 from uavaou.zoo import read_yaml_mapping
 
 FAILURES = ("variant", "scenario", "seed", "reason")

@@ -16,6 +16,7 @@ import yaml
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, nearest
+from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.fields import short, validated
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
@@ -32,7 +33,6 @@ from uavaou.studies.fields import (
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 SCHEMA = 1  # of study.yaml
-EVALUATION_SEED = 10_000  # mission j of every evaluation is seeded with this + j, as `uavaou eval` does
 BOUND = "bound"
 ANNEALED = ("anneal", "rolling")  # planners that take off with an annealed plan
 PLANNED = (*ANNEALED, "exact")  # planners whose figures depend on planning_seconds

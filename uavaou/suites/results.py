@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from uavaou.errors import InputError
-from uavaou.evaluation.evaluate import evaluate, to_json
+from uavaou.evaluation.evaluate import evaluate
 from uavaou.files import replacing
 from uavaou.planners.base import Planner
 from uavaou.runs.folder import RunFolder
+from uavaou.runs.results import PolicyResult, SuiteEvaluationFile, SuitePoint
 from uavaou.scenario import Scenario
 from uavaou.statistics import Interval, interval
 from uavaou.suites.assignment import Assignment, Entry, How
@@ -44,27 +45,33 @@ class Job:
 
 @dataclass(frozen=True)
 class Result:
-    """What a job came to: the figures of every mission, as ``eval/default.json`` has them, or why there are none."""
+    """What a job came to: the figures of every mission, or why there are none."""
 
     job: Job
-    content: dict[str, Any]
+    content: PolicyResult | None
     refusal: str = ""
+
+    @property
+    def played(self) -> PolicyResult:
+        """The figures of every mission; not of a refusal."""
+        assert self.content is not None
+        return self.content
 
     @property
     def mean_aou_slots(self) -> Interval:
         """Mean AoU per slot in units of tau, with its 95 % interval over the missions."""
         assert self.job.place.scenario is not None
         tau = self.job.place.scenario.slot_length_s
-        return interval([value / tau for value in self.content["mean_aou_s"]])
+        return interval(self.played.mean_aou_s / tau)
 
     def mean(self, name: str) -> float:
         """The mean over the missions of a figure that has one value a mission."""
-        return float(sum(self.content[name]) / len(self.content[name]))
+        return float(getattr(self.played, name).mean())
 
     @property
     def violations(self) -> int:
         """Constraint violations that the checker counted, over all missions."""
-        return int(sum(self.content["violations"].values()))
+        return sum(self.played.violations.values())
 
 
 def suite_jobs(places: Sequence[Place], assignments: Sequence[Assignment], planners: Sequence[str]) -> list[Job]:
@@ -103,23 +110,23 @@ def play_suite(
     Raises:
         InputError: a run cannot be loaded. A planner's refusal of a point is a result.
     """
-    played: dict[tuple[str, Scenario], tuple[dict[str, Any], str]] = {}
+    played: dict[tuple[str, Scenario], tuple[PolicyResult | None, str]] = {}
     for job in jobs:
         scenario = job.place.scenario
         assert scenario is not None
         start(job.name)
         if job.entry is not None:
             policy = load(job.entry.folder, scenario)
-            evaluation = evaluate(scenario, policy, episodes, seed, after_slot)
-            yield Result(job, to_json(evaluation, scenario, policy))
+            evaluation = evaluate(policy, scenario, episodes, seed, after_slot)
+            yield Result(job, PolicyResult.of(evaluation, scenario, policy))
             continue
         key = (job.policy, scenario)
         if key not in played:
             try:
-                evaluation = evaluate(scenario, planners[job.policy], episodes, seed, after_slot)
-                played[key] = to_json(evaluation, scenario, planners[job.policy]), ""
+                evaluation = evaluate(planners[job.policy], scenario, episodes, seed, after_slot)
+                played[key] = PolicyResult.of(evaluation, scenario, planners[job.policy]), ""
             except InputError as error:
-                played[key] = {}, str(error)
+                played[key] = None, str(error)
         yield Result(job, *played[key])
 
 
@@ -128,7 +135,7 @@ def play_suite(
 
 def suite_json(
     suite: Suite, base: Scenario, results: Sequence[Result], episodes: int, seed: int, entry: Entry | None = None
-) -> dict[str, Any]:
+) -> SuiteEvaluationFile:
     """The content of ``eval/<suite>.json``: the points with their policies, each as in ``eval/default.json``.
 
     Args:
@@ -146,14 +153,18 @@ def suite_json(
             continue
         beside = [] if entry is None else [result for result in here if result.job.entry is None]
         point = own[0].job.place.point
-        content: dict[str, Any] = {"label": point.label, "x": point.x, "set": point.set}
-        if point.observation is not None:
-            content["observation"] = point.observation
-        content["how"] = {_key(result, entry): result.job.how for result in [*own, *beside]}
-        content["policies"] = {_key(result, entry): result.content for result in [*own, *beside]}
-        points.append(content)
-    head = {"suite": suite.name, "scenario": base.name, "episodes": episodes, "seed": seed}
-    return head | {"points": points}
+        shown = {_key(result, entry): result for result in [*own, *beside]}
+        points.append(
+            SuitePoint(
+                label=point.label,
+                x=point.x,
+                set=point.set,
+                observation=point.observation,
+                how={name: result.job.how for name, result in shown.items()},
+                policies={name: result.played for name, result in shown.items()},
+            )
+        )
+    return SuiteEvaluationFile(suite=suite.name, scenario=base.name, episodes=episodes, seed=seed, points=points)
 
 
 def _key(result: Result, own: Entry | None) -> str:
@@ -185,7 +196,7 @@ def csv_rows(name: str, suite: Suite, results: Sequence[Result]) -> list[dict[st
             "trained": job.how,
             "seed": "" if job.entry is None else job.entry.config.seed,
             "training_slots": "" if job.entry is None else job.entry.slots,
-            "missions": len(result.content["mean_aou_s"]),
+            "missions": len(result.played.mean_aou_s),
             "mean_aou_slots": f"{aou.mean:.6g}",
             "low": "" if aou.low != aou.low else f"{aou.low:.6g}",  # nan: one mission has no interval
             "high": "" if aou.high != aou.high else f"{aou.high:.6g}",

@@ -1,0 +1,19 @@
+"""The seeds of missions: training, validation and evaluation never share a mission.
+
+A light module, so that the command line can name the defaults in its help without importing the simulator.
+"""
+
+from __future__ import annotations
+
+EVALUATION_SEEDS = range(10_000, 20_000)  # of the missions that results are measured on
+VALIDATION_SEEDS = range(900_000, 910_000)  # of the missions that choose a training's best checkpoint
+TRAINING_SEEDS = 1_000_000  # mission seeds that one training has for its own
+
+EVALUATION_SEED = EVALUATION_SEEDS.start  # of the first evaluation mission
+VALIDATION_SEED = VALIDATION_SEEDS.start
+MOST_EPISODES = len(EVALUATION_SEEDS)
+
+
+def training_seeds(seed: int) -> range:
+    """The mission seeds of the training with this ``seed``, one for each mission that it plays in parallel."""
+    return range(TRAINING_SEEDS * (seed + 1), TRAINING_SEEDS * (seed + 2))
