@@ -1,76 +1,51 @@
-"""Aggregates over seeds, missions and scenarios, as Agarwal et al. (NeurIPS 2021, arXiv 2108.13264) ask for them.
+"""Aggregates over seeds, missions and scenarios, as Agarwal et al. (NeurIPS 2021, arXiv 2108.13264) define them.
 
-Scores are ages: **lower is better**, unlike the returns of that paper. What one policy did is a mapping
-from task (a scenario) to an array (S, M), a row for each training seed, a column for each mission. A planner is not
-trained and has one row.
+Scores are ages: **lower is better**, unlike the returns of that paper. The scores of a policy are a mapping from task
+(a scenario) to an array (S, M), a row for each training seed and a column for each mission. A planner has one row.
 
-Intervals are those of a stratified bootstrap with percentiles. In each resample, and within each task: seeds
-are drawn with replacement, and missions are drawn with replacement within the task. All seeds and policies
-play the same missions, so that one draw of missions serves them all (the crossed bootstrap of Owen, Annals of
-Applied Statistics 1(2), 2007), and comparisons are paired by mission. With one mission a run, or with the
-mean of each run as its only column, this is the bootstrap of Agarwal et al.: runs resampled within each task.
+Intervals are percentiles of a stratified bootstrap. Each resample draws, within each task, seeds with replacement and
+missions with replacement. All seeds and policies play the same missions, so one draw of missions serves them all (the
+crossed bootstrap of Owen, Annals of Applied Statistics 1(2), 2007), and comparisons are paired by mission. With one
+mission a run this is the bootstrap of Agarwal et al. and of rliable: runs resampled within each task.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from uavaou.statistics.intervals import UPPER, Band, Floats, Interval
+
 Scores = Mapping[str, ArrayLike]  # task -> (S, M)
 
 RESAMPLES = 2000
-_SEED = 20_240_502  # any fixed number: a table made twice from the same figures must not differ
+_SEED = 20_240_502  # any fixed number: the same scores give the same interval
 _ENTRIES_AT_ONCE = 4_000_000  # resampling weights held in memory together
 _CUT = 0.25  # of the scores, left out at each end of the interquartile mean
 
 
-class Estimate(NamedTuple):
-    """A figure and its interval; low and high are nan where one score alone says nothing of its spread."""
-
-    value: float
-    low: float
-    high: float
-
-
-class Profile(NamedTuple):
-    """A performance profile at T thresholds, between 0 and 1."""
-
-    share: Floats  # (T,)
-    low: Floats  # (T,)
-    high: Floats  # (T,)
-
-
-def interquartile_mean(scores: Scores, confidence: float = 0.95) -> Estimate:
+def interquartile_mean(scores: Scores) -> Interval:
     """The mean of the middle half of all scores, seeds x missions x tasks.
 
     Tasks are pooled, so their scores must be of comparable size: divide by a reference of each task first.
 
     Args:
         scores: task -> (S, M).
-        confidence: of the interval, between 0 and 1.
 
     Raises:
-        ValueError: no scores, scores that are not finite or no (S, M) arrays, or a bad confidence.
+        ValueError: no scores, scores that are not finite or no (S, M) arrays.
     """
     tables = _tables(scores)
-    return _estimate(lambda draws: _trimmed_means(tables, draws), [tables], confidence)
+    return _interval(lambda draws: _trimmed_means(tables, draws), [tables])
 
 
-def mean_score(scores: Scores, confidence: float = 0.95) -> Estimate:
-    """The mean over tasks of the mean over seeds and missions; raises as :func:`interquartile_mean`."""
-    tables = _tables(scores)
-    return _estimate(lambda draws: np.mean(_task_means(tables, draws), axis=0), [tables], confidence)
-
-
-def probability_of_improvement(x: Scores, y: Scores, confidence: float = 0.95) -> Estimate:
+def probability_of_improvement(x: Scores, y: Scores) -> Interval:
     """P(X < Y) + P(X = Y) / 2 for a score of x and one of y in the same task, mean over the tasks.
 
-    AoU is better when lower, so a value above 0.5 says that x is the better one. Each score is one mission
-    of one seed; this is the Mann-Whitney statistic of each task over S M x S' M' pairs.
+    AoU is better when lower, so a value above 0.5 means that x is better. Each score is one mission of one seed. This
+    is the Mann-Whitney statistic of each task over S M x S' M' pairs.
 
     Raises:
         ValueError: as :func:`interquartile_mean`, or other tasks in x than in y.
@@ -83,16 +58,15 @@ def probability_of_improvement(x: Scores, y: Scores, confidence: float = 0.95) -
         shares: Floats = np.mean(each, axis=0)  # (r,)
         return shares
 
-    return _estimate(wins, tables, confidence)
+    return _interval(wins, tables)
 
 
-def performance_profile(scores: Scores, thresholds: ArrayLike, confidence: float = 0.95) -> Profile:
+def performance_profile(scores: Scores, thresholds: ArrayLike) -> Band:
     """The share of all scores at or below each threshold: the further up and left, the better.
 
     Args:
         scores: task -> (S, M), of comparable size.
         thresholds: (T,), in the unit of the scores.
-        confidence: of the band at each threshold, between 0 and 1.
 
     Raises:
         ValueError: as :func:`interquartile_mean`.
@@ -106,13 +80,12 @@ def performance_profile(scores: Scores, thresholds: ArrayLike, confidence: float
         reached: Floats = _cumulative(_pooled(draws)[:, order])[:, place] / len(values)  # (r, T)
         return reached
 
-    value, low, high = _bootstrap(shares, [tables], confidence)
-    return Profile(value, low, high)
+    return _bootstrap(shares, [tables])
 
 
 # -- resampling ----------------------------------------------------------------------------------------
 
-# How often each score of each task stands in each of r resamples: the (r, S) of seeds and (r, M) of missions.
+# For each task, how often each seed, (r, S), and each mission, (r, M), is drawn in each of r resamples.
 _Draws = Sequence[tuple[Floats, Floats]]
 
 
@@ -135,31 +108,24 @@ def _of_same_tasks(x: Scores, y: Scores) -> list[list[Floats]]:
     return [_tables(x), _tables(y)]
 
 
-def _estimate(figure: Callable[..., Floats], policies: Sequence[list[Floats]], confidence: float) -> Estimate:
-    value, low, high = _bootstrap(figure, policies, confidence)
-    if all(table.size == 1 for tables in policies for table in tables):
-        return Estimate(float(value), np.nan, np.nan)
-    return Estimate(float(value), float(low), float(high))
+def _interval(statistic: Callable[..., Floats], policies: Sequence[list[Floats]]) -> Interval:
+    found = _bootstrap(statistic, policies).only
+    alone = all(table.size == 1 for tables in policies for table in tables)
+    return Interval(found.value, np.nan, np.nan) if alone else found
 
 
-def _bootstrap(
-    figure: Callable[..., Floats], policies: Sequence[list[Floats]], confidence: float
-) -> tuple[Floats, Floats, Floats]:
-    """The figure of the scores as they are, and its percentiles over the resamples, (...) each.
+def _bootstrap(statistic: Callable[..., Floats], policies: Sequence[list[Floats]]) -> Band:
+    """The statistic of the scores as they are, and its percentiles over the resamples.
 
     Args:
-        figure: from the draws of each policy to the figure of each resample, (r, ...).
-        policies: the scores of each policy that the figure takes, (S, M) a task.
-        confidence: between 0 and 1.
+        statistic: from the draws of each policy to a value for each resample, (r, ...).
+        policies: the scores of each policy that the statistic takes, (S, M) a task.
     """
-    if not 0 < confidence < 1:
-        raise ValueError(f"confidence = {confidence}: must lie between 0 and 1")
     once = [[tuple(np.ones((1, n)) for n in table.shape) for table in tables] for tables in policies]
-    value = figure(*once)[0]
-    drawn = np.concatenate([figure(*draws) for draws in _resamples(policies)])  # (RESAMPLES, ...)
-    tail = (1 - confidence) / 2
-    low, high = np.quantile(drawn, [tail, 1 - tail], axis=0)
-    return value, low, high
+    value = statistic(*once)[0]
+    drawn = np.concatenate([statistic(*draws) for draws in _resamples(policies)])  # (RESAMPLES, ...)
+    low, high = np.quantile(drawn, [1 - UPPER, UPPER], axis=0)
+    return Band(value, low, high)
 
 
 def _resamples(policies: Sequence[list[Floats]]) -> Iterator[list[_Draws]]:
@@ -175,8 +141,7 @@ def _resamples(policies: Sequence[list[Floats]]) -> Iterator[list[_Draws]]:
 def _draw(shape: tuple[int, ...], side: int, task: int) -> tuple[Floats, Floats]:
     """How often each seed and each mission of a task is drawn, (RESAMPLES, S) and (RESAMPLES, M).
 
-    ``side`` tells the policies of a comparison apart: their seeds are drawn independently, their missions are
-    the same ones.
+    ``side`` numbers the policies of a comparison: they share the draw of missions, and each has its own of seeds.
     """
     counts = []
     for n, key in zip(shape, ((0, side, task), (1, task)), strict=True):
@@ -185,7 +150,7 @@ def _draw(shape: tuple[int, ...], side: int, task: int) -> tuple[Floats, Floats]
     return counts[0], counts[1]
 
 
-# -- figures of weighted scores ------------------------------------------------------------------------
+# -- statistics of weighted scores ---------------------------------------------------------------------
 
 
 def _weights(seeds: Floats, missions: Floats) -> Floats:
@@ -207,23 +172,13 @@ def _cumulative(weights: Floats) -> Floats:
 
 
 def _trimmed_means(tables: list[Floats], draws: _Draws) -> Floats:
-    """The mean of what is left after a quarter of the drawn scores, rounded down, goes at each end, (r,)."""
+    """The mean of the drawn scores without a quarter, rounded down, at each end, (r,)."""
     values = np.concatenate([table.ravel() for table in tables])  # (n,)
     order = np.argsort(values, kind="stable")
     first, last = int(_CUT * len(values)), len(values) - int(_CUT * len(values))
     reached = np.clip(_cumulative(_pooled(draws)[:, order]), first, last)  # (r, n + 1)
     means: Floats = np.diff(reached, axis=1) @ values[order] / (last - first)
     return means
-
-
-def _task_means(tables: list[Floats], draws: _Draws) -> Floats:
-    """The mean of each task, (tasks, r)."""
-    return np.stack(
-        [
-            ((seeds @ table) * missions).sum(axis=1) / table.size
-            for table, (seeds, missions) in zip(tables, draws, strict=True)
-        ]
-    )
 
 
 class _Pairs:
