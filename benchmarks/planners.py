@@ -22,7 +22,7 @@ from uavaou.planners.exact import LARGEST, program_size
 from uavaou.planners.plan import Plan
 from uavaou.planners.rolling import Rolling
 from uavaou.scenario import Scenario
-from uavaou.statistics import interval
+from uavaou.statistics import interval_over_missions
 
 RESULTS = Path("results/planners")
 SCENARIOS = {"tiny": Scenario.load("tiny"), "quickstart": Scenario.load("quickstart")} | {
@@ -75,9 +75,9 @@ def measured(name: str, scenario: Scenario, chosen: argparse.Namespace) -> Itera
         yield dict(zip(COLUMNS, (name, "bound", mean, "", "", bound.method, seconds), strict=True))
     for policy, planner in _policies(name, scenario, chosen).items():
         begun = time.monotonic()
-        found = interval(evaluate(planner, scenario, chosen.episodes, STREAMS).values("mean_aou_s") / tau)
+        found = interval_over_missions(evaluate(planner, scenario, chosen.episodes, STREAMS).values("mean_aou_s") / tau)
         seconds = f"{time.monotonic() - begun:.0f}"
-        figures = (f"{found.mean:.5g}", f"{found.low:.5g}", f"{found.high:.5g}", "", seconds)
+        figures = (f"{found.value:.5g}", f"{found.low:.5g}", f"{found.high:.5g}", "", seconds)
         yield dict(zip(COLUMNS, (name, policy, *figures), strict=True))
 
 

@@ -22,8 +22,6 @@ LAYERS = (
     "devices_csv",
     "scenario",
     "statistics",
-    "stratified",
-    "trainings",
     "world",
     "envs",
     "algorithms",

@@ -180,7 +180,7 @@ def _cell(value: Any, digits: int) -> Any:
     return number(value, digits) if value is None or isinstance(value, float | np.floating) else value
 
 
-def number(value: float | None, digits: int = 6) -> str:
+def number(value: float | np.floating[Any] | None, digits: int = 6) -> str:
     """A number with so many significant digits, a whole number with all of its digits; empty for None and nan."""
     if value is None or math.isnan(value):
         return ""

@@ -31,8 +31,8 @@ def study_lines(folder: Path) -> list[str]:
         head = (scenario, "seeds", "mean AoU", "95 % interval", "violations")
         lines += ["", *(line.rstrip() for line in aligned([head, *map(_cells, found)]))]
     note = (
-        "intervals: stratified bootstrap, seeds and missions resampled; of one seed, and of planners, over missions "
-        "alone; the bound is one on the expected mean AoU"
+        "intervals: Student's over seeds; of one seed, and of planners, a bootstrap over missions; the lower bound is "
+        "one on the expected mean AoU"
     )
     return [*lines, "", *textwrap.wrap(note, WIDTH), f"results: {folder}"]
 

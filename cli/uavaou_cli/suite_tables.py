@@ -71,9 +71,9 @@ def _cells(result: Result, several_seeds: bool) -> tuple[str, ...]:
     if result.refusal:
         return name, job.how, "-", "", "", ""
     aou = result.mean_aou_slots
-    between = "" if aou.low != aou.low else f"{figure(aou.low, aou.mean)}-{figure(aou.high, aou.mean)}"
+    between = "" if aou.low != aou.low else f"{figure(aou.low, aou.value)}-{figure(aou.high, aou.value)}"
     counts = figure(result.mean("communications")), f"{result.mean('devices_served'):.1f}"
-    return name, job.how, figure(aou.mean), between, *counts
+    return name, job.how, figure(aou.value), between, *counts
 
 
 def _violations(results: Sequence[Result]) -> list[str]:

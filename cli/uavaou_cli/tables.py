@@ -123,15 +123,15 @@ def _ratio(value: float, base: float) -> str:
 
 
 def _cells(scenario: Scenario, result: Evaluation, action: str | None) -> list[tuple[str, str]]:
-    from uavaou.statistics import interval
+    from uavaou.statistics import interval_over_missions
 
     aou = result.values("mean_aou_s")
     return [
         (action or "-", ""),
-        _with_interval(interval(aou)),
-        _with_interval(interval(aou / scenario.slot_length_s)),
-        _with_interval(interval(result.values("communications"))),
-        _with_interval(interval(result.values("devices_served"))),
+        _with_interval(interval_over_missions(aou)),
+        _with_interval(interval_over_missions(aou / scenario.slot_length_s)),
+        _with_interval(interval_over_missions(result.values("communications"))),
+        _with_interval(interval_over_missions(result.values("devices_served"))),
         (f"{sum(result.violations.values()):,}", ""),
     ]
 
@@ -158,8 +158,8 @@ def _two_line_table(heads: Sequence[tuple[str, str]], rows: Sequence[tuple[str, 
 
 def _with_interval(found: Interval) -> tuple[str, str]:
     if math.isnan(found.low):
-        return figure(found.mean), ""
-    return figure(found.mean), f"{figure(found.low, found.mean)}-{figure(found.high, found.mean)}"
+        return figure(found.value), ""
+    return figure(found.value), f"{figure(found.low, found.value)}-{figure(found.high, found.value)}"
 
 
 def figure(value: float, like: float | None = None) -> str:

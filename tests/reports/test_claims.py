@@ -16,9 +16,8 @@ from uavaou.reports.claims import judge
 from uavaou.reports.claims_table import END, begin_marker, claims_markdown, write_claims
 from uavaou.reports.convergence import converged, reached, smooth
 from uavaou.reports.verdicts import Claim, direction_verdict, size_verdict
-from uavaou.stratified import Estimate
+from uavaou.statistics import Interval, ratio_of_trainings
 from uavaou.studies.results import read_study, rows_of
-from uavaou.trainings import ratio_of_trainings
 
 MANY = 9  # seeds
 ANY = "<!-- claims:begin -->"  # of no study by name
@@ -144,36 +143,36 @@ def test_a_correlation_is_never_beyond_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("estimate", "lower", "expected"),
     [
-        (Estimate(0.8, 0.7, 0.9), True, "supported"),
-        (Estimate(0.8, 0.7, 1.1), True, "partly supported"),
-        (Estimate(1.2, 0.9, 1.5), True, "not supported"),
-        (Estimate(1.0, 1.0, 1.0), True, "not supported"),
-        (Estimate(0.8, np.nan, np.nan), True, "partly supported"),
-        (Estimate(1.2, 1.1, 1.3), False, "supported"),
-        (Estimate(1.2, 0.9, 1.3), False, "partly supported"),
-        (Estimate(1.0, 1.0, 1.0), False, "not supported"),
+        (Interval(0.8, 0.7, 0.9), True, "supported"),
+        (Interval(0.8, 0.7, 1.1), True, "partly supported"),
+        (Interval(1.2, 0.9, 1.5), True, "not supported"),
+        (Interval(1.0, 1.0, 1.0), True, "not supported"),
+        (Interval(0.8, np.nan, np.nan), True, "partly supported"),
+        (Interval(1.2, 1.1, 1.3), False, "supported"),
+        (Interval(1.2, 0.9, 1.3), False, "partly supported"),
+        (Interval(1.0, 1.0, 1.0), False, "not supported"),
     ],
 )
-def test_direction(estimate: Estimate, lower: bool, expected: str) -> None:
+def test_direction(estimate: Interval, lower: bool, expected: str) -> None:
     assert direction_verdict(estimate, 1, lower=lower) == expected
 
 
 @pytest.mark.parametrize(
     ("estimate", "expected"),
     [
-        (Estimate(0.4, 0.3, 0.45), "supported"),
-        (Estimate(0.5, 0.5, 0.5), "supported"),
-        (Estimate(0.52, 0.48, 0.56), "partly supported"),
-        (Estimate(0.6, 0.55, 0.65), "partly supported"),
-        (Estimate(0.75, 0.45, 0.99), "partly supported"),  # a wide interval supports no more than a narrow one
-        (Estimate(0.5, 0.2, 1.2), "partly supported"),
-        (Estimate(0.75, 0.45, 1.01), "not supported"),
-        (Estimate(1.5, 1.4, 1.6), "not supported"),
-        (Estimate(0.4, np.nan, np.nan), "partly supported"),
-        (Estimate(0.6, np.nan, np.nan), "not supported"),
+        (Interval(0.4, 0.3, 0.45), "supported"),
+        (Interval(0.5, 0.5, 0.5), "supported"),
+        (Interval(0.52, 0.48, 0.56), "partly supported"),
+        (Interval(0.6, 0.55, 0.65), "partly supported"),
+        (Interval(0.75, 0.45, 0.99), "partly supported"),  # a wide interval supports no more than a narrow one
+        (Interval(0.5, 0.2, 1.2), "partly supported"),
+        (Interval(0.75, 0.45, 1.01), "not supported"),
+        (Interval(1.5, 1.4, 1.6), "not supported"),
+        (Interval(0.4, np.nan, np.nan), "partly supported"),
+        (Interval(0.6, np.nan, np.nan), "not supported"),
     ],
 )
-def test_size(estimate: Estimate, expected: str) -> None:
+def test_size(estimate: Interval, expected: str) -> None:
     assert size_verdict(estimate, 0.5) == expected
 
 

@@ -21,7 +21,6 @@ from uavaou.reports.figures import plot_figures, training_curve
 from uavaou.reports.run_results import Run, read_run
 from uavaou.reports.trajectories import plot_trajectories
 from uavaou.scenario import Scenario
-from uavaou.statistics import interval, intervals
 from uavaou.world import World
 
 HEADER = ["mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served"]
@@ -299,41 +298,6 @@ def test_an_algorithm_looks_the_same_in_every_company() -> None:
     assert together["mappo+gamma=0.9"].colour == alone.colour
     assert together["mappo+gamma=0.9"].dash != alone.dash
     assert len({together[name].colour for name in ("mappo", "vdn", "novel")}) == 3
-
-
-# -- intervals -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("rows", [8, 30])
-def test_interval_covers_the_mean_as_often_as_it_says(rows: int) -> None:
-    samples = np.random.default_rng(1).normal(3.0, 2.0, (rows, 1000))
-    _, low, high = intervals(samples)
-    assert 0.92 < np.mean((low <= 3.0) & (high >= 3.0)) < 0.975
-
-
-def test_interval_of_small_samples_is_their_range() -> None:
-    mean, low, high = interval([1.0, 2.0, 6.0])
-    assert (mean, low, high) == (3.0, 1.0, 6.0)
-
-
-def test_interval_is_the_same_on_every_call_and_narrows_with_confidence() -> None:
-    values = np.random.default_rng(0).exponential(size=40)
-    assert interval(values) == interval(values)
-    wide, narrow = interval(values, 0.99), interval(values, 0.5)
-    assert wide.low < narrow.low < narrow.mean < narrow.high < wide.high
-
-
-def test_interval_of_equal_and_of_single_values() -> None:
-    assert interval([5.0] * 7) == (5.0, 5.0, 5.0)
-    alone = interval([5.0])
-    assert alone.mean == 5.0
-    assert np.isnan([alone.low, alone.high]).all()
-
-
-@pytest.mark.parametrize("values", [[], [1.0, float("nan")], [float("inf")]])
-def test_interval_refuses_what_has_no_mean(values: list[float]) -> None:
-    with pytest.raises(ValueError, match="values"):
-        interval(values)
 
 
 def test_run_is_what_read_run_gives(tmp_path: Path) -> None:

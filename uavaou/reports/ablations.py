@@ -1,7 +1,7 @@
 """The table of an ablation study: each variant against the published settings, with a sentence that is computed.
 
 What is compared is one mean AoU a training seed, over that seed's missions. The ratio of two variants and its interval
-are those of :mod:`uavaou.trainings`. A variant that changes more than one thing names the variant without
+are those of :mod:`uavaou.statistics.trainings`. A variant that changes more than one thing names the variant without
 the one in question; the sentence then speaks of that ratio.
 """
 
@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from uavaou.errors import unknown
 from uavaou.reports.markdown import rounded, table, with_interval
-from uavaou.stratified import Estimate
-from uavaou.trainings import ratio_of_trainings
+from uavaou.statistics import Interval, ratio_of_trainings
 
 Floats = NDArray[np.float64]
 
@@ -40,10 +39,10 @@ class Ablation:
     scenario: str
     seeds: int
     aou: float
-    ratio: Estimate | None
+    ratio: Interval | None
     finding: str
     against: str | None = None
-    other_ratio: Estimate | None = None
+    other_ratio: Interval | None = None
 
 
 def ablations(
@@ -87,11 +86,11 @@ def _ablation(
     return Ablation(variant, scenario, len(own), aou, ratio, finding, against, other)
 
 
-def _ratio(own: Floats, reference: Floats) -> Estimate:
+def _ratio(own: Floats, reference: Floats) -> Interval:
     return ratio_of_trainings({"": own}, {"": reference})
 
 
-def _finding(variant: str, ratio: Estimate, fewest: int, against: str | None = None) -> str:
+def _finding(variant: str, ratio: Interval, fewest: int, against: str | None = None) -> str:
     """What a ratio says; ``fewest`` trainings on one of its sides, ``against`` names what is not the published one."""
     if math.isnan(ratio.value):
         return "no ratio: an AoU of 0"
@@ -132,5 +131,5 @@ def _cells(one: Ablation, others: bool) -> list[str]:
     return cells
 
 
-def _told(ratio: Estimate) -> str:
+def _told(ratio: Interval) -> str:
     return "–" if math.isnan(ratio.value) else with_interval(*ratio)

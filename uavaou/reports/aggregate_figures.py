@@ -13,8 +13,8 @@ from uavaou.envs.map import BLACK
 from uavaou.reports import style
 from uavaou.reports.drawing import Looks
 from uavaou.reports.references import FIXED_RULES, comparable, in_all_scenarios
-from uavaou.stratified import (
-    Estimate,
+from uavaou.statistics import (
+    Interval,
     interquartile_mean,
     performance_profile,
     probability_of_improvement,
@@ -94,7 +94,7 @@ def _label(figure: Figure, text: str, note: str) -> None:
     figure.supxlabel(f"{text}\n{note}", fontsize=7, linespacing=1.3)
 
 
-def _draw_bars(axes: Axes, estimates: Sequence[Estimate], looks: Sequence[style.Look]) -> None:
+def _draw_bars(axes: Axes, estimates: Sequence[Interval], looks: Sequence[style.Look]) -> None:
     """A row for each estimate from the top: its interval as a bar, its value as a line in it."""
     for row, (estimate, look) in enumerate(zip(estimates, looks, strict=True)):
         if np.isfinite(estimate.low):

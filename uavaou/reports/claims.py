@@ -1,7 +1,7 @@
 """The paper's claims, and ours, held against a study: verdicts are computed from its tables, whatever they are.
 
 :mod:`uavaou.reports.verdicts` says how. Ratios and their intervals over trainings are those of
-:mod:`uavaou.trainings`.
+:mod:`uavaou.statistics.trainings`.
 """
 
 from __future__ import annotations
@@ -29,10 +29,9 @@ from uavaou.reports.verdicts import (
     positive,
     size_verdict,
 )
-from uavaou.stratified import Estimate
+from uavaou.statistics import Interval, mean_of_tasks, ratio_of_trainings
 from uavaou.studies.results import StudyResults
 from uavaou.studies.tables import StudyTables, by_run
-from uavaou.trainings import mean_of_trainings, ratio_of_trainings
 
 LOWEST = "the minimum value of AoU is achieved through MAPPO-AoU"
 REDUCED = "Compared to VDN and QMIX, the AoU during the execution is reduced by a factor of 1/2 and 2/3 respectively"
@@ -116,8 +115,8 @@ def _served_by_frequency(study: StudyTables) -> Claim:
             found[scenario] = values
     if not found:
         return not_measured(text, FREQUENT, f"devices of '{OWN}' with different periods and communications")
-    mean, low, high = mean_of_trainings(by_training(found))
-    correlation = Estimate(mean, float(np.maximum(low, -1)), float(np.minimum(high, 1)))  # nan stays nan
+    mean, low, high = mean_of_tasks(by_training(found))
+    correlation = Interval(mean, float(np.maximum(low, -1)), float(np.minimum(high, 1)))  # nan stays nan
     measured = "Spearman correlation over devices of communications with the generation period k, mean over seeds:"
     return Claim(text, FREQUENT, direction_verdict(correlation, 0, lower=True), measured, correlation)
 

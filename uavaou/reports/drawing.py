@@ -81,8 +81,10 @@ def measure_figure(
         _draw_line(axes, line, sign, looks[name], looks[name].label + seeds)
     for name, level in levels.items():
         _draw_level(axes, level, sign, looks[name])
-    shown = [sign * line.mean for line in lines.values()] + [np.array([sign * level.mean]) for level in levels.values()]
-    _finish_y(axes, measure, np.concatenate(shown), devices)
+    shown = [sign * line.mean for line in lines.values()] + [
+        np.array([sign * level.value]) for level in levels.values()
+    ]
+    _finish_y(axes, measure, sign * np.concatenate(shown), devices)
     axes.set_xlim(left=0)
     return figure, axes
 
@@ -98,7 +100,7 @@ def _draw_level(axes: Axes, level: Interval, sign: float, look: style.Look) -> N
     """A planner's mean as a horizontal line, its interval as a strip."""
     if np.isfinite(level.low):
         axes.axhspan(sign * level.low, sign * level.high, color=look.colour, alpha=0.15, linewidth=0)
-    axes.axhline(sign * level.mean, color=look.colour, linestyle=look.dash, linewidth=1.0, label=look.label)
+    axes.axhline(sign * level.value, color=look.colour, linestyle=look.dash, linewidth=1.0, label=look.label)
 
 
 def _finish_y(axes: Axes, measure: Measure, shown: Floats, devices: int | None) -> None:

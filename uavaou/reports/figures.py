@@ -34,7 +34,7 @@ from uavaou.reports.drawing import (
 )
 from uavaou.reports.run_results import Run, read_run
 from uavaou.runs.results import PolicyResult
-from uavaou.statistics import interval, intervals
+from uavaou.statistics import band_over_trainings, interval_over_missions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,7 +82,7 @@ def training_curve(runs: Sequence[Run], column: str) -> Curve:
     table = np.array([_means(bins, filled) for bins in binned])  # (seeds, B)
     walls = [_means(_bins(run.episodes, "wall_s", edges), filled) for run in runs]
     if len(runs) > 1:
-        mean, low, high = intervals(table)
+        mean, low, high = band_over_trainings(table)
     else:
         ends_of_band = [np.quantile(values, [0.025, 0.975]) for values in binned[0] if len(values) > 0]
         mean, (low, high) = table[0], np.transpose(ends_of_band)
@@ -196,7 +196,9 @@ def _training_figure(
         )
         for name, curve in curves.items()
     }
-    levels = {name: interval(_level(result, measure, first.mission_slots)) for name, result in planners.items()}
+    levels = {
+        name: interval_over_missions(_level(result, measure, first.mission_slots)) for name, result in planners.items()
+    }
     figure, axes = measure_figure(lines, levels, style.looks([*groups, *planners]), measure, first.devices)
     if against_time:
         axes.set_xlabel(f"wall-clock time of training ({unit})")
@@ -233,7 +235,7 @@ def _over_time(found: Sequence[PolicyResult]) -> Line:
     tables = [result.aou_over_time_s for result in found if result.aou_over_time_s is not None]
     slot = np.arange(1.0, len(tables[0]) + 1)
     if len(tables) > 1 and len({len(table) for table in tables}) == 1:
-        mean, low, high = intervals(np.stack(tables))
+        mean, low, high = band_over_trainings(np.stack(tables))
         return Line(slot, mean, low, high, len(tables))
     ends = (found[0].aou_over_time_low_s, found[0].aou_over_time_high_s)
     low, high = (np.full(len(slot), np.nan) if end is None else end for end in ends)
@@ -251,7 +253,7 @@ def _period_figure(results: Mapping[str, list[PolicyResult]], _: Run) -> Figure 
 
 def _by_period(period: Floats, counts: Floats) -> ByPeriod:
     values = np.unique(period)
-    mean, low, high = np.transpose([interval(counts[period == value]) for value in values])
+    mean, low, high = np.transpose([interval_over_missions(counts[period == value]) for value in values])
     return ByPeriod(period, counts, values, mean, low, high)
 
 

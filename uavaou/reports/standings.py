@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaou.stratified import Estimate, interquartile_mean, mean_score
+from uavaou.statistics import Interval, interquartile_mean, interval_over_missions, interval_over_trainings
 from uavaou.studies.results import StudyResults, rows_of
 from uavaou.studies.tables import StudyTables
 
@@ -34,12 +34,14 @@ class Standing:
     violations: int | None = None
 
     @cached_property
-    def mean(self) -> Estimate:
-        """The mean over seeds and missions."""
-        return mean_score({"": self.scores})
+    def mean(self) -> Interval:
+        """The mean AoU: over trainings where there are several, else over missions."""
+        if len(self.scores) > 1:
+            return interval_over_trainings(self.scores.mean(axis=1))
+        return interval_over_missions(self.scores[0])
 
     @cached_property
-    def interquartile_mean(self) -> Estimate:
+    def interquartile_mean(self) -> Interval:
         """The mean of the middle half of all missions."""
         return interquartile_mean({"": self.scores})
 

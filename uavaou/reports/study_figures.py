@@ -35,7 +35,7 @@ from uavaou.reports.drawing import (
 )
 from uavaou.reports.mission_figures import mission_figures
 from uavaou.reports.references import best_planner
-from uavaou.statistics import Interval, interval, intervals
+from uavaou.statistics import Interval, band_over_trainings, interval_over_missions
 from uavaou.studies.results import Table
 from uavaou.studies.tables import StudyTables, load_study
 
@@ -113,7 +113,7 @@ def _levels(study: StudyTables, scenario: str, planner: str | None, measure: Mea
     """The bound and the best planner as levels of a measure; the bound bounds AoU and reward alone."""
     levels = {}
     if planner is not None:
-        levels[planner] = interval(study.missions(planner, measure.column, [scenario])[scenario][0])
+        levels[planner] = interval_over_missions(study.missions(planner, measure.column, [scenario])[scenario][0])
     if scenario in study.bounds and measure.column in ("mean_aou_slots", "reward_s"):
         reward = -study.slots(scenario) * study.slot_length_s(scenario)  # s, of a mission whose mean AoU is one slot
         value = study.bounds[scenario] * (reward if measure.column == "reward_s" else 1.0)
@@ -147,7 +147,7 @@ def _line(runs: list[tuple[Floats, Floats]]) -> Line:
     grid = runs[0][0]
     grid = grid[(grid >= start) & (grid <= reach)]
     grid = grid if len(grid) else np.array([reach])
-    return Line(grid, *intervals([np.interp(grid, x, y) for x, y in runs]), len(runs))
+    return Line(grid, *band_over_trainings([np.interp(grid, x, y) for x, y in runs]), len(runs))
 
 
 def _one_value_each(x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -181,7 +181,7 @@ def _over_time(runs: list[Table]) -> Line:
         run["mean_aou_slots"][np.searchsorted(time, grid, side="right") - 1]
         for run, time in zip(runs, times, strict=True)
     ]
-    return Line(grid, *intervals(held), len(runs))
+    return Line(grid, *band_over_trainings(held), len(runs))
 
 
 def _execution_figure(study: StudyTables, scenario: str, flown: list[str], looks: Looks) -> Figure:
@@ -189,7 +189,7 @@ def _execution_figure(study: StudyTables, scenario: str, flown: list[str], looks
     for name in flown:
         table = study.stack("execution", name, scenario, "mean_aou_slots")  # (S, K)
         slot = study.stack("execution", name, scenario, "slot")[0]  # (K,)
-        lines[name] = Line(slot, *intervals(table), len(table))
+        lines[name] = Line(slot, *band_over_trainings(table), len(table))
     figure = execution_figure(lines, looks, "$\\tau$", study.slot_length_s(scenario))
     seeds = [line.seeds for name, line in lines.items() if name in study.algorithms]
     style.legend_below(figure, figure.axes[0], bands_title(seeds or [1], _NO_INTERVAL, planners=False))
@@ -202,4 +202,4 @@ def _by_period(study: StudyTables, scenario: str, name: str) -> ByPeriod:
     counts = study.stack("devices", name, scenario, "communications")  # (S, I)
     values = np.unique(period)
     means = np.stack([counts[:, period == value].mean(axis=1) for value in values], axis=1)  # (S, P)
-    return ByPeriod(period, counts.mean(axis=0), values, *intervals(means))
+    return ByPeriod(period, counts.mean(axis=0), values, *band_over_trainings(means))

@@ -24,11 +24,12 @@ from uavaou.studies.store import StudyFolder, read_failures
 from uavaou.studies.tables import StudyTables, by_run
 
 _NOTE = """\
-Mean AoU per slot in units of the slot length τ, over the missions of the final evaluation, which no training and no
-choice of a checkpoint has seen. IQM: the mean of the middle half. Intervals: 95 %, stratified bootstrap, seeds and
-missions resampled; of one seed, and of planners, over missions alone. Planners see everything, but for `random` and
-`stay`; no policy's expected mean AoU can be below the bound."""
-_HEAD = ("policy", "seeds", "mean AoU", "IQM", "wall-clock of a training", "violations")
+AoU in slots: the mean over the slots of a mission, in units of the slot length τ. The missions are those of the final
+evaluation, which no training and no choice of a checkpoint has seen. Mean AoU: the mean over seeds with Student's 95 %
+interval over seeds; of one seed, and of planners, with a bootstrap interval over missions. IQM: the mean of the middle
+half of all missions, with a stratified bootstrap over seeds and missions. All planners but `random` and `stay` have
+full information. The expected mean AoU of any policy is at least the lower bound."""
+_HEAD = ("policy", "seeds", "mean AoU (slots)", "IQM (slots)", "wall-clock of a training", "violations")
 _DIGITS = 4
 
 

@@ -18,7 +18,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from uavaou.errors import InputError
 from uavaou.files import read_text
 from uavaou.reports import style
-from uavaou.statistics import Interval, interval
+from uavaou.statistics import Interval, interval_over_trainings
 from uavaou.suites.assignment import budget_lines
 
 if TYPE_CHECKING:
@@ -165,16 +165,16 @@ def _draw_policy(
         apart = {row.point for row in rows if not row.joined}
         along = [label for label in means if label not in apart]
         axes.plot(
-            [places[label] for label in along], [means[label].mean for label in along],
+            [places[label] for label in along], [means[label].value for label in along],
             color=look.colour, linestyle=look.dash, linewidth=1.0, zorder=above,
         )  # fmt: skip
     for label, found in drawn:
         if not found:
             continue
         aou = means[label]
-        reach = np.nan_to_num(np.array([[aou.mean - aou.low], [aou.high - aou.mean]]))  # (2, 1)
+        reach = np.nan_to_num(np.array([[aou.value - aou.low], [aou.high - aou.value]]))  # (2, 1)
         axes.errorbar(
-            places[label] + shift, aou.mean, yerr=reach, color=look.colour, marker=look.marker, markersize=4,
+            places[label] + shift, aou.value, yerr=reach, color=look.colour, marker=look.marker, markersize=4,
             markerfacecolor="white" if found[0].how == "zero-shot" else look.colour,
             linestyle=look.dash if table.scale != "category" else "none", linewidth=1.0, elinewidth=1.0, capsize=1.8,
             label=None if named else look.label, zorder=above,
@@ -184,7 +184,7 @@ def _draw_policy(
 
 def _over_seeds(rows: Sequence[Row]) -> Interval:
     """The mean over training seeds with its interval over them; of one seed, the interval over its missions."""
-    return rows[0].aou if len(rows) == 1 else interval([row.aou.mean for row in rows])
+    return rows[0].aou if len(rows) == 1 else interval_over_trainings([row.aou.value for row in rows])
 
 
 def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
@@ -197,7 +197,7 @@ def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
     if table.scale == "category":
         axes.set_xlim(-0.6, len(places) - 0.4)
         axes.grid(axis="x", visible=False)
-    if not style.log_scale_if_wide(axes, [row.aou.mean for row in table.rows]):
+    if not style.log_scale_if_wide(axes, [row.aou.value for row in table.rows]):
         axes.set_ylim(bottom=0)
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.compact(value)))
 

@@ -27,9 +27,9 @@ from uavaou.reports.verdicts import (
     not_measured,
     positive,
 )
+from uavaou.statistics import ratio_of_trainings
 from uavaou.studies.results import Table
 from uavaou.studies.tables import StudyTables
-from uavaou.trainings import ratio_of_trainings
 
 FEWER_ITERATIONS = "requires fewer iterations to achieve convergence compared to conventional Value-based RL algorithms"
 HIGHER_REWARDS = "MAPPO-AoU converges faster and achieves higher rewards than the benchmarks"

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.reports.markdown import rounded
-from uavaou.stratified import Estimate
+from uavaou.statistics import Interval
 from uavaou.studies.fields import JUDGED
 from uavaou.studies.tables import StudyTables
 
@@ -38,11 +38,11 @@ class Claim:
     quote: str  # the paper's words; empty for a claim of this project
     verdict: Verdict
     measured: str  # what was measured, with its means
-    estimate: Estimate | None = None  # what the verdict rests on; None where it has not been measured
+    estimate: Interval | None = None  # what the verdict rests on; None where it has not been measured
     command: str = ""  # that made the study
 
 
-def direction_verdict(estimate: Estimate, threshold: float, *, lower: bool) -> Verdict:
+def direction_verdict(estimate: Interval, threshold: float, *, lower: bool) -> Verdict:
     """The verdict on a claim that something lies below the threshold, or above it."""
     sign = 1.0 if lower else -1.0
     worst = estimate.high if lower else estimate.low
@@ -51,7 +51,7 @@ def direction_verdict(estimate: Estimate, threshold: float, *, lower: bool) -> V
     return "partly supported" if sign * estimate.value < sign * threshold else "not supported"
 
 
-def size_verdict(ratio: Estimate, share: float) -> Verdict:
+def size_verdict(ratio: Interval, share: float) -> Verdict:
     """The verdict on a claim that a ratio is at most ``share``, a number below 1."""
     if ratio.high <= share:  # nan, an interval that is not known, supports nothing
         return "supported"

@@ -25,7 +25,7 @@ from uavaou.files import read_json, write_json
 from uavaou.planners.base import Planner
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
-from uavaou.statistics import intervals
+from uavaou.statistics import band_over_missions
 
 _PART = re.compile(r"first-\d+")  # the name of an evaluation whose missions are part of default.json's
 
@@ -93,7 +93,7 @@ class PolicyResult(_Model):
     @classmethod
     def of(cls, evaluation: Evaluation, scenario: Scenario, policy: Planner) -> PolicyResult:
         """The part of an evaluation file that belongs to ``policy``, which played ``evaluation`` in ``scenario``."""
-        means = intervals(evaluation.aou_over_time_s)  # (K,) each
+        means = band_over_missions(evaluation.aou_over_time_s)  # (K,) each
         several = len(evaluation.aou_over_time_s) > 1  # one mission has no interval
         values = evaluation.values
         return cls(
@@ -104,7 +104,7 @@ class PolicyResult(_Model):
             violations=evaluation.violations,
             rejected_rate=values("rejected_rate"),
             rejected_association=values("rejected_association"),
-            aou_over_time_s=means.mean,
+            aou_over_time_s=means.value,
             device_mean_aou_s=values("device_mean_aou_s").mean(axis=0),
             device_communications=values("device_communications"),
             aou_over_time_low_s=means.low if several else None,

@@ -17,7 +17,7 @@ from uavaou.files import read_json, read_text
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.results import PolicyResult
 from uavaou.scenario import Scenario
-from uavaou.statistics import interval
+from uavaou.statistics import interval_over_missions
 from uavaou.studies.jobs import Key
 
 Rows = dict[str, list[list[str]]]  # table -> rows
@@ -112,9 +112,9 @@ def _validation_rows(key: Key, scenario: Scenario, path: Path) -> list[list[str]
 def _run_row(key: Key, algorithm: str, scenario: Scenario, folder: RunFolder, evaluation: PolicyResult) -> list[str]:
     meta, tau = read_json(folder.meta), scenario.slot_length_s
     try:
-        found = interval(evaluation.mean_aou_s / tau)
+        found = interval_over_missions(evaluation.mean_aou_s / tau)
         best = None if meta.get("best_score") is None else meta["best_score"] / tau
-        measured = meta["wall_s"], meta.get("cpu_s"), best, found.mean, found.low, found.high
+        measured = meta["wall_s"], meta.get("cpu_s"), best, found.value, found.low, found.high
         counts = int(meta["slots"]), int(meta["agent_steps"]), sum(evaluation.violations.values())
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder.meta}: cannot be used ({error!r})") from error

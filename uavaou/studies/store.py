@@ -18,7 +18,7 @@ from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.files import folder_name, replacing
 from uavaou.runs.folder import RunConfig, read_config
 from uavaou.runs.lock import holder
-from uavaou.statistics import interval
+from uavaou.statistics import interval_over_missions
 from uavaou.studies.condense import Rows, number
 from uavaou.studies.jobs import Key, reference_keys, run_key
 from uavaou.studies.results import COLUMNS, read_rows
@@ -119,8 +119,8 @@ class StudyStore:
         if key.variant == BOUND:
             return self._units[key]["bounds"][0][COLUMNS["bounds"].index("bound_slots")], "", ""
         place = COLUMNS["missions"].index("mean_aou_slots")
-        found = interval([float(row[place]) for row in self._units[key]["missions"]])
-        return number(found.mean), number(found.low), number(found.high)
+        found = interval_over_missions([float(row[place]) for row in self._units[key]["missions"]])
+        return number(found.value), number(found.low), number(found.high)
 
     def put(self, key: Key, rows: Rows, config: RunConfig | None = None) -> None:
         """Take in new rows, in the place of those there were, and the configuration of a run."""

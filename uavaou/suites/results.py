@@ -15,7 +15,7 @@ from uavaou.planners.base import Planner
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.results import PolicyResult, SuiteEvaluationFile, SuitePoint
 from uavaou.scenario import Scenario
-from uavaou.statistics import Interval, interval
+from uavaou.statistics import Interval, interval_over_missions
 from uavaou.suites.assignment import Assignment, Entry, How
 from uavaou.suites.suite import Place, Suite
 from uavaou.world import World
@@ -62,7 +62,7 @@ class Result:
         """Mean AoU per slot in units of tau, with its 95 % interval over the missions."""
         assert self.job.place.scenario is not None
         tau = self.job.place.scenario.slot_length_s
-        return interval(self.played.mean_aou_s / tau)
+        return interval_over_missions(self.played.mean_aou_s / tau)
 
     def mean(self, name: str) -> float:
         """The mean over the missions of a figure that has one value a mission."""
@@ -197,7 +197,7 @@ def csv_rows(name: str, suite: Suite, results: Sequence[Result]) -> list[dict[st
             "seed": "" if job.entry is None else job.entry.config.seed,
             "training_slots": "" if job.entry is None else job.entry.slots,
             "missions": len(result.played.mean_aou_s),
-            "mean_aou_slots": f"{aou.mean:.6g}",
+            "mean_aou_slots": f"{aou.value:.6g}",
             "low": "" if aou.low != aou.low else f"{aou.low:.6g}",  # nan: one mission has no interval
             "high": "" if aou.high != aou.high else f"{aou.high:.6g}",
             "communications": f"{result.mean('communications'):.6g}",

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uavaou import stratified
-from uavaou.stratified import (
+from uavaou.statistics import (
+    Interval,
+    aggregates,
     interquartile_mean,
-    mean_score,
     performance_profile,
     probability_of_improvement,
 )
@@ -35,7 +35,7 @@ def slow_iqm(tasks: Tasks) -> float:
     values = sorted(value for table in tasks.values() for row in table for value in row)
     cut = len(values) // 4
     middle = values[cut : len(values) - cut]
-    return sum(middle) / len(middle)
+    return float(sum(middle) / len(middle))
 
 
 def slow_improvement(x: Tasks, y: Tasks) -> float:
@@ -71,11 +71,10 @@ X, Y = scores(40), scores(44, seeds=3)
     [
         (interquartile_mean, slow_iqm, (X,)),
         (probability_of_improvement, slow_improvement, (X, Y)),
-        (mean_score, lambda x: float(np.mean([table.mean() for table in x.values()])), (X,)),
     ],
 )
 def test_figures_and_intervals_are_those_of_a_literal_bootstrap(
-    fast: Callable[..., stratified.Estimate], slow: Callable[..., float], policies: tuple[Tasks, ...]
+    fast: Callable[..., Interval], slow: Callable[..., float], policies: tuple[Tasks, ...]
 ) -> None:
     value, low, high = fast(*policies)
     assert value == pytest.approx(slow(*policies), rel=1e-12)
@@ -87,8 +86,8 @@ def test_figures_and_intervals_are_those_of_a_literal_bootstrap(
 
 
 def test_weighted_figures_are_those_of_the_drawn_scores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stratified, "RESAMPLES", 1)  # low and high are then the figure of the one resample
-    draws = [stratified._draw(table.shape, 0, t) for t, table in enumerate(X.values())]
+    monkeypatch.setattr(aggregates, "RESAMPLES", 1)  # low and high are then the figure of the one resample
+    draws = [aggregates._draw(table.shape, 0, t) for t, table in enumerate(X.values())]
     drawn = {
         task: table.repeat(seeds[0].astype(int), axis=0).repeat(missions[0].astype(int), axis=1)
         for (task, table), (seeds, missions) in zip(X.items(), draws, strict=True)
@@ -123,9 +122,9 @@ def test_profile_is_the_share_of_scores_reached() -> None:
 
 def test_a_planner_has_one_run_and_an_interval_over_missions() -> None:
     planner = {"a": np.array([[10.0, 12.0, 14.0, 16.0, 30.0]])}
-    value, low, high = mean_score(planner)
+    value, low, high = interquartile_mean(planner)
     assert low < value < high
-    alone = mean_score({"a": [[10.0]]})
+    alone = interquartile_mean({"a": [[10.0]]})
     assert alone.value == 10.0
     assert np.isnan([alone.low, alone.high]).all()
 
@@ -133,7 +132,7 @@ def test_a_planner_has_one_run_and_an_interval_over_missions() -> None:
 def test_the_same_scores_give_the_same_interval_and_blocks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = interquartile_mean(X)
     assert interquartile_mean(dict(reversed(X.items()))) == whole
-    monkeypatch.setattr(stratified, "_ENTRIES_AT_ONCE", 7000)
+    monkeypatch.setattr(aggregates, "_ENTRIES_AT_ONCE", 7000)
     assert interquartile_mean(X) == pytest.approx(whole)
 
 
@@ -143,7 +142,7 @@ def test_intervals_cover_as_often_as_they_say() -> None:
     covered = 0
     for _ in range(300):
         table = 50 + rng.normal(0, 5, (12, 1)) + rng.normal(0, 3, (1, 20)) + rng.normal(0, 2, (12, 20))
-        low, high = mean_score({"a": table})[1:]
+        low, high = interquartile_mean({"a": table})[1:]
         covered += low <= 50 <= high
     assert 0.88 < covered / 300 < 0.98
 
@@ -186,5 +185,5 @@ def test_agreement_with_rliable() -> None:
     thresholds = np.linspace(20, 60, 9)
     shares, bands = library.create_performance_profile({"x": x}, thresholds, reps=2000)  # above the threshold
     ours_profile = performance_profile(by_task[0], thresholds)
-    np.testing.assert_allclose(ours_profile.share, 1 - shares["x"])
+    np.testing.assert_allclose(ours_profile.value, 1 - shares["x"])
     np.testing.assert_allclose([ours_profile.low, ours_profile.high], 1 - bands["x"][::-1], atol=0.05)
