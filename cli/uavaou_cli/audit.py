@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
+from uavaou_cli.options import ScenarioArgument
 
 
-def audit(
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A preset's name, or the path of a YAML file.")],
-) -> None:
+def audit(scenario: ScenarioArgument) -> None:
     """Check a scenario: the link budget of every device, and what does not fit together."""
     from uavaou.reports.audit import audit as audit_scenario
     from uavaou.reports.audit import audit_lines

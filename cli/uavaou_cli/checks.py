@@ -1,24 +1,11 @@
-"""Checks that are made before anything is computed, each failing with one line that names the option."""
+"""Checks of paths and devices, made before anything is computed; each fails with one line."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable
 from pathlib import Path
 
-from uavaou.errors import InputError, unknown
-
-LARGEST_SEED = 2**32 - 1  # what NumPy's and torch's global streams take
-
-
-def one_of(option: str, value: str, allowed: Iterable[str]) -> None:
-    """Refuse a word that an option does not know.
-
-    Raises:
-        InputError: naming the nearest one.
-    """
-    if value not in allowed:
-        raise unknown(option, value, allowed)
+from uavaou.errors import InputError
 
 
 def given_path(option: str, text: str) -> Path:
@@ -32,23 +19,11 @@ def given_path(option: str, text: str) -> Path:
     return Path(text)
 
 
-def within(option: str, value: float, lowest: float, highest: float | None = None) -> None:
-    """Refuse a number outside an option's range, and one that is no number.
-
-    Raises:
-        InputError: naming the range.
-    """
-    if not value >= lowest:  # nan is in no range
-        raise InputError(f"{option} {value}: must be at least {lowest}")
-    if highest is not None and value > highest:
-        raise InputError(f"{option} {value}: must be at most {highest}")
-
-
 def writable_folder(path: Path) -> None:
-    """Refuse a folder that cannot be written, or not be made.
+    """Refuse a folder that cannot be written or made.
 
     Raises:
-        InputError: naming what stands in the way.
+        InputError: naming the obstacle.
     """
     try:
         there = next(place for place in (path, *path.absolute().parents) if place.exists() or place.is_symlink())
@@ -64,7 +39,7 @@ def writable_file(path: Path) -> None:
     """Refuse a file that cannot be written or replaced.
 
     Raises:
-        InputError: naming what stands in the way.
+        InputError: naming the obstacle.
     """
     if path.is_dir():
         raise InputError(f"cannot write '{path}': it is a folder")
@@ -74,10 +49,10 @@ def writable_file(path: Path) -> None:
 
 
 def available_device(device: str) -> None:
-    """Refuse CUDA where there is none.
+    """Refuse CUDA on a machine that has none.
 
     Raises:
-        InputError: saying what to give instead.
+        InputError: naming the devices to choose from.
     """
     if device != "cuda":
         return

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uavaou.errors import InputError
-from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
-from uavaou_cli.checks import LARGEST_SEED, given_path, one_of, within, writable_file
+from uavaou.evaluation.seeds import EVALUATION_SEED
+from uavaou_cli.checks import given_path, writable_file
 from uavaou_cli.evaluate_suite import Request, evaluate_suite
+from uavaou_cli.options import Episodes, MissionSeed, Quiet, SetScenario, choice, seconds
 from uavaou_cli.overrides import Overrides, parse_overrides
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from uavaou.runs.folder import RunConfig
     from uavaou.scenario import Scenario
 
-ACTIONS = ("greedy", "sample")
 # In the help, which must not import the planners; a test holds it to the registry.
 _PLANNER_NAMES = "random, stay, greedy, best-first, tour, partition-tour, anneal, rolling or exact"
 
@@ -38,40 +38,30 @@ class Missions:
 def evaluate(
     run: Annotated[list[str] | None, typer.Argument(help="Folders of training runs.")] = None,
     policy: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PLANNER", help="Also play " + _PLANNER_NAMES + ". Repeatable."),
+        list[str] | None, typer.Option(metavar="PLANNER", help="Also play " + _PLANNER_NAMES + ". Repeatable.")
     ] = None,
     scenario: Annotated[
         str | None, typer.Option(metavar="NAME", help="A preset or a YAML file. [default: the runs' own, else paper]")
     ] = None,
-    episodes: Annotated[int, typer.Option(metavar="N", help="Missions that each policy plays.")] = 100,
-    seed: Annotated[int, typer.Option(metavar="N", help="Mission j is seeded with N + j.")] = EVALUATION_SEED,
+    episodes: Episodes = 100,
+    seed: MissionSeed = EVALUATION_SEED,
     action: Annotated[
-        str | None,
-        typer.Option(metavar="greedy|sample", help="Of trained policies. [default: what was better in validation]"),
+        str | None, choice("Of trained policies. [default: what was better in validation]", "greedy", "sample")
     ] = None,
     suite: Annotated[
         str | None, typer.Option(metavar="NAME", help="Play every point of a suite; see docs/suites.md.")
     ] = None,
-    time_limit: Annotated[
-        float | None, typer.Option(metavar="S", help="Seconds that planners which plan ahead may take.")
-    ] = None,
+    time_limit: Annotated[float | None, seconds("Seconds that planners which plan ahead may take.")] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures of every mission.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write the table of a suite.")] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD. Repeatable.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    set_: SetScenario = None,
+    quiet: Quiet = False,
 ) -> None:
     """Evaluate trained runs and planners, all on the same missions.
 
     A run evaluated on its own scenario also gets RUN/eval/default.json, which `uavaou plot figures` draws; with
     --suite, one that flew a point gets RUN/eval/SUITE.json. A suite without RUN and --policy says what it needs.
     """
-    within("--episodes", episodes, 1, MOST_EPISODES)
-    within("--seed", seed, 0, LARGEST_SEED)
-    if action is not None:
-        one_of("--action", action, ACTIONS)
     overrides = parse_overrides(set_ or [])
     folders, planners = list(dict.fromkeys(run or [])), list(dict.fromkeys(policy or []))
     if suite is None and out is not None:
@@ -139,11 +129,8 @@ def _make_planners(names: list[str], time_limit: float | None) -> dict[str, Plan
     from uavaou.planners import ROUTE_PLANNERS, make_planner
 
     ahead = (*ROUTE_PLANNERS, "rolling")
-    if time_limit is not None:
-        if not 0 < time_limit < float("inf"):
-            raise InputError(f"--time-limit {time_limit:g}: must be a positive number of seconds")
-        if not any(name in ahead for name in names):
-            raise InputError(f"--time-limit {time_limit:g}: needs a --policy that plans ahead: {', '.join(ahead)}")
+    if time_limit is not None and not any(name in ahead for name in names):
+        raise InputError(f"--time-limit {time_limit:g}: needs a --policy that plans ahead: {', '.join(ahead)}")
     return {name: make_planner(name, time_limit if name in ahead else None) for name in names}
 
 
@@ -165,11 +152,11 @@ def _play_and_report(
     quiet: bool,
 ) -> None:
     from uavaou.evaluation.evaluate import evaluate as play
-    from uavaou_cli.progress import EvaluationProgress
+    from uavaou_cli.progress import EvaluationDisplay
     from uavaou_cli.tables import evaluation_lines
 
     results: dict[str, Evaluation] = {}
-    with EvaluationProgress(list(policies), missions.episodes * missions.scenario.slots, quiet) as progress:
+    with EvaluationDisplay(quiet, list(policies), missions.episodes * missions.scenario.slots) as progress:
         for name, policy in policies.items():
             progress.start(name)
             results[name] = play(policy, missions.scenario, missions.episodes, missions.seed, progress.after_slot)

@@ -123,11 +123,11 @@ def _loader(action: str | None) -> Any:
 
 def _play(plan: Plan, planners: Mapping[str, Planner], request: Request, results: list[Result]) -> None:
     from uavaou.suites.results import play_suite
-    from uavaou_cli.progress import EvaluationProgress
+    from uavaou_cli.progress import EvaluationDisplay
 
     slots = max((job.place.scenario.slots for job in plan.jobs if job.place.scenario is not None), default=0)
     names = [job.name for job in plan.jobs]
-    with EvaluationProgress(names, request.episodes * slots, request.quiet) as progress:
+    with EvaluationDisplay(request.quiet, names, request.episodes * slots) as progress:
         load = _loader(request.action)
         for result in play_suite(
             plan.jobs, planners, load, request.episodes, request.seed, progress.start, progress.after_slot

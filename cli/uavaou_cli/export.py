@@ -8,17 +8,15 @@ from typing import Annotated, Any
 import typer
 
 from uavaou.errors import InputError
-from uavaou_cli.checks import given_path, one_of, writable_file
-
-FORMATS = ("safetensors", "sb3")
+from uavaou_cli.checks import given_path, writable_file
+from uavaou_cli.options import choice
 
 
 def export(
     run: Annotated[str, typer.Argument(metavar="RUN", help="The folder of a training run.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="What to write.")],
     format: Annotated[
-        str,
-        typer.Option(metavar="safetensors|sb3", help="safetensors: for LEARNER.load; sb3: Stable-Baselines3's zip."),
+        str, choice("safetensors: for LEARNER.load; sb3: Stable-Baselines3's zip.", "safetensors", "sb3")
     ] = "safetensors",
 ) -> None:
     """Write the best policy of a run as one file.
@@ -26,7 +24,6 @@ def export(
     The zip of Stable-Baselines3 is made of pickles: whoever loads such a file runs what is in it, so load none that
     a stranger gave you. uavaou itself reads none.
     """
-    one_of("--format", format, FORMATS)
     if format == "sb3" and out.suffix != ".zip":
         raise InputError(f"--out {out}: a file for Stable-Baselines3 ends in .zip")
     writable_file(out)

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavaou.errors import InputError
+from uavaou.errors import InputError, unknown
 from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
-from uavaou_cli.checks import LARGEST_SEED, one_of, within, writable_folder
+from uavaou_cli.checks import writable_folder
+from uavaou_cli.options import Episodes, MissionSeed, Quiet, ScenarioArgument, SetScenario, number, seconds
 from uavaou_cli.overrides import Overrides, parse_overrides
 
 if TYPE_CHECKING:
@@ -23,20 +24,16 @@ _GAP_PLANNERS = ("rolling", "anneal", "best-first", "greedy", "partition-tour", 
 
 
 def plan(
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A preset's name, or the path of a YAML file.")],
+    scenario: ScenarioArgument,
     planner: Annotated[str, typer.Option(metavar="NAME", help="tour, partition-tour, anneal or exact.")] = "anneal",
-    time_limit: Annotated[
-        float | None, typer.Option(metavar="S", help="Seconds to plan. [default: a fixed amount of work]")
-    ] = None,
-    episodes: Annotated[int, typer.Option(metavar="N", help="Missions that the plan is flown in.")] = 64,
-    seed: Annotated[int, typer.Option(metavar="N", help="Mission j is seeded with N + j.")] = EVALUATION_SEED,
+    time_limit: Annotated[float | None, seconds("Seconds to plan. [default: a fixed amount of work]")] = None,
+    episodes: Annotated[int, number("Missions that the plan is flown in.", 1, MOST_EPISODES)] = 64,
+    seed: MissionSeed = EVALUATION_SEED,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where it goes. [default: results/<scenario>/plan/<planner>]")
     ] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD. Repeatable.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    set_: SetScenario = None,
+    quiet: Quiet = False,
 ) -> None:
     """Plan the fleet's routes, save them, fly them and draw them. Ctrl-C keeps the best routes found.
 
@@ -44,10 +41,8 @@ def plan(
     """
     from uavaou.planners import ROUTE_PLANNERS
 
-    one_of("--planner", planner, ROUTE_PLANNERS)
-    _positive_seconds(time_limit)
-    within("--episodes", episodes, 1, MOST_EPISODES)
-    within("--seed", seed, 0, LARGEST_SEED)
+    if planner not in ROUTE_PLANNERS:
+        raise unknown("--planner", planner, ROUTE_PLANNERS)
     chosen = _scenario(scenario, parse_overrides(set_ or []))
     if chosen.layout == "resample":
         raise InputError("uavaou plan: the scenario draws a new layout each mission; set scenario.layout=fixed")
@@ -57,34 +52,28 @@ def plan(
 
 
 def gap(
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A preset's name, or the path of a YAML file.")],
+    scenario: ScenarioArgument,
     run: Annotated[list[str] | None, typer.Argument(help="Folders of training runs to stand beside.")] = None,
     time_limit: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Seconds that annealing may take. [default: a fixed amount of work]"),
+        float | None, seconds("Seconds that annealing may take. [default: a fixed amount of work]")
     ] = None,
-    episodes: Annotated[int, typer.Option(metavar="N", help="Missions that each policy plays.")] = 16,
-    seed: Annotated[int, typer.Option(metavar="N", help="Mission j is seeded with N + j.")] = EVALUATION_SEED,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD. Repeatable.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    episodes: Episodes = 16,
+    seed: MissionSeed = EVALUATION_SEED,
+    set_: SetScenario = None,
+    quiet: Quiet = False,
 ) -> None:
     """Show every planner, and trained runs, between what nobody can beat and random moves."""
-    _positive_seconds(time_limit)
-    within("--episodes", episodes, 1, MOST_EPISODES)
-    within("--seed", seed, 0, LARGEST_SEED)
     chosen = _scenario(scenario, parse_overrides(set_ or []))
     if chosen.layout == "resample":
         raise InputError("uavaou gap: the bound is that of one layout; set scenario.layout=fixed")
     from uavaou.evaluation.evaluate import evaluate
     from uavaou.planners.bound import lower_bound
-    from uavaou_cli.progress import EvaluationProgress
+    from uavaou_cli.progress import EvaluationDisplay
     from uavaou_cli.tables import gap_lines
 
     policies = _policies(chosen, run or [], time_limit)
     bound = lower_bound(chosen, chosen.draw_layout())
-    with EvaluationProgress(list(policies), episodes * chosen.slots, quiet) as progress:
+    with EvaluationDisplay(quiet, list(policies), episodes * chosen.slots) as progress:
         found = {}
         for name, policy in policies.items():
             progress.start(name)
@@ -108,11 +97,6 @@ def _policies(scenario: Scenario, runs: list[str], time_limit: float | None) -> 
     return {name: load_run(RunFolder(Path(name)), scenario) for name in runs} | planned
 
 
-def _positive_seconds(time_limit: float | None) -> None:
-    if time_limit is not None and not 0 < time_limit < float("inf"):
-        raise InputError(f"--time-limit {time_limit:g}: must be a positive number of seconds")
-
-
 def _scenario(name: str, overrides: Overrides) -> Scenario:
     from uavaou.scenario import Scenario
 
@@ -130,7 +114,7 @@ def _plan_and_report(
     from uavaou.planners import make_planner
     from uavaou.planners.bound import lower_bound
     from uavaou.planners.plan import RoutePlanner
-    from uavaou_cli.progress import PlanningProgress
+    from uavaou_cli.progress import PlanningDisplay
     from uavaou_cli.tables import evaluation_lines, plan_lines
 
     planner = make_planner(name, time_limit)
@@ -138,7 +122,7 @@ def _plan_and_report(
     layout = scenario.draw_layout()
     begun = time.monotonic()
     bound_s = None if name == "exact" else lower_bound(scenario, layout, _BOUND_S).mean_aou_s  # it brings its own
-    with PlanningProgress(scenario.slot_length_s, bound_s, quiet) as progress:
+    with PlanningDisplay(quiet, scenario.slot_length_s, bound_s) as progress:
         plan = planner.plan(scenario, layout, progress.show)
     took = time.monotonic() - begun
     plan = plan if bound_s is None else replace(plan, bound_s=bound_s)

@@ -15,7 +15,8 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou_cli.checks import LARGEST_SEED, within, writable_folder
+from uavaou_cli.checks import writable_folder
+from uavaou_cli.options import LARGEST_SEED, number
 
 
 def figures(
@@ -129,13 +130,12 @@ def suite(
 
 def trajectories(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a training run.")],
-    episode_seed: Annotated[int, typer.Option(metavar="N", help="The seed of the mission.")] = EVALUATION_SEED,
+    episode_seed: Annotated[int, number("The seed of the mission.", 0, LARGEST_SEED)] = EVALUATION_SEED,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where the pictures go. [default: RUN/figures]")
     ] = None,
 ) -> None:
     """Draw one mission of a run's best policy, as PNG and PDF: where the UAVs flew, how the devices aged."""
-    within("--episode-seed", episode_seed, 0, LARGEST_SEED)
     from uavaou.runs.folder import RunFolder
 
     folder = RunFolder(run)

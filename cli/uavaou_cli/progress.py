@@ -1,175 +1,297 @@
-"""What a long job shows while it runs: a bar on a terminal, a line now and then elsewhere, or nothing."""
+"""What a long job shows while it runs: a bar on a terminal, a line now and then elsewhere, nothing with ``--quiet``."""
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
+from collections import deque
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from uavaou_cli.tables import duration
+
 if TYPE_CHECKING:
     from uavaou.planners.plan import Progress
+    from uavaou.runs.folder import RunConfig
+    from uavaou.studies.runner import Standing
     from uavaou.tuning.search import TrialRecord
     from uavaou.world import World
 
 _BAR_EVERY_S = 0.5
 _LINE_EVERY_S = 10.0
+_MARKS = 60  # shown values that the rate is measured over
+_WIDE = 110  # columns of a terminal that has room for agent steps
 _NAME_WIDTH = 20
+_MOST_VARIANTS = 6
 
 
-class _Progress:
-    """A bar while it is entered, where there is a terminal and the user has not asked for quiet.
+class Display:
+    """Shows how far a job is, its rate, the time left, and the figure that matters; all on stderr.
 
     Args:
-        total: what the bar counts up to.
         quiet: show nothing.
+        total: of the work.
+        unit: of the rate; empty where there is none to show.
     """
 
-    figures: tuple[str, ...] = ("rate", "aou")  # columns of the bar
-
-    def __init__(self, total: float, quiet: bool) -> None:
-        self._total = total
-        self._quiet = quiet
-        self._bar: Any = None
+    def __init__(self, quiet: bool, total: float, unit: str = "slots") -> None:
+        self.quiet = quiet
+        self.total = total
+        self._unit = unit
+        self._bar: Any = None if quiet or not sys.stderr.isatty() else _start_bar()
+        self.measure_from(0)
 
     def __enter__(self) -> Self:
-        if not self._quiet and sys.stderr.isatty():
-            self._bar = _make_bar(*self.figures)
-            self._task = self._bar.add_task("", total=self._total, **dict.fromkeys(self.figures, ""))
-            self._bar.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Take the bar away."""
         if self._bar is not None:
             self._bar.stop()
 
+    def message(self, text: str) -> None:
+        """Show a line that stays."""
+        if self._bar is not None:
+            self._bar.console.print(text, highlight=False, markup=False, soft_wrap=True)
+        elif not self.quiet:
+            print(text, file=sys.stderr, flush=True)
 
-class EvaluationProgress(_Progress):
+    def measure_from(self, done: float) -> None:
+        """Measure the rate from now on, with ``done`` of the work behind."""
+        now = time.monotonic()
+        self._marks = deque([(now, done)], maxlen=_MARKS)
+        self._next = now if self._bar is not None else now + _LINE_EVERY_S
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time to show something again."""
+        return not self.quiet and time.monotonic() >= self._next
+
+    def advance(self, done: float, figure: str, name: str = "", note: str = "", rate: float | None = None) -> None:
+        """Show that ``done`` of the total is behind.
+
+        Args:
+            done: of the total.
+            figure: the one that matters, with its unit.
+            name: of what is at work.
+            note: what else there is to say; below the bar.
+            rate: units a second; None: as measured from what was shown, 0: unknown.
+        """
+        now = time.monotonic()
+        if rate is None:
+            since, before = self._marks[0]
+            rate = (done - before) / max(now - since, 1e-9)
+        self._marks.append((now, done))
+        parts = [self._speed(rate) if rate > 0 else "", figure]
+        if rate > 0:
+            parts.append(f"{duration(max(self.total - done, 0) / rate)} left")
+        share, text = min(done / self.total, 1.0) if self.total else 1.0, ", ".join(filter(None, parts))
+        if self._bar is not None:
+            self._next = now + _BAR_EVERY_S
+            self._bar.note = note
+            self._bar.update(self._bar.task_ids[0], completed=share, description=name, text=text)
+        elif not self.quiet:
+            self._next = now + _LINE_EVERY_S
+            words = "; ".join(filter(None, (": ".join(filter(None, (name, text))), note)))
+            print(f"{share:4.0%}  {words}", file=sys.stderr, flush=True)
+
+    def _speed(self, rate: float) -> str:
+        return f"{rate:,.0f} {self._unit}/s" if self._unit else ""
+
+
+def _start_bar() -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.text import Text
+
+    class Bar(Progress):
+        note = ""
+
+        def get_renderables(self) -> Any:
+            yield self.make_tasks_table(self.tasks)
+            if self.note:
+                yield Text(self.note, no_wrap=True, overflow="ellipsis")
+
+    columns = ("{task.description}", BarColumn(bar_width=None), "{task.percentage:3.0f}%", "{task.fields[text]}")
+    bar = Bar(
+        *(TextColumn(column, markup=False) if isinstance(column, str) else column for column in columns),
+        console=Console(stderr=True),
+        expand=True,
+        transient=True,
+    )
+    bar.add_task("", total=1.0, text="")
+    bar.start()
+    return bar
+
+
+class TrainingDisplay(Display):
+    """Shows a training: its rate, and the mean AoU of recent missions.
+
+    Args:
+        quiet: show nothing.
+        config: of the training.
+    """
+
+    def __init__(self, quiet: bool, config: RunConfig) -> None:
+        super().__init__(quiet, config.algorithm.slots)
+        self._uavs, self._slot_length_s = config.scenario.uavs, config.scenario.slot_length_s
+        self._begun = False
+
+    def update(self, slots: int, mean_aou_s: float | None) -> None:
+        """``slots`` are done; the mean AoU of recent missions is ``mean_aou_s``, None before the first."""
+        if not self._begun:  # a resumed training begins with slots; a new one with what is compiled once
+            self._begun = True
+            self.measure_from(slots)
+        elif self.due:
+            aou = "-" if mean_aou_s is None else f"{mean_aou_s / self._slot_length_s:,.2f} slots"
+            self.advance(slots, f"mean AoU {aou}", "training")
+
+    def _speed(self, rate: float) -> str:
+        wide = self._bar is None or self._bar.console.width >= _WIDE
+        return super()._speed(rate) + (f", {rate * self._uavs:,.0f} agent steps/s" if wide else "")
+
+
+class EvaluationDisplay(Display):
     """Shows how far the missions of several policies are.
 
     Args:
+        quiet: show nothing.
         names: of the policies, in the order in which they play.
         slots: that each of them plays.
-        quiet: show nothing.
     """
 
-    def __init__(self, names: list[str], slots: int, quiet: bool) -> None:
-        super().__init__(slots * len(names), quiet)
+    def __init__(self, quiet: bool, names: list[str], slots: int) -> None:
+        super().__init__(quiet, slots * len(names))
         self._names = names
         self._slots = slots
         self._name = ""
         self._before = 0  # slots of the policies that have played
-        self._started = time.monotonic()
-        self._next = self._started
 
     def start(self, name: str) -> None:
         """The next policy begins."""
         self._before = self._slots * self._names.index(name)
         self._name = name if len(name) <= _NAME_WIDTH else "..." + name[3 - _NAME_WIDTH :]
-        now = time.monotonic()
-        self._started, self._next = now, now + (_LINE_EVERY_S if self._bar is None else _BAR_EVERY_S)
-        if self._bar is not None:
-            self._bar.update(self._task, completed=self._before, description=self._name, rate="", aou="")
+        self.measure_from(self._before)
 
     def after_slot(self, slots: int, world: World) -> None:
         """``slots`` of the policy's are done; for :func:`uavaou.evaluation.evaluate.evaluate`."""
-        now = time.monotonic()
-        if self._quiet or now < self._next:
-            return
-        rate = slots / max(now - self._started, 1e-9)
-        aou = f"mean AoU so far {world.metrics().mean_aou_s.mean():,.0f} s"  # costs: not in every slot
-        if self._bar is not None:
-            self._next = now + _BAR_EVERY_S
-            self._bar.update(self._task, completed=self._before + slots, rate=f"{rate:,.0f} slots/s", aou=aou)
-            return
-        self._next = now + _LINE_EVERY_S
-        done = self._before + slots
-        left = (self._total - done) / rate
-        share = done / self._total
-        print(f"{share:4.0%}  {self._name}: {rate:,.0f} slots/s, {aou}, {left:,.0f} s left", file=sys.stderr)
+        if self.due:  # the mean costs: not in every slot
+            mean = world.metrics().mean_aou_s.mean() / world.scenario.slot_length_s
+            self.advance(self._before + slots, f"mean AoU so far {mean:,.2f} slots", self._name)
 
 
-class PlanningProgress(_Progress):
+class PlanningDisplay(Display):
     """Shows the best routes so far, the bound on them, and the gap between the two.
 
     Args:
+        quiet: show nothing.
         slot_length_s: tau, in which ages are shown.
         bound_s: what is known before planning, s; None where the planner finds it itself.
-        quiet: show nothing.
     """
 
-    figures = ("figures",)
-
-    def __init__(self, slot_length_s: float, bound_s: float | None, quiet: bool) -> None:
-        super().__init__(1.0, quiet)
+    def __init__(self, quiet: bool, slot_length_s: float, bound_s: float | None) -> None:
+        super().__init__(quiet, 1.0, unit="")
         self._slot_length_s = slot_length_s
         self._bound_s = bound_s
-        self._next = time.monotonic() + (0.0 if sys.stderr.isatty() else _LINE_EVERY_S)
 
     def show(self, progress: Progress) -> None:
         """Show how far the planning is; for :meth:`uavaou.planners.plan.RoutePlanner.plan`."""
-        now = time.monotonic()
-        if self._quiet or (now < self._next and progress.share < 1.0):
+        if not self.due and progress.share < 1.0:
             return
-        figures = f"mean AoU {progress.incumbent_s / self._slot_length_s:,.2f} slots"
+        figure = f"mean AoU {progress.incumbent_s / self._slot_length_s:,.2f} slots"
         bound_s = self._bound_s if progress.bound_s is None else progress.bound_s
         if bound_s is not None:
             gap = 1 - bound_s / progress.incumbent_s if progress.incumbent_s else 0.0
-            figures += f", bound {bound_s / self._slot_length_s:,.2f}, gap {gap:.1%}"
-        if self._bar is not None:
-            self._next = now + _BAR_EVERY_S
-            self._bar.update(self._task, completed=progress.share, figures=figures)
-            return
-        self._next = now + _LINE_EVERY_S
-        print(f"{progress.share:4.0%}  {figures}", file=sys.stderr, flush=True)
+            figure += f", bound {bound_s / self._slot_length_s:,.2f}, gap {gap:.1%}"
+        self.advance(progress.share, figure)
 
 
-def _make_bar(*figures: str) -> Any:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=None),
-        *(TextColumn(f"{{task.fields[{figure}]}}") for figure in figures),
-        TimeRemainingColumn(compact=True),
-        console=Console(stderr=True),
-        expand=True,
-        transient=True,
-    )
-
-
-class TuningProgress(_Progress):
+class TuningDisplay(Display):
     """Shows how the trials of a search stand: a bar on a terminal, a line for each that ends elsewhere.
 
     Args:
-        trials: that are to end in all.
         quiet: show nothing.
+        trials: that are to end in all.
+        slot_length_s: tau, in which ages are shown.
     """
 
-    def __init__(self, trials: int, quiet: bool) -> None:
-        super().__init__(trials, quiet)
+    def __init__(self, quiet: bool, trials: int, slot_length_s: float) -> None:
+        super().__init__(quiet, trials, unit="")
+        self._slot_length_s = slot_length_s
         self._told: set[int] | None = None  # trials that ended before this command are not news
 
     def show(self, records: list[TrialRecord]) -> None:
         """The trials as they stand."""
-        if self._quiet:
-            return
         ended = [record for record in records if record.counts]
-        scores = [record.score for record in ended if record.score is not None]
-        best = f"best mean AoU {min(scores):,.2f} s" if scores else ""
-        if self._bar is not None:
-            running = sum(record.state == "running" for record in records)
-            rate = f"{len(ended)} of {self._total} trials, {running} running"
-            self._bar.update(self._task, completed=len(ended), rate=rate, aou=best)
-            return
+        scores = [record.score / self._slot_length_s for record in ended if record.score is not None]
+        best = f"best mean AoU {min(scores):,.2f} slots" if scores else ""
         if self._told is None:
             self._told = {record.number for record in ended}
+            self.measure_from(len(ended))
+        if self._bar is not None:
+            running = sum(record.state == "running" for record in records)
+            self.advance(len(ended), best, f"{len(ended)}/{self.total:.0f} trials, {running} running")
+            return
         for record in ended:
             if record.number not in self._told:
                 self._told.add(record.number)
-                score = "" if record.score is None else f" {record.score:,.2f} s,"
+                score = "" if record.score is None else f" {record.score / self._slot_length_s:,.2f} slots,"
                 detail = f": {record.reason}" if record.reason else f",{score} {best}"
-                print(f"{len(self._told)}/{self._total}  trial {record.number} {record.state}{detail}", file=sys.stderr)
+                self.message(f"{len(self._told)}/{self.total:.0f}  trial {record.number} {record.state}{detail}")
+
+
+class StudyDisplay(Display):
+    """Shows how many runs are done, the rate of all together, the time left, and how each running variant does.
+
+    Args:
+        quiet: show nothing.
+    """
+
+    def __init__(self, quiet: bool) -> None:
+        super().__init__(quiet, 1.0)
+
+    def show(self, standing: Standing) -> None:
+        """The study as it stands."""
+        news, standing.news = standing.news, []
+        for line in news:
+            self.message(f"{standing.done}/{standing.total}  {line}")
+        if not self.due or (self._bar is None and not standing.running):
+            return
+        failed = f", {len(standing.failed)} failed" if standing.failed else ""
+        name = f"{standing.done}/{standing.total} done{failed}"
+        trained = standing.slots + standing.left  # 0 where planners and bounds are left, whose progress is unknown
+        self.total = trained or standing.total
+        rate = standing.rate if standing.left else 0.0
+        self.advance(standing.slots if trained else standing.done, "", name, _running(standing), rate)
+
+
+def _running(standing: Standing) -> str:
+    """The mean AoU of the variants that train, in slots, and what else is at work."""
+    means: dict[str, list[float]] = {}
+    others = []
+    for key, report in standing.running.items():
+        if key.seed is None:
+            others.append(f"{'annealing a plan' if key.variant == 'plan' else key.variant} for {key.scenario}")
+        elif report is not None and report.mean_aou_s is not None:
+            means.setdefault(key.variant, []).append(report.mean_aou_s / standing.tau_s[key.scenario])
+        else:
+            means.setdefault(key.variant, [])
+    parts = [f"{name} {sum(values) / len(values):,.2f}" if values else f"{name} -" for name, values in means.items()]
+    learning = ["mean AoU in slots: " + ", ".join(parts[:_MOST_VARIANTS])] if parts else []
+    return "; ".join([*learning, *(["at work: " + ", ".join(others[:_MOST_VARIANTS])] if others else [])])
+
+
+def say_how_to_go_on(arguments: list[str], kept: str = "") -> None:
+    """Tell the user, after an interrupt, which command goes on.
+
+    Args:
+        arguments: of that command.
+        kept: what is done already, in words.
+    """
+    print(f"uavaou: interrupted{kept}; to go on: {shlex.join(['uavaou', *arguments])}", file=sys.stderr)

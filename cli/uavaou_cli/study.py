@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -13,74 +12,63 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uavaou.errors import InputError
-from uavaou_cli.checks import given_path, one_of, within, writable_folder
+from uavaou_cli.checks import given_path, writable_folder
+from uavaou_cli.options import Quiet, Results, StudyArgument, choice, number
+from uavaou_cli.progress import StudyDisplay, say_how_to_go_on
 
 if TYPE_CHECKING:
     from uavaou.studies.engine import Engine
     from uavaou.studies.jobs import Key
     from uavaou.studies.study import Study
 
-ENGINES = ("local", "ray")
 MOST_JOBS = 4096
-
-_FILE = Annotated[str, typer.Argument(metavar="STUDY", help="A study's name (paper, smoke), or a YAML file.")]
-_OUT = Annotated[Path, typer.Option(metavar="DIR", help="The folder of all results.")]
 
 
 def run(
     ctx: typer.Context,
-    study: _FILE,
-    jobs: Annotated[
-        int | None, typer.Option(metavar="N", help="Runs at a time, of one core each. [default: all cores]")
-    ] = None,
-    engine: Annotated[
-        str, typer.Option(metavar="local|ray", help="Processes of this machine, or tasks of a Ray cluster.")
-    ] = "local",
+    study: StudyArgument,
+    jobs: Annotated[int | None, number("Runs at a time, of one core each. [default: all cores]", 1, MOST_JOBS)] = None,
+    engine: Annotated[str, choice("Processes of this machine, or tasks of a Ray cluster.", "local", "ray")] = "local",
     address: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Of the Ray cluster. [default: one is started here]")
     ] = None,
-    out: _OUT = Path("results"),
+    out: Results = Path("results"),
     checkpoint_every: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Between the checkpoints of a run.")
+        float, number("Between the checkpoints of a run.", 0, 86_400, metavar="SECONDS")
     ] = 30.0,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Do what is left of a study: finished runs are skipped, broken ones go on from their checkpoints.
 
     Writes the run folders that `uavaou train` would, and DIR/studies/<name>/, the condensed results.
     """
-    one_of("--engine", engine, ENGINES)
-    if jobs is not None:
-        within("--jobs", jobs, 1, MOST_JOBS)
-    within("--checkpoint-every", checkpoint_every, 0, 86_400)
     if address is not None and (engine != "ray" or not address.strip()):
         raise InputError(f"--address {address!r}: is that of a Ray cluster, for --engine ray")
     chosen, folder = _study(study, out)
     writable_folder(folder)
     from uavaou.studies.runner import run_study
-    from uavaou_cli.study_progress import StudyProgress
     from uavaou_cli.study_tables import study_lines
 
     with ExitStack() as stack:
         performer = _engine(stack, engine, jobs, address, ctx.obj["plugins"])
-        progress = stack.enter_context(StudyProgress(quiet))
+        progress = stack.enter_context(StudyDisplay(quiet))
         try:
             outcome = run_study(chosen, out, performer, progress.show, quiet, checkpoint_every)
         except KeyboardInterrupt:
-            _say_how_to_go_on(ctx.obj["arguments"])
+            say_how_to_go_on(ctx.obj["arguments"])
             raise typer.Exit(130) from None
     for key, reason in outcome.failed.items():
         seed = "" if key.seed is None else f", seed {key.seed}"
         print(f"uavaou: {key.variant} on {key.scenario}{seed} failed: {reason}", file=sys.stderr)
     if outcome.stopped_by is not None:
-        _say_how_to_go_on(ctx.obj["arguments"], f" with {outcome.done} of {outcome.total} parts done")
+        say_how_to_go_on(ctx.obj["arguments"], f" with {outcome.done} of {outcome.total} parts done")
         raise typer.Exit(128 + outcome.stopped_by)
     print("\n".join(study_lines(folder)))
     if outcome.failed:
         raise typer.Exit(1)
 
 
-def status(study: _FILE, out: _OUT = Path("results")) -> None:
+def status(study: StudyArgument, out: Results = Path("results")) -> None:
     """Show how the runs of a study stand."""
     from uavaou.studies.status import study_status
     from uavaou_cli.study_tables import status_lines
@@ -89,7 +77,7 @@ def status(study: _FILE, out: _OUT = Path("results")) -> None:
     print("\n".join(status_lines(chosen, study_status(chosen, out))))
 
 
-def report(study: _FILE, out: _OUT = Path("results")) -> None:
+def report(study: StudyArgument, out: Results = Path("results")) -> None:
     """Rewrite the condensed results of a study from its finished runs, its page of tables, and print the table.
 
     Writes README.md, marl-eval.json and one recorded mission of each variant into DIR/studies/<name>/, and the
@@ -167,7 +155,3 @@ def _engine(stack: ExitStack, name: str, jobs: int | None, address: str | None, 
     from uavaou.studies.cluster import Cluster
 
     return stack.enter_context(Cluster(jobs if address else jobs or cores, address, plugins))
-
-
-def _say_how_to_go_on(arguments: list[str], kept: str = "") -> None:
-    print(f"uavaou: interrupted{kept}; to go on: {shlex.join(['uavaou', *arguments])}", file=sys.stderr)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
-import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from uavaou.errors import InputError
-from uavaou_cli.checks import LARGEST_SEED, within, writable_folder
+from uavaou_cli.checks import writable_folder
+from uavaou_cli.options import LARGEST_SEED, Quiet, number
+from uavaou_cli.options import seconds as seconds_option
 from uavaou_cli.overrides import parse_overrides
+from uavaou_cli.progress import TuningDisplay, say_how_to_go_on
 
 if TYPE_CHECKING:
     from uavaou.tuning.search import Search, SearchFolder
@@ -31,43 +31,36 @@ def tune(
     algorithm: Annotated[
         str | None, typer.Option(metavar="NAME", help="Whose settings. [default: mappo, or that of --from]")
     ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="S", help="Each trial's budget, in CPU seconds of one core.")
-    ] = None,
-    slots: Annotated[int | None, typer.Option(metavar="N", help="Each trial's budget, in slots, instead.")] = None,
+    seconds: Annotated[float | None, seconds_option("Each trial's budget, in CPU seconds of one core.")] = None,
+    slots: Annotated[int | None, number("Each trial's budget, in slots, instead.", 1, 10**12)] = None,
     trials: Annotated[
-        int | None, typer.Option(metavar="N", help=f"In all, earlier ones included. [default: {DEFAULT_TRIALS}]")
+        int | None, number(f"In all, earlier ones included. [default: {DEFAULT_TRIALS}]", 1, MOST_TRIALS)
     ] = None,
     from_: Annotated[
         Path | None, typer.Option("--from", metavar="DIR", help="Run only the best trials of that search.")
     ] = None,
-    top: Annotated[int | None, typer.Option(metavar="K", help=f"How many of them. [default: {DEFAULT_TOP}]")] = None,
+    top: Annotated[
+        int | None, number(f"How many of them. [default: {DEFAULT_TOP}]", 1, MOST_TRIALS, metavar="K")
+    ] = None,
     space: Annotated[
         Path | None, typer.Option(metavar="FILE", help="What is varied, as YAML. [default: what is shipped]")
     ] = None,
-    jobs: Annotated[int, typer.Option(metavar="N", help="Processes, of one core each.")] = 1,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the sampler and of every training.")] = 0,
+    jobs: Annotated[int, number("Processes, of one core each.", 1, MOST_JOBS)] = 1,
+    seed: Annotated[int, number("Of the sampler and of every training.", 0, LARGEST_SEED)] = 0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder of all searches.")] = Path("results/tune"),
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD; fix algorithm.FIELD. Repeatable."),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Search for better settings, on validation missions, at equal budgets.
 
     Writes DIR/<scenario>/<algorithm>/: tune.csv, best.yaml, and a run folder for each trial. The same
     command goes on with a search that was stopped; processes on several machines can share one.
     """
-    for option, value, most in (
-        ("--trials", trials, MOST_TRIALS),
-        ("--top", top, MOST_TRIALS),
-        ("--jobs", jobs, MOST_JOBS),
-    ):
-        if value is not None:
-            within(option, value, 1, most)
-    within("--seed", seed, 0, LARGEST_SEED)
-    _check_budget(seconds, slots)
+    if (seconds is None) == (slots is None):
+        raise InputError("each trial's budget: give --seconds S or --slots N, one of them")
     if from_ is None:
         if top is not None:
             raise InputError("--top: of which search? add --from DIR")
@@ -80,28 +73,18 @@ def tune(
         search, folder = _continuation(from_, top, scenario, algorithm, seconds, slots, seed, out, set_ or [])
     wanted = top or trials or DEFAULT_TRIALS
     from uavaou.tuning.trials import read_trials, run_search
-    from uavaou_cli.progress import TuningProgress
     from uavaou_cli.tables import tuning_lines
 
     writable_folder(folder.path)
     folder.claim(search)
     try:
-        with TuningProgress(wanted, quiet) as progress:
+        with TuningDisplay(quiet, wanted, search.scenario.slot_length_s) as progress:
             progress.show(read_trials(folder))
             records = run_search(folder, wanted, jobs, ctx.obj["plugins"], progress.show)
     except KeyboardInterrupt:
-        print(f"uavaou: interrupted; to go on: {shlex.join(['uavaou', *ctx.obj['arguments']])}", file=sys.stderr)
+        say_how_to_go_on(ctx.obj["arguments"])
         raise typer.Exit(130) from None
     print("\n".join(tuning_lines(folder, search, records, scenario, ctx.obj["plugins"])))
-
-
-def _check_budget(seconds: float | None, slots: int | None) -> None:
-    if (seconds is None) == (slots is None):
-        raise InputError("each trial's budget: give --seconds S or --slots N, one of them")
-    if slots is not None:
-        within("--slots", slots, 1, 10**12)
-    if seconds is not None and not (math.isfinite(seconds) and seconds > 0):
-        raise InputError(f"--seconds {seconds:g}: expected seconds above 0")
 
 
 def _search(

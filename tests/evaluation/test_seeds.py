@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.evaluation.seeds import EVALUATION_SEEDS, VALIDATION_SEEDS, training_seeds
-from uavaou_cli.checks import LARGEST_SEED
+from uavaou_cli.options import LARGEST_SEED
 
 SEEDS = st.integers(0, LARGEST_SEED)
 

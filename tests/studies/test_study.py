@@ -30,7 +30,7 @@ from uavaou.studies.store import StudyStore, study_folder
 from uavaou.studies.study import Study
 from uavaou.zoo import zoo_names
 from uavaou_cli.main import main
-from uavaou_cli.study_progress import StudyProgress
+from uavaou_cli.progress import StudyDisplay
 
 SET = "missions: 4, rollout_slots: 12, batch_rows: 48, hidden: [8], evaluation_missions: 2, evaluate_every_slots: 96"
 TINY = f"""
@@ -412,7 +412,7 @@ def test_what_is_at_work_is_shown(write: Write, tmp_path: Path, capsys: pytest.C
         parts = study_status(study, out)
         states[job.key.variant] = {part.key.variant: f"{part.state} {part.detail}".strip() for part in parts}
         assert main(["study", "status", str(path), "--out", str(out)]) == 0
-        progress = StudyProgress(quiet=False)
+        progress = StudyDisplay(quiet=False)
         progress._next = 0
         progress.show(standings[-1])
         lines[job.key.variant] = capsys.readouterr().err

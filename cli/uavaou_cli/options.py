@@ -1,0 +1,61 @@
+"""The options that several commands share, and the checks of single values, which Typer makes before a command runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from uavaou.errors import InputError, unknown
+from uavaou.evaluation.seeds import MOST_EPISODES
+
+LARGEST_SEED = 2**32 - 1  # what NumPy's and torch's global streams take
+
+
+def number(help: str, lowest: float, highest: float = float("inf"), metavar: str = "N") -> Any:
+    """An option for a number from ``lowest`` to ``highest``."""
+
+    def check(option: typer.CallbackParam, value: Any) -> Any:
+        if value is not None and not value >= lowest:  # nan is in no range
+            raise InputError(f"{option.opts[0]} {value}: must be at least {lowest}")
+        if value is not None and value > highest:
+            raise InputError(f"{option.opts[0]} {value}: must be at most {highest}")
+        return value
+
+    return typer.Option(metavar=metavar, help=help, callback=check)
+
+
+def seconds(help: str) -> Any:
+    """An option for a budget of time, in seconds above 0."""
+
+    def check(option: typer.CallbackParam, value: Any) -> Any:
+        if value is not None and not 0 < value < float("inf"):
+            raise InputError(f"{option.opts[0]} {value:g}: must be a positive number of seconds")
+        return value
+
+    return typer.Option(metavar="S", help=help, callback=check)
+
+
+def choice(help: str, *allowed: str) -> Any:
+    """An option for one of the ``allowed`` words; another word gets the nearest one as a hint."""
+
+    def check(option: typer.CallbackParam, value: Any) -> Any:
+        if value is not None and value not in allowed:
+            raise unknown(option.opts[0], value, allowed)
+        return value
+
+    return typer.Option(metavar="|".join(allowed), help=help, callback=check)
+
+
+ScenarioArgument = Annotated[
+    str, typer.Argument(metavar="SCENARIO", help="A preset's name, or the path of a YAML file.")
+]
+StudyArgument = Annotated[str, typer.Argument(metavar="STUDY", help="A study's name (paper, smoke), or a YAML file.")]
+Episodes = Annotated[int, number("Missions that each policy plays.", 1, MOST_EPISODES)]
+MissionSeed = Annotated[int, number("Mission j is seeded with N + j.", 0, LARGEST_SEED)]
+SetScenario = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD. Repeatable.")
+]
+Results = Annotated[Path, typer.Option(metavar="DIR", help="The folder of all results.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
