@@ -1,0 +1,39 @@
+"""A working folder with obstacles in it, and one with trained runs."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.cli.commands import TINY, runs
+from uavaou_cli.main import main
+
+
+@pytest.fixture
+def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder but for a file in the way and two scenarios that cannot be used."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "twins.yaml").write_text("base: quickstart\ndevices: 2\ndevices_m: [[10, 10], [10, 10]]\n")
+    (tmp_path / "list.yaml").write_text("- paper\n")
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which runs were trained, and some spoilt afterwards."""
+    place = tmp_path_factory.mktemp("trained")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        (place / "file").write_text("in the way")
+        for options in ("", "--set scenario.layout_seed=1", "--seed 1", "--seed 2"):
+            assert main(shlex.split(f"{TINY} {options}")) == 0
+        paths = runs(place)
+        (place / paths["broken"] / "checkpoints" / "best.safetensors").write_text("spoilt")
+        fresh = place / paths["fresh"]
+        (fresh / "episodes.csv").unlink()
+        for checkpoint in (fresh / "checkpoints").iterdir():
+            checkpoint.unlink()
+    return place

@@ -1,0 +1,164 @@
+"""The way from training to figures: what the commands write and print."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.cli.commands import TRAIN, call, contents, runs
+from uavaou.runs.records import Display
+from uavaou_cli.tables import WIDTH
+
+# -- evaluation ----------------------------------------------------------------------------------------
+
+
+def test_planners_meet_the_same_missions_whatever_stands_beside_them(
+    capsys: pytest.CaptureFixture[str], workplace: Path
+) -> None:
+    base = "eval --scenario quickstart --set scenario.layout_seed=3 --episodes 5 --json"
+    for command in (f"{base} both.json --policy stay --policy random", f"{base} deep/one.json --policy random"):
+        code, _, err = call(capsys, command)
+        assert (code, err.startswith("wrote ")) == (0, True)
+    both, one = (json.loads((workplace / name).read_text()) for name in ("both.json", "deep/one.json"))
+    assert both["policies"]["random"] == one["policies"]["random"]
+    assert (both["scenario"], both["episodes"], both["seed"]) == ("quickstart", 5, 10_000)
+    assert list(both["policies"]) == ["stay", "random"]
+
+
+def test_the_default_scenario_is_the_papers(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = call(capsys, "eval --policy stay --episodes 1 --quiet")
+    assert (code, err) == (0, "")
+    assert out.startswith("paper: 1 mission, seed 10000")
+
+
+def test_progress_goes_to_stderr_unless_quiet(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavaou_cli.progress._LINE_EVERY_S", 0)
+    command = "eval --scenario tiny --policy stay --policy random --episodes 2"
+    _, out, err = call(capsys, command)
+    lines = err.splitlines()
+    assert len(lines) == 2 * 12  # a line a slot
+    assert lines[-1].startswith("100%  random: ")
+    assert all("slots/s, mean AoU so far" in line and "s left" in line for line in lines)
+    assert call(capsys, f"{command} --quiet") == (0, out, "")
+
+
+def test_one_episode_writes_json_without_nan(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+    assert call(capsys, "eval --scenario tiny --policy stay --episodes 1 --json x.json")[0] == 0
+    assert "NaN" not in (workplace / "x.json").read_text()
+
+
+def test_the_table_fits_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = call(capsys, "eval --policy stay --policy random --episodes 3 --scenario paper")
+    assert all(len(line) <= WIDTH for line in out.splitlines())
+    assert "violations" not in out
+    assert "broke" not in out
+
+
+# -- the whole way -------------------------------------------------------------------------------------
+
+
+def test_a_plan_is_saved_flown_and_drawn(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+    code, out, err = call(capsys, "plan tiny --planner exact --episodes 1")
+    assert code == 0
+    assert "proven optimal" in out
+    assert "gap 0.0%" in err
+    assert all(len(line) <= WIDTH for line in out.splitlines())
+    folder = workplace / "results" / "tiny" / "plan" / "exact"
+    assert {path.suffix for path in folder.iterdir()} == {".json", ".png", ".pdf"}
+    assert json.loads((folder / "plan.json").read_text())["planner"] == "exact"
+
+
+def test_gap_orders_policies_between_bound_and_random(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = call(capsys, "gap tiny --episodes 1 --time-limit 1 --quiet")
+    assert code == 0
+    names = [line.split()[0] for line in out.splitlines()[3:] if line]
+    assert names[0] == "lower"
+    assert {"exact", "rolling", "greedy", "random"} < set(names)
+    assert all(len(line) <= WIDTH for line in out.splitlines())
+
+
+@pytest.mark.slow
+def test_a_stopped_training_resumes_to_its_budget(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+    command = f"{TRAIN} --slots 4000"
+    assert call(capsys, f"{command} --out whole")[0] == 0
+    shown = Display.update
+
+    def stop(self: Display, slots: int, mean_aou_s: float | None) -> None:
+        if slots > 2000:
+            raise KeyboardInterrupt
+        shown(self, slots, mean_aou_s)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Display, "update", stop)
+        code, out, err = call(capsys, f"{command} --out parts")
+    assert (code, out, err.count("\n")) == (130, "", 1)
+    again = err.split("to go on: uavaou ")[1]
+    assert "--resume" in again
+    code, out, err = call(capsys, again)
+    assert (code, err) == (0, "")
+    whole, parts = (next((workplace / name).glob("*/*/seed-0")) for name in ("whole", "parts"))
+    metas = [json.loads((folder / "meta.json").read_text()) for folder in (whole, parts)]
+    assert [meta["finished"] for meta in metas] == [True, True]
+    assert metas[1]["slots"] == metas[0]["slots"] >= 4000
+    assert rewards(parts) == rewards(whole)
+    assert call(capsys, again)[0] == 0  # a finished one has nothing left to do
+    assert rewards(parts) == rewards(whole)
+
+
+def rewards(folder: Path) -> list[str]:
+    """Mission, slots and reward of each training mission; wall-clock times differ."""
+    rows = [line.split(",") for line in (folder / "episodes.csv").read_text().splitlines()]
+    return [",".join((row[0], row[1], row[3])) for row in rows]
+
+
+@pytest.mark.slow
+def test_from_training_to_figures(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+    code, out, err = call(capsys, f"{TRAIN} --slots 3000")
+    assert (code, err) == (0, "")
+    assert "best validation: mean AoU" in out
+    following = shlex.split(out.split("next:")[1])
+    run = Path(following[2])
+    assert f"run folder:      {run}\n" in out
+    assert "slots=3000" in run.parent.name
+
+    code, out, err = call(capsys, shlex.join([*following[1:], "--episodes", "6", "--json", "e.json"]))
+    assert code == 0
+    assert err.splitlines() == [f"wrote {run / 'eval' / 'default.json'}", "wrote e.json"]
+    assert all(len(line) <= WIDTH for line in out.splitlines() if line != str(run))
+    content = json.loads((workplace / "e.json").read_text())
+    assert set(content) == {"scenario", "episodes", "seed", "policies"}
+    assert list(content["policies"]) == [str(run), "random", "greedy"]
+    for name, entry in content["policies"].items():
+        assert ("action" in entry) == (name == str(run))
+        assert len(entry["mean_aou_s"]) == len(entry["communications"]) == 6
+        assert len(entry["aou_over_time_s"]) == len(entry["aou_over_time_low_s"]) == 60
+        assert sum(entry["violations"].values()) == 0
+    default = json.loads((run / "eval" / "default.json").read_text())
+    assert default["policies"] == {"mappo": content["policies"][str(run)]} | {
+        name: content["policies"][name] for name in ("random", "greedy")
+    }
+
+    for command, parts in ((f"plot figures {run}", 14), (f"plot trajectories {run} --out pictures", 4)):
+        code, out, err = call(capsys, command)
+        assert (code, err) == (0, "")
+        assert len(out.splitlines()) == parts
+        assert all((workplace / line).stat().st_size > 1000 for line in out.splitlines())
+
+
+@pytest.mark.slow
+def test_evaluating_elsewhere_leaves_the_run_alone(
+    capsys: pytest.CaptureFixture[str], trained: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(trained)
+    before = contents(trained)
+    run = runs(trained)["run"]
+    for options in ("--scenario tiny", "--set scenario.layout_seed=5"):
+        code, out, err = call(capsys, f"eval {run} --episodes 2 --action sample {options}")
+        assert (code, err) == (0, "")
+        assert "sample" in out
+    assert contents(trained) == before

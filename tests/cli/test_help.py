@@ -1,0 +1,101 @@
+"""The commands and their options, and how quickly they answer."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+import typer
+
+from tests.cli.commands import call, run_process
+from uavaou.planners import PLANNERS
+from uavaou_cli.main import app
+from uavaou_cli.tables import WIDTH
+
+# Scripts and docs rely on every one of these.
+COMMANDS = {
+    "": "--version --plugin",
+    "train": "--scenario --algorithm --seed --slots --config --out --resume --checkpoint-every --device --backend "
+    "--set --quiet",
+    "tune": "--scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out --set --quiet",
+    "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --json --out --set --quiet",
+    "plan": "SCENARIO --planner --time-limit --episodes --seed --out --set --quiet",
+    "gap": "SCENARIO RUN --time-limit --episodes --seed --set --quiet",
+    "audit": "SCENARIO",
+    "export": "RUN --out --format",
+    "scenarios": "",
+    "plot": "",
+    "plot figures": "RUN --out",
+    "plot suite": "FILE --out",
+    "plot trajectories": "RUN --episode-seed --out",
+    "study": "",
+    "study run": "STUDY --jobs --engine --address --out --checkpoint-every --quiet",
+    "study status": "STUDY --out",
+    "study report": "STUDY --out",
+}
+
+
+def surface(command: Any, path: str = "") -> dict[str, str]:
+    """The arguments and options of a command and of those below it."""
+    names = [name for param in command.params for name in spellings(param)]
+    below = getattr(command, "commands", {})
+    found = {path: " ".join(names)}
+    for name, inner in below.items():
+        found |= surface(inner, f"{path} {name}".strip())
+    return found
+
+
+def spellings(param: Any) -> list[str]:
+    return list(param.opts) if param.param_type_name == "option" else [param.metavar or param.name.upper()]
+
+
+def test_the_commands_and_options_are_these() -> None:
+    assert surface(typer.main.get_command(app)) == COMMANDS
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["train", "--help"], ["plot"], ["eval", "-h"]])
+def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
+    heavy = ("torch", "matplotlib", "scipy", "numpy", "rich", "yaml")
+    done = run_process(*arguments, after=f"print([m for m in {heavy} if m in sys.modules], file=sys.stderr)")
+    assert (done.returncode, done.stderr) == (0, "[]\n")
+    assert done.stdout
+    assert all(len(line) <= WIDTH for line in done.stdout.splitlines())
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    import uavaou
+
+    assert call(capsys, "--version") == (0, f"uavaou {uavaou.__version__}\n", "")
+
+
+def test_help_names_every_planner(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = call(capsys, "eval --help")
+    assert all(name in out.replace("-\n", "-") for name in PLANNERS)
+
+
+def test_scenarios_fit_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = call(capsys, "scenarios")
+    assert (code, err) == (0, "")
+    assert {"paper", "paper-table1", "quickstart", "tiny"} <= set(out.split())
+    assert all(len(line) <= WIDTH for line in out.splitlines())
+
+
+def test_audit_prints(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = call(capsys, "audit quickstart")
+    assert (code, err) == (0, "")
+    assert "errors" in out
+
+
+def test_a_reader_that_stops_early_is_no_error() -> None:
+    command = "import sys; from uavaou_cli.main import main; sys.exit(main(['scenarios']))"
+    process = subprocess.Popen(
+        [sys.executable, "-c", command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    process.stderr.close()
+    process.wait()

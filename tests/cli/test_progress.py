@@ -1,0 +1,84 @@
+"""What long jobs show: plain lines where there is no terminal, a bar on one, and nothing with ``--quiet``."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from uavaou_cli import progress
+from uavaou_cli.progress import Display, PlanningDisplay, TrainingDisplay
+
+
+@pytest.fixture(autouse=True)
+def always_due(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "_LINE_EVERY_S", 0)
+    monkeypatch.setattr(progress, "_BAR_EVERY_S", 0)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """A clock that the test sets."""
+    now = SimpleNamespace(s=0.0)
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now.s))
+    return now
+
+
+def config(slots: int) -> Any:
+    return SimpleNamespace(algorithm=SimpleNamespace(slots=slots), scenario=SimpleNamespace(uavs=3, slot_length_s=2.0))
+
+
+def test_a_training_that_overshoots_its_budget_ends_at_100_percent(
+    capsys: pytest.CaptureFixture[str], clock: SimpleNamespace
+) -> None:
+    display = TrainingDisplay(False, config(1000))
+    for slots in (0, 500, 1060):
+        display.update(slots, 24.0)
+        clock.s += 5
+    assert capsys.readouterr().err.splitlines() == [
+        " 50%  training: 100 slots/s, 300 agent steps/s, mean AoU 12.00 slots, 5.0 s left",
+        "100%  training: 106 slots/s, 318 agent steps/s, mean AoU 12.00 slots, 0.0 s left",
+    ]
+
+
+def test_the_rate_of_a_resumed_training_leaves_out_what_was_trained_before(
+    capsys: pytest.CaptureFixture[str], clock: SimpleNamespace
+) -> None:
+    display = TrainingDisplay(False, config(10_000_000))
+    for slots in (9_000_000, 9_000_100):
+        display.update(slots, None)
+        clock.s += 1
+    assert "100 slots/s, 300 agent steps/s, mean AoU -, 2 h 46 min left" in capsys.readouterr().err
+
+
+def test_a_quiet_display_shows_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with Display(True, 10) as display:
+        display.advance(5, "figure")
+        display.message("news")
+    assert capsys.readouterr().err == ""
+
+
+def test_a_bar_fits_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    for name, value in (("COLUMNS", "80"), ("TERM", "xterm"), ("FORCE_COLOR", "1")):
+        monkeypatch.setenv(name, value)
+    with TrainingDisplay(False, config(3_000_000)) as display:
+        for slots in (0, 1_234_567):
+            display.update(slots, 24.0)
+        display._bar.refresh()
+        display.message("a line [that stays]")
+    shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
+    assert "a line [that stays]" in shown
+    assert any(
+        "training" in line and " 41%" in line and "mean AoU 12.00 slots" in line and "left" in line
+        for line in shown.replace("\r", "\n").splitlines()
+    )
+    assert all(len(line) <= 80 for line in shown.replace("\r", "\n").splitlines())
+
+
+def test_planning_shows_the_gap_to_the_bound(capsys: pytest.CaptureFixture[str]) -> None:
+    with PlanningDisplay(False, slot_length_s=2.0, bound_s=18.0) as display:
+        display.show(SimpleNamespace(share=1.0, incumbent_s=20.0, bound_s=None))  # type: ignore[arg-type]
+    assert "mean AoU 10.00 slots, bound 9.00, gap 10.0%" in capsys.readouterr().err

@@ -1,0 +1,187 @@
+"""Bad input: one line that names it, exit code 2, and nothing written; a bug keeps its traceback."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.commands import TINY, call, contents, run_process, runs
+from uavaou_cli.main import main
+
+BAD_INPUTS = [
+    # command, what the line must say
+    ("trian", "did you mean 'train'?"),
+    ("--verson", "did you mean '--version'?"),
+    ("plot trajectores x", "did you mean 'trajectories'?"),
+    ("scenarios paper", "unexpected"),
+    # train
+    ("train quickstart", "unexpected"),
+    ("train --sed 3", "did you mean '--seed'?"),
+    ("train --seed", "--seed"),
+    ("train --seed x", "--seed"),
+    ("train --seed -1", "--seed -1"),
+    ("train --seed 99999999999", "--seed 99999999999"),
+    ("train --slots 0", "--slots 0"),
+    ("train --slots -5", "--slots -5"),
+    ("train --slots 1.5", "--slots"),
+    ("train --slots 5 --set algorithm.slots=6", "--slots and --set algorithm.slots"),
+    ("train --device gpu", "did you mean 'cpu'?"),
+    ("train --backend super", "did you mean 'supersuit'?"),
+    ("train --algorithm mapo", "did you mean 'mappo'?"),
+    ("train --scenario quikstart", "did you mean 'quickstart'?"),
+    ("train --scenario nowhere.yaml", "nowhere.yaml"),
+    ("train --scenario twins.yaml", "same position"),
+    ("train --scenario list.yaml", "list.yaml"),
+    ("train --scenario .", "unknown scenario"),
+    ("train --out file", "'file"),
+    ("train --out file/deeper", "'file"),
+    ("train --set scenario.slots", "KEY=VALUE"),
+    ("train --set scenario.slots=", "KEY=VALUE"),
+    ("train --set =3", "KEY=VALUE"),
+    ("train --set slots=3", "'scenario.slots' or 'algorithm.slots'"),
+    ("train --set scenaro.slots=3", "did you mean 'scenario.slots'?"),
+    ("train --set scenario.slot=3", "did you mean 'slots'?"),
+    ("train --set scenario.bandwidth_hz.lwo=3", "did you mean 'low'?"),
+    ("train --set scenario.slots.low=3", "no parts"),
+    ("train --set scenario.slots=3 --set scenario.slots=4", "given twice"),
+    ("train --set scenario.bandwidth_hz=3 --set scenario.bandwidth_hz.low=4", "give one of them"),
+    ("train --set scenario.slots=1", "slots = 1"),
+    ("train --set scenario.uavs=many", "uavs = 'many'"),
+    ("train --set scenario.rate_min_bit_s=-5", "rate_min_bit_s = -5"),
+    ("train --set scenario.noise_power_dbm=true", "noise_power_dbm = True"),
+    ("train --set scenario.noise_power_dbm=nan", "noise_power_dbm = nan"),
+    ("train --set scenario.grid_step_m=70", "does not divide"),
+    ("train --set scenario.cds_m=[[0,0],[50,0],[0,0]]", "not on the grid"),
+    ("train --set scenario.flight_time_budget_s=5", "take-off"),
+    ("train --set scenario.bandwidth_hz.low=9e9", "must not exceed"),
+    ("train --set algorithm.learning_rte=1e-4", "did you mean 'learning_rate'?"),
+    ("train --set algorithm.learning_rate=-1e-4", "learning_rate = -0.0001"),
+    ("train --set algorithm.name=ippo", "--algorithm"),
+    ("train --set algorithm.missions=7 --set algorithm.processes=2", "divide"),
+    # eval
+    ("eval", "nothing to evaluate"),
+    ("eval nowhere", "'nowhere' does not exist"),
+    ("eval greedy", "--policy greedy"),
+    ("eval file", "not a folder"),
+    ("eval .", "not a run folder"),
+    ("eval --policy rnadom", "did you mean 'random'?"),
+    ("eval --polcy random", "did you mean '--policy'?"),
+    ("eval --policy random --episodes 0", "--episodes 0"),
+    ("eval --policy random --episodes -3", "--episodes -3"),
+    ("eval --policy random --episodes 1e3", "--episodes"),
+    ("eval --policy random --episodes 100000000", "at most 10000"),
+    ("eval --policy random --seed -1", "--seed -1"),
+    ("eval --policy random --action best", "--action"),
+    ("eval --policy random --json file/x.json", "'file"),
+    ("eval --policy random --json .", "it is a folder"),
+    ("eval --policy random --json /dev/null", "not a regular file"),
+    ("eval --policy random --scenario nothing", "unknown scenario"),
+    ("eval --policy random --scenario twins.yaml", "same position"),
+    ("eval --policy random --set scenario.slots=1", "slots = 1"),
+    ("eval --policy random --set algorithm.gamma=0.9", "algorithm.gamma"),
+    # plot
+    ("plot figures", "uavaou study run paper"),
+    ("plot figures nowhere", "'nowhere' does not exist"),
+    ("plot figures .", "not a run folder"),
+    ("plot trajectories", "missing argument 'RUN'"),
+    ("plot trajectories nowhere", "'nowhere' does not exist"),
+    ("plot trajectories nowhere --episode-seed -1", "--episode-seed -1"),
+    # plan, gap
+    ("plan", "missing argument 'SCENARIO'"),
+    ("plan papr", "did you mean 'paper'?"),
+    ("plan tiny --planner anneall", "did you mean 'anneal'?"),
+    ("plan tiny --planner greedy", "unknown --planner 'greedy'"),
+    ("plan tiny --time-limit 0", "--time-limit 0"),
+    ("plan tiny --time-limit nan", "--time-limit nan"),
+    ("plan tiny --episodes 0", "--episodes 0"),
+    ("plan tiny --seed -1", "--seed -1"),
+    ("plan tiny --out file", "'file"),
+    ("plan tiny --set scenario.layout=resample", "new layout each mission"),
+    ("plan tiny --set algorithm.gamma=0.9", "algorithm.gamma"),
+    ("plan paper --planner exact --out x", "fading = rician"),
+    ("plan paper --planner exact --out x --set scenario.fading=none", "4,049,460 variables, at most 120,000"),
+    ("gap", "missing argument 'SCENARIO'"),
+    ("gap nothing", "unknown scenario"),
+    ("gap tiny nowhere", "'nowhere' does not exist"),
+    ("gap tiny --set scenario.layout=resample", "the bound is that of one layout"),
+    ("gap tiny --time-limit -1", "--time-limit -1"),
+    # audit
+    ("audit", "missing argument 'SCENARIO'"),
+    ("audit papr", "did you mean 'paper'?"),
+    ("audit twins.yaml", "same position"),
+    ("audit paper tiny", "unexpected"),
+]
+BAD_INPUTS_WITH_A_RUN = [
+    ("eval {run} --scenario paper", "which its network does not fit"),
+    ("eval {run} --set scenario.devices=3", "which its network does not fit"),
+    ("eval {run} --set algorithm.gamma=0.9", "algorithm.gamma"),
+    ("eval {run} {other}", "--scenario"),
+    ("eval {run} --json {run}", "it is a folder"),
+    ("eval {broken}", "safetensors"),
+    ("eval {fresh}", "no checkpoint yet"),
+    ("plot figures {run} --out file", "'file'"),
+    ("plot figures {fresh}", "episodes.csv"),
+    ("plot trajectories {run} --out file/x", "'file"),
+    ("plot trajectories {run} --episode-seed x", "--episode-seed"),
+    ("plot trajectories {fresh}", "no checkpoint yet"),
+    (TINY, "--resume"),
+]
+
+
+def assert_refused(capsys: pytest.CaptureFixture[str], command: str, says: str, place: Path) -> None:
+    before = contents(place)
+    code, out, err = call(capsys, command)
+    assert code == 2, err
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("uavaou: ")
+    assert says in err
+    assert contents(place) == before
+
+
+@pytest.mark.parametrize(("command", "says"), BAD_INPUTS)
+def test_bad_input_is_one_line_and_nothing_happens(
+    capsys: pytest.CaptureFixture[str], workplace: Path, command: str, says: str
+) -> None:
+    assert_refused(capsys, command, says, workplace)
+
+
+@pytest.mark.parametrize(("command", "says"), BAD_INPUTS_WITH_A_RUN)
+def test_bad_input_about_runs_is_one_line_and_nothing_happens(
+    capsys: pytest.CaptureFixture[str], trained: Path, monkeypatch: pytest.MonkeyPatch, command: str, says: str
+) -> None:
+    monkeypatch.chdir(trained)
+    assert_refused(capsys, command.format(**runs(trained)), says, trained)
+
+
+def test_cuda_is_refused_where_there_is_none(
+    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    assert_refused(capsys, "train --device cuda", "--device cuda", workplace)
+
+
+def test_a_folder_that_cannot_be_written_is_found_first(
+    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    for command in ("train", "eval --policy random --json x.json"):
+        assert_refused(capsys, command, "Permission denied", workplace)
+
+
+def test_other_errors_keep_their_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("uavaou.reports.audit.audit", fail)
+    with pytest.raises(ZeroDivisionError):
+        main(["audit", "tiny"])
+
+
+def test_the_process_reports_bad_input_as_main_does(workplace: Path) -> None:
+    done = run_process("train", "--scenario", "quikstart")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
