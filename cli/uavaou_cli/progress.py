@@ -13,7 +13,6 @@ from uavaou_cli.tables import duration
 
 if TYPE_CHECKING:
     from uavaou.planners.plan import Progress
-    from uavaou.runs.folder import RunConfig
     from uavaou.studies.runner import Standing
     from uavaou.tuning.search import TrialRecord
     from uavaou.world import World
@@ -66,7 +65,7 @@ class Display:
         """Measure the rate from now on, with ``done`` of the work behind."""
         now = time.monotonic()
         self._marks = deque([(now, done)], maxlen=_MARKS)
-        self._next = now if self._bar is not None else now + _LINE_EVERY_S
+        self._next = now + (_LINE_EVERY_S if self._bar is None else _BAR_EVERY_S)
 
     @property
     def due(self) -> bool:
@@ -131,24 +130,25 @@ def _start_bar() -> Any:
 
 
 class TrainingDisplay(Display):
-    """Shows a training: its rate, and the mean AoU of recent missions.
+    """Shows a training, :class:`uavaou.runs.recorder.Display`: its rate, and the mean AoU of recent missions.
 
     Args:
-        quiet: show nothing.
-        config: of the training.
+        slot_length_s: tau, in which ages are shown.
     """
 
-    def __init__(self, quiet: bool, config: RunConfig) -> None:
-        super().__init__(quiet, config.algorithm.slots)
-        self._uavs, self._slot_length_s = config.scenario.uavs, config.scenario.slot_length_s
-        self._begun = False
+    def __init__(self, slot_length_s: float) -> None:
+        super().__init__(quiet=False, total=0)
+        self._slot_length_s = slot_length_s
+        self._uavs = 0
+
+    def start(self, total: int, done: int, uavs: int) -> None:
+        """Begin at ``done`` of ``total`` slots, with ``uavs`` agent steps a slot."""
+        self.total, self._uavs = total, uavs
+        self.measure_from(done)
 
     def update(self, slots: int, mean_aou_s: float | None) -> None:
         """``slots`` are done; the mean AoU of recent missions is ``mean_aou_s``, None before the first."""
-        if not self._begun:  # a resumed training begins with slots; a new one with what is compiled once
-            self._begun = True
-            self.measure_from(slots)
-        elif self.due:
+        if self.due:
             aou = "-" if mean_aou_s is None else f"{mean_aou_s / self._slot_length_s:,.2f} slots"
             self.advance(slots, f"mean AoU {aou}", "training")
 

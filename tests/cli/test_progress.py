@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -26,17 +25,14 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     return now
 
 
-def config(slots: int) -> Any:
-    return SimpleNamespace(algorithm=SimpleNamespace(slots=slots), scenario=SimpleNamespace(uavs=3, slot_length_s=2.0))
-
-
 def test_a_training_that_overshoots_its_budget_ends_at_100_percent(
     capsys: pytest.CaptureFixture[str], clock: SimpleNamespace
 ) -> None:
-    display = TrainingDisplay(False, config(1000))
-    for slots in (0, 500, 1060):
-        display.update(slots, 24.0)
+    display = TrainingDisplay(slot_length_s=2.0)
+    display.start(total=1000, done=0, uavs=3)
+    for slots in (500, 1060):
         clock.s += 5
+        display.update(slots, 24.0)
     assert capsys.readouterr().err.splitlines() == [
         " 50%  training: 100 slots/s, 300 agent steps/s, mean AoU 12.00 slots, 5.0 s left",
         "100%  training: 106 slots/s, 318 agent steps/s, mean AoU 12.00 slots, 0.0 s left",
@@ -46,10 +42,10 @@ def test_a_training_that_overshoots_its_budget_ends_at_100_percent(
 def test_the_rate_of_a_resumed_training_leaves_out_what_was_trained_before(
     capsys: pytest.CaptureFixture[str], clock: SimpleNamespace
 ) -> None:
-    display = TrainingDisplay(False, config(10_000_000))
-    for slots in (9_000_000, 9_000_100):
-        display.update(slots, None)
-        clock.s += 1
+    display = TrainingDisplay(slot_length_s=2.0)
+    display.start(total=10_000_000, done=9_000_000, uavs=3)
+    clock.s += 1
+    display.update(9_000_100, None)
     assert "100 slots/s, 300 agent steps/s, mean AoU -, 2 h 46 min left" in capsys.readouterr().err
 
 
@@ -64,9 +60,9 @@ def test_a_bar_fits_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: 
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     for name, value in (("COLUMNS", "80"), ("TERM", "xterm"), ("FORCE_COLOR", "1")):
         monkeypatch.setenv(name, value)
-    with TrainingDisplay(False, config(3_000_000)) as display:
-        for slots in (0, 1_234_567):
-            display.update(slots, 24.0)
+    with TrainingDisplay(slot_length_s=2.0) as display:
+        display.start(total=3_000_000, done=0, uavs=3)
+        display.update(1_234_567, 24.0)
         display._bar.refresh()
         display.message("a line [that stays]")
     shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
