@@ -18,7 +18,6 @@ LAYERS = (
     "zoo",
     "fields",
     "csv_tables",
-    "csv_tables",
     "devices_csv",
     "scenario",
     "statistics",

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 
 from tests.strategies import scenarios
-from uavaou.reports.audit import Audit, Finding, audit, audit_lines
+from uavaou.reports.audit import Audit, audit, audit_lines
+from uavaou.reports.audit_checks import Finding
 from uavaou.scenario import Scenario
 from uavaou.zoo import zoo_names
 
@@ -137,7 +138,7 @@ def test_a_resampled_layout_is_audited_on_the_layout_seed_and_says_so() -> None:
 def test_blocks_of_devices_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = Scenario.load("quickstart")
     whole = audit(scenario)
-    monkeypatch.setattr("uavaou.reports.audit._BLOCK", 3 * 2 * 25)
+    monkeypatch.setattr("uavaou.reports.link_budget._BLOCK", 3 * 2 * 25)
     assert audit(scenario) == whole
 
 

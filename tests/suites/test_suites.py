@@ -570,9 +570,10 @@ def test_no_line_leads_to_an_infinite_rician_factor() -> None:
 
 
 def test_budgets_that_differ_stand_below_the_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    head = "suite,point,x,policy,trained,seed,training_slots,mean_aou_slots,low,high,axis,scale\n"
-    rows = [f"s,{x},{x},mappo,trained,0,{slots},{x},,,x,linear\n" for x, slots in ((10, 1000), (25, 3000), (50, 1000))]
-    planner = "s,10,10,greedy,planner,,,9,,,x,linear\n"
+    head = "suite,point,x,policy,trained,seed,training_slots,mean_aou_slots,low,high,axis,scale,joined\n"
+    budgets = ((10, 1000), (25, 3000), (50, 1000))
+    rows = [f"s,{x},{x},mappo,trained,0,{slots},{x},,,x,linear,yes\n" for x, slots in budgets]
+    planner = "s,10,10,greedy,planner,,,9,,,x,linear,yes\n"
     (tmp_path / "s.csv").write_text(head + "".join(rows) + planner)
     title = drawn(monkeypatch, tmp_path / "s.csv").legends[0].get_title().get_text()
     assert "MAPPO: trained with slots = 1,000 at 10, 50; 3,000 at 25" in title
@@ -588,7 +589,7 @@ def test_budgets_that_differ_stand_below_the_figure(monkeypatch: pytest.MonkeyPa
         ("linear", "curved", "column 'scale' differs"),
         ("axis", "axes", "column 'axis' is missing"),
         ("s,1", "t,1", "column 'suite' differs"),
-        (",yes", ",maybe", "line 2, column 'joined': 'maybe' is none of yes, no"),
+        (",yes", ",maybe", "line 2, column 'joined': 'maybe' is not one of yes, no"),
         (",500,", ",many,", "line 2, column 'training_slots': 'many'"),
     ],
 )
@@ -612,4 +613,4 @@ def test_suites_in_a_run_folder_do_not_change_its_figures(capsys: pytest.Capture
         call(capsys, f"eval run --policy greedy --suite {suite}.yaml --episodes 2 --quiet")
     evaluations = read_run(place / "run").evaluations  # a suite of the run's own point serves figures 7 and 8
     assert list(evaluations) == ["alone"]
-    assert evaluations["alone"]["greedy"].aou_over_time is not None
+    assert evaluations["alone"]["greedy"].aou_over_time_s is not None

@@ -29,7 +29,7 @@ from uavaou.reports.verdicts import (
     positive,
     size_verdict,
 )
-from uavaou.statistics import Interval, mean_of_tasks, ratio_of_trainings
+from uavaou.statistics import mean_of_tasks, ratio_of_trainings
 from uavaou.studies.results import StudyResults
 from uavaou.studies.tables import StudyTables, by_run
 
@@ -115,8 +115,7 @@ def _served_by_frequency(study: StudyTables) -> Claim:
             found[scenario] = values
     if not found:
         return not_measured(text, FREQUENT, f"devices of '{OWN}' with different periods and communications")
-    mean, low, high = mean_of_tasks(by_training(found))
-    correlation = Interval(mean, float(np.maximum(low, -1)), float(np.minimum(high, 1)))  # nan stays nan
+    correlation = mean_of_tasks(by_training(found)).within(-1, 1)
     measured = "Spearman correlation over devices of communications with the generation period k, mean over seeds:"
     return Claim(text, FREQUENT, direction_verdict(correlation, 0, lower=True), measured, correlation)
 

@@ -37,7 +37,7 @@ class Standing:
     def mean(self) -> Interval:
         """The mean AoU: over trainings where there are several, else over missions."""
         if len(self.scores) > 1:
-            return interval_over_trainings(self.scores.mean(axis=1))
+            return interval_over_trainings(self.scores.mean(axis=1)).within(0)
         return interval_over_missions(self.scores[0])
 
     @cached_property

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import math
 import textwrap
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.ticker import FuncFormatter, NullLocator
 
+from uavaou.csv_tables import CsvTable, read_csv
 from uavaou.errors import InputError
-from uavaou.files import read_text
 from uavaou.reports import style
 from uavaou.statistics import Interval, interval_over_trainings
 from uavaou.suites.assignment import budget_lines
@@ -25,28 +22,32 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLUMNS = ("suite", "point", "x", "policy", "trained", "seed", "mean_aou_slots", "low", "high", "axis", "scale")
-_MOST_BYTES = 50_000_000
-_SCALES = ("linear", "log", "category")
-_HOW = ("trained", "zero-shot", "planner")
-_JOINED = {"yes": True, "no": False}
+_COLUMNS = (
+    "suite", "point", "x", "policy", "trained", "seed", "training_slots", "mean_aou_slots", "low", "high", "axis",
+    "scale", "joined",
+)  # fmt: skip
+_ALLOWED = {
+    "scale": ("linear", "log", "category"),
+    "trained": ("trained", "zero-shot", "planner"),
+    "joined": ("yes", "no"),
+}
 _MOST_TICKS = 12
 _WIDTH = 62  # characters of a line below the axes
 _LINE_IN = 0.13
-_SPREAD = 0.7  # of the way from one category to the next, that its policies take side by side
+_SPREAD = 0.7  # share of the distance between two categories over which the policies stand side by side
 
 
 @dataclass(frozen=True)
-class Row:
-    """One line of the table: a policy with one training seed at one point."""
+class SuiteRow:
+    """One policy with one training seed at one point."""
 
     point: str
     x: float
     policy: str
     how: str
-    aou: Interval  # slots; low and high are nan where there was one mission
-    training_slots: int | None = None  # None: a planner's, or a table that does not tell
-    joined: bool = True  # whether the line leads to its point
+    aou: Interval  # slots, over missions; low and high are nan for one mission
+    training_slots: int | None = None  # None for a planner
+    joined: bool = True  # whether a line leads to the point
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class SuiteTable:
     suite: str
     axis: str
     scale: str
-    rows: list[Row] = field(repr=False)
+    rows: list[SuiteRow] = field(repr=False)
 
     @property
     def points(self) -> dict[str, float]:
@@ -72,44 +73,28 @@ def read_suite(path: Path) -> SuiteTable:
     Raises:
         InputError: it cannot be read, or a column is missing or malformed; the message names the line.
     """
-    reader = csv.DictReader(StringIO(read_text(path, _MOST_BYTES)))
-    header = reader.fieldnames or []
-    for column in _COLUMNS:
-        if column not in header:
-            raise InputError(f"{path}: column '{column}' is missing: no table of uavaou eval --suite")
-    lines = list(reader)
-    if not lines:
+    table = read_csv(path, _COLUMNS)
+    if not len(table):
         raise InputError(f"{path}: holds no row: nothing was played")
     for column in ("suite", "axis", "scale"):
-        if len({line[column] for line in lines}) > 1:
+        if len(set(table.text(column))) > 1:
             raise InputError(f"{path}: column '{column}' differs from row to row: a table is of one suite")
-    first = lines[0]
-    if first["scale"] not in _SCALES:
-        raise InputError(f"{path}: line 2, column 'scale': '{first['scale']}' is none of {', '.join(_SCALES)}")
-    rows = [_row(path, number, line) for number, line in enumerate(lines, start=2)]
-    return SuiteTable(path, first["suite"], first["axis"], first["scale"], rows)
+    for column, allowed in _ALLOWED.items():
+        for row, cell in enumerate(table.text(column)):
+            if cell not in allowed:
+                raise table.error(row, column, f"one of {', '.join(allowed)}")
+    suite, axis, scale = (table.text(column)[0] for column in ("suite", "axis", "scale"))
+    return SuiteTable(path, suite, axis, scale, _rows(table))
 
 
-def _row(path: Path, number: int, line: dict[str, str]) -> Row:
-    if line["trained"] not in _HOW:
-        raise InputError(f"{path}: line {number}, column 'trained': '{line['trained']}' is none of {', '.join(_HOW)}")
-    x, mean = (_number(path, number, line, column) for column in ("x", "mean_aou_slots"))
-    ends = [_number(path, number, line, column) if line[column] else math.nan for column in ("low", "high")]
-    slots = int(_number(path, number, line, "training_slots")) if line.get("training_slots") else None
-    joined = line.get("joined") or "yes"
-    if joined not in _JOINED:
-        raise InputError(f"{path}: line {number}, column 'joined': '{joined}' is none of {', '.join(_JOINED)}")
-    return Row(line["point"], x, line["policy"], line["trained"], Interval(mean, *ends), slots, _JOINED[joined])
-
-
-def _number(path: Path, number: int, line: dict[str, str], column: str) -> float:
-    try:
-        value = float(line[column])
-    except (ValueError, TypeError):
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{path}: line {number}, column '{column}': '{line[column]}' is not a finite number")
-    return value
+def _rows(table: CsvTable) -> list[SuiteRow]:
+    ends = (table.floats(column, missing=True).tolist() for column in ("low", "high"))
+    aou = map(Interval, table.floats("mean_aou_slots").tolist(), *ends)
+    slots = (None if value < 0 else value for value in table.integers("training_slots", missing=-1).tolist())
+    joined = (cell == "yes" for cell in table.text("joined"))
+    names = (table.text(column) for column in ("policy", "trained"))
+    columns = zip(table.text("point"), table.floats("x").tolist(), *names, aou, slots, joined, strict=True)
+    return [SuiteRow(*cells) for cells in columns]
 
 
 # -- the figure ----------------------------------------------------------------------------------------
@@ -156,7 +141,7 @@ def _places(table: SuiteTable) -> dict[str, float]:
 
 
 def _draw_policy(
-    axes: Axes, table: SuiteTable, places: dict[str, float], rows: Sequence[Row], shift: float, look: style.Look
+    axes: Axes, table: SuiteTable, places: dict[str, float], rows: Sequence[SuiteRow], shift: float, look: style.Look
 ) -> None:
     named, above = False, 2.0 if rows and rows[0].how == "planner" else 3.0  # whether filled or hollow must be seen
     drawn = [(label, [row for row in rows if row.point == label]) for label in places]
@@ -182,9 +167,9 @@ def _draw_policy(
         named = True
 
 
-def _over_seeds(rows: Sequence[Row]) -> Interval:
-    """The mean over training seeds with its interval over them; of one seed, the interval over its missions."""
-    return rows[0].aou if len(rows) == 1 else interval_over_trainings([row.aou.value for row in rows])
+def _over_seeds(rows: Sequence[SuiteRow]) -> Interval:
+    """The mean over training seeds with its interval; of one seed, the interval over its missions."""
+    return rows[0].aou if len(rows) == 1 else interval_over_trainings([row.aou.value for row in rows]).within(0)
 
 
 def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
@@ -215,6 +200,6 @@ def _meanings(table: SuiteTable) -> list[str]:
     elif "zero-shot" in kinds:
         words.append("hollow: zero-shot, not trained for the point")
     runs = Counter((row.point, row.policy) for row in table.rows)
-    several = "seeds; where there is one: over missions" if min(runs.values()) == 1 else "seeds"
+    several = "seeds; of one seed: over missions" if min(runs.values()) == 1 else "seeds"
     words.append("bars: 95 % interval over " + (several if max(runs.values()) > 1 else "missions"))
     return words

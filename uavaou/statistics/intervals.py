@@ -20,6 +20,11 @@ class Interval(NamedTuple):
     low: float
     high: float
 
+    def within(self, lowest: float, highest: float = np.inf) -> Interval:
+        """The interval cut at the smallest and the largest possible value; nan stays nan."""
+        low, high = np.clip([self.low, self.high], lowest, highest).tolist()
+        return Interval(self.value, low, high)
+
 
 class Band(NamedTuple):
     """Estimates and their 95 % intervals at M points; low and high are nan where they are unknown."""
@@ -27,6 +32,10 @@ class Band(NamedTuple):
     value: Floats  # (M,)
     low: Floats  # (M,)
     high: Floats  # (M,)
+
+    def within(self, lowest: float, highest: float = np.inf) -> Band:
+        """The intervals cut at the smallest and the largest possible value; nan stays nan."""
+        return Band(self.value, np.clip(self.low, lowest, highest), np.clip(self.high, lowest, highest))
 
     @property
     def only(self) -> Interval:

@@ -14,14 +14,7 @@ _ENTRIES_AT_ONCE = 2_000_000  # resampling weights held in memory together
 
 
 def interval_over_missions(values: ArrayLike) -> Interval:
-    """The mean of n missions with its bootstrap interval.
-
-    Args:
-        values: one value a mission, (n,).
-
-    Raises:
-        ValueError: there are no values, or a value is not finite.
-    """
+    """The mean of n missions, (n,), with its bootstrap interval; raises as :func:`band_over_missions`."""
     return band_over_missions(np.asarray(values, dtype=np.float64).reshape(-1, 1)).only
 
 

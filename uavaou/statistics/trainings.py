@@ -26,14 +26,7 @@ Groups = Mapping[str, ArrayLike]  # task -> (n,), one value a training
 
 
 def interval_over_trainings(values: ArrayLike) -> Interval:
-    """The mean of n trainings with Student's interval.
-
-    Args:
-        values: one value a training, (n,).
-
-    Raises:
-        ValueError: there are no values, or a value is not finite.
-    """
+    """The mean of n trainings, (n,), with Student's interval; raises as :func:`band_over_trainings`."""
     return band_over_trainings(np.asarray(values, dtype=np.float64).reshape(-1, 1)).only
 
 

@@ -1,0 +1,307 @@
+"""The checks of an audit: whether the numbers of a scenario fit together.
+
+Every finding follows from the scenario's numbers; no check knows a preset.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaou.reports.link_budget import LinkBudget, there_and_back
+from uavaou.scenario import SPEED_OF_LIGHT_M_S, ZETA_TOLERANCE_S, Layout, Scenario
+from uavaou.world.flight import Flight
+
+Floats = NDArray[np.float64]
+Level = Literal["error", "warning", "note"]
+
+THERMAL_NOISE_W_HZ = 1.380649e-23 * 290  # k_B T at the customary 290 K
+_CERTAIN = 1 - 1e-6  # a probability that leaves nothing to learn
+_AMPLE = 100.0  # R / R_min at the far corner from which on R_min is no constraint
+_WIDE_HZ = 1e8  # the widest carrier of 5G below 7 GHz
+_LOW_CARRIER_HZ = 3e8
+_RELATIVE = 1e-9
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing about a scenario that a user should know: an error contradicts the model or leaves nothing to learn."""
+
+    level: Level
+    check: str  # which check it comes from, e.g. "grid step"
+    number: float  # the figure that the message turns on
+    unit: str
+    message: str
+    change: str = ""  # what to change; empty where nothing needs to be
+
+
+def findings(scenario: Scenario, layout: Layout, budget: LinkBudget) -> Iterator[Finding]:
+    """Everything that the checks find, in the order of the checks."""
+    yield from _check_rate(scenario, budget)
+    yield from _check_far_corner(scenario, budget)
+    yield from _check_radio(scenario, layout)
+    yield from _check_gain(scenario)
+    yield from _check_grid_step(scenario)
+    yield from _check_take_off(scenario)
+    yield from _check_flight_time(scenario)
+    yield from _check_round_trips(scenario, budget)
+    yield from _check_devices(scenario, budget)
+    if scenario.layout == "resample":
+        yield Finding(
+            "note", "layout", scenario.layout_seed, "",
+            f"layout: resample draws another layout each mission; this audits the one of layout_seed = "
+            f"{scenario.layout_seed}.",
+        )  # fmt: skip
+
+
+# -- the radio ---------------------------------------------------------------------------------------
+
+
+def _check_rate(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
+    """Whether R_min keeps anybody from collecting anything."""
+    lowest, at_cds = float(budget.lowest.min()), float(budget.at_cds.min())
+    change = "raise rate_min_bit_s, or lower bandwidth_hz, transmit_power_mw or the reference gain"
+    if lowest > _CERTAIN:
+        yield Finding(
+            "error", "rate", lowest, "",
+            f"R_min = {_bit_s(scenario.rate_min_bit_s)} is met with probability {_probability(lowest)} or more from "
+            "every cell to every device: it never binds, collecting everything from the CDS keeps every age at 0, "
+            "and there is nothing to learn.",
+            change,
+        )  # fmt: skip
+    elif at_cds > _CERTAIN:
+        yield Finding(
+            "error", "rate", at_cds, "",
+            f"every device meets R_min = {_bit_s(scenario.rate_min_bit_s)} with probability {_probability(at_cds)} or "
+            "more from some UAV's CDS: not flying at all keeps every age at 0, and there is nothing to learn.",
+            f"{change}, or enlarge the area",
+        )  # fmt: skip
+    else:
+        share = float(budget.mean.mean())
+        yield Finding(
+            "note", "rate", share, "",
+            f"R_min binds: from a cell taken at random, a UAV has a device in range with probability {share:.3f}.",
+        )  # fmt: skip
+
+
+def _check_far_corner(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
+    far = float(np.median(budget.far_rate))
+    margin = far / scenario.rate_min_bit_s
+    if margin >= _AMPLE:
+        yield Finding(
+            "warning", "far corner", far, "bit/s",
+            f"at its farthest corner of the grid half of the devices still reach {_bit_s(far)} or more without fading, "
+            f"{margin:,.0f} times R_min.",
+            "lower bandwidth_hz, transmit_power_mw or the reference gain: a battery affords less",
+        )  # fmt: skip
+
+
+def _check_radio(scenario: Scenario, layout: Layout) -> Iterator[Finding]:
+    """Bandwidth and noise power, each against what radio allows."""
+    widest = float(layout.bandwidth.max())
+    if widest > _WIDE_HZ:
+        yield Finding(
+            "warning", "bandwidth", widest, "Hz",
+            f"bandwidth_hz is up to {_si(widest, 'Hz')} for one device; a whole 5G carrier below 7 GHz has at most "
+            f"{_si(_WIDE_HZ, 'Hz')}, a narrow-band IoT carrier 180 kHz.",
+            "check the unit of bandwidth_hz",
+        )  # fmt: skip
+    below_db = float(10 * np.log10(THERMAL_NOISE_W_HZ * widest / scenario.noise_power_w))
+    if below_db > 0:
+        thermal_dbm = scenario.noise_power_dbm + below_db
+        yield Finding(
+            "warning", "noise", below_db, "dB",
+            f"noise_power_dbm = {plain(scenario.noise_power_dbm)} lies {below_db:.1f} dB below the thermal noise of "
+            f"{_si(widest, 'Hz')} at 290 K, {thermal_dbm:.1f} dBm.",
+            f"lower bandwidth_hz, or raise noise_power_dbm to at least {_at_least(thermal_dbm)}",
+        )  # fmt: skip
+
+
+def _check_gain(scenario: Scenario) -> Iterator[Finding]:
+    """beta_0 against free space, (c / 4 pi f_c)^2 at 1 m."""
+    gain = scenario.reference_gain
+    gain_db = float(10 * np.log10(gain))
+    carrier = SPEED_OF_LIGHT_M_S / (4 * np.pi * np.sqrt(gain))
+    if carrier >= _LOW_CARRIER_HZ:
+        return
+    amplifies = gain >= 1 - _RELATIVE
+    verdict = "a gain of 1 or more is no free-space gain" if amplifies else "UAV links use higher ones"
+    yield Finding(
+        "error" if amplifies else "warning", "reference gain", gain_db, "dB",
+        f"beta_0 = {plain(gain_db)} dB at 1 m: free space has that at a carrier of {_si(carrier, 'Hz')}; {verdict}.",
+        "state carrier_frequency_hz, or a reference_gain_db that fits it (3.5 GHz: -43.3 dB)",
+    )  # fmt: skip
+
+
+# -- time and flight ---------------------------------------------------------------------------------
+
+
+def _check_grid_step(scenario: Scenario) -> Iterator[Finding]:
+    """Whether a UAV flies delta in a slot: delta against nu tau."""
+    step, per_slot = scenario.grid_step_m, scenario.speed_m_s * scenario.slot_length_s
+    flown = per_slot * scenario.slots
+    if per_slot < step * (1 - _RELATIVE):
+        yield Finding(
+            "error", "grid step", per_slot, "m",
+            f"at {plain(scenario.speed_m_s)} m/s a UAV moves {_metres(per_slot)} in a slot and {_metres(flown)} in "
+            f"the whole mission, but a move is a grid step of {_metres(step)}.",
+            f"set slot_length_s to at least grid_step_m / speed_m_s = {_at_least(step / scenario.speed_m_s)}, "
+            "or shorten grid_step_m",
+        )  # fmt: skip
+    elif per_slot > step * (1 + _RELATIVE):
+        yield Finding(
+            "note", "grid step", per_slot, "m",
+            f"at {plain(scenario.speed_m_s)} m/s a UAV could move {_metres(per_slot)} in a slot; "
+            f"a move is {_metres(step)}, and the rest of the slot it hovers.",
+        )  # fmt: skip
+
+
+def _check_take_off(scenario: Scenario) -> Iterator[Finding]:
+    """The model takes H / nu <= tau for granted."""
+    climb = scenario.altitudes / scenario.speed_m_s  # (U,) s
+    longest, mission = float(climb.max()), scenario.slots * scenario.slot_length_s
+    if longest <= scenario.slot_length_s + ZETA_TOLERANCE_S:
+        return
+    beyond = longest > mission + ZETA_TOLERANCE_S
+    than = f" and the whole mission of {plain(mission)} s" if beyond else ""
+    yield Finding(
+        "error" if beyond else "warning", "take-off", longest, "s",
+        f"H / nu = {_span(climb)} s exceeds the slot of {plain(scenario.slot_length_s)} s{than}; "
+        "the model assumes that a UAV takes off within a slot.",
+        f"set slot_length_s to at least {_at_least(longest)}, or lower altitudes_m",
+    )  # fmt: skip
+
+
+def _check_flight_time(scenario: Scenario) -> Iterator[Finding]:
+    """zeta_max against take-off and landing, against K tau, and in moves against the K - 1 that there are."""
+    limit, mission = scenario.flight_time_budget_s, scenario.slots * scenario.slot_length_s
+    needed = 2 * scenario.altitudes / scenario.speed_m_s  # (U,) s
+    if needed.max() > limit + ZETA_TOLERANCE_S:
+        yield Finding(
+            "error", "flight time", float(needed.max()), "s",
+            f"take-off and landing alone need 2 H / nu = {_span(needed)} s, zeta_max is {plain(limit)} s: no "
+            "flight is feasible under constraint (Time).",
+            f"raise flight_time_budget_s to more than {_at_least(float(needed.max()))}",
+        )  # fmt: skip
+    if scenario.flight_time == "ignore":
+        yield Finding("note", "flight time", limit, "s", "flight_time: ignore: constraint (Time) is not enforced.")
+        return
+    if abs(limit - mission) > ZETA_TOLERANCE_S:
+        yield Finding(
+            "note", "flight time", limit - mission, "s",
+            f"zeta_max = {plain(limit)} s is {'longer' if limit > mission else 'shorter'} than the mission, "
+            f"K tau = {plain(mission)} s.",
+        )  # fmt: skip
+    moves, last = Flight(scenario).budget, scenario.slots - 1  # (U,)
+    if (moves < last).any():
+        fewest = int(moves.min())
+        short = _listed("UAV", np.flatnonzero(moves < last))
+        yield Finding(
+            "note", "flight time", fewest, "moves",
+            f"zeta_max binds: it affords {short} as few as {fewest} of the {last} moves of a mission.",
+        )  # fmt: skip
+
+
+def _check_round_trips(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
+    """Whether UAVs can fly to every cell, and to within range of every device, and come home."""
+    within = there_and_back(scenario)  # (U, X, Y)
+    cells = int((~within).sum(axis=(1, 2)).max())
+    if cells:
+        short = _listed("UAV", np.flatnonzero((~within).any(axis=(1, 2))))
+        yield Finding(
+            "note", "round trip", cells, "cells",
+            f"{short} cannot fly to the farthest cells and come home in one mission, up to {cells} of "
+            f"{scenario.columns * scenario.rows}.",
+        )  # fmt: skip
+    missed = np.flatnonzero(budget.in_range.any(axis=0) & ~budget.in_range_and_back)
+    if len(missed):
+        yield Finding(
+            "warning", "round trip", len(missed), "devices",
+            f"{_listed('device', missed)}: no UAV can come within range and fly home in one mission.",
+            "raise slots and flight_time_budget_s, or move a CDS nearer",
+        )  # fmt: skip
+
+
+def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
+    """Devices out of range: of every UAV, for good or but for a lucky fade, or of one UAV."""
+    nowhere = ~budget.in_range.any(axis=0)  # (I,)
+    best = budget.best.max(axis=0)  # (I,)
+    hopeless = nowhere & (best * scenario.slots < 1)  # not one success expected from hovering at the best cell
+    change = (
+        "raise transmit_power_mw or bandwidth_hz, lower altitudes_m or rate_min_bit_s, or choose another layout_seed"
+    )
+    if hopeless.any():
+        highest = float(best[hopeless].max())
+        yield Finding(
+            "warning", "never served", int(hopeless.sum()), "devices",
+            f"{_listed('device', np.flatnonzero(hopeless))} can never be served: from every cell out of every UAV's "
+            f"range without fading, and with it R_min is met with probability {highest:.2g} a slot at best.",
+            change,
+        )  # fmt: skip
+    lucky = nowhere & ~hopeless
+    if lucky.any():
+        yield Finding(
+            "warning", "out of range", int(lucky.sum()), "devices",
+            f"{_listed('device', np.flatnonzero(lucky))}: from every cell out of every UAV's range without fading; a "
+            f"lucky fade alone serves them, with probability {_span(best[lucky])} a slot at the best cell.",
+            change,
+        )  # fmt: skip
+    for u, altitude in enumerate(scenario.altitudes_m):
+        partly = np.flatnonzero(~budget.in_range[u] & ~nowhere)
+        if len(partly):
+            yield Finding(
+                "note", "out of range", len(partly), "devices",
+                f"{_listed('device', partly)}: from every cell out of range of UAV {u} ({plain(altitude)} m) without "
+                "fading, in range of another UAV.",
+            )  # fmt: skip
+
+
+# -- quantities as text -------------------------------------------------------------------------------
+
+
+def plain(value: float) -> str:
+    """Three significant figures, or all of those before the point."""
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+
+
+def _at_least(value: float) -> str:
+    """Four decimals, rounded up, so that a user who follows the advice has followed it."""
+    return f"{math.ceil(value * 1e4 - _RELATIVE) / 1e4:.10g}"
+
+
+def _span(values: Floats) -> str:
+    low, high = plain(float(values.min())), plain(float(values.max()))
+    return low if low == high else f"{low}-{high}"
+
+
+def _metres(value: float) -> str:
+    return f"{plain(100 * value)} cm" if value < 1 else f"{plain(value)} m"
+
+
+def _si(value: float, unit: str) -> str:
+    for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if value >= factor:
+            return f"{value / factor:.3g} {prefix}{unit}"
+    return f"{value:.3g} {unit}"
+
+
+def _bit_s(value: float) -> str:
+    return _si(value, "bit/s")
+
+
+def _probability(value: float) -> str:
+    """Four decimals, and how far from 1 it is where they do not tell."""
+    missing = 1 - value
+    return f"{value:.4f} (1 - {missing:.1g})" if 0 < missing < 5e-5 else f"{value:.4f}"
+
+
+def _listed(noun: str, indices: NDArray[np.int64]) -> str:
+    """E.g. ``device 3``, ``devices 1, 2``; long lists are cut."""
+    shown = ", ".join(str(index) for index in indices[:10])
+    more = f" and {len(indices) - 10} more" if len(indices) > 10 else ""
+    return f"{noun}{'s' if len(indices) > 1 else ''} {shown}{more}"

@@ -1,0 +1,123 @@
+"""The link budget of a scenario: which device each UAV reaches from which cell, and with what probability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaou.scenario import Layout, Scenario
+from uavaou.world.channel import rate
+from uavaou.world.coverage import coverage_probability, coverage_radius, mean_snr
+from uavaou.world.flight import Flight
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_BLOCK = 2_000_000  # probabilities held at a time
+
+
+@dataclass(frozen=True)
+class LinkBudget:
+    """Which UAV reaches which device, reduced over the grid; probabilities are of R >= R_min in one slot."""
+
+    radius: Floats  # (U, I) m
+    best: Floats  # (U, I), over the cells
+    mean: Floats  # (I,), over UAVs and cells
+    lowest: Floats  # (I,), over UAVs and cells
+    at_cds: Floats  # (I,), best over the UAVs, each over its CDS
+    in_range: Bools  # (U, I), from some cell, without fading
+    in_range_and_back: Bools  # (I,), likewise from a cell that the UAV can fly to and come home from
+    cells: NDArray[np.int64]  # (I,), cells from which some UAV has it in range without fading
+    far_rate: Floats  # (I,) bit/s, without fading, at the cell and UAV farthest away
+
+
+@dataclass(frozen=True)
+class DeviceBudget:
+    """The link budget of one device; probabilities are of R >= R_min in one slot, over all UAVs and grid cells."""
+
+    device: int
+    x_m: float
+    y_m: float
+    bandwidth_hz: float
+    transmit_power_w: float
+    update_period_slots: int
+    radius_m: tuple[float, ...]  # U; without fading; NaN where out of range even right below the UAV
+    cells_in_range: int  # grid cells from which some UAV has it in range without fading
+    mean_probability: float
+    lowest_probability: float
+    best_probability: float
+
+
+def link_budget(scenario: Scenario, layout: Layout) -> LinkBudget:
+    """Compute the link budget of all devices of ``layout``, some devices at a time."""
+    size = max(1, _BLOCK // (scenario.uavs * scenario.columns * scenario.rows))
+    blocks = [
+        _budget_of(
+            scenario,
+            Layout(
+                layout.positions[first : first + size],
+                layout.bandwidth[first : first + size],
+                layout.transmit_power[first : first + size],
+                layout.update_period[first : first + size],
+            ),
+        )
+        for first in range(0, scenario.devices, size)
+    ]
+    names = LinkBudget.__dataclass_fields__
+    return LinkBudget(**{name: np.concatenate([getattr(block, name) for block in blocks], axis=-1) for name in names})
+
+
+def _budget_of(scenario: Scenario, layout: Layout) -> LinkBudget:
+    probability = coverage_probability(scenario, layout)  # (U, X, Y, I)
+    # R_min met without fading, wherever the scenario fades: the indicator that `fading: none` gives.
+    snr_met = coverage_probability(scenario.replace(fading="none"), layout) > 0  # (U, X, Y, I)
+    uav = np.arange(scenario.uavs)
+    columns, rows = scenario.cds_cells.T
+    return LinkBudget(
+        radius=coverage_radius(scenario, layout),
+        best=probability.max(axis=(1, 2)),
+        mean=probability.mean(axis=(0, 1, 2)),
+        lowest=probability.min(axis=(0, 1, 2)),
+        at_cds=probability[uav, columns, rows].max(axis=0),
+        in_range=np.asarray(snr_met.any(axis=(1, 2))),
+        in_range_and_back=np.asarray((snr_met & there_and_back(scenario)[..., None]).any(axis=(0, 1, 2))),
+        cells=np.count_nonzero(snr_met.any(axis=0), axis=(0, 1)),
+        far_rate=_far_rate(scenario, layout),
+    )
+
+
+def _far_rate(scenario: Scenario, layout: Layout) -> Floats:
+    """The rate without fading at the farthest cell from each device, at the UAV farthest away, (I,) bit/s."""
+    x, y = (scenario.columns - 1) * scenario.grid_step_m, (scenario.rows - 1) * scenario.grid_step_m
+    corners = np.array([[0.0, 0.0], [x, 0.0], [0.0, y], [x, y]])  # (4, 2) m; the farthest cell is one of them
+    return rate(layout.bandwidth, mean_snr(scenario, layout, corners).min(axis=(0, 1)))
+
+
+def there_and_back(scenario: Scenario) -> Bools:
+    """The cells that each UAV can fly to and come home from in one mission, (U, X, Y)."""
+    cells = np.indices((scenario.columns, scenario.rows))  # (2, X, Y)
+    steps = np.abs(cells - scenario.cds_cells[:, :, None, None]).sum(axis=1)  # (U, X, Y)
+    moves = np.minimum(Flight(scenario).budget, scenario.slots - 1)  # (U,); the move of slot K has no effect
+    return np.asarray(2 * steps <= moves[:, None, None])
+
+
+def device_budgets(layout: Layout, budget: LinkBudget) -> tuple[DeviceBudget, ...]:
+    """The link budget device by device."""
+    return tuple(
+        DeviceBudget(
+            device=i,
+            x_m=float(layout.positions[i, 0]),
+            y_m=float(layout.positions[i, 1]),
+            bandwidth_hz=float(layout.bandwidth[i]),
+            transmit_power_w=float(layout.transmit_power[i]),
+            update_period_slots=int(layout.update_period[i]),
+            radius_m=tuple(budget.radius[:, i].tolist()),
+            cells_in_range=int(budget.cells[i]),
+            mean_probability=float(budget.mean[i]),
+            lowest_probability=float(budget.lowest[i]),
+            best_probability=float(budget.best[:, i].max()),
+        )
+        for i in range(len(layout.bandwidth))
+    )
