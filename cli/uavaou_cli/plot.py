@@ -37,7 +37,7 @@ def figures(
     studies = [folder for folder in given if (folder / "study.yaml").is_file()]
     runs = [folder for folder in given if folder not in studies]
     if not given:
-        from uavaou.studies.tables import study_folders
+        from uavaou.studies.results import study_folders
 
         _draw_all(study_folders(Path("results")), out)
         return
@@ -52,7 +52,7 @@ def _draw_all(studies: list[Path], out: Path | None) -> None:
 
     One that is damaged, or has only begun, keeps no other from it.
     """
-    from uavaou.studies.tables import NothingYetError
+    from uavaou.studies.results import NothingYetError
 
     problems: list[InputError] = []
     places = [_place(study, studies, out) for study in studies]

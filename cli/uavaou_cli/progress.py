@@ -13,7 +13,7 @@ from uavaou_cli.tables import duration
 
 if TYPE_CHECKING:
     from uavaou.planners.plan import Progress
-    from uavaou.studies.runner import Standing
+    from uavaou.studies.runner import StudyState
     from uavaou.tuning.search import TrialRecord
     from uavaou.world import World
 
@@ -256,7 +256,7 @@ class StudyDisplay(Display):
     def __init__(self, quiet: bool) -> None:
         super().__init__(quiet, 1.0)
 
-    def show(self, standing: Standing) -> None:
+    def show(self, standing: StudyState) -> None:
         """The study as it stands."""
         news, standing.news = standing.news, []
         for line in news:
@@ -271,7 +271,7 @@ class StudyDisplay(Display):
         self.advance(standing.slots if trained else standing.done, "", name, _running(standing), rate)
 
 
-def _running(standing: Standing) -> str:
+def _running(standing: StudyState) -> str:
     """The mean AoU of the variants that train, in slots, and what else is at work."""
     means: dict[str, list[float]] = {}
     others = []

@@ -17,8 +17,8 @@ from uavaou_cli.options import Quiet, Results, StudyArgument, choice, number
 from uavaou_cli.progress import StudyDisplay, say_how_to_go_on
 
 if TYPE_CHECKING:
-    from uavaou.studies.engine import Engine
-    from uavaou.studies.jobs import Key
+    from uavaou.studies.jobs import Engine
+    from uavaou.studies.parts import PartKey
     from uavaou.studies.study import Study
 
 MOST_JOBS = 4096
@@ -58,8 +58,7 @@ def run(
             say_how_to_go_on(ctx.obj["arguments"])
             raise typer.Exit(130) from None
     for key, reason in outcome.failed.items():
-        seed = "" if key.seed is None else f", seed {key.seed}"
-        print(f"uavaou: {key.variant} on {key.scenario}{seed} failed: {reason}", file=sys.stderr)
+        print(f"uavaou: {key} failed: {reason}", file=sys.stderr)
     if outcome.stopped_by is not None:
         say_how_to_go_on(ctx.obj["arguments"], f" with {outcome.done} of {outcome.total} parts done")
         raise typer.Exit(128 + outcome.stopped_by)
@@ -86,7 +85,9 @@ def report(study: StudyArgument, out: Results = Path("results")) -> None:
     """
     from uavaou.reports.study_report import write_report
     from uavaou.runs.lock import HeldError, only_writer
-    from uavaou.studies.store import StudyStore, study_folder
+    from uavaou.studies.condense import refuse_another
+    from uavaou.studies.folder import StudyFolder
+    from uavaou.studies.results import read_begun
     from uavaou_cli.study_tables import study_lines
 
     chosen, folder = _study(study, out)
@@ -94,9 +95,9 @@ def report(study: StudyArgument, out: Results = Path("results")) -> None:
     _refuse_nothing(chosen, out)
     with ExitStack() as stack:
         try:
-            stack.enter_context(only_writer(folder, study_folder(out, chosen).lock))
+            stack.enter_context(only_writer(folder, StudyFolder(folder).lock))
         except HeldError as held:  # by the study itself, which keeps the tables up to date
-            StudyStore(study_folder(out, chosen)).check(chosen)
+            refuse_another(chosen, read_begun(StudyFolder(folder)))
             note = f"uavaou: {held.by} is at work on the study: its page is written from the tables as they stand"
             print(note, file=sys.stderr)
         else:
@@ -109,41 +110,42 @@ def report(study: StudyArgument, out: Results = Path("results")) -> None:
 
 def _refuse_nothing(study: Study, out: Path) -> None:
     """Refuse to report a study of which nothing has been evaluated, before anything is written."""
-    from uavaou.studies.finished import gather
-    from uavaou.studies.store import StudyStore, study_folder
+    from uavaou.studies.condense import gather
+    from uavaou.studies.folder import StudyFolder
+    from uavaou.studies.results import read_begun
 
-    if StudyStore(study_folder(out, study)).evaluated:
+    if read_begun(StudyFolder.of(out, study.name)).evaluated:
         return
-    store, problems = gather(study, out)
-    if not store.evaluated:
+    results, problems = gather(study, out)
+    if not results.evaluated:
         _say_left_out(problems)
         raise InputError(f"nothing of study '{study.name}' has been evaluated below '{out}' yet: run it first")
 
 
 def _condense(study: Study, out: Path, folder: Path) -> None:
-    from uavaou.studies.finished import report_study
-    from uavaou.studies.missions import record_study_missions
+    from uavaou.studies.best import record_missions
+    from uavaou.studies.condense import update_results
 
-    _, problems = report_study(study, out)
+    _, problems = update_results(study, out)
     _say_left_out(problems)
-    record_study_missions(folder)
+    record_missions(folder)
 
 
-def _say_left_out(problems: Mapping[Key, str]) -> None:
+def _say_left_out(problems: Mapping[PartKey, str]) -> None:
     for key, reason in problems.items():
-        print(f"uavaou: left out: {key.variant} on {key.scenario}, seed {key.seed}: {reason}", file=sys.stderr)
+        print(f"uavaou: left out: {key}: {reason}", file=sys.stderr)
 
 
 def _study(name: str, out: Path) -> tuple[Study, Path]:
     """The study, and the folder of its condensed results."""
-    from uavaou.studies.store import study_folder
+    from uavaou.studies.folder import StudyFolder
     from uavaou.studies.study import Study
 
     given_path("STUDY", name)
     if out.exists() and not out.is_dir():
         raise InputError(f"--out {out}: is not a folder")
     chosen = Study.load(name)
-    return chosen, study_folder(out, chosen).path
+    return chosen, StudyFolder.of(out, chosen.name).path
 
 
 def _engine(stack: ExitStack, name: str, jobs: int | None, address: str | None, plugins: list[str]) -> Engine:

@@ -21,13 +21,12 @@ def study_lines(folder: Path) -> list[str]:
     """The results of a study: for each scenario the mean AoU of every variant and planner, the best first."""
     from uavaou.reports.standings import standings
     from uavaou.studies.results import read_study
-    from uavaou.studies.tables import by_run
 
     results = read_study(folder)
-    lines = [f"study {results.study['name']}: mean AoU in slots, {results.study['episodes']} missions a run"]
-    if not len(results.missions["mission"]):
+    lines = [f"study {results.settings['name']}: mean AoU in slots, {results.settings['episodes']} missions a run"]
+    if not results.evaluated:
         return [*lines, "", "nothing has been evaluated yet", f"results: {folder}"]
-    for scenario, found in standings(results, by_run(results)).items():
+    for scenario, found in standings(results).items():
         head = (scenario, "seeds", "mean AoU", "95 % interval", "violations")
         lines += ["", *(line.rstrip() for line in aligned([head, *map(_cells, found)]))]
     note = (

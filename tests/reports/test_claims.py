@@ -17,7 +17,7 @@ from uavaou.reports.claims_table import END, begin_marker, claims_markdown, writ
 from uavaou.reports.convergence import converged, reached, smooth
 from uavaou.reports.verdicts import Claim, direction_verdict, size_verdict
 from uavaou.statistics import Interval, ratio_of_trainings
-from uavaou.studies.results import read_study, rows_of
+from uavaou.studies.results import read_study
 
 MANY = 9  # seeds
 ANY = "<!-- claims:begin -->"  # of no study by name
@@ -59,7 +59,7 @@ def test_every_claim_of_the_paper_fails_where_it_is_false(tmp_path: Path) -> Non
 def test_how_far_the_bound_is_has_an_interval_over_seeds(tmp_path: Path) -> None:
     folder = write_study(tmp_path / "study", bound=20.0)
     claim = of(judge(read_study(folder)), "lower bound")
-    rows = rows_of(read_study(folder).missions, variant="mappo")
+    rows = read_study(folder).table("missions", "mappo")
     means = [rows["mean_aou_slots"][rows["seed"] == seed].mean() for seed in range(4)]
     assert claim.estimate == ratio_of_trainings({"": means}, {"": 20.0})
     assert claim.estimate.low < 2 < claim.estimate.high
@@ -126,7 +126,7 @@ def test_correlation_is_spearmans(tmp_path: Path) -> None:
     claim = of(judge(results), "generate more often")
     literal = []
     for seed in range(3):
-        rows = rows_of(results.devices, variant="mappo", seed=seed)
+        rows = results.table("devices", "mappo", seed=seed)
         literal.append(spearmanr(rows["communications"], rows["update_period_slots"]).statistic)
     assert claim.estimate is not None
     assert claim.estimate.value == pytest.approx(np.mean(literal))
@@ -268,7 +268,7 @@ def test_the_last_reward_is_that_of_the_last_tenth(tmp_path: Path) -> None:
     claim = of(judge(read_study(folder)), "higher rewards", "VDN")
     late = {}
     for variant in ("mappo", "vdn"):
-        rows = rows_of(read_study(folder).curves, variant=variant)
+        rows = read_study(folder).table("curves", variant)
         last = rows["slots"] > 0.9 * BUDGET
         assert last.sum() == 4 * 2  # of 20 groups a seed
         late[variant] = [-rows["reward_s"][last & (rows["seed"] == seed)].mean() for seed in range(4)]

@@ -26,10 +26,9 @@ from uavaou.reports.study_figures import _line, _over_time, plot_study
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import load_run
 from uavaou.scenario import Scenario
+from uavaou.studies.best import record_missions
 from uavaou.studies.marl_eval import to_marl_eval
-from uavaou.studies.missions import record_study_missions
-from uavaou.studies.results import read_study
-from uavaou.studies.tables import load_study, study_folders
+from uavaou.studies.results import read_study, study_folders
 from uavaou_cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -113,7 +112,7 @@ def test_several_scenarios_get_a_folder_each(tmp_path: Path, drawn: dict[str, An
 
 def test_figures_show_what_the_tables_say(tmp_path: Path, drawn: dict[str, Any]) -> None:
     study = write_study(tmp_path / "study", seeds=3)
-    tables = load_study(study)
+    tables = read_study(study)
     plot_study(study, tmp_path / "out")
     axes = drawn["out/figure-4-aou"].axes[0]
     lines = {line.get_label(): line for line in axes.get_lines()}
@@ -235,10 +234,10 @@ def test_seeds_that_were_never_in_training_together_have_one_time() -> None:
 
 
 def test_scores_of_scenarios_without_ages_stay_in_slots(tmp_path: Path) -> None:
-    study = load_study(write_study(tmp_path / "one", scenarios=("a", "b"), bound=0.0, seeds=1))
+    study = read_study(write_study(tmp_path / "one", scenarios=("a", "b"), bound=0.0, seeds=1))
     still = {"mappo": {name: np.zeros((1, 3)) for name in ("a", "b")}}
     assert "best-first" in comparable(study, still)[1]
-    alone = load_study(write_study(tmp_path / "two", planners={}, scenarios=("a", "b"), bound=None, seeds=1))
+    alone = read_study(write_study(tmp_path / "two", planners={}, scenarios=("a", "b"), bound=None, seeds=1))
     shared, unit = comparable(alone, still)
     assert unit == "in slots $\\tau$"
     assert not np.any(shared["mappo"]["a"])
@@ -253,7 +252,7 @@ def test_variants_keep_their_algorithms_colour() -> None:
 
 
 def test_references(tmp_path: Path) -> None:
-    study = load_study(write_study(tmp_path / "one", scenarios=("a", "b"), bound=None))
+    study = read_study(write_study(tmp_path / "one", scenarios=("a", "b"), bound=None))
     assert best_planner(study, ["a", "b"]) == "best-first"
     scores = in_all_scenarios(study, ["mappo", "greedy", "nobody"])
     assert set(scores) == {"mappo", "greedy"}
@@ -261,7 +260,7 @@ def test_references(tmp_path: Path) -> None:
     assert "best-first" in unit
     expected = scores["mappo"]["a"] / study.missions("best-first", "mean_aou_slots")["a"].mean()
     np.testing.assert_allclose(shared["mappo"]["a"], expected)
-    alone = load_study(write_study(tmp_path / "two", planners={"random": Variant(5.0)}))
+    alone = read_study(write_study(tmp_path / "two", planners={"random": Variant(5.0)}))
     assert best_planner(alone, ["paper"]) is None
 
 
@@ -269,7 +268,7 @@ def test_runs_that_are_not_finished_are_left_out(tmp_path: Path) -> None:
     folder = write_study(tmp_path / "study", seeds=3)
     runs = (folder / "runs.csv").read_text().splitlines(keepends=True)
     (folder / "runs.csv").write_text("".join(row for row in runs if not row.startswith("mappo,mappo,paper,1,")))
-    study = load_study(folder)
+    study = read_study(folder)
     assert study.stack("missions", "mappo", "paper", "mean_aou_slots").shape == (2, 12)
     assert study.stack("missions", "vdn", "paper", "mean_aou_slots").shape == (3, 12)
 
@@ -279,7 +278,7 @@ def test_seeds_of_different_lengths_cannot_be_stacked(tmp_path: Path) -> None:
     text = (folder / "missions.csv").read_text().splitlines(keepends=True)
     (folder / "missions.csv").write_text("".join([text[0], *text[2:]]))
     with pytest.raises(InputError, match=r"missions\.csv.*'mappo' on 'paper'"):
-        load_study(folder).stack("missions", "mappo", "paper", "mean_aou_slots")
+        read_study(folder).stack("missions", "mappo", "paper", "mean_aou_slots")
 
 
 def test_studies_are_found_and_the_papers_is_first(tmp_path: Path) -> None:
@@ -312,14 +311,14 @@ def test_the_kept_policies_of_a_study_are_recorded(tmp_path: Path, monkeypatch: 
     assert main(["train", "--scenario", "tiny", "--slots", "48", "--seed", "3", "--quiet", *options]) == 0
     trained = next(tmp_path.glob("results/tiny/*/seed-3"))
     study = write_study(tmp_path / "study", {"mappo": MAPPO}, seeds=1, scenarios=("none kept", "a%b"))
-    assert record_study_missions(study) == []
+    assert record_missions(study) == []
     shutil.copytree(trained, study / "best" / "a%25b" / "big mappo" / "seed-3")
     record(study, "of tiny")
     other = record(study, "of another")
     write_mission(
         study / "mission-of another.json", replace(other, scenario=other.scenario.replace(rate_min_bit_s=1000))
     )
-    assert record_study_missions(study) == [study / "mission-big mappo.json"]
+    assert record_missions(study) == [study / "mission-big mappo.json"]
     assert {path.name for path in study.glob("mission-*")} == {"mission-big mappo.json", "mission-of tiny.json"}
     mission = read_mission(study / "mission-big mappo.json")
     assert (mission.policy, mission.training_seed, mission.mission_seed) == ("big mappo", 3, 10_000)
@@ -384,7 +383,7 @@ def test_export_has_the_structure_that_marl_eval_describes(tmp_path: Path) -> No
             for run in runs.values():
                 check_run(run)
     run = content["uavaou_v0"]["b"]["vdn"]["seed_1"]
-    study = load_study(folder)
+    study = read_study(folder)
     aou = study.stack("missions", "vdn", "b", "mean_aou_slots")[1].mean()
     assert run["absolute_metrics"]["mean_aou_slots"] == [pytest.approx(aou)]
     assert run["absolute_metrics"]["return"] == [pytest.approx(-aou * K * SLOT_S)]
@@ -421,4 +420,4 @@ def test_export_keeps_the_runs_and_steps_that_all_have(tmp_path: Path) -> None:
 def test_tables_of_a_study_without_runs_are_an_input_error(tmp_path: Path) -> None:
     folder = write_study(tmp_path / "study", {}, {}, bound=None)
     with pytest.raises(InputError, match="no evaluated run"):
-        load_study(folder)
+        read_study(folder).require_evaluated()

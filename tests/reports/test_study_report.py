@@ -15,9 +15,8 @@ from uavaou.reports.claims_table import begin_marker
 from uavaou.reports.standings import standings
 from uavaou.reports.study_report import write_report
 from uavaou.statistics import interval_over_missions
-from uavaou.studies.results import read_study, rows_of
+from uavaou.studies.results import read_study
 from uavaou.studies.study import Study
-from uavaou.studies.tables import by_run
 
 
 def study_with(folder: Path, **fields: Any) -> Path:
@@ -38,9 +37,9 @@ def test_every_policy_stands_in_the_table_with_its_mean_the_best_first(tmp_path:
     assert [row[0].strip("| `") for row in rows] == [
         "lower bound", "mappo", "best-first", "greedy", "vdn", "qmix", "random",
     ]  # fmt: skip
-    missions = read_study(folder).missions
+    results = read_study(folder)
     for row in rows[1:]:
-        mean = rows_of(missions, variant=row[0].strip("| `"))["mean_aou_slots"].mean()
+        mean = results.table("missions", row[0].strip("| `"))["mean_aou_slots"].mean()
         assert float(row[2].split()[0].replace(",", "")) == pytest.approx(mean, rel=1e-3)
     assert json.loads((folder / "marl-eval.json").read_text())
     assert not (tmp_path / "README.md").exists()
@@ -87,7 +86,7 @@ def test_a_bound_that_is_broken_is_told(tmp_path: Path) -> None:
     """Of a planner and of one training alone; a mean that is below by chance is none."""
     assert write_report(study_with(tmp_path / "paper"), tmp_path / "README.md") == []
     folder = write_study(tmp_path / "broken", planners={"greedy": Variant(24.9)}, bound=37.8)
-    means = by_run(read_study(folder)).stack("missions", "mappo", "paper", "mean_aou_slots").mean(axis=1)
+    means = read_study(folder).stack("missions", "mappo", "paper", "mean_aou_slots").mean(axis=1)
     assert means.min() < 37.8 < means.max()
     missions = (folder / "missions.csv").read_text().splitlines(keepends=True)
     low = [",".join([*row.split(",")[:4], "30", *row.split(",")[5:]]) if row.startswith("vdn,paper,2,") else row
@@ -128,9 +127,9 @@ def test_a_study_that_is_not_finished_has_a_page(tmp_path: Path) -> None:
 
 def test_one_seed_and_planners_have_intervals_over_missions(tmp_path: Path) -> None:
     results = read_study(write_study(tmp_path / "one", seeds=1, missions=9))
-    found = {one.policy: one for one in standings(results, by_run(results))["paper"]}
+    found = {one.policy: one for one in standings(results)["paper"]}
     for name in ("mappo", "greedy"):
-        scores = rows_of(results.missions, variant=name)["mean_aou_slots"]
+        scores = results.table("missions", name)["mean_aou_slots"]
         assert found[name].mean.value == pytest.approx(scores.mean())
         assert found[name].mean == interval_over_missions(scores)
     assert (found["mappo"].seeds, found["greedy"].seeds) == (1, 0)

@@ -19,11 +19,11 @@ import pytest
 
 from tests.command_line import start_command
 from uavaou.runs.lock import holder
-from uavaou.studies.engine import Advanced, Engine
-from uavaou.studies.jobs import Bounding, Job, Key, Report, Training, run_key
+from uavaou.studies.jobs import Advanced, Bounding, Engine, Job, Training, TrainingReport
+from uavaou.studies.parts import PartKey
 from uavaou.studies.processes import Processes, _work
 from uavaou.studies.results import read_study
-from uavaou.studies.runner import Standing, run_study
+from uavaou.studies.runner import StudyState, run_study
 from uavaou.studies.study import Study
 from uavaou_cli.main import main
 
@@ -69,7 +69,7 @@ def assert_the_same(one: Path, other: Path, study: Study) -> None:
         )
     results = [read_study(place / "studies" / study.name) for place in (one, other)]
     for table in ("runs", "missions", "curves", "validation", "execution", "devices", "bounds"):
-        tables = [getattr(found, table) for found in results]
+        tables = [found.table(table) for found in results]
         for column in set(tables[0]) - {"wall_s", "cpu_s"}:
             np.testing.assert_array_equal(tables[0][column], tables[1][column], err_msg=f"{table}, {column}")
 
@@ -80,7 +80,7 @@ def untouched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Study]:
     place = tmp_path_factory.mktemp("untouched")
     (place / "long.yaml").write_text(LONG)
     study = Study.load(place / "long.yaml")
-    assert run_study(study, place / "out", Processes(2), lambda standing: None, quiet=True).failed == {}
+    assert run_study(study, place / "out", Processes(2), lambda state: None, quiet=True).failed == {}
     return place, study
 
 
@@ -133,9 +133,9 @@ def test_a_job_whose_listener_is_gone_does_its_work_without_a_word(
 ) -> None:
     (tmp_path / "long.yaml").write_text(LONG.replace("16000", "640").replace("[quickstart]", "[tiny]"))
     run = next(iter(Study.load(tmp_path / "long.yaml").runs()))
-    job: Job = Bounding(run_key(run), run.config.scenario)
+    job: Job = Bounding(run.key, run.config.scenario)
     if what == "a training":
-        job = Training(run_key(run), run.config, tmp_path / "run", 2, None)
+        job = Training(run.key, run.config, tmp_path / "run", 2, None)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(job, theirs, []))
@@ -159,7 +159,7 @@ def test_a_training_on_a_cluster_that_has_not_begun_is_given_up(
     from uavaou.studies import cluster
 
     cancelled: list[str] = []
-    news = [{Key("mappo", "tiny", 0): Report(640, None, "process 1")}]
+    news = [{PartKey("mappo", "tiny", 0): TrainingReport(640, None, "process 1")}]
     keeper = SimpleNamespace(
         stop=SimpleNamespace(remote=lambda: None), news=SimpleNamespace(remote=lambda: news.pop() if news else {})
     )
@@ -168,8 +168,8 @@ def test_a_training_on_a_cluster_that_has_not_begun_is_given_up(
     engine = cluster.Cluster(None)
     engine._keeper = keeper
     config = next(iter(Study.load("smoke").runs())).config
-    training = {seed: Training(Key("mappo", "tiny", seed), config, tmp_path, 2, None) for seed in (0, 1)}
-    bounding = Bounding(Key("bound", "tiny"), config.scenario)
+    training = {seed: Training(PartKey("mappo", "tiny", seed), config, tmp_path, 2, None) for seed in (0, 1)}
+    bounding = Bounding(PartKey("bound", "tiny"), config.scenario)
     assert len(list(engine._news())) == 1
     engine._stop({"begun": training[0], "queued": training[1], "bound": bounding})
     assert cancelled == ["queued", "bound"]
@@ -195,7 +195,7 @@ class Killing:
             yield event
 
 
-def ignore(standing: Standing) -> None:
+def ignore(state: StudyState) -> None:
     """Show nothing."""
 
 
@@ -267,9 +267,10 @@ def test_the_smoke_study_killed_and_resumed(tmp_path: Path, capsys: pytest.Captu
     assert main(["study", "status", "smoke", "--out", str(tmp_path / "out")]) == 0
     assert "14 parts, 14 finished" in capsys.readouterr().out
     results = read_study(tmp_path / "out/studies/smoke")
-    assert len(results.runs["seed"]) == 8
-    assert set(results.runs["violations"]) == {0}
-    assert (results.runs["mean_aou_slots"] >= results.bounds["bound_slots"].min()).all()
+    runs = results.table("runs")
+    assert len(runs["seed"]) == 8
+    assert set(runs["violations"]) == {0}
+    assert (runs["mean_aou_slots"] >= min(results.bounds.values())).all()
 
 
 def test_a_cluster_without_ray_is_refused_in_one_line(

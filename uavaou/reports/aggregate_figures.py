@@ -19,7 +19,7 @@ from uavaou.statistics import (
     performance_profile,
     probability_of_improvement,
 )
-from uavaou.studies.tables import StudyTables
+from uavaou.studies.results import StudyResults
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +33,7 @@ _THRESHOLDS = 120
 _ROW_IN = 0.2  # of a bar
 
 
-def aggregate_figures(study: StudyTables) -> dict[str, Figure]:
+def aggregate_figures(study: StudyResults) -> dict[str, Figure]:
     """``aou-iqm``, ``probability-of-improvement`` and ``performance-profile``, as far as there are scores for them.
 
     Policies that have not flown in every scenario are left out, and so are ``random`` and ``stay``, beside which
@@ -55,7 +55,7 @@ def aggregate_figures(study: StudyTables) -> dict[str, Figure]:
     return figures
 
 
-def _resampled(study: StudyTables, scores: Scores) -> str:
+def _resampled(study: StudyResults, scores: Scores) -> str:
     """What the intervals are over; planners are not trained, and show no seeds."""
     seeds = {len(table) for name in scores if name in study.algorithms for table in scores[name].values()}
     if not seeds - {1}:
@@ -63,7 +63,7 @@ def _resampled(study: StudyTables, scores: Scores) -> str:
     return "seeds (where there are several) and missions" if 1 in seeds else "seeds and missions"
 
 
-def _counted(study: StudyTables) -> str:
+def _counted(study: StudyResults) -> str:
     number = len(study.scenarios)
     return "1 scenario" if number == 1 else f"{number} scenarios"
 

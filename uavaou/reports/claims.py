@@ -31,7 +31,6 @@ from uavaou.reports.verdicts import (
 )
 from uavaou.statistics import mean_of_tasks, ratio_of_trainings
 from uavaou.studies.results import StudyResults
-from uavaou.studies.tables import StudyTables, by_run
 
 LOWEST = "the minimum value of AoU is achieved through MAPPO-AoU"
 REDUCED = "Compared to VDN and QMIX, the AoU during the execution is reduced by a factor of 1/2 and 2/3 respectively"
@@ -45,7 +44,7 @@ def judge(results: StudyResults) -> list[Claim]:
 
     The variants ``mappo``, ``vdn`` and ``qmix`` of the study are compared, in the scenarios that both have.
     """
-    study = by_run(results)
+    study = results.require_evaluated()
     claims = [
         *(convergence(study, other) for other in BASELINES),
         *(time_to_level(study, other) for other in BASELINES),
@@ -63,13 +62,13 @@ def judge(results: StudyResults) -> list[Claim]:
     return [replace(claim, command=f"uavaou study run {study.argument}") for claim in claims]
 
 
-def _pair(study: StudyTables, other: str, column: str) -> tuple[Trainings, Trainings]:
+def _pair(study: StudyResults, other: str, column: str) -> tuple[Trainings, Trainings]:
     """A figure of MAPPO's trainings and the other's, in the scenarios that both have flown."""
     scenarios = common_scenarios(study, "missions", OWN, other)
     return of_missions(study, OWN, column, scenarios), of_missions(study, other, column, scenarios)
 
 
-def _lower(study: StudyTables, other: str) -> Claim:
+def _lower(study: StudyResults, other: str) -> Claim:
     """AoU in execution; the reward of a mission is that times a negative constant."""
     text = f"MAPPO's AoU in execution is lower than {other.upper()}'s"
     own, theirs = _pair(study, other, "mean_aou_slots")
@@ -80,7 +79,7 @@ def _lower(study: StudyTables, other: str) -> Claim:
     return Claim(text, LOWEST, verdict, f"mean AoU {means(own, theirs, other.upper(), ' τ')}; ratio", ratio)
 
 
-def _reduction(study: StudyTables, other: str, share: str, words: str, quote: str) -> Claim:
+def _reduction(study: StudyResults, other: str, share: str, words: str, quote: str) -> Claim:
     text = f"AoU in execution {words}"
     own, theirs = _pair(study, other, "mean_aou_slots")
     if not positive(own, theirs):
@@ -90,7 +89,7 @@ def _reduction(study: StudyTables, other: str, share: str, words: str, quote: st
     return Claim(text, quote, verdict, f"mean AoU {means(own, theirs, other.upper(), ' τ')}; ratio", ratio)
 
 
-def _more(study: StudyTables, other: str, column: str) -> Claim:
+def _more(study: StudyResults, other: str, column: str) -> Claim:
     digits = 5 if column == "communications" else 3
     what = {"communications": "communications", "devices_served": "devices served at least once"}[column]
     text = f"MAPPO makes more communications than {other.upper()}"
@@ -105,7 +104,7 @@ def _more(study: StudyTables, other: str, column: str) -> Claim:
     return Claim(text, MORE_DEVICES, verdict, measured, ratio)
 
 
-def _served_by_frequency(study: StudyTables) -> Claim:
+def _served_by_frequency(study: StudyResults) -> Claim:
     text = "MAPPO serves devices more often that generate more often"
     found = {}
     for scenario in common_scenarios(study, "devices", OWN):
@@ -130,7 +129,7 @@ def _spearman(x: Floats, y: Floats) -> float:
 # -- ours ----------------------------------------------------------------------------------------------
 
 
-def _beside_planner(study: StudyTables) -> Claim:
+def _beside_planner(study: StudyResults) -> Claim:
     text = "MAPPO with local information flies fresher than the best planner with full information"
     planner = best_planner(study, common_scenarios(study, "missions", OWN))
     missing = f"missions of both '{OWN}' and a planner with full information"
@@ -144,7 +143,7 @@ def _beside_planner(study: StudyTables) -> Claim:
     return Claim(text, "", verdict, f"mean AoU {means(own, theirs, f'`{planner}`', ' τ')}; ratio", ratio)
 
 
-def _beside_bound(study: StudyTables) -> Claim:
+def _beside_bound(study: StudyResults) -> Claim:
     """No claim: above the bound lies every policy, or else :func:`uavaou.reports.references.below_bound` tells."""
     text = "how far MAPPO with local information is from the certified lower bound"
     scenarios = [name for name in common_scenarios(study, "missions", OWN) if study.bounds.get(name, 0) > 0]

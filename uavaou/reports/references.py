@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from uavaou.studies.tables import StudyTables
+from uavaou.studies.results import StudyResults
 
 Floats = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ _ROUNDED = 1e-5  # share of a mean that six digits of its missions may be off
 FIXED_RULES = ("random", "stay")  # planners that look at nothing; all the others see every device's true age
 
 
-def best_planner(study: StudyTables, scenarios: Sequence[str]) -> str | None:
+def best_planner(study: StudyResults, scenarios: Sequence[str]) -> str | None:
     """The full-information planner of the lowest AoU, by the geometric mean over the scenarios; None without one.
 
     Planners that have not flown in all the scenarios are not compared.
@@ -32,7 +32,7 @@ def best_planner(study: StudyTables, scenarios: Sequence[str]) -> str | None:
     return min(levels, key=lambda name: levels[name]) if levels else None
 
 
-def below_bound(study: StudyTables) -> list[str]:
+def below_bound(study: StudyResults) -> list[str]:
     """A line for each variant or planner whose AoU is significantly below the certified bound: none, or a bug.
 
     The bound is one on the expected AoU of a mission with any policy, so the missions of each training are a sample of
@@ -59,14 +59,14 @@ def _at_most(missions: Floats) -> float:
     return float(missions.mean() + reach)
 
 
-def in_all_scenarios(study: StudyTables, variants: Sequence[str]) -> dict[str, dict[str, Floats]]:
+def in_all_scenarios(study: StudyResults, variants: Sequence[str]) -> dict[str, dict[str, Floats]]:
     """Variant -> scenario -> AoU of its missions (S, M) in slots, of the variants that flew in every scenario."""
     found = {name: study.missions(name, "mean_aou_slots") for name in variants}
     return {name: tables for name, tables in found.items() if len(tables) == len(study.scenarios)}
 
 
 def comparable(
-    study: StudyTables, scores: Mapping[str, Mapping[str, Floats]]
+    study: StudyResults, scores: Mapping[str, Mapping[str, Floats]]
 ) -> tuple[dict[str, dict[str, Floats]], str]:
     """Scores of several scenarios in one unit, and the unit's name.
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.statistics import Interval, interquartile_mean, interval_over_missions, interval_over_trainings
-from uavaou.studies.results import StudyResults, rows_of
-from uavaou.studies.tables import StudyTables
+from uavaou.studies.results import StudyResults
 
 Floats = NDArray[np.float64]
 
@@ -46,30 +45,30 @@ class Standing:
         return interquartile_mean({"": self.scores})
 
 
-def standings(results: StudyResults, tables: StudyTables) -> dict[str, list[Standing]]:
+def standings(results: StudyResults) -> dict[str, list[Standing]]:
     """Of each scenario the policies and the bound, the best first.
 
     Raises:
         InputError: the seeds of a variant have different numbers of missions.
     """
     return {
-        scenario: sorted(_of_scenario(results, tables, scenario), key=lambda one: float(one.scores.mean()))
-        for scenario in tables.scenarios
+        scenario: sorted(_of_scenario(results, scenario), key=lambda one: float(one.scores.mean()))
+        for scenario in results.scenarios
     }
 
 
-def _of_scenario(results: StudyResults, tables: StudyTables, scenario: str) -> list[Standing]:
+def _of_scenario(results: StudyResults, scenario: str) -> list[Standing]:
     found = []
-    for variant in (*tables.algorithms, *tables.planners):
-        scores = tables.stack("missions", variant, scenario, "mean_aou_slots")
+    for variant in (*results.algorithms, *results.planners):
+        scores = results.stack("missions", variant, scenario, "mean_aou_slots")
         if not scores.size:
             continue
-        runs = rows_of(results.runs, variant=variant, scenario=scenario)
+        runs = results.table("runs", variant, scenario)
         if len(runs["seed"]):
             wall_s, violations = float(runs["wall_s"].mean()), int(runs["violations"].sum())
             found.append(Standing(variant, len(scores), scores, wall_s, violations))
         else:
             found.append(Standing(variant, 0, scores))
-    if scenario in tables.bounds:
-        found.append(Standing("lower bound", 0, np.array([[tables.bounds[scenario]]])))
+    if scenario in results.bounds:
+        found.append(Standing("lower bound", 0, np.array([[results.bounds[scenario]]])))
     return found

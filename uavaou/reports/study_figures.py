@@ -36,8 +36,7 @@ from uavaou.reports.drawing import (
 from uavaou.reports.mission_figures import mission_figures
 from uavaou.reports.references import best_planner
 from uavaou.statistics import Interval, band_over_trainings, interval_over_missions
-from uavaou.studies.results import Table
-from uavaou.studies.tables import StudyTables, load_study
+from uavaou.studies.results import StudyResults, Table, read_study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,7 +68,7 @@ def plot_study(folder: Path, out_dir: Path) -> list[Path]:
     Raises:
         InputError: a table is missing or malformed, or the pictures cannot be written.
     """
-    study = load_study(folder)
+    study = read_study(folder).require_evaluated()
     paths = []
     with style.house_style():
         for scenario in study.scenarios:
@@ -79,13 +78,13 @@ def plot_study(folder: Path, out_dir: Path) -> list[Path]:
                 paths += style.save(figure, place, name)
         for name, figure in aggregate_figures(study).items():
             paths += style.save(figure, Path(out_dir), name)
-        missions = [read_mission(path) for path in sorted(study.folder.glob("mission-*.json"))]
+        missions = [read_mission(path) for path in sorted(study.folder.path.glob("mission-*.json"))]
         for name, figure in mission_figures(missions, study.algorithms).items():
             paths += style.save(figure, Path(out_dir), name)
     return paths
 
 
-def scenario_figures(study: StudyTables, scenario: str) -> dict[str, Figure]:
+def scenario_figures(study: StudyResults, scenario: str) -> dict[str, Figure]:
     """Figures 3 to 8 and AoU over wall-clock time, of the algorithms, the best planner and the bound."""
     learned = [name for name in study.algorithms if study.runs("missions", name, scenario)]
     planner = best_planner(study, [scenario])
@@ -109,7 +108,7 @@ def scenario_figures(study: StudyTables, scenario: str) -> dict[str, Figure]:
     return figures
 
 
-def _levels(study: StudyTables, scenario: str, planner: str | None, measure: Measure) -> dict[str, Interval]:
+def _levels(study: StudyResults, scenario: str, planner: str | None, measure: Measure) -> dict[str, Interval]:
     """The bound and the best planner as levels of a measure; the bound bounds AoU and reward alone."""
     levels = {}
     if planner is not None:
@@ -122,7 +121,7 @@ def _levels(study: StudyTables, scenario: str, planner: str | None, measure: Mea
 
 
 def _training_figure(
-    study: StudyTables, scenario: str, learned: list[str], planner: str | None, measure: Measure, looks: Looks
+    study: StudyResults, scenario: str, learned: list[str], planner: str | None, measure: Measure, looks: Looks
 ) -> Figure:
     """Figures 3 to 6: a measure of the training missions over training."""
     slots = study.slots(scenario)
@@ -157,7 +156,7 @@ def _one_value_each(x: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 
 def _wall_clock_figure(
-    study: StudyTables, scenario: str, learned: list[str], planner: str | None, looks: Looks
+    study: StudyResults, scenario: str, learned: list[str], planner: str | None, looks: Looks
 ) -> Figure:
     """AoU of each run's last validation so far, against the time since its training began."""
     found = {name: study.runs("validation", name, scenario) for name in learned}
@@ -184,7 +183,7 @@ def _over_time(runs: list[Table]) -> Line:
     return Line(grid, *band_over_trainings(held), len(runs))
 
 
-def _execution_figure(study: StudyTables, scenario: str, flown: list[str], looks: Looks) -> Figure:
+def _execution_figure(study: StudyResults, scenario: str, flown: list[str], looks: Looks) -> Figure:
     lines = {}
     for name in flown:
         table = study.stack("execution", name, scenario, "mean_aou_slots")  # (S, K)
@@ -196,7 +195,7 @@ def _execution_figure(study: StudyTables, scenario: str, flown: list[str], looks
     return figure
 
 
-def _by_period(study: StudyTables, scenario: str, name: str) -> ByPeriod:
+def _by_period(study: StudyResults, scenario: str, name: str) -> ByPeriod:
     """Means over the devices of each period; the interval is over seeds."""
     period = study.stack("devices", name, scenario, "update_period_slots")[0]  # (I,)
     counts = study.stack("devices", name, scenario, "communications")  # (S, I)

@@ -20,8 +20,6 @@ from uavaou.reports.references import below_bound
 from uavaou.reports.standings import Standing, standings
 from uavaou.studies.marl_eval import to_marl_eval
 from uavaou.studies.results import StudyResults, read_study
-from uavaou.studies.store import StudyFolder, read_failures
-from uavaou.studies.tables import StudyTables, by_run
 
 _NOTE = """\
 AoU in slots: the mean over the slots of a mission, in units of the slot length τ. The missions are those of the final
@@ -46,48 +44,45 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
     Raises:
         InputError: the condensed results are missing or damaged, or a file cannot be written.
     """
-    results = read_study(folder)
-    tables = by_run(results)
-    study = results.study
-    remarks = below_bound(tables)
+    results = read_study(folder).require_evaluated()
+    remarks = below_bound(results)
     parts = [
-        f"# Study `{tables.name}`",
-        str(study.get("description", "")),
-        f"```\nuavaou study run {tables.argument}\nuavaou study report {tables.argument}\nuavaou plot figures\n```",
+        f"# Study `{results.name}`",
+        str(results.settings.get("description", "")),
+        f"```\nuavaou study run {results.argument}\nuavaou study report {results.argument}\nuavaou plot figures\n```",
         _unfinished(results),
         *(f"**Something is wrong: {line}.**" for line in remarks),
-        *_results(results, tables),
+        *_results(results),
     ]
-    parts += _comparison(results, tables)
-    claims = judge(results) if study.get("claims") else None
+    parts += _comparison(results)
+    claims = judge(results) if results.settings.get("claims") else None
     if claims is not None:
         parts += ["## The paper's claims", claims_markdown(claims)]
     try:
         with replacing(folder / "README.md") as file:
             file.write("\n\n".join(part for part in parts if part) + "\n")
-        if tables.algorithms:
+        if results.algorithms:
             write_json(folder / "marl-eval.json", to_marl_eval(results))
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
     if claims is None:
         return remarks
-    held = write_claims(results_page, tables.name, claims)
-    if held != tables.name:
+    held = write_claims(results_page, results.name, claims)
+    if held != results.name:
         remarks.append(f"{results_page}: left as it is: the claims there are judged from study '{held}'")
     return remarks
 
 
 def _unfinished(results: StudyResults) -> str:
     """How many trainings there are of how many, where some are missing, and which parts have failed."""
-    stated = [results.study.get(field) for field in ("variants", "scenarios", "seeds")]
+    stated = [results.settings.get(field) for field in ("variants", "scenarios", "seeds")]
     wanted = set(product(*(part if isinstance(part, dict | list) else () for part in stated)))
-    found = zip(*(results.runs[column].tolist() for column in ("variant", "scenario", "seed")), strict=True)
-    done = wanted & set(found)
+    done = wanted & results.parts.keys()
     lines = []
     if done != wanted:
         lines.append(f"**Not finished: {len(done):,} of {len(wanted):,} trainings are done.** All below is of these.")
-    failures = read_failures(StudyFolder(results.path))
-    failed = {key: reason for key, reason in failures.items() if (key.variant, key.scenario, key.seed) not in done}
+    failures = results.folder.read_failures()
+    failed = {key: reason for key, reason in failures.items() if key not in done}
     if failed:
         lines += ["", "Failed when last tried:", ""]
     for key, reason in failed.items():
@@ -96,10 +91,10 @@ def _unfinished(results: StudyResults) -> str:
     return "\n".join(lines).lstrip("\n")
 
 
-def _results(results: StudyResults, tables: StudyTables) -> Iterator[str]:
+def _results(results: StudyResults) -> Iterator[str]:
     """A table for each scenario, the best first."""
     yield _NOTE
-    for scenario, found in standings(results, tables).items():
+    for scenario, found in standings(results).items():
         yield f"## {scenario}\n\n" + table(_HEAD, map(_cells, found))
 
 
@@ -115,16 +110,16 @@ def _cells(one: Standing) -> tuple[str, ...]:
     )
 
 
-def _comparison(results: StudyResults, tables: StudyTables) -> list[str]:
+def _comparison(results: StudyResults) -> list[str]:
     """The variants against the reference, in the scenarios that it has been evaluated on."""
-    means, reference = {}, tables.reference
-    for scenario in tables.scenarios:
-        scores = {name: tables.stack("missions", name, scenario, "mean_aou_slots") for name in tables.algorithms}
+    means, reference = {}, results.reference
+    for scenario in results.scenarios:
+        scores = {name: results.stack("missions", name, scenario, "mean_aou_slots") for name in results.algorithms}
         found = {name: table.mean(axis=1) for name, table in scores.items() if table.size}
         if reference in found:
             means[scenario] = found
     if not means or reference is None:
         return []
-    against = results.study.get("against")
+    against = results.settings.get("against")
     compared = ablations(means, reference, against if isinstance(against, dict) else None)
     return [f"## Against `{reference}`", ablation_table(compared)]

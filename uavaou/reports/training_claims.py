@@ -28,15 +28,14 @@ from uavaou.reports.verdicts import (
     positive,
 )
 from uavaou.statistics import ratio_of_trainings
-from uavaou.studies.results import Table
-from uavaou.studies.tables import StudyTables
+from uavaou.studies.results import StudyResults, Table
 
 FEWER_ITERATIONS = "requires fewer iterations to achieve convergence compared to conventional Value-based RL algorithms"
 HIGHER_REWARDS = "MAPPO-AoU converges faster and achieves higher rewards than the benchmarks"
 LAST_PART = 0.1  # of a training, whose reward is what it ends with
 
 
-def convergence(study: StudyTables, other: str) -> Claim:
+def convergence(study: StudyResults, other: str) -> Claim:
     """Training slots until convergence."""
     text = f"MAPPO converges in fewer training slots than {other.upper()}"
     scenarios = common_scenarios(study, "validation", OWN, other)
@@ -51,7 +50,7 @@ def convergence(study: StudyTables, other: str) -> Claim:
     return Claim(text, FEWER_ITERATIONS, verdict, f"slots until convergence: {told}; ratio", ratio)
 
 
-def time_to_level(study: StudyTables, other: str) -> Claim:
+def time_to_level(study: StudyResults, other: str) -> Claim:
     """Training slots, and time, until a level that the other's trainings reach on average."""
     text = f"MAPPO reaches the level of {other.upper()}'s trainings sooner than these do"
     scenarios = common_scenarios(study, "validation", OWN, other)
@@ -78,7 +77,7 @@ def _level(runs: Sequence[Table]) -> float:
     return (1 + WITHIN) * float(np.mean([smooth(run["mean_aou_slots"]).min() for run in runs]))
 
 
-def last_reward(study: StudyTables, other: str) -> Claim:
+def last_reward(study: StudyResults, other: str) -> Claim:
     """The reward of the training missions at the end of training; rewards are negative, so that smaller is more."""
     text = f"MAPPO ends training with higher rewards than {other.upper()}"
     scenarios = common_scenarios(study, "curves", OWN, other)
@@ -101,7 +100,7 @@ def _last_reward(run: Table) -> float:
 
 
 def _moments(
-    study: StudyTables, variant: str, scenarios: Iterable[str], when: Callable[[str, Floats], Moment], column: str
+    study: StudyResults, variant: str, scenarios: Iterable[str], when: Callable[[str, Floats], Moment], column: str
 ) -> tuple[Trainings, int]:
     """The slots (or seconds) of each run at a moment, (S,) a scenario, and in how many runs it never came."""
     found, never = {}, 0

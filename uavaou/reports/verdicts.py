@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from uavaou.reports.markdown import rounded
 from uavaou.statistics import Interval
 from uavaou.studies.fields import JUDGED
-from uavaou.studies.tables import StudyTables
+from uavaou.studies.results import StudyResults
 
 Floats = NDArray[np.float64]
 Trainings = Mapping[str, Floats]  # scenario -> (S,), one value a training; (), a number, of what is not trained
@@ -69,7 +69,7 @@ def not_measured(claim: str, quote: str, missing: str) -> Claim:
     return Claim(claim, quote, "not measured", f"the study has no {missing}")
 
 
-def common_scenarios(study: StudyTables, table: str, *variants: str) -> list[str]:
+def common_scenarios(study: StudyResults, table: str, *variants: str) -> list[str]:
     """The scenarios in which all the variants have runs."""
     return [name for name in study.scenarios if all(study.runs(table, variant, name) for variant in variants)]
 
@@ -95,7 +95,7 @@ def by_training(values: Mapping[str, Iterable[float]]) -> dict[str, Floats]:
     return {name: np.array(list(column), dtype=np.float64) for name, column in values.items()}
 
 
-def of_missions(study: StudyTables, variant: str, column: str, scenarios: Iterable[str]) -> dict[str, Floats]:
+def of_missions(study: StudyResults, variant: str, column: str, scenarios: Iterable[str]) -> dict[str, Floats]:
     """The mean over its missions of each training's figure, scenario -> (S,); of a planner, which is none, ()."""
     found = study.missions(variant, column, scenarios)
     trained = variant in study.algorithms

@@ -1,6 +1,6 @@
-"""The best run of each variant on each scenario, kept as a small run folder with a model card.
+"""The best run of each variant on each scenario, kept as a small run folder with a model card; its recorded mission.
 
-Best by validation: the test missions of the final evaluation choose nothing.
+Runs are ranked by validation: the missions of the final evaluation choose nothing.
 """
 
 from __future__ import annotations
@@ -9,60 +9,61 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from uavaou.errors import InputError
+from uavaou.evaluation.recorded_mission import RecordedMission, read_mission, record_mission, write_mission
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou.files import read_json, replacing
+from uavaou.files import folder_name, read_json, replacing
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.results import PolicyResult, find_evaluation, own_evaluation, write_evaluation
-from uavaou.studies.jobs import Key
-from uavaou.studies.store import StudyStore
-from uavaou.studies.study import Study
+from uavaou.studies.parts import PartKey
+from uavaou.studies.results import StudyResults
+from uavaou.studies.study import Study, StudyRun
+from uavaou.zoo import read_yaml_mapping
 
 _DIGITS = 6
 
 
-def keep_best(store: StudyStore, study: Study, out: Path) -> None:
+def keep_best(results: StudyResults, study: Study, out: Path) -> None:
     """Copy the best run of each variant and scenario into the results, and drop those it is better than.
 
-    A best run whose folder, or whose evaluation on the study's missions, is not here or cannot be read is left out
-    until ``study report`` finds it; the one kept before stays until then.
+    A run is copied only where its folder and its evaluation on the study's missions are at hand and can be read.
+    Until then the run kept before stays.
 
     Raises:
         InputError: the results cannot be written.
     """
-    for scenario in study.scenarios:
-        for variant in study.variants:
-            seeds = [seed for seed in study.seeds if Key(variant, scenario, seed) in store]
-            scored = [(store.cell(Key(variant, scenario, seed), "best_slots"), seed) for seed in seeds]
-            ranked = sorted((float(score), seed) for score, seed in scored if score)
-            if ranked:
-                _keep(store, study, out, Key(variant, scenario, ranked[0][1]))
+    ranked: dict[tuple[str, str], list[tuple[float, int, StudyRun]]] = {}
+    for run in study.runs():
+        variant, scenario, seed = run.key
+        if run.key in results.parts and (score := results.cell(run.key, "best_slots")):
+            assert seed is not None
+            ranked.setdefault((variant, scenario), []).append((float(score), seed, run))
+    for runs in ranked.values():
+        _keep(results, study, out, min(runs, key=lambda scored: scored[:2])[-1])
 
 
-def _keep(store: StudyStore, study: Study, out: Path, key: Key) -> None:
-    assert key.seed is not None
-    kept = store.folder.best(key)
-    config = RunConfig(study.scenarios[key.scenario], study.variants[key.variant], key.seed)
-    run = next(run for run in study.runs() if (run.variant, run.scenario, run.seed) == tuple(key))
+def _keep(results: StudyResults, study: Study, out: Path, run: StudyRun) -> None:
+    kept = RunFolder(results.folder.best(run.key))
     source = study.folder(out, run)
-    found = _read(source, config, study.episodes)
+    found = _read(source, run.config, study.episodes)
     try:
         if found is not None:
             entry, meta = found
-            _copy(source, RunFolder(kept), config, study.episodes, entry)
-            with replacing(kept / "README.md") as file:
-                file.write("\n".join(card_lines(store, study, key, meta)) + "\n")
-        if RunFolder(kept).best.is_file():
-            for other in kept.parent.glob("seed-*"):
-                if other != kept:
+            _copy(source, kept, run.config, study.episodes, entry)
+            with replacing(kept.path / "README.md") as file:
+                file.write("\n".join(card_lines(results, study, run.key, meta)) + "\n")
+        if kept.best.is_file():
+            for other in kept.path.parent.glob("seed-*"):
+                if other != kept.path:
                     shutil.rmtree(other)
     except OSError as error:
-        raise InputError(f"cannot write to '{kept}': {error.strerror or error}") from error
+        raise InputError(f"cannot write to '{kept.path}': {error.strerror or error}") from error
 
 
 def _read(source: RunFolder, config: RunConfig, episodes: int) -> tuple[PolicyResult, dict[str, Any]] | None:
-    """The evaluation and ``meta.json`` of a run; None where it is not here, or damaged: who condensed it told why."""
+    """The evaluation and ``meta.json`` of a run; None where it is missing or damaged, which condensing it has told."""
     try:
         if not (source.best.is_file() and source.exists() and source.read_config() == config):
             return None
@@ -82,15 +83,15 @@ def _copy(source: RunFolder, kept: RunFolder, config: RunConfig, episodes: int, 
     write_evaluation(kept.evaluation(), content, _DIGITS)
 
 
-def card_lines(store: StudyStore, study: Study, key: Key, meta: Mapping[str, Any]) -> list[str]:
+def card_lines(results: StudyResults, study: Study, key: PartKey, meta: Mapping[str, Any]) -> list[str]:
     """The model card of a kept run, in Markdown."""
     scenario, algorithm = study.scenarios[key.scenario], study.variants[key.variant]
-    row = {name: store.cell(key, name) for name in ("slots", "agent_steps", "best_slots", "mean_aou_slots")}
-    low, high, violations = (store.cell(key, name) for name in ("low", "high", "violations"))
+    row = {name: results.cell(key, name) for name in ("slots", "agent_steps", "best_slots", "mean_aou_slots")}
+    low, high, violations = (results.cell(key, name) for name in ("low", "high", "violations"))
     between = f" (95 % interval over the missions: {low} to {high})" if low else ""
     versions = meta.get("versions")
     packages = ", ".join(f"{name} {v}" for name, v in versions.items() if v) if isinstance(versions, dict) else "-"
-    others = sum(Key(key.variant, key.scenario, seed) in store for seed in study.seeds)
+    others = sum(key[:2] == other[:2] for other in results.parts)
     task = f"{scenario.uavs} UAVs, {scenario.devices} devices, {scenario.slots} slots"
     return [
         f"# {key.variant} on {key.scenario}, seed {key.seed}",
@@ -121,3 +122,49 @@ def card_lines(store: StudyStore, study: Study, key: Key, meta: Mapping[str, Any
         "",
         "The second command trains it anew.",
     ]
+
+
+def record_missions(study: Path) -> list[Path]:
+    """Play one mission with the kept policy of each variant and write ``mission-<variant>.json``.
+
+    Figures then need no policy. All play the first mission of the evaluation, on the first of the study's scenarios
+    that has kept policies. Earlier recordings of another scenario are removed.
+
+    Args:
+        study: ``results/studies/<name>``.
+
+    Returns:
+        The files, by variant; none where the study keeps no policies.
+
+    Raises:
+        InputError: a policy cannot be loaded, or a file not be written.
+    """
+    scenarios = read_yaml_mapping(study / "study.yaml").get("scenarios")
+    for scenario in scenarios if isinstance(scenarios, dict) else ():
+        folders = sorted((study / "best" / folder_name(scenario)).glob("*/seed-*"))
+        if folders:
+            written = [_record_mission(study, RunFolder(folder)) for folder in folders]
+            _remove_others(study, written)
+            return written
+    return []
+
+
+def _record_mission(study: Path, run: RunFolder) -> Path:
+    from uavaou.runs.policy import load_run  # imports torch, which reading results does without
+
+    config, variant = run.read_config(), run.path.parent.name
+    recording = record_mission(config.scenario, load_run(run), EVALUATION_SEED)
+    path = study / f"mission-{variant}.json"
+    try:
+        write_mission(path, RecordedMission(config.scenario, unquote(variant), config.seed, EVALUATION_SEED, recording))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def _remove_others(study: Path, written: list[Path]) -> None:
+    """Remove an earlier report's recordings of another scenario: one figure shows all that are there."""
+    scenario = read_mission(written[0]).scenario
+    for path in set(study.glob("mission-*.json")) - set(written):
+        if read_mission(path).scenario != scenario:
+            path.unlink()

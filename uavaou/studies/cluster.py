@@ -23,8 +23,8 @@ from uavaou.errors import InputError
 from uavaou.files import refuse_links, replacing
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import one_writer
-from uavaou.studies.engine import Advanced, Ended, Event, Events, Take
-from uavaou.studies.jobs import Job, Key, Report, Training
+from uavaou.studies.jobs import Advanced, Ended, Event, Events, Job, TakeJob, Training, TrainingReport
+from uavaou.studies.parts import PartKey
 from uavaou.studies.processes import outcome, prepare
 
 try:
@@ -56,7 +56,7 @@ class Cluster:
             raise InputError("--address ray://...: run the command on a machine of the cluster, with --address auto")
         self._jobs = jobs
         self._address = address
-        self._begun: set[Key] = set()  # trainings that have reported
+        self._begun: set[PartKey] = set()  # trainings that have reported
         self._given_up: set[Any] = set()  # cancelled tasks
         self._plugins = [str(Path(place).resolve()) if place.endswith(".py") else place for place in plugins]
 
@@ -74,8 +74,8 @@ class Cluster:
     def __exit__(self, *_: object) -> None:
         ray.shutdown()
 
-    def events(self, take: Take, stopping: Callable[[], bool]) -> Events:
-        """See :class:`~uavaou.studies.engine.Engine`."""
+    def events(self, take: TakeJob, stopping: Callable[[], bool]) -> Events:
+        """See :class:`~uavaou.studies.jobs.Engine`."""
         running: dict[Any, Job] = {}
         # A worker that is killed is no failure of the job: it is done again, without end.
         perform = ray.remote(num_cpus=1, max_retries=-1, max_calls=1)(_perform)
@@ -124,7 +124,7 @@ class Cluster:
         return None if problem is None else Ended(job.key, None, problem)
 
     def _news(self) -> Iterator[Event]:
-        reports: dict[Key, Report] = ray.get(self._keeper.news.remote())
+        reports: dict[PartKey, TrainingReport] = ray.get(self._keeper.news.remote())
         self._begun.update(reports)
         for key, report in reports.items():
             yield Advanced(key, report)
@@ -169,11 +169,11 @@ class Keeper:
     """Writes what workers send into the run folders; an actor on the machine of the study's own process."""
 
     def __init__(self) -> None:
-        self._open: dict[Key, tuple[RunFolder, ExitStack]] = {}
-        self._reports: dict[Key, Report] = {}
+        self._open: dict[PartKey, tuple[RunFolder, ExitStack]] = {}
+        self._reports: dict[PartKey, TrainingReport] = {}
         self._stopping = False
 
-    def open(self, key: Key, path: str) -> str | None:
+    def open(self, key: PartKey, path: str) -> str | None:
         """Hold a run folder; returns why it cannot be."""
         folder, stack = RunFolder(Path(path)), ExitStack()
         try:
@@ -181,34 +181,34 @@ class Keeper:
             stack.enter_context(one_writer(folder))
         except InputError as problem:
             return str(problem)
-        self._open[Key(*key)] = folder, stack
+        self._open[PartKey(*key)] = folder, stack
         return None
 
-    def close(self, key: Key) -> None:
+    def close(self, key: PartKey) -> None:
         """Let go of a run folder."""
-        _, stack = self._open.pop(Key(*key))
+        _, stack = self._open.pop(PartKey(*key))
         stack.close()
 
-    def fetch(self, key: Key) -> Files:
+    def fetch(self, key: PartKey) -> Files:
         """What a run folder holds; a worker goes on from it."""
-        folder, _ = self._open[Key(*key)]
+        folder, _ = self._open[PartKey(*key)]
         return files_of(folder.path)
 
-    def store(self, key: Key, files: Files) -> None:
+    def store(self, key: PartKey, files: Files) -> None:
         """Write files of a run, those that a checkpoint counts on before the checkpoint."""
-        folder, _ = self._open[Key(*key)]
+        folder, _ = self._open[PartKey(*key)]
         for name in sorted(files, key=lambda name: name.startswith("checkpoints/")):
             path = folder.path / name
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path, "wb") as file:
                 file.write(files[name])
 
-    def tell(self, key: Key, report: Report) -> bool:
+    def tell(self, key: PartKey, report: TrainingReport) -> bool:
         """Note how far a training is; returns whether it is to stop."""
-        self._reports[Key(*key)] = Report(*report)
+        self._reports[PartKey(*key)] = TrainingReport(*report)
         return self._stopping
 
-    def news(self) -> dict[Key, Report]:
+    def news(self) -> dict[PartKey, TrainingReport]:
         """What was told since the last call."""
         reports, self._reports = self._reports, {}
         return reports
@@ -270,7 +270,7 @@ class _Sender:
         """Send what has changed."""
         ray.get(self._keeper.store.remote(self.job.key, files_of(self.job.path, self._sent)))
 
-    def tell(self, report: Report) -> None:
+    def tell(self, report: TrainingReport) -> None:
         """Say how far the training is, send a new checkpoint, and stop where that is wanted."""
         last = RunFolder(self.job.path).last
         written = last.stat().st_mtime_ns if last.is_file() else 0

@@ -1,116 +1,182 @@
-"""The rows that a finished run, a planner or a bound adds to a study's tables, six digits each."""
+"""Condenses what a study has produced: run folders and evaluations become rows of the study's tables."""
 
 from __future__ import annotations
 
-import csv
-import io
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import yaml
 
+from uavaou.csv_tables import number, read_csv
 from uavaou.errors import InputError
-from uavaou.files import read_json, read_text
-from uavaou.runs.folder import RunFolder
-from uavaou.runs.results import PolicyResult
+from uavaou.evaluation.seeds import EVALUATION_SEED
+from uavaou.files import read_json
+from uavaou.runs.folder import RunFolder, read_config
+from uavaou.runs.results import PolicyResult, find_evaluation
 from uavaou.scenario import Scenario
 from uavaou.statistics import interval_over_missions
-from uavaou.studies.jobs import Key
+from uavaou.studies.best import keep_best
+from uavaou.studies.folder import StudyFolder
+from uavaou.studies.parts import PLANNED, PartKey
+from uavaou.studies.results import Rows, StudyResults, read_begun
+from uavaou.studies.study import Study, StudyRun
 
-Rows = dict[str, list[list[str]]]  # table -> rows
 MOST_GROUPS = 200  # of a learning curve
-_MOST_BYTES = 1_000_000_000
 _CURVE = ("reward_s", "mean_aou_s", "communications", "devices_served")
 
 
-def run_rows(key: Key, algorithm: str, scenario: Scenario, folder: RunFolder, evaluation: PolicyResult) -> Rows:
-    """The rows of a finished training.
-
-    Args:
-        key: its place in the study.
-        algorithm: its name.
-        scenario: that it was trained and evaluated on.
-        folder: its run folder.
-        evaluation: the policy's part of its evaluation file.
-
-    Raises:
-        InputError: a file of the run is missing or damaged.
-    """
-    rows = evaluation_rows(key, scenario, evaluation, str(folder.path))
-    rows["curves"] = _curve_rows(key, scenario, folder.episodes)
-    rows["validation"] = _validation_rows(key, scenario, folder.path / "progress.csv")
-    rows["runs"] = [_run_row(key, algorithm, scenario, folder, evaluation)]
-    return rows
+# -- a study -------------------------------------------------------------------------------------------
 
 
-def evaluation_rows(key: Key, scenario: Scenario, evaluation: PolicyResult, source: str) -> Rows:
-    """The rows of a final evaluation: missions, slots and devices.
+def gather(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey, str]]:
+    """Read the condensed results and the finished runs below ``out``; writes nothing.
 
-    The reward of a mission is the sum over slots of r[t] = -sum_i sum_n A_i^n[t], which is -K times its mean AoU.
+    Returns:
+        The results, and why run folders could not be read.
 
     Raises:
-        InputError: the evaluation, of ``source``, lacks something.
+        InputError: the results are those of another study, or damaged.
     """
-    tau, place = scenario.slot_length_s, _place(key)
+    results, problems = read_begun(StudyFolder.of(out, study.name)), {}
+    refuse_another(study, results)
+    for run in study.runs():
+        try:
+            condense_run(results, study, out, run)
+        except InputError as problem:
+            problems[run.key] = str(problem)
+    return results, problems
+
+
+def update_results(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey, str]]:
+    """:func:`gather`, and write the results; parts whose run folders are elsewhere keep their rows.
+
+    Raises:
+        InputError: as :func:`gather`, or the results cannot be written.
+    """
+    results, problems = gather(study, out)
+    results.write(study)
+    keep_best(results, study, out)
+    return results, problems
+
+
+def refuse_another(study: Study, results: StudyResults) -> None:
+    """Refuse results that are not this study's.
+
+    Raises:
+        InputError: naming what differs, and what to do.
+    """
+    if not results.parts:
+        return
+    where = f"'{results.folder.path}' holds results of"
+    advice = "give the study's file another name, or another --out"
+    held = results.settings
+    for name, value in (("episodes", study.episodes), ("evaluation_seed", EVALUATION_SEED)):
+        if held.get(name) != value:
+            raise InputError(f"{where} evaluations with {name} = {held.get(name)!r}, not {value}: {advice}")
+    stated, wanted = held.get("planning_seconds"), study.planning_seconds
+    if stated is not None and stated != wanted and any(key.variant in PLANNED for key in results.parts):
+        raise InputError(f"{where} planners with planning_seconds = {stated!r}, not {wanted!r}: {advice}")
+    configs = {run.key: run.config for run in study.runs()}
+    planner_parts = set(study.planner_parts())
+    for key in results.parts:
+        if key in configs:
+            path = results.folder.config(key)
+            if not path.is_file() or read_config(path) != configs[key]:
+                raise InputError(f"{where} {key.variant} on {key.scenario} with other settings: {advice}")
+        elif key not in planner_parts:
+            raise InputError(f"{where} {key}, which the study lacks: {advice}")
+        elif not _same_scenario(held, study, key.scenario):
+            raise InputError(f"{where} {key.variant} on another scenario of the name {key.scenario}: {advice}")
+
+
+def _same_scenario(held: Mapping[str, Any], study: Study, name: str) -> bool:
+    scenarios = held.get("scenarios")
+    wanted = yaml.safe_load(yaml.safe_dump(study.scenarios[name].to_dict()))
+    return isinstance(scenarios, dict) and scenarios.get(name) == wanted
+
+
+# -- a training ----------------------------------------------------------------------------------------
+
+
+def trained_slots(folder: RunFolder) -> int:
+    """How many slots a run has trained, by its last finished mission or its last checkpoint."""
     try:
-        aou_s = np.asarray(evaluation.mean_aou_s, dtype=np.float64)  # (n,)
-        columns = aou_s / tau, -scenario.slots * aou_s, evaluation.communications, evaluation.devices_served
-        missions = [[*place, str(mission), *map(number, row)] for mission, row in enumerate(zip(*columns, strict=True))]
-        over_time = np.asarray(evaluation.aou_over_time_s, dtype=np.float64) / tau  # (K,)
-        execution = [[*place, str(slot), number(value)] for slot, value in enumerate(over_time, start=1)]
-        return {
-            "missions": missions, "execution": execution, "devices": _device_rows(place, scenario, evaluation),
-        }  # fmt: skip
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{source}: its evaluation cannot be used ({error!r}): evaluate it again") from error
+        stated = int(read_json(folder.meta)["slots"])
+    except (InputError, KeyError, TypeError, ValueError):
+        stated = 0
+    try:
+        with folder.episodes.open("rb") as file:
+            file.seek(max(file.seek(0, 2) - 4096, 0))
+            lines = file.read().decode("utf-8", "replace").split("\n")
+        return max(int(lines[-2].split(",")[1]), stated)  # the last line is incomplete, or empty
+    except (OSError, ValueError, IndexError):
+        return stated
 
 
-def _device_rows(place: list[str], scenario: Scenario, evaluation: PolicyResult) -> list[list[str]]:
-    """None where each mission draws a new layout: a device is then nowhere in particular."""
-    if scenario.layout == "resample":
-        return []
-    layout = scenario.draw_layout()
-    communications = np.asarray(evaluation.device_communications, dtype=np.float64).mean(axis=0)  # (I,)
-    aou = np.asarray(evaluation.device_mean_aou_s, dtype=np.float64) / scenario.slot_length_s  # (I,)
-    columns = zip(*layout.positions.T, layout.update_period, communications, aou, strict=True)
-    return [[*place, str(device), *map(number, row)] for device, row in enumerate(columns)]
+def is_trained(folder: RunFolder, run: StudyRun) -> bool:
+    """Whether a run folder holds this training, finished.
+
+    Raises:
+        InputError: the folder holds another run.
+    """
+    if not folder.exists():
+        return False
+    if folder.read_config() != run.config:
+        raise InputError(f"'{folder.path}' holds a run with another configuration (see its config.yaml)")
+    try:
+        return bool(read_json(folder.meta)["finished"])
+    except (InputError, KeyError, TypeError):
+        return False
 
 
-def bound_rows(key: Key, scenario: Scenario, found: Mapping[str, Any]) -> Rows:
-    """The row of a bound."""
-    return {"bounds": [[key.scenario, number(found["bound_s"] / scenario.slot_length_s), str(found["method"])]]}
+def condense_run(results: StudyResults, study: Study, out: Path, run: StudyRun) -> bool:
+    """Add a training's rows to the results; False where it has not been trained and evaluated to the end.
+
+    Raises:
+        InputError: the folder holds another run, or a file of it is damaged.
+    """
+    folder, name = study.folder(out, run), run.config.algorithm.name
+    evaluation = find_evaluation(folder, name, study.episodes) if is_trained(folder, run) else None
+    if evaluation is None:
+        return False
+    scenario = run.config.scenario
+    rows = evaluation_rows(run.key, scenario, evaluation, str(folder.path))
+    rows["curves"] = _curve_rows(run.key, scenario, folder.episodes)
+    rows["validation"] = _validation_rows(run.key, scenario, folder.path / "progress.csv")
+    rows["runs"] = [_run_row(run, folder, evaluation)]
+    results.put(run.key, rows, run.config)
+    return True
 
 
-def _curve_rows(key: Key, scenario: Scenario, path: Path) -> list[list[str]]:
-    """The training missions in order, averaged in groups of the same size (or one more)."""
-    columns = ("slots", "wall_s", *_CURVE)
-    table = _columns(path, columns)  # (M,) each
-    missions = len(table["slots"])
-    if not missions:
+def _curve_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[str]]:
+    """The training missions in order, averaged in groups of equal size (or one more)."""
+    table = read_csv(path, ("slots", "wall_s", *_CURVE))
+    if not len(table):
         raise InputError(f"{path}: holds no mission")
+    slots, wall_s = table.floats("slots"), table.floats("wall_s")  # (M,) each
+    columns = {name: table.floats(name) for name in _CURVE}  # (M,) each
     rows = []
-    for group in np.array_split(np.arange(missions), min(MOST_GROUPS, missions)):
-        means = {name: table[name][group].mean() for name in _CURVE}
+    for group in np.array_split(np.arange(len(table)), min(MOST_GROUPS, len(table))):
+        means = {name: values[group].mean() for name, values in columns.items()}
         means["mean_aou_s"] /= scenario.slot_length_s
-        ends = table["slots"][group[-1]], table["wall_s"][group[-1]]
-        rows.append([*_place(key), str(int(ends[0])), number(ends[1]), *(number(means[name]) for name in _CURVE)])
+        last = group[-1]
+        rows.append([*_cells(key), str(int(slots[last])), number(wall_s[last]), *map(number, means.values())])
     return rows
 
 
-def _validation_rows(key: Key, scenario: Scenario, path: Path) -> list[list[str]]:
+def _validation_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[str]]:
     greedy, sampled = "evaluation/mean_aou_greedy_s", "evaluation/mean_aou_sample_s"
-    table = _columns(path, ("time/slots", "time/wall_s", greedy, sampled), needed=greedy)
-    tau, rows = scenario.slot_length_s, []
-    for slots, wall_s, *aou_s in zip(*table.values(), strict=True):
-        rows.append([*_place(key), str(int(slots)), number(wall_s), *(number(value / tau) for value in aou_s)])
-    return rows
+    table = read_csv(path, ("time/slots", "time/wall_s", greedy, sampled))
+    table = table.where(cell != "" for cell in table.text(greedy))
+    aou = (table.floats(name) / scenario.slot_length_s for name in (greedy, sampled))
+    columns = zip(table.floats("time/slots"), table.floats("time/wall_s"), *aou, strict=True)
+    return [[*_cells(key), str(int(slots)), *map(number, values)] for slots, *values in columns]
 
 
-def _run_row(key: Key, algorithm: str, scenario: Scenario, folder: RunFolder, evaluation: PolicyResult) -> list[str]:
-    meta, tau = read_json(folder.meta), scenario.slot_length_s
+def _run_row(run: StudyRun, folder: RunFolder, evaluation: PolicyResult) -> list[str]:
+    meta, tau = read_json(folder.meta), run.config.scenario.slot_length_s
     try:
         found = interval_over_missions(evaluation.mean_aou_s / tau)
         best = None if meta.get("best_score") is None else meta["best_score"] / tau
@@ -118,32 +184,49 @@ def _run_row(key: Key, algorithm: str, scenario: Scenario, folder: RunFolder, ev
         counts = int(meta["slots"]), int(meta["agent_steps"]), sum(evaluation.violations.values())
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder.meta}: cannot be used ({error!r})") from error
-    steps = [str(counts[0]), str(counts[1])]
-    commit = str(meta.get("commit") or "")
-    return [key.variant, algorithm, key.scenario, str(key.seed), *steps, *map(number, measured), str(counts[2]), commit]
+    variant, *rest = _cells(run.key)
+    steps, violations, commit = map(str, counts[:2]), str(counts[2]), str(meta.get("commit") or "")
+    return [variant, run.config.algorithm.name, *rest, *steps, *map(number, measured), violations, commit]
 
 
-def _place(key: Key) -> list[str]:
-    return [key.variant, key.scenario, "" if key.seed is None else str(key.seed)]
+# -- evaluations and bounds ----------------------------------------------------------------------------
 
 
-def number(value: float | None) -> str:
-    """Six significant digits, whole numbers whole; empty where there is none."""
-    if value is None or math.isnan(value):
-        return ""
-    value = float(value)
-    return str(int(value)) if value.is_integer() and abs(value) < 1e15 else f"{value:.6g}"
+def evaluation_rows(key: PartKey, scenario: Scenario, evaluation: PolicyResult, source: str) -> Rows:
+    """The rows of a final evaluation: missions, slots and devices.
 
+    The reward of a mission is the sum over slots of r[t] = -sum_i sum_n A_i^n[t], which is -K times its mean AoU.
 
-def _columns(path: Path, names: Sequence[str], needed: str | None = None) -> dict[str, NDArray[np.float64]]:
-    """Columns of a run's CSV file, (rows,) each; of the rows where ``needed`` is not empty."""
-    reader = csv.DictReader(io.StringIO(read_text(path, _MOST_BYTES), newline=""))
-    for name in names:
-        if name not in (reader.fieldnames or ()):
-            raise InputError(f"{path}: column '{name}' is missing")
-    rows: Iterable[dict[str, str]] = (row for row in reader if needed is None or row[needed])
+    Raises:
+        InputError: the evaluation, from ``source``, lacks something.
+    """
+    tau, cells = scenario.slot_length_s, _cells(key)
     try:
-        table = np.array([[float(row[name]) for name in names] for row in rows]).reshape(-1, len(names))
-    except (ValueError, TypeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be used: {error}") from error
-    return dict(zip(names, table.T, strict=True))
+        aou_s = np.asarray(evaluation.mean_aou_s, dtype=np.float64)  # (M,)
+        columns = aou_s / tau, -scenario.slots * aou_s, evaluation.communications, evaluation.devices_served
+        missions = [[*cells, str(mission), *map(number, row)] for mission, row in enumerate(zip(*columns, strict=True))]
+        over_time = np.asarray(evaluation.aou_over_time_s, dtype=np.float64) / tau  # (K,)
+        execution = [[*cells, str(slot), number(value)] for slot, value in enumerate(over_time, start=1)]
+        return {"missions": missions, "execution": execution, "devices": _device_rows(cells, scenario, evaluation)}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{source}: its evaluation cannot be used ({error!r}): evaluate it again") from error
+
+
+def _device_rows(cells: list[str], scenario: Scenario, evaluation: PolicyResult) -> list[list[str]]:
+    """No rows where each mission draws a new layout, in which a device has no place of its own."""
+    if scenario.layout == "resample":
+        return []
+    layout = scenario.draw_layout()
+    communications = np.asarray(evaluation.device_communications, dtype=np.float64).mean(axis=0)  # (I,)
+    aou = np.asarray(evaluation.device_mean_aou_s, dtype=np.float64) / scenario.slot_length_s  # (I,)
+    columns = zip(*layout.positions.T, layout.update_period, communications, aou, strict=True)
+    return [[*cells, str(device), *map(number, row)] for device, row in enumerate(columns)]
+
+
+def bound_rows(key: PartKey, scenario: Scenario, found: Mapping[str, Any]) -> Rows:
+    """The row of a bound."""
+    return {"bounds": [[key.scenario, number(found["bound_s"] / scenario.slot_length_s), str(found["method"])]]}
+
+
+def _cells(key: PartKey) -> list[str]:
+    return [key.variant, key.scenario, "" if key.seed is None else str(key.seed)]

@@ -1,33 +1,24 @@
-"""What a study is made of: trainings, annealed plans, planners' evaluations and bounds, each a job of one process.
+"""The jobs of a study, each done by one process, and what an engine is: it performs jobs and yields their events.
 
-Importing this module needs no torch; performing a training does.
+A job is a training, an annealed plan, a planner's evaluation or a bound. Importing this module needs no torch;
+performing a training does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from uavaou.planners.plan import Plan
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.results import PolicyResult, find_evaluation, write_own_evaluation
 from uavaou.scenario import Scenario
-from uavaou.studies.study import ANNEALED, BOUND, Study, StudyRun
-
-PLAN = "plan"
+from uavaou.studies.parts import PartKey
 
 
-class Key(NamedTuple):
-    """Which row of the results a job makes: planners, plans and bounds have no seed."""
-
-    variant: str
-    scenario: str
-    seed: int | None = None
-
-
-class Report(NamedTuple):
+class TrainingReport(NamedTuple):
     """How far a training is."""
 
     slots: int
@@ -35,18 +26,15 @@ class Report(NamedTuple):
     by: str  # the process, as in "process 12 on host"
 
 
-Tell = Callable[[Report], None]
-
-
 class StoppedEarlyError(Exception):
-    """A job was asked to stop; what it had done is kept where it can go on from there."""
+    """A job was asked to stop; a training has kept its last checkpoint."""
 
 
 @dataclass(frozen=True)
 class Training:
     """Train a run to its budget, or the rest of it, and evaluate its best policy."""
 
-    key: Key
+    key: PartKey
     config: RunConfig
     path: Path  # of the run folder
     episodes: int
@@ -57,7 +45,7 @@ class Training:
 class Planning:
     """Anneal a plan for a scenario."""
 
-    key: Key
+    key: PartKey
     scenario: Scenario
     seconds: float
 
@@ -66,7 +54,7 @@ class Planning:
 class Playing:
     """Evaluate a planner; those that start from an annealed plan are given it."""
 
-    key: Key
+    key: PartKey
     scenario: Scenario
     episodes: int
     seconds: float
@@ -77,14 +65,56 @@ class Playing:
 class Bounding:
     """Compute the certified bound of a scenario."""
 
-    key: Key
+    key: PartKey
     scenario: Scenario
 
 
 Job = Training | Planning | Playing | Bounding
+JobResult = PolicyResult | dict[str, Any]
 
 
-def perform(job: Job, tell: Tell) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Advanced:
+    """A training has made an update."""
+
+    key: PartKey
+    report: TrainingReport
+
+
+@dataclass(frozen=True)
+class Ended:
+    """A job has ended: with a result, with the reason why it failed, or with neither where it was asked to stop."""
+
+    key: PartKey
+    result: JobResult | None
+    reason: str = ""
+
+
+Event = Advanced | Ended
+Events = Generator[Event | None, None, None]
+TakeJob = Callable[[], Job | None]  # the next job that can start now; None: none at present
+
+
+class Engine(Protocol):
+    """Performs jobs in processes, on this machine or others."""
+
+    def events(self, take: TakeJob, stopping: Callable[[], bool]) -> Events:
+        """Perform the jobs that ``take`` gives, until it gives none and all have ended.
+
+        Args:
+            take: called whenever a process is free.
+            stopping: once true, no further job is taken, and trainings are asked for their last checkpoint.
+
+        Yields:
+            The events, and None now and then while nothing happens.
+
+        Raises:
+            KeyboardInterrupt: by a second signal; running jobs are killed.
+        """
+        ...
+
+
+def perform(job: Job, tell: Callable[[TrainingReport], None]) -> JobResult:
     """Do a job in this process.
 
     Args:
@@ -92,12 +122,12 @@ def perform(job: Job, tell: Tell) -> dict[str, Any]:
         tell: called after each update of a training.
 
     Returns:
-        For a planner its part of an evaluation file, for a plan :meth:`Plan.to_dict`, for a bound ``bound_s`` and
+        For a planner what it did in the missions, for a plan :meth:`Plan.to_dict`, for a bound ``bound_s`` and
         ``method``; nothing for a training, whose folder holds everything.
 
     Raises:
         InputError: it cannot be done.
-        StoppedEarlyError: a training was asked to stop, and has written its last checkpoint.
+        StoppedEarlyError: it was asked to stop.
     """
     if isinstance(job, Training):
         _train(job, tell)
@@ -107,17 +137,19 @@ def perform(job: Job, tell: Tell) -> dict[str, Any]:
     return _play(job) if isinstance(job, Playing) else _bound(job)
 
 
-def _train(job: Training, tell: Tell) -> None:
+def _train(job: Training, tell: Callable[[TrainingReport], None]) -> None:
     import os
     import platform
 
+    from uavaou.evaluation.evaluate import evaluate
+    from uavaou.runs.policy import load_run
     from uavaou.runs.recorder import CHECKPOINT_EVERY_S, Standing
     from uavaou.runs.train import train
 
     by = f"process {os.getpid()} on {platform.node()}"
 
     def watch(standing: Standing) -> None:
-        tell(Report(standing.slots, standing.mean_aou_s, by))
+        tell(TrainingReport(standing.slots, standing.mean_aou_s, by))
 
     every_s = CHECKPOINT_EVERY_S if job.checkpoint_every_s is None else job.checkpoint_every_s
     folder = RunFolder(job.path)
@@ -125,17 +157,10 @@ def _train(job: Training, tell: Tell) -> None:
     if outcome.stopped_by is not None:
         raise StoppedEarlyError
     if find_evaluation(folder, job.config.algorithm.name, job.episodes) is None:
-        _evaluate(folder, job.config, job.episodes)
-
-
-def _evaluate(folder: RunFolder, config: RunConfig, episodes: int) -> None:
-    """Write the evaluation, as ``uavaou eval`` does; one of more missions is kept."""
-    from uavaou.evaluation.evaluate import evaluate
-    from uavaou.runs.policy import load_run
-
-    policy = load_run(folder)
-    found = evaluate(policy, config.scenario, episodes)
-    write_own_evaluation(folder, config, PolicyResult.of(found, config.scenario, policy), episodes)
+        policy = load_run(folder)
+        found = evaluate(policy, job.config.scenario, job.episodes)
+        result = PolicyResult.of(found, job.config.scenario, policy)
+        write_own_evaluation(folder, job.config, result, job.episodes)
 
 
 def _plan(job: Planning) -> dict[str, Any]:
@@ -147,7 +172,7 @@ def _plan(job: Planning) -> dict[str, Any]:
     return plan.to_dict(job.scenario) | {"planning_seconds": job.seconds}
 
 
-def _play(job: Playing) -> dict[str, Any]:
+def _play(job: Playing) -> PolicyResult:
     from uavaou.evaluation.evaluate import evaluate
     from uavaou.planners import make_planner
     from uavaou.planners.anneal import Anneal
@@ -158,8 +183,7 @@ def _play(job: Playing) -> dict[str, Any]:
     if isinstance(planner, Anneal | Rolling):
         assert job.plan is not None
         planner.keep(job.plan, job.scenario, job.scenario.draw_layout())
-    found = evaluate(planner, job.scenario, job.episodes)
-    return PolicyResult.of(found, job.scenario, planner).to_dict()
+    return PolicyResult.of(evaluate(planner, job.scenario, job.episodes), job.scenario, planner)
 
 
 def _bound(job: Bounding) -> dict[str, Any]:
@@ -167,15 +191,3 @@ def _bound(job: Bounding) -> dict[str, Any]:
 
     bound = lower_bound(job.scenario, job.scenario.draw_layout())
     return {"bound_s": bound.mean_aou_s, "method": bound.method}
-
-
-def reference_keys(study: Study) -> list[Key]:
-    """What stands beside the trainings: the bound and the planners of each scenario, annealed ones last."""
-    planners = sorted(study.planners, key=lambda name: name in ANNEALED)
-    names = [*([BOUND] if study.bound else []), *planners]
-    return [Key(name, scenario) for scenario in study.scenarios for name in names]
-
-
-def run_key(run: StudyRun) -> Key:
-    """The key of a training."""
-    return Key(run.variant, run.scenario, run.seed)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from uavaou.studies.parts import PartKey
 from uavaou.studies.results import StudyResults
-from uavaou.studies.tables import StudyTables, by_run
 
 ENVIRONMENT = "uavaou_v0"
 
@@ -27,25 +27,15 @@ def to_marl_eval(results: StudyResults) -> dict[str, Any]:
     Raises:
         InputError: the study holds no evaluated run.
     """
-    study = by_run(results)
-    variants = [name for name in study.algorithms if all(_runs(study, name, task) for task in study.scenarios)]
-    counts = [len(_runs(study, name, task)) for name in variants for task in study.scenarios]
-    seeds = min(counts, default=0)
-    steps = min(
-        (
-            len(run["slots"])
-            for name in variants
-            for task in study.scenarios
-            for run in _runs(study, name, task).values()
-        ),
-        default=0,
-    )
+    study = results.require_evaluated()
+    seeds = {(variant, task): _seeds(study, variant, task) for variant in study.algorithms for task in study.scenarios}
+    variants = [name for name in study.algorithms if all(seeds[name, task] for task in study.scenarios)]
+    whole = [PartKey(name, task, seed) for name in variants for task in study.scenarios for seed in seeds[name, task]]
+    runs = min((len(seeds[name, task]) for name in variants for task in study.scenarios), default=0)
+    steps = min((len(study.parts[key]["validation"]) for key in whole), default=0)
     tasks = {
         task: {
-            name: {
-                f"seed_{seed}": _run(study, name, task, seed, steps)
-                for seed in sorted(_runs(study, name, task))[:seeds]
-            }
+            name: {f"seed_{seed}": _run(study, PartKey(name, task, seed), steps) for seed in seeds[name, task][:runs]}
             for name in variants
         }
         for task in study.scenarios
@@ -53,16 +43,17 @@ def to_marl_eval(results: StudyResults) -> dict[str, Any]:
     return {ENVIRONMENT: tasks}
 
 
-def _runs(study: StudyTables, variant: str, task: str) -> dict[int, Any]:
-    """The validations of each seed that has also been evaluated."""
-    found = study.tables["validation"]
-    return {key[2]: found[key] for key in found if key[:2] == (variant, task) and key in study.tables["missions"]}
+def _seeds(study: StudyResults, variant: str, task: str) -> list[int]:
+    """The seeds with validations and a final evaluation."""
+    return sorted(
+        key.seed for key, tables in study.parts.items()
+        if key[:2] == (variant, task) and key.seed is not None and {"validation", "missions"} <= tables.keys()
+    )  # fmt: skip
 
 
-def _run(study: StudyTables, variant: str, task: str, seed: int, steps: int) -> dict[str, Any]:
-    validation = study.tables["validation"][variant, task, seed]
-    missions = study.tables["missions"][variant, task, seed]
-    of_one_slot = -study.slots(task) * study.slot_length_s(task)  # s, the reward of a mission whose mean AoU is tau
+def _run(study: StudyResults, key: PartKey, steps: int) -> dict[str, Any]:
+    validation, missions = (study.table(name, *key) for name in ("validation", "missions"))
+    of_one_slot = -study.slots(key.scenario) * study.slot_length_s(key.scenario)  # s, the reward where mean AoU is tau
     content: dict[str, Any] = {}
     for step in range(steps):
         aou = float(validation["mean_aou_slots"][step])

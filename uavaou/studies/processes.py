@@ -16,8 +16,17 @@ from typing import Any
 
 from uavaou.errors import InputError
 from uavaou.runs.interrupt import was_interrupt
-from uavaou.studies.engine import Advanced, Ended, Event, Events, Take
-from uavaou.studies.jobs import Job, Report, StoppedEarlyError, perform
+from uavaou.studies.jobs import (
+    Advanced,
+    Ended,
+    Event,
+    Events,
+    Job,
+    StoppedEarlyError,
+    TakeJob,
+    TrainingReport,
+    perform,
+)
 
 _LOOK_EVERY_S = 0.5
 
@@ -46,8 +55,8 @@ class Processes:
         self._plugins = list(plugins)
         self._context = multiprocessing.get_context("spawn")  # torch's threads do not survive a fork
 
-    def events(self, take: Take, stopping: Callable[[], bool]) -> Events:
-        """See :class:`~uavaou.studies.engine.Engine`."""
+    def events(self, take: TakeJob, stopping: Callable[[], bool]) -> Events:
+        """See :class:`~uavaou.studies.jobs.Engine`."""
         workers: list[_Worker] = []
         try:
             while True:
@@ -100,7 +109,7 @@ def _heard(worker: _Worker) -> Iterator[Event]:
     try:
         while worker.pipe.poll():
             said = worker.pipe.recv()
-            if isinstance(said, Report):
+            if isinstance(said, TrainingReport):
                 yield Advanced(worker.job.key, said)
             else:
                 worker.last = said
@@ -130,7 +139,7 @@ def _work(job: Job, pipe: Connection, plugins: Sequence[str]) -> None:
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_follow_parent, daemon=True).start()
 
-    def say(said: Report | Ended) -> None:
+    def say(said: TrainingReport | Ended) -> None:
         with suppress(OSError):  # nobody listens: the study's own process is dead, and _follow_parent says what to do
             pipe.send(said)
 
@@ -170,7 +179,7 @@ def prepare(plugins: Sequence[str]) -> None:
         load_plugin(place)
 
 
-def outcome(job: Job, tell: Callable[[Report], None]) -> Ended:
+def outcome(job: Job, tell: Callable[[TrainingReport], None]) -> Ended:
     """Perform a job; what goes wrong with it is its own affair, and no other's."""
     try:
         return Ended(job.key, perform(job, tell))

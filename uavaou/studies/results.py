@@ -1,27 +1,35 @@
-"""Reads a study's condensed results, ``results/studies/<name>/``, as arrays; needs neither torch nor the runs.
+"""A study's condensed results, ``results/studies/<name>/``: read, looked up part by part, and written.
 
-AoU is in units of the slot length tau (``_slots``), rewards in seconds. ``seed`` is -1 for planners, which have none;
-a number that a file leaves empty is nan. See docs/studies.md for what each column means.
+AoU is in units of the slot length tau (``_slots``), rewards in seconds. docs/studies.md says what each column means.
+Reading needs neither torch nor the run folders.
 """
 
 from __future__ import annotations
 
-import csv
-import io
-from dataclasses import dataclass
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaou.csv_tables import CsvTable, number, read_csv, write_csv
 from uavaou.errors import InputError
-from uavaou.files import read_text
-from uavaou.zoo import read_yaml_mapping
+from uavaou.files import replacing
+from uavaou.runs.folder import RunConfig
+from uavaou.statistics import interval_over_missions
+from uavaou.studies.folder import StudyFolder
+from uavaou.studies.parts import BOUND, NO_SEED, PartKey, part_keys
+from uavaou.studies.study import Study
+from uavaou.zoo import read_yaml_mapping, zoo_names
 
+Floats = NDArray[np.float64]
 Table = dict[str, NDArray[Any]]  # column -> (rows,)
+Rows = dict[str, list[list[str]]]  # table -> the rows of one part, as the file holds them
 
-# The order is that in which they are written: a run counts as condensed when it stands in the last.
+# Tables are written in this order: a part counts only when its last table has rows of it.
 COLUMNS: dict[str, tuple[str, ...]] = {
     "devices": (
         "variant", "scenario", "seed", "device", "x_m", "y_m", "update_period_slots", "communications",
@@ -44,94 +52,284 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 _TEXT = ("variant", "algorithm", "scenario", "method", "commit")
 _WHOLE = ("seed", "device", "slot", "mission", "slots", "agent_steps", "violations", "update_period_slots")
-_MAY_BE_EMPTY = ("seed", "cpu_s", "low", "high", "best_slots", "commit")
-NO_SEED = -1
-_MOST_BYTES = 256_000_000
+_MAY_BE_EMPTY = ("cpu_s", "low", "high", "best_slots")
 
 
-@dataclass(frozen=True)
+class NothingYetError(InputError):
+    """A study that has only begun: nothing is wrong with it."""
+
+
+@dataclass
 class StudyResults:
-    """A study's condensed results; a table is a mapping of columns to arrays of one length."""
+    """A study's condensed results, by part: trainings, planners (variants without seeds) and bounds.
 
-    path: Path
-    study: dict[str, Any]  # study.yaml: the study as resolved
-    runs: Table  # a row for each training
-    curves: Table  # the training missions of each run, averaged in at most 200 equal groups
-    validation: Table  # each run's evaluations on the validation missions
-    missions: Table  # a row for each mission of the final evaluations, planners' included
-    execution: Table  # mean AoU in each slot of a mission
-    devices: Table  # each device's figures, means a mission
-    bounds: Table  # certified lower bounds
+    Attributes:
+        folder: where they are kept.
+        settings: the content of ``study.yaml``, every setting of every run.
+        parts: the rows of each part; :meth:`table` and the methods below it give them as numbers.
+    """
+
+    folder: StudyFolder
+    settings: dict[str, Any]
+    parts: dict[PartKey, Rows]
+    _new_configs: dict[PartKey, RunConfig] = field(default_factory=dict, repr=False)  # not yet written
+
+    @property
+    def name(self) -> str:
+        """The study's name, which is its folder's."""
+        return self.folder.path.name
+
+    @property
+    def argument(self) -> str:
+        """The study on a command line: the name of a shipped one, else the name of its file."""
+        return shlex.quote(self.name if self.name in zoo_names("studies") else f"{self.name}.yaml")
+
+    @property
+    def evaluated(self) -> bool:
+        """Whether any training or planner has been evaluated."""
+        return any(key.variant != BOUND for key in self.parts)
+
+    @property
+    def algorithms(self) -> dict[str, str]:
+        """Variant -> algorithm of the learned variants, in the study's order."""
+        runs = self.table("runs")
+        found = dict(zip(runs["variant"].tolist(), runs["algorithm"].tolist(), strict=True))
+        order = list(_mapping(self.settings.get("variants")))
+        names = sorted(found, key=lambda name: order.index(name) if name in order else len(order))
+        return {name: found[name] for name in names}
+
+    @property
+    def planners(self) -> tuple[str, ...]:
+        """The planners evaluated."""
+        return tuple(dict.fromkeys(key.variant for key in self.parts if key.seed is None and key.variant != BOUND))
+
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Scenario -> certified lower bound of the mean AoU, slots."""
+        bounds = self.table("bounds")
+        return dict(zip(bounds["scenario"].tolist(), bounds["bound_slots"].tolist(), strict=True))
+
+    @property
+    def reference(self) -> str | None:
+        """The variant that the report compares the others with."""
+        reference = self.settings.get("reference")
+        return reference if isinstance(reference, str) else None
+
+    @property
+    def scenarios(self) -> dict[str, dict[str, Any]]:
+        """Name -> fields of the scenarios with evaluated parts, in the study's order.
+
+        Raises:
+            InputError: ``study.yaml`` lacks one of them, or a field that figures are labelled with.
+        """
+        stated = self.settings.get("scenarios")
+        if not isinstance(stated, dict):
+            raise InputError(f"{self.folder.study}: field 'scenarios' is missing or not a mapping")
+        found = {key.scenario for key, tables in self.parts.items() if "missions" in tables}
+        for name in sorted(found):
+            if name.startswith(".") or set(name) & set("/\\\0"):  # figures go to folders of these names
+                raise InputError(f"{self.folder.table('missions')}: scenario {name!r} cannot name a folder")
+            for label in ("slots", "slot_length_s", "devices"):
+                value = _mapping(stated.get(name)).get(label)
+                if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+                    where = f"{self.folder.study}: scenarios.{name}.{label}"
+                    raise InputError(f"{where} = {value!r}: expected a number above 0")
+        return {name: fields for name, fields in stated.items() if name in found}
+
+    def slots(self, scenario: str) -> int:
+        """K."""
+        return int(self.scenarios[scenario]["slots"])
+
+    def slot_length_s(self, scenario: str) -> float:
+        """tau, in s."""
+        return float(self.scenarios[scenario]["slot_length_s"])
+
+    def devices(self, scenario: str) -> int:
+        """I."""
+        return int(self.scenarios[scenario]["devices"])
+
+    def table(
+        self, name: str, variant: str | None = None, scenario: str | None = None, seed: int | None = None
+    ) -> Table:
+        """The rows of a table, all or those of one variant, scenario or seed, as an array for each column.
+
+        ``seed`` is -1 in the rows of planners, which have none; empty numbers are nan.
+        """
+        wanted = PartKey(variant or "", scenario or "", seed)
+        chosen = [
+            key for key in self.parts
+            if all(want in ("", None, have) for want, have in zip(wanted, key, strict=True))
+        ]  # fmt: skip
+        return _arrays(self._select(name, chosen))
+
+    def runs(self, table: str, variant: str, scenario: str) -> list[Table]:
+        """The rows of each training of a variant, by seed; of a planner its one part's."""
+        return [_arrays(self._select(table, [key])) for key in self._keys(table, variant, scenario)]
+
+    def stack(self, table: str, variant: str, scenario: str, column: str) -> Floats:
+        """A column of all seeds, (S, n); (0, 0) where the variant has no part in the scenario.
+
+        Raises:
+            InputError: the seeds have different numbers of rows.
+        """
+        keys = self._keys(table, variant, scenario)
+        columns = [_column(self._select(table, [key]), column) for key in keys]
+        if len({len(values) for values in columns}) > 1:
+            where = self.folder.table(table)
+            raise InputError(f"{where}: the seeds of '{variant}' on '{scenario}' have different numbers of rows")
+        return np.stack(columns).astype(np.float64) if columns else np.empty((0, 0))
+
+    def missions(self, variant: str, column: str, scenarios: Iterable[str] | None = None) -> dict[str, Floats]:
+        """A metric of every evaluated mission, scenario -> (S, M); without the scenarios that have none."""
+        wanted = self.scenarios if scenarios is None else scenarios
+        found = {scenario: self.stack("missions", variant, scenario, column) for scenario in wanted}
+        return {scenario: values for scenario, values in found.items() if values.size}
+
+    def cell(self, key: PartKey, column: str) -> str:
+        """A cell of a training's row in ``runs.csv``."""
+        return self.parts[key]["runs"][0][COLUMNS["runs"].index(column)]
+
+    def mean(self, key: PartKey) -> tuple[str, str, str]:
+        """The mean AoU of a part in slots and the ends of its interval, as cells; empty where unknown."""
+        if key.seed is not None:
+            return self.cell(key, "mean_aou_slots"), self.cell(key, "low"), self.cell(key, "high")
+        if key.variant == BOUND:
+            return number(self.bounds[key.scenario]), "", ""
+        found = interval_over_missions(_column(self._select("missions", [key]), "mean_aou_slots"))
+        return number(found.value), number(found.low), number(found.high)
+
+    def require_evaluated(self) -> StudyResults:
+        """These results.
+
+        Raises:
+            NothingYetError: no part has been evaluated.
+            InputError: as :attr:`scenarios`.
+        """
+        if not any("missions" in tables for tables in self.parts.values()):
+            raise NothingYetError(f"'{self.folder.path}' holds no evaluated run yet")
+        assert self.scenarios is not None
+        return self
+
+    def put(self, key: PartKey, rows: Rows, config: RunConfig | None = None) -> None:
+        """Add the rows of a part, in place of earlier ones, and the configuration of a training.
+
+        Raises:
+            InputError: a number is missing or not finite.
+        """
+        try:
+            for name, lines in rows.items():
+                _arrays(self._as_table(name, lines))
+        except InputError as problem:
+            raise InputError(f"{key}: its results cannot be used: {problem}") from problem
+        self.parts[key] = {name: lines for name, lines in rows.items() if lines}
+        if config is not None:
+            self._new_configs[key] = config
+
+    def write(self, study: Study) -> None:
+        """Write all tables, ``study.yaml`` and new configurations, the parts in the study's order.
+
+        Each table is replaced atomically, and read in the opposite order: an interruption loses at most the new part.
+
+        Raises:
+            InputError: they cannot be written.
+        """
+        parts = [self.parts[key] for key in study.table_order() if key in self.parts]
+        try:
+            self.folder.path.mkdir(parents=True, exist_ok=True)
+            for key, config in self._new_configs.items():
+                path = self.folder.config(key)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                _write_text(path, config.to_yaml())
+            self._new_configs.clear()
+            _write_text(self.folder.study, "# The study as resolved: every setting of every run.\n" + study.to_yaml())
+        except OSError as error:
+            raise InputError(f"cannot write to '{self.folder.path}': {error.strerror or error}") from error
+        for name, columns in COLUMNS.items():
+            write_csv(self.folder.table(name), columns, (row for part in parts for row in part.get(name, [])))
+
+    def _keys(self, table: str, variant: str, scenario: str) -> list[PartKey]:
+        keys = [key for key, tables in self.parts.items() if key[:2] == (variant, scenario) and table in tables]
+        return sorted(keys, key=lambda key: key.seed or 0)
+
+    def _select(self, name: str, keys: Iterable[PartKey]) -> CsvTable:
+        return self._as_table(name, [row for key in keys for row in self.parts[key].get(name, [])])
+
+    def _as_table(self, name: str, rows: list[list[str]]) -> CsvTable:
+        return CsvTable(self.folder.table(name), COLUMNS[name], rows, [0] * len(rows))
 
 
-def read_study(folder: Path) -> StudyResults:
+def read_study(folder: str | Path) -> StudyResults:
     """Read ``results/studies/<name>``.
 
     Raises:
         InputError: a file is missing or damaged; the message names the file, and the line and column where there is
             one.
     """
-    folder = Path(folder)
-    if not (folder / "study.yaml").is_file():
-        problem = "does not exist" if not folder.exists() else "holds no study.yaml"
+    place = StudyFolder(Path(folder))
+    if not place.study.is_file():
+        problem = "holds no study.yaml" if place.path.exists() else "does not exist"
         raise InputError(f"'{folder}' {problem}: expected the results of a study, such as results/studies/paper")
-    # In the opposite order of writing: a study at work then adds rows that nothing speaks of, and leaves none out.
-    tables = {name: read_table(folder / f"{name}.csv", columns) for name, columns in reversed(COLUMNS.items())}
-    return StudyResults(folder, read_yaml_mapping(folder / "study.yaml"), **tables)
+    return _read(place, list(COLUMNS))
 
 
-def rows_of(table: Table, **wanted: Any) -> Table:
-    """The rows of a table whose columns have the wanted values: ``rows_of(table, variant="mappo", seed=0)``."""
-    length = len(next(iter(table.values())))
-    chosen = np.ones(length, dtype=np.bool_)  # (rows,)
-    for column, value in wanted.items():
-        chosen &= table[column] == value
-    return {column: values[chosen] for column, values in table.items()}
-
-
-def read_rows(path: Path, columns: tuple[str, ...]) -> list[list[str]]:
-    """The rows of a CSV file, without its header.
+def read_begun(folder: StudyFolder) -> StudyResults:
+    """What a study has condensed so far; empty results where it has not begun.
 
     Raises:
-        InputError: the file cannot be read, or its columns are others.
+        InputError: a file is damaged.
     """
-    try:
-        rows = list(csv.reader(io.StringIO(read_text(path, _MOST_BYTES), newline="")))
-    except csv.Error as error:
-        raise InputError(f"{path}: no CSV: {error}") from error
-    if not rows or tuple(rows[0]) != columns:
-        raise InputError(f"{path}: expected the columns {', '.join(columns)}")
-    for line, row in enumerate(rows[1:], start=2):
-        if len(row) != len(columns):
-            raise InputError(f"{path}: line {line}: {len(row)} values, expected {len(columns)}")
-    return rows[1:]
+    return _read(folder, [name for name in COLUMNS if folder.table(name).is_file()])
 
 
-def read_table(path: Path, columns: tuple[str, ...]) -> Table:
-    """A CSV file as arrays.
+def _read(folder: StudyFolder, names: Sequence[str]) -> StudyResults:
+    # In the opposite order of writing: while the study runs, tables then hold more parts than `runs` names, never less.
+    parts: dict[PartKey, Rows] = {}
+    for name in reversed(names):
+        table = read_csv(folder.table(name), COLUMNS[name], exact=True)
+        _arrays(table)  # refuses what is not a number, while the lines are known
+        for key, row in zip(part_keys(table), table.rows, strict=True):
+            parts.setdefault(key, {}).setdefault(name, []).append(row)
+    settings = read_yaml_mapping(folder.study) if folder.study.is_file() else {}
+    return StudyResults(folder, settings, {key: rows for key, rows in parts.items() if _is_whole(key, rows)})
+
+
+def _is_whole(key: PartKey, rows: Rows) -> bool:
+    """Whether a part was not cut off while it was written: its last table has rows of it."""
+    last = "runs" if key.seed is not None else "bounds" if key.variant == BOUND else "missions"
+    return last in rows
+
+
+def study_folders(results: Path) -> list[Path]:
+    """The studies under ``results/studies``; ``paper`` first, then by name.
 
     Raises:
-        InputError: the file cannot be read, its columns are others, or a value is no number.
+        InputError: there is none.
     """
-    rows = read_rows(path, columns)
-    cells = list(zip(*rows, strict=True)) if rows else [()] * len(columns)
-    return {name: _column(path, name, list(values)) for name, values in zip(columns, cells, strict=True)}
+    found = [path.parent for path in (results / "studies").glob("*/study.yaml")]
+    if not found:
+        raise InputError(
+            f"'{results / 'studies'}' holds no study to draw: 'uavaou study run paper' makes one; "
+            "a single training's figures: uavaou plot figures RUN"
+        )
+    return sorted(found, key=lambda path: (path.name != "paper", path.name))
 
 
-def _column(path: Path, name: str, cells: list[str]) -> NDArray[Any]:
+def _arrays(table: CsvTable) -> Table:
+    return {name: _column(table, name) for name in table.columns}
+
+
+def _column(table: CsvTable, name: str) -> NDArray[Any]:
     if name in _TEXT:
-        return np.array(cells, dtype=np.str_)
-    values = [_number(path, name, line, cell) for line, cell in enumerate(cells, start=2)]
-    return np.array(values, dtype=np.int64 if name in _WHOLE else np.float64)
+        return np.array(table.text(name), dtype=np.str_)
+    if name in _WHOLE:
+        return table.integers(name, missing=NO_SEED if name == "seed" else None)
+    return table.floats(name, missing=name in _MAY_BE_EMPTY)
 
 
-def _number(path: Path, name: str, line: int, cell: str) -> float:
-    if not cell and name in _MAY_BE_EMPTY:
-        return NO_SEED if name == "seed" else np.nan
-    try:
-        value = int(cell) if name in _WHOLE else float(cell)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value) or (name in _WHOLE and abs(value) >= 2**63):
-        raise InputError(f"{path}: line {line}, column '{name}': {cell[:40]!r} is no number")
-    return value
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _write_text(path: Path, text: str) -> None:
+    with replacing(path) as file:
+        file.write(text)

@@ -8,58 +8,56 @@ from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from uavaou.errors import InputError
-from uavaou.fields import validated
-from uavaou.files import write_json
+from uavaou.files import read_json, write_json
 from uavaou.planners.plan import Plan
+from uavaou.runs.folder import scenario_folder
 from uavaou.runs.interrupt import Interrupts
 from uavaou.runs.lock import only_writer
 from uavaou.runs.results import PolicyResult
 from uavaou.studies.best import keep_best
-from uavaou.studies.condense import bound_rows, evaluation_rows
-from uavaou.studies.engine import Advanced, Ended, Engine
-from uavaou.studies.finished import condense_run, plan_path, report_study, saved_plan, trained_slots
+from uavaou.studies.condense import bound_rows, condense_run, evaluation_rows, trained_slots, update_results
+from uavaou.studies.folder import StudyFolder
 from uavaou.studies.jobs import (
-    PLAN,
+    Advanced,
     Bounding,
+    Ended,
+    Engine,
     Job,
-    Key,
+    JobResult,
     Planning,
     Playing,
-    Report,
     Training,
-    reference_keys,
-    run_key,
+    TrainingReport,
 )
-from uavaou.studies.store import study_folder, write_failures, write_working
-from uavaou.studies.study import ANNEALED, BOUND, Study
+from uavaou.studies.parts import ANNEALED, BOUND, PLAN, PartKey
+from uavaou.studies.study import Study
 
 
 @dataclass
-class Standing:
-    """How a study stands, for the display.
+class StudyState:
+    """How far a study is, for the display.
 
     Attributes:
         total: trainings, planners and bounds of the study.
         done: those that have results.
-        failed: why others have none.
-        running: the last report of each training that runs; None before the first, and for plans, planners and bounds.
+        failed: why others have failed.
+        running: the last report of each job in progress; None before a training's first, and for other jobs.
         budget: slots of each training.
         slots: trained by this command.
         left: slots still to be trained.
         busy_s: how long trainings have been running.
         tau_s: slot length of each scenario.
-        news: what has ended since the last look, in words.
+        news: a line for each part that has ended since the display last looked.
     """
 
     total: int
-    budget: dict[Key, int]
+    budget: dict[PartKey, int]
     tau_s: dict[str, float]
     done: int = 0
-    failed: dict[Key, str] = field(default_factory=dict)
-    running: dict[Key, Report | None] = field(default_factory=dict)
+    failed: dict[PartKey, str] = field(default_factory=dict)
+    running: dict[PartKey, TrainingReport | None] = field(default_factory=dict)
     slots: int = 0
     left: int = 0
     busy_s: float = 0.0
@@ -85,50 +83,47 @@ class StudyOutcome:
 
     done: int
     total: int
-    failed: dict[Key, str]
+    failed: dict[PartKey, str]
     stopped_by: signal.Signals | None
 
 
-Show = Callable[[Standing], None]
-
-
 def run_study(
-    study: Study, out: Path, engine: Engine, show: Show, quiet: bool = False, checkpoint_every_s: float | None = None
-) -> StudyOutcome:
+    study: Study, out: Path, engine: Engine, show: Callable[[StudyState], None], quiet: bool = False,
+    checkpoint_every_s: float | None = None,
+) -> StudyOutcome:  # fmt: skip
     """Do what is left of a study.
 
     Args:
         study: what is run.
         out: the folder of all results.
-        engine: what performs the jobs.
-        show: called whenever something has happened, and twice a second.
+        engine: performs the jobs.
+        show: called after each event, and twice a second.
         quiet: say nothing at an interrupt.
         checkpoint_every_s: between checkpoints; None: as ``uavaou train`` does.
 
     Raises:
         InputError: the results folder holds another study's, is written by another process, or cannot be written.
     """
-    folder = study_folder(out, study)
+    folder = StudyFolder.of(out, study.name)
     with only_writer(folder.path, folder.lock):
         work = _Work(study, out, checkpoint_every_s)
         with (
             Interrupts(quiet) as interrupts,
             closing(engine.events(work.take, lambda: interrupts.received is not None)) as events,
         ):
-            show(work.standing)
+            show(work.state)
             for event in events:
                 if isinstance(event, Advanced):
                     work.advance(event.key, event.report)
                 elif isinstance(event, Ended):
                     work.end(event)
-                work.standing.tick()
-                show(work.standing)
-        standing = work.standing
-        return StudyOutcome(standing.done, standing.total, standing.failed, interrupts.received)
+                work.state.tick()
+                show(work.state)
+        return StudyOutcome(work.state.done, work.state.total, work.state.failed, interrupts.received)
 
 
 class _Work:
-    """What is left of a study, and what has come of the rest.
+    """The parts of a study that are left to do, and the results of the others.
 
     Args:
         study: what is run.
@@ -140,19 +135,18 @@ class _Work:
         self._study = study
         self._out = out
         self._every_s = checkpoint_every_s
-        self._runs = {run_key(run): run for run in study.runs()}
-        self._store, _ = report_study(study, out)  # what is damaged is tried again, and says so then
+        self._runs = {run.key: run for run in study.runs()}
+        self._results, _ = update_results(study, out)  # a damaged run is tried again, and fails with its reason then
         self._plans: dict[str, Plan | None] = {}  # by scenario; None: being made
-        todo = [key for key in _order(study) if key not in self._store]
-        self._todo = todo
+        order = study.work_order()
+        self._todo = todo = [key for key in order if key not in self._results.parts]
         budget = {key: run.config.algorithm.slots for key, run in self._runs.items()}
         tau_s = {name: scenario.slot_length_s for name, scenario in study.scenarios.items()}
-        done = len(self._runs) + len(reference_keys(study)) - len(todo)
-        self.standing = Standing(done + len(todo), budget, tau_s, done)
+        self.state = StudyState(len(order), budget, tau_s, len(order) - len(todo))
         self._trained = {key: trained_slots(study.folder(out, self._runs[key])) for key in todo if key in self._runs}
-        self.standing.left = sum(max(budget[key] - slots, 0) for key, slots in self._trained.items())
-        write_failures(self._store.folder, {})
-        self._note_working()  # nothing: what is there is of a command that was killed
+        self.state.left = sum(max(budget[key] - slots, 0) for key, slots in self._trained.items())
+        self._results.folder.write_failures({})
+        self._note_working()  # none yet: a note that is there is of a killed command
 
     def take(self) -> Job | None:
         """The next job whose plan, where it needs one, is there."""
@@ -166,13 +160,13 @@ class _Work:
             if job is not None:
                 if not isinstance(job, Planning):
                     self._todo.remove(key)
-                self.standing.running[job.key] = None
+                self.state.running[job.key] = None
                 if job.key.seed is None:
                     self._note_working()
                 return job
         return None
 
-    def _job(self, key: Key) -> Job | None:
+    def _job(self, key: PartKey) -> Job | None:
         if key in self._runs:
             run = self._runs[key]
             path = self._study.folder(self._out, run).path
@@ -183,26 +177,45 @@ class _Work:
         plan = None
         if key.variant in ANNEALED:
             if key.scenario not in self._plans:
-                self._plans[key.scenario] = saved_plan(self._study, self._out, key.scenario)
+                self._plans[key.scenario] = self._saved_plan(key.scenario)
                 if self._plans[key.scenario] is None:
-                    return Planning(Key(PLAN, key.scenario), scenario, self._study.planning_seconds)
+                    return Planning(PartKey(PLAN, key.scenario), scenario, self._study.planning_seconds)
             plan = self._plans[key.scenario]
             if plan is None:
                 return None  # it is being made
         return Playing(key, scenario, self._study.episodes, self._study.planning_seconds, plan)
 
-    def advance(self, key: Key, report: Report) -> None:
+    def _plan_path(self, scenario: str) -> Path:
+        """Where the annealed plan of a scenario is kept, for all studies."""
+        return self._out / "planners" / "plans" / f"{scenario_folder(self._study.scenarios[scenario])}.json"
+
+    def _saved_plan(self, scenario: str) -> Plan | None:
+        """The plan that is kept for a scenario; None where there is none, or one of less planning.
+
+        Raises:
+            InputError: the file cannot be read.
+        """
+        path = self._plan_path(scenario)
+        if not path.is_file():
+            return None
+        plan, planned_for = Plan.load(path)
+        wanted_s = self._study.planning_seconds
+        seconds = read_json(path).get("planning_seconds", wanted_s)  # plans of benchmarks do not state them
+        enough = isinstance(seconds, int | float) and seconds >= wanted_s
+        return plan if enough and not plan.interrupted and planned_for == self._study.scenarios[scenario] else None
+
+    def advance(self, key: PartKey, report: TrainingReport) -> None:
         """A training has made an update."""
-        self.standing.running[key] = report
+        self.state.running[key] = report
         step = max(report.slots - self._trained[key], 0)
         self._trained[key] += step
-        self.standing.slots += step
-        self.standing.left = max(self.standing.left - step, 0)
+        self.state.slots += step
+        self.state.left = max(self.state.left - step, 0)
 
     def end(self, event: Ended) -> None:
         """A job has ended: keep what came of it, before anything else."""
         key = event.key
-        self.standing.running.pop(key, None)
+        self.state.running.pop(key, None)
         if key.seed is None:
             self._note_working()
         if key.variant == PLAN:
@@ -217,14 +230,14 @@ class _Work:
         except InputError as problem:
             self._fail(key, str(problem))
             return
-        self.standing.done += 1
-        self.standing.news.append(f"{_label(key)}: {self._figure(key)}")
+        self.state.done += 1
+        self.state.news.append(f"{key}: {self._figure(key)}")
 
     def _end_plan(self, event: Ended) -> None:
         waiting = [key for key in self._todo if key.scenario == event.key.scenario and key.variant in ANNEALED]
         reason = event.reason
         if event.result is not None:
-            path = plan_path(self._out, self._study, event.key.scenario)
+            path = self._plan_path(event.key.scenario)
             try:
                 write_json(path, event.result)
                 self._plans[event.key.scenario], _ = Plan.load(path)
@@ -237,47 +250,34 @@ class _Work:
                 self._todo.remove(key)
                 self._fail(key, f"no plan: {reason}")
 
-    def _fail(self, key: Key, reason: str) -> None:
-        self.standing.failed[key] = reason
+    def _fail(self, key: PartKey, reason: str) -> None:
+        self.state.failed[key] = reason
         if key in self._runs:
-            self.standing.left -= max(self.standing.budget[key] - self._trained[key], 0)
-        self.standing.news.append(f"{_label(key)} failed: {reason}")
+            self.state.left -= max(self.state.budget[key] - self._trained[key], 0)
+        self.state.news.append(f"{key} failed: {reason}")
         try:
-            write_failures(self._store.folder, self.standing.failed)
+            self._results.folder.write_failures(self.state.failed)
         except InputError as problem:  # a full disk: what else runs may yet find room
-            self.standing.news.append(str(problem))
+            self.state.news.append(str(problem))
 
     def _note_working(self) -> None:
         """For ``uavaou study status``, which can do without."""
         with suppress(InputError):
-            write_working(self._store.folder, [key for key in self.standing.running if key.seed is None])
+            self._results.folder.write_working(key for key in self.state.running if key.seed is None)
 
-    def _condense(self, key: Key, result: dict[str, Any]) -> None:
+    def _condense(self, key: PartKey, result: JobResult) -> None:
         scenario = self._study.scenarios[key.scenario]
         if key in self._runs:
-            if not condense_run(self._store, self._study, self._out, self._runs[key]):
+            if not condense_run(self._results, self._study, self._out, self._runs[key]):
                 raise InputError(f"'{self._study.folder(self._out, self._runs[key]).path}' is not finished")
-        elif key.variant == BOUND:
-            self._store.put(key, bound_rows(key, scenario, result))
+        elif not isinstance(result, PolicyResult):
+            self._results.put(key, bound_rows(key, scenario, result))
         else:
-            self._store.put(
-                key, evaluation_rows(key, scenario, validated(PolicyResult, result, key.variant), key.variant)
-            )
-        self._store.write(self._study)
+            self._results.put(key, evaluation_rows(key, scenario, result, key.variant))
+        self._results.write(self._study)
         if key in self._runs:
-            keep_best(self._store, self._study, self._out)
+            keep_best(self._results, self._study, self._out)
 
-    def _figure(self, key: Key) -> str:
-        mean, low, high = self._store.mean(key)
+    def _figure(self, key: PartKey) -> str:
+        mean, low, high = self._results.mean(key)
         return f"mean AoU {mean} slots" + (f" ({low} to {high})" if low else "")
-
-
-def _order(study: Study) -> list[Key]:
-    """Every variant with the first seed, then what stands beside them, then the other seeds."""
-    runs = [run_key(run) for run in study.runs()]
-    first = [key for key in runs if key.seed == study.seeds[0]]
-    return [*first, *reference_keys(study), *runs[len(first) :]]
-
-
-def _label(key: Key) -> str:
-    return f"{key.variant} on {key.scenario}" + ("" if key.seed is None else f", seed {key.seed}")

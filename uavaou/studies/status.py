@@ -1,4 +1,4 @@
-"""How the parts of a study stand, read from the disk while others may be at work on them."""
+"""The states of a study's parts, read from the disk while other processes may be at work on them."""
 
 from __future__ import annotations
 
@@ -9,26 +9,27 @@ from pathlib import Path
 from uavaou.errors import InputError
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import holder
-from uavaou.studies.finished import is_trained, trained_slots
-from uavaou.studies.jobs import PLAN, Key, reference_keys, run_key
-from uavaou.studies.store import StudyStore, read_failures, read_working, study_folder
-from uavaou.studies.study import ANNEALED, Study, StudyRun
+from uavaou.studies.condense import is_trained, refuse_another, trained_slots
+from uavaou.studies.folder import StudyFolder
+from uavaou.studies.parts import ANNEALED, PLAN, PartKey
+from uavaou.studies.results import StudyResults, read_begun
+from uavaou.studies.study import Study, StudyRun
 
 
 @dataclass(frozen=True)
 class PartStatus:
-    """How a training, a planner or a bound stands.
+    """The state of a training, a planner or a bound.
 
     Attributes:
-        key: which.
-        state: finished, trained (to be evaluated), running, failed, stopped or waiting.
+        key: which part.
+        state: finished, trained (but not evaluated), running, failed, stopped or waiting.
         slots: trained; None for planners and bounds.
         budget: slots of the training.
         rate: slots a second while it runs.
-        detail: the process that runs it, what it waits for while it runs, or why it failed.
+        detail: the process that runs it, what a running planner waits for, or why it failed.
     """
 
-    key: Key
+    key: PartKey
     state: str
     slots: int | None = None
     budget: int | None = None
@@ -37,22 +38,22 @@ class PartStatus:
 
 
 def study_status(study: Study, out: Path) -> list[PartStatus]:
-    """Every part of a study, in its order: trainings, then what stands beside them.
+    """Every part of a study: trainings in the study's order, then bounds and planners.
 
     Raises:
-        InputError: the results folder holds another study's, or cannot be read.
+        InputError: the results are another study's, or cannot be read.
     """
-    folder = study_folder(out, study)
-    store = StudyStore(folder)
-    store.check(study)
-    failures, working = read_failures(folder), read_working(folder)
-    parts = [_run_status(study, out, run, store, failures) for run in study.runs()]
-    for key in reference_keys(study):
-        if key in store:
+    folder = StudyFolder.of(out, study.name)
+    results = read_begun(folder)
+    refuse_another(study, results)
+    failures, working = folder.read_failures(), folder.read_working()
+    parts = [_run_status(study, out, run, results, failures) for run in study.runs()]
+    for key in study.planner_parts():
+        if key in results.parts:
             parts.append(PartStatus(key, "finished"))
         elif key in working:
             parts.append(PartStatus(key, "running"))
-        elif key.variant in ANNEALED and Key(PLAN, key.scenario) in working:
+        elif key.variant in ANNEALED and PartKey(PLAN, key.scenario) in working:
             parts.append(PartStatus(key, "running", detail="its plan is being annealed"))
         elif key in failures:
             parts.append(PartStatus(key, "failed", detail=failures[key]))
@@ -61,10 +62,12 @@ def study_status(study: Study, out: Path) -> list[PartStatus]:
     return parts
 
 
-def _run_status(study: Study, out: Path, run: StudyRun, store: StudyStore, failures: dict[Key, str]) -> PartStatus:
-    key, folder, budget = run_key(run), study.folder(out, run), run.config.algorithm.slots
-    if key in store:
-        return PartStatus(key, "finished", int(store.cell(key, "slots")), budget)
+def _run_status(
+    study: Study, out: Path, run: StudyRun, results: StudyResults, failures: dict[PartKey, str]
+) -> PartStatus:
+    key, folder, budget = run.key, study.folder(out, run), run.config.algorithm.slots
+    if key in results.parts:
+        return PartStatus(key, "finished", int(results.cell(key, "slots")), budget)
     slots, by = trained_slots(folder), holder(folder.lock)
     if by is not None:
         return PartStatus(key, "running", slots, budget, _rate(folder), by)

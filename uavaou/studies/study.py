@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +31,10 @@ from uavaou.studies.fields import (
     usable_name,
     validated_entry,
 )
+from uavaou.studies.parts import ANNEALED, BOUND, PartKey
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 SCHEMA = 1  # of study.yaml
-BOUND = "bound"
-ANNEALED = ("anneal", "rolling")  # planners that take off with an annealed plan
-PLANNED = (*ANNEALED, "exact")  # planners whose figures depend on planning_seconds
 _PLAN_AHEAD = {*ROUTE_PLANNERS, *ANNEALED}
 
 
@@ -43,9 +42,7 @@ _PLAN_AHEAD = {*ROUTE_PLANNERS, *ANNEALED}
 class StudyRun:
     """One training of a study."""
 
-    variant: str
-    scenario: str  # its name in the study
-    seed: int
+    key: PartKey
     config: RunConfig
 
 
@@ -133,7 +130,24 @@ class Study:
         for seed in self.seeds:
             for scenario_name, scenario in self.scenarios.items():
                 for variant, algorithm in self.variants.items():
-                    yield StudyRun(variant, scenario_name, seed, RunConfig(scenario, algorithm, seed))
+                    yield StudyRun(PartKey(variant, scenario_name, seed), RunConfig(scenario, algorithm, seed))
+
+    def planner_parts(self) -> list[PartKey]:
+        """The bound and the planners of each scenario, those that need an annealed plan last."""
+        planners = sorted(self.planners, key=lambda name: name in ANNEALED)
+        names = [*([BOUND] if self.bound else []), *planners]
+        return [PartKey(name, scenario) for scenario in self.scenarios for name in names]
+
+    def work_order(self) -> list[PartKey]:
+        """Every part as it is worked on: trainings with the first seed, planners and bounds, then the other seeds."""
+        trainings = [run.key for run in self.runs()]
+        first = len(self.scenarios) * len(self.variants)
+        return [*trainings[:first], *self.planner_parts(), *trainings[first:]]
+
+    def table_order(self) -> list[PartKey]:
+        """Every part as it stands in the tables: planners and bounds, then trainings by scenario, variant and seed."""
+        trainings = product(self.scenarios, self.variants, self.seeds)
+        return [*self.planner_parts(), *(PartKey(variant, scenario, seed) for scenario, variant, seed in trainings)]
 
     def folder(self, out: Path, run: StudyRun) -> RunFolder:
         """The run folder of a training below ``out``, the one that ``uavaou train`` would give it."""
@@ -271,14 +285,12 @@ def _check_layouts(study: Study, source: str) -> None:
 
 def _check_folders(study: Study, source: str) -> None:
     """Refuse two names for one training."""
-    seen: dict[Path, StudyRun] = {}
+    seen: dict[Path, PartKey] = {}
     for run in study.runs():
-        if run.seed != study.seeds[0]:
+        if run.key.seed != study.seeds[0]:
             break
         path = study.folder(Path(), run).path
         if path in seen:
-            other = seen[path]
-            pairs = (run.variant, other.variant), (run.scenario, other.scenario)
-            what = " and ".join(f"'{a}' and '{b}'" for a, b in pairs if a != b)
-            raise InputError(f"{source}: {what} are the same training under two names: leave one out")
-        seen[path] = run
+            names = " and ".join(f"'{a}' and '{b}'" for a, b in zip(run.key, seen[path], strict=True) if a != b)
+            raise InputError(f"{source}: {names} are the same training under two names: leave one out")
+        seen[path] = run.key

@@ -1,0 +1,38 @@
+"""A small study, run once and copied for each test that changes it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.studies.tiny_study import TINY, Inline, Write, run_inline
+from uavaou.studies.runner import StudyOutcome
+from uavaou.studies.study import Study
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def write(text: str, name: str = "mine.yaml") -> Path:
+        (tmp_path / name).write_text(text)
+        return tmp_path / name
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Inline]:
+    """A study run to its end, and what it did."""
+    place = tmp_path_factory.mktemp("study")
+    (place / "mine.yaml").write_text(TINY)
+    engine = Inline()
+    ended = run_inline(Study.load(place / "mine.yaml"), place / "out", engine)
+    assert ended == StudyOutcome(7, 7, {}, None)
+    return place, engine
+
+
+@pytest.fixture
+def copied(finished: tuple[Path, Inline], tmp_path: Path) -> tuple[Study, Path]:
+    shutil.copytree(finished[0], tmp_path / "copied")
+    return Study.load(tmp_path / "copied" / "mine.yaml"), tmp_path / "copied" / "out"
