@@ -44,6 +44,15 @@ class Overrides:
             raise InputError("--set algorithm.name: choose the algorithm with --algorithm")
         return load_config(name, changes("algorithm", self.algorithm, published, list(published)))
 
+    def only_of_scenario(self, why: str) -> None:
+        """Refuse changes of an algorithm.
+
+        Raises:
+            InputError: saying ``why``.
+        """
+        for key in self.algorithm:
+            raise InputError(f"--set algorithm.{key}: {why}; only scenario.* can be set here")
+
 
 def parse_overrides(items: Sequence[str]) -> Overrides:
     """Sort ``KEY=VALUE`` items by their prefix.

@@ -16,11 +16,9 @@ from uavaou_cli.options import Episodes, MissionSeed, Quiet, ScenarioArgument, S
 from uavaou_cli.overrides import Overrides, parse_overrides
 
 if TYPE_CHECKING:
-    from uavaou.planners.base import Planner
     from uavaou.scenario import Scenario
 
 _BOUND_S = 30.0  # for the bound that stands beside a plan; `uavaou gap` takes longer
-_GAP_PLANNERS = ("rolling", "anneal", "best-first", "greedy", "partition-tour", "tour", "random")
 
 
 def plan(
@@ -66,55 +64,38 @@ def gap(
     chosen = _scenario(scenario, parse_overrides(set_ or []))
     if chosen.layout == "resample":
         raise InputError("uavaou gap: the bound is that of one layout; set scenario.layout=fixed")
-    from uavaou.evaluation.evaluate import evaluate
+    from uavaou.planners import gap_planners, make_planners
     from uavaou.planners.bound import lower_bound
+    from uavaou.runs.comparison import compare, load_runs
     from uavaou_cli.progress import EvaluationDisplay
     from uavaou_cli.tables import gap_lines
 
-    policies = _policies(chosen, run or [], time_limit)
+    planners = make_planners(gap_planners(chosen), time_limit, limited=("anneal", "rolling"))
+    policies = (load_runs(run, chosen) if run else {}) | planners
     bound = lower_bound(chosen, chosen.draw_layout())
-    with EvaluationDisplay(quiet, list(policies), episodes * chosen.slots) as progress:
-        found = {}
-        for name, policy in policies.items():
-            progress.start(name)
-            found[name] = evaluate(policy, chosen, episodes, seed, progress.after_slot)
-    print("\n".join(gap_lines(chosen, bound, found, seed)))
-
-
-def _policies(scenario: Scenario, runs: list[str], time_limit: float | None) -> dict[str, Planner]:
-    from uavaou.planners import make_planner
-    from uavaou.planners.exact import LARGEST, program_size
-
-    names = list(_GAP_PLANNERS)
-    if scenario.fading == "none" and program_size(scenario, scenario.draw_layout()) <= LARGEST:
-        names.insert(0, "exact")
-    planned = {name: make_planner(name, time_limit if name in ("anneal", "rolling") else None) for name in names}
-    if not runs:
-        return planned
-    from uavaou.runs.folder import RunFolder
-    from uavaou.runs.policy import load_run
-
-    return {name: load_run(RunFolder(Path(name)), scenario) for name in runs} | planned
+    with EvaluationDisplay(quiet, list(policies), episodes * chosen.slots) as display:
+        comparison = compare(policies, chosen, episodes, seed, display)
+    print("\n".join(gap_lines(comparison, bound)))
 
 
 def _scenario(name: str, overrides: Overrides) -> Scenario:
     from uavaou.scenario import Scenario
 
-    if overrides.algorithm:
-        key = next(iter(overrides.algorithm))
-        raise InputError(f"--set algorithm.{key}: planners have none; only scenario.* can be set here")
+    overrides.only_of_scenario("planners have none")
     return overrides.of_scenario(Scenario.load(name))
 
 
 def _plan_and_report(
     scenario: Scenario, name: str, time_limit: float | None, episodes: int, seed: int, folder: Path, quiet: bool
 ) -> None:
-    from uavaou.evaluation.evaluate import evaluate
+    from uavaou.evaluation.recorded_mission import record_mission
     from uavaou.files import write_json
     from uavaou.planners import make_planner
     from uavaou.planners.bound import lower_bound
     from uavaou.planners.plan import RoutePlanner
-    from uavaou_cli.progress import PlanningDisplay
+    from uavaou.reports.trajectories import plot_trajectories
+    from uavaou.runs.comparison import compare
+    from uavaou_cli.progress import EvaluationDisplay, PlanningDisplay
     from uavaou_cli.tables import evaluation_lines, plan_lines
 
     planner = make_planner(name, time_limit)
@@ -122,21 +103,15 @@ def _plan_and_report(
     layout = scenario.draw_layout()
     begun = time.monotonic()
     bound_s = None if name == "exact" else lower_bound(scenario, layout, _BOUND_S).mean_aou_s  # it brings its own
-    with PlanningDisplay(quiet, scenario.slot_length_s, bound_s) as progress:
-        plan = planner.plan(scenario, layout, progress.show)
+    with PlanningDisplay(quiet, scenario.slot_length_s, bound_s) as display:
+        plan = planner.plan(scenario, layout, display.show)
     took = time.monotonic() - begun
     plan = plan if bound_s is None else replace(plan, bound_s=bound_s)
     planner.keep(plan, scenario, layout)
     write_json(folder / "plan.json", plan.to_dict(scenario))
-    found = evaluate(planner, scenario, episodes, seed)
+    with EvaluationDisplay(quiet, [name], episodes * scenario.slots) as flights:
+        comparison = compare({name: planner}, scenario, episodes, seed, flights)
     print("\n".join([*plan_lines(scenario, plan, took, folder / "plan.json"), ""]))
-    print("\n".join(evaluation_lines(scenario, {name: found}, {name: None}, seed, {})))
-    _draw(scenario, planner, seed, folder)
-
-
-def _draw(scenario: Scenario, planner: Planner, seed: int, folder: Path) -> None:
-    from uavaou.evaluation.recorded_mission import record_mission
-    from uavaou.reports.trajectories import plot_trajectories
-
+    print("\n".join(evaluation_lines(comparison, {})))
     recording = record_mission(scenario, planner, seed)
     print("\n".join(map(str, plot_trajectories(scenario, recording, folder, f"mission-{seed}"))))

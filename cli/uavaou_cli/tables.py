@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from uavaou.evaluation.evaluate import Evaluation
     from uavaou.planners.bound import Bound
     from uavaou.planners.plan import Plan
+    from uavaou.runs.comparison import Comparison
     from uavaou.runs.folder import RunConfig
     from uavaou.runs.train import Outcome
     from uavaou.scenario import Scenario
@@ -58,15 +59,9 @@ def training_lines(outcome: Outcome, config: RunConfig, plugins: Sequence[str] =
     return [*lines, f"next:            {shlex.join(command)}"]
 
 
-def evaluation_lines(
-    scenario: Scenario,
-    results: Mapping[str, Evaluation],
-    actions: Mapping[str, str | None],
-    seed: int,
-    overrides: Mapping[str, str],
-) -> list[str]:
+def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> list[str]:
     """A table of policies: means, each with its 95 % interval below."""
-    episodes = len(next(iter(results.values())).aou_over_time_s)
+    scenario, episodes, seed = comparison.scenario, comparison.episodes, comparison.seed
     changed = " with " + ", ".join(f"{key}={value}" for key, value in sorted(overrides.items())) if overrides else ""
     seeds = f"seeds {seed} to {seed + episodes - 1}" if episodes > 1 else f"seed {seed}"
     missions = "missions" if episodes > 1 else "mission"
@@ -79,9 +74,10 @@ def evaluation_lines(
         ("devices", f"of {scenario.devices}"),
         ("viola-", "tions"),
     ]
-    rows = [(name, _cells(scenario, result, actions[name])) for name, result in results.items()]
+    actions = comparison.actions
+    rows = [(name, _cells(scenario, result, actions[name])) for name, result in comparison.results.items()]
     lines += ["", *_two_line_table(heads, rows)]
-    for name, result in results.items():
+    for name, result in comparison.results.items():
         broken = ", ".join(f"{key} {count:,}" for key, count in result.violations.items() if count)
         if broken:
             lines += ["", f"{name} broke constraints: {broken}"]
@@ -103,9 +99,10 @@ def plan_lines(scenario: Scenario, plan: Plan, took_s: float, path: Path) -> lis
     return [*lines, f"plan:              {path}"]
 
 
-def gap_lines(scenario: Scenario, bound: Bound, results: Mapping[str, Evaluation], seed: int) -> list[str]:
+def gap_lines(comparison: Comparison, bound: Bound) -> list[str]:
     """One row for the bound and one for each policy, the best first."""
-    episodes = len(next(iter(results.values())).aou_over_time_s)
+    scenario, results = comparison.scenario, comparison.results
+    episodes, seed = comparison.episodes, comparison.seed
     tau, least = scenario.slot_length_s, bound.mean_aou_s
     best = min(result.mean_aou_s for result in results.values())
     rows = [("policy", "mean AoU (s)", "(slots)", "over bound", "over best", "")]

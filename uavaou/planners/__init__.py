@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from importlib import import_module
 
 from uavaou.errors import InputError, unknown
 from uavaou.planners.base import Planner
+from uavaou.scenario import Scenario
 
-__all__ = ["PLANNERS", "ROUTE_PLANNERS", "Planner", "make_planner"]
+__all__ = ["PLANNERS", "PLAN_AHEAD", "ROUTE_PLANNERS", "Planner", "gap_planners", "make_planner", "make_planners"]
 
 # Each loads on first use: compilers and solvers take longer to import than most planners to fly.
 PLANNERS: dict[str, str] = {
@@ -23,6 +25,7 @@ PLANNERS: dict[str, str] = {
 }
 # Those that lay routes before take-off and take a time limit.
 ROUTE_PLANNERS = ("tour", "partition-tour", "anneal", "exact")
+PLAN_AHEAD = (*ROUTE_PLANNERS, "rolling")
 
 
 def make_planner(name: str, time_limit_s: float | None = None) -> Planner:
@@ -42,7 +45,32 @@ def make_planner(name: str, time_limit_s: float | None = None) -> Planner:
     if time_limit_s is None:
         planner: Planner = kind()
         return planner
-    if name not in (*ROUTE_PLANNERS, "rolling"):
+    if name not in PLAN_AHEAD:
         raise InputError(f"planner '{name}' decides slot by slot and takes no time limit")
     limited: Planner = kind(time_limit_s)
     return limited
+
+
+def make_planners(
+    names: Iterable[str], time_limit_s: float | None = None, limited: Collection[str] = PLAN_AHEAD
+) -> dict[str, Planner]:
+    """Return planners by name.
+
+    Args:
+        names: of ``PLANNERS``.
+        time_limit_s: how long each of the ``limited`` ones may plan.
+        limited: of ``PLAN_AHEAD``.
+
+    Raises:
+        InputError: no planner has one of the names.
+    """
+    return {name: make_planner(name, time_limit_s if name in limited else None) for name in names}
+
+
+def gap_planners(scenario: Scenario) -> list[str]:
+    """The planners that show how far a scenario's best policy is from the bound: ``exact`` where it can plan."""
+    from uavaou.planners.exact import LARGEST, program_size
+
+    names = ["rolling", "anneal", "best-first", "greedy", "partition-tour", "tour", "random"]
+    solvable = scenario.fading == "none" and program_size(scenario, scenario.draw_layout()) <= LARGEST
+    return ["exact", *names] if solvable else names

@@ -1,0 +1,118 @@
+"""A comparison: trained runs and planners play the same missions of one scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from uavaou.errors import InputError
+from uavaou.evaluation.evaluate import Evaluation, evaluate
+from uavaou.planners.base import Planner
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.results import EvaluationFile, PolicyResult, keep_evaluation, own_evaluation, write_evaluation
+from uavaou.scenario import Scenario
+from uavaou.world import World
+
+
+class Display(Protocol):
+    """Shows a comparison to a person."""
+
+    def start(self, name: str) -> None:
+        """The policy of that name begins."""
+
+    def after_slot(self, slots: int, world: World) -> None:
+        """``slots`` of its missions are done, in all of them together."""
+
+
+def read_runs(folders: Iterable[str]) -> dict[str, RunConfig]:
+    """The configurations of runs by folder; a folder that is spelt in two ways counts once, by the first spelling.
+
+    Raises:
+        InputError: a folder is no run, or its configuration cannot be used.
+    """
+    spellings: dict[Path, str] = {}
+    for name in folders:
+        spellings.setdefault(Path(name).resolve(), name)
+    return {name: RunFolder(Path(name)).read_config() for name in spellings.values()}
+
+
+def common_scenario(runs: Mapping[str, RunConfig]) -> Scenario:
+    """The scenario that all of the ``runs`` were trained on.
+
+    Raises:
+        InputError: there are two.
+    """
+    first, *others = runs
+    for other in others:
+        if runs[other].scenario != runs[first].scenario:
+            raise InputError(
+                f"'{first}' and '{other}' were trained on different scenarios: say with --scenario which one to play"
+            )
+    return runs[first].scenario
+
+
+def load_runs(folders: Iterable[str], scenario: Scenario, action: str | None = None) -> dict[str, Planner]:
+    """The best policies of runs by folder; see :func:`uavaou.runs.policy.load_run`."""
+    from uavaou.runs.policy import load_run  # imports torch, which planners do without
+
+    return {name: load_run(RunFolder(Path(name)), scenario, action) for name in folders}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Policies on the same missions, by name: that of a run is its folder."""
+
+    scenario: Scenario
+    episodes: int
+    seed: int  # of mission 0
+    policies: Mapping[str, Planner]
+    results: Mapping[str, Evaluation]
+
+    @property
+    def actions(self) -> dict[str, str | None]:
+        """``greedy`` or ``sample`` of each trained policy; None of planners."""
+        return {name: getattr(policy, "action", None) for name, policy in self.policies.items()}
+
+    def _content(self) -> dict[str, PolicyResult]:
+        return {
+            name: PolicyResult.of(result, self.scenario, self.policies[name]) for name, result in self.results.items()
+        }
+
+    def keep(self, runs: Mapping[str, RunConfig]) -> list[str]:
+        """Write ``eval/default.json`` of each run, with the planners beside its policy; returns a note on each."""
+        content = self._content()
+        planners = {name: result for name, result in content.items() if result.action is None}
+        return [
+            keep_evaluation(
+                RunFolder(Path(name)).evaluation(),
+                own_evaluation(config, content[name], self.episodes, self.seed, beside=planners),
+            )
+            for name, config in runs.items()
+        ]
+
+    def write(self, path: Path) -> None:
+        """Write the figures of every policy and mission into one file.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        content = EvaluationFile(
+            scenario=self.scenario.name, episodes=self.episodes, seed=self.seed, policies=self._content()
+        )
+        try:
+            write_evaluation(path, content)
+        except OSError as error:
+            raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
+
+
+def compare(
+    policies: Mapping[str, Planner], scenario: Scenario, episodes: int, seed: int, display: Display
+) -> Comparison:
+    """Play ``episodes`` missions with each policy; mission j is seeded with ``seed + j``."""
+    results = {}
+    for name, policy in policies.items():
+        display.start(name)
+        results[name] = evaluate(policy, scenario, episodes, seed, display.after_slot)
+    return Comparison(scenario, episodes, seed, policies, results)
