@@ -4,11 +4,29 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import RolloutBuffer
+
+from uavaou.algorithms.mappo import CentralizedValuePolicy
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+
+def test_stock_ppo_trains_the_centralised_policy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)
+    example = import_module("stock_ppo")
+    learners = []
+    monkeypatch.setattr(example, "PPO", lambda *args, **kwargs: learners.append(PPO(*args, **kwargs)) or learners[0])
+    before, after = example.train(slots=16_000)
+    assert after < before / 10
+    (model,) = learners
+    assert type(model) is PPO
+    assert type(model.rollout_buffer) is RolloutBuffer
+    assert type(model.policy) is CentralizedValuePolicy
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -117,6 +118,18 @@ def test_the_linear_layer_is_torchs(batch: tuple[int, ...]) -> None:
         th.testing.assert_close(one, other, rtol=1e-4, atol=1e-4)
     with th.no_grad():
         th.testing.assert_close(layer(features), results[0][0])
+
+
+def test_gradients_of_strided_rows_cost_no_more_than_those_of_whole_rows() -> None:
+    layer, rows = Linear(53, 128), th.randn(1000, 85)
+
+    def seconds(features: th.Tensor) -> float:
+        started = time.perf_counter()
+        layer(features).sum().backward()
+        return time.perf_counter() - started
+
+    whole, strided = (min(seconds(features) for _ in range(3)) for features in (rows[:, :53].clone(), rows[:, :53]))
+    assert strided < 50 * whole  # oneDNN took 700 times as long
 
 
 def test_samples_have_the_distributions_frequencies_and_respect_masks() -> None:
