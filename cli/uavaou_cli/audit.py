@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from uavaou_cli.options import ScenarioArgument
+from uavaou_cli.tables import show
 
 
 def audit(scenario: ScenarioArgument) -> None:
@@ -11,4 +12,4 @@ def audit(scenario: ScenarioArgument) -> None:
     from uavaou.reports.audit import audit_lines
     from uavaou.scenario import Scenario
 
-    print("\n".join(audit_lines(audit_scenario(Scenario.load(scenario)))))
+    show(audit_lines(audit_scenario(Scenario.load(scenario))))

@@ -14,6 +14,7 @@ from uavaou_cli.checks import given_path, writable_file
 from uavaou_cli.evaluate_suite import Request, evaluate_suite
 from uavaou_cli.options import Episodes, MissionSeed, Quiet, SetScenario, choice, seconds
 from uavaou_cli.overrides import parse_overrides
+from uavaou_cli.tables import show
 
 if TYPE_CHECKING:
     from uavaou.planners.base import Planner
@@ -79,7 +80,7 @@ def evaluate(
             comparison.write(json)
             notes.append(f"wrote {json}")
     finally:  # hours of figures are shown even if a disk has filled meanwhile
-        print("\n".join(evaluation_lines(comparison, overrides.scenario)))
+        show(evaluation_lines(comparison, overrides.scenario))
     for note in notes if not quiet else []:
         print(note, file=sys.stderr)
 

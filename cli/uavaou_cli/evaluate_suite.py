@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from uavaou.errors import InputError
 from uavaou_cli.checks import writable_file
 from uavaou_cli.overrides import Overrides
+from uavaou_cli.tables import show
 
 if TYPE_CHECKING:
     from uavaou.planners.base import Planner
@@ -61,7 +62,7 @@ def evaluate_suite(request: Request, configs: Mapping[str, RunConfig], planners:
     if request.out is not None and request.json is not None and request.out.resolve() == request.json.resolve():
         raise InputError(f"--out and --json are both '{request.out}': give each a file of its own")
     if not configs and not planners:
-        print("\n".join(suite_points(plan.suite, plan.base, plan.places, plan.missing)))
+        show(suite_points(plan.suite, plan.base, plan.places, plan.missing))
         return
     _check_runs(plan, request.action)
     results: list[Result] = []
@@ -70,7 +71,7 @@ def evaluate_suite(request: Request, configs: Mapping[str, RunConfig], planners:
         _play(plan, planners, request, results)
         notes = _write(plan, results, request)
     finally:  # what has been played is shown even where Ctrl-C ended it, or a disk has filled
-        print("\n".join(suite_lines(plan, results, request.episodes, request.seed)))
+        show(suite_lines(plan, results, request.episodes, request.seed))
     for note in notes if not request.quiet else []:
         print(note, file=sys.stderr)
 

@@ -14,6 +14,7 @@ from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
 from uavaou_cli.checks import writable_folder
 from uavaou_cli.options import Episodes, MissionSeed, Quiet, ScenarioArgument, SetScenario, number, seconds
 from uavaou_cli.overrides import Overrides, parse_overrides
+from uavaou_cli.tables import show
 
 if TYPE_CHECKING:
     from uavaou.scenario import Scenario
@@ -75,7 +76,7 @@ def gap(
     bound = lower_bound(chosen, chosen.draw_layout())
     with EvaluationDisplay(quiet, list(policies), episodes * chosen.slots) as display:
         comparison = compare(policies, chosen, episodes, seed, display)
-    print("\n".join(gap_lines(comparison, bound)))
+    show(gap_lines(comparison, bound))
 
 
 def _scenario(name: str, overrides: Overrides) -> Scenario:
@@ -111,7 +112,7 @@ def _plan_and_report(
     write_json(folder / "plan.json", plan.to_dict(scenario))
     with EvaluationDisplay(quiet, [name], episodes * scenario.slots) as flights:
         comparison = compare({name: planner}, scenario, episodes, seed, flights)
-    print("\n".join([*plan_lines(scenario, plan, took, folder / "plan.json"), ""]))
-    print("\n".join(evaluation_lines(comparison, {})))
+    show([*plan_lines(scenario, plan, took, folder / "plan.json"), ""])
+    show(evaluation_lines(comparison, {}))
     recording = record_mission(scenario, planner, seed)
-    print("\n".join(map(str, plot_trajectories(scenario, recording, folder, f"mission-{seed}"))))
+    show(plot_trajectories(scenario, recording, folder, f"mission-{seed}"))

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +12,7 @@ from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou_cli.checks import writable_folder
 from uavaou_cli.options import LARGEST_SEED, number
+from uavaou_cli.tables import show
 
 
 def figures(
@@ -48,39 +44,23 @@ def figures(
 
 
 def _draw_all(studies: list[Path], out: Path | None) -> None:
-    """Draw the studies that can be drawn, as many at a time as there are cores.
-
-    One that is damaged, or has only begun, keeps no other from it.
-    """
+    """Draw every study that can be drawn; a damaged one, or one without results yet, is named and left out."""
+    from uavaou.reports.study_figures import plot_studies
     from uavaou.studies.results import NothingYetError
 
-    problems: list[InputError] = []
-    places = [_place(study, studies, out) for study in studies]
-    for place in places:
+    places = {study: _place(study, studies, out) for study in studies}
+    for place in places.values():
         writable_folder(place)
-    for drawing in _drawings(studies, places):
-        try:
-            print("\n".join(map(str, drawing())), flush=True)
-        except InputError as problem:
-            problems.append(problem)
-            print(f"uavaou: left out: {problem}", file=sys.stderr)
+    problems: list[InputError] = []
+    for drawn in plot_studies(places):
+        if isinstance(drawn, InputError):
+            problems.append(drawn)
+            print(f"uavaou: left out: {drawn}", file=sys.stderr)
+        else:
+            show(drawn)
     damaged = [problem for problem in problems if not isinstance(problem, NothingYetError)]
     if damaged or len(problems) == len(studies):
         raise InputError(f"{len(problems)} of {len(studies)} studies could not be drawn")
-
-
-def _drawings(studies: list[Path], places: list[Path]) -> Iterator[Callable[[], list[Path]]]:
-    """What gives the pictures of each study, drawn when it is asked for or, on several cores, before."""
-    from uavaou.reports.study_figures import plot_study
-
-    workers = min(len(studies), os.cpu_count() or 1)
-    if workers == 1:
-        yield from (partial(plot_study, study, place) for study, place in zip(studies, places, strict=True))
-        return
-    # Ctrl-C reaches the whole group: a worker ends at once, and this process says so.
-    with ProcessPoolExecutor(workers, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL)) as pool:
-        drawn = [pool.submit(plot_study, study, place) for study, place in zip(studies, places, strict=True)]
-        yield from (future.result for future in drawn)
 
 
 def _place(study: Path, studies: list[Path], out: Path | None) -> Path:
@@ -96,7 +76,7 @@ def _draw_runs(runs: list[Path], target: Path) -> None:
     writable_folder(target)
     from uavaou.reports.figures import plot_figures
 
-    print("\n".join(map(str, plot_figures(runs, target))))
+    show(plot_figures(runs, target))
     if not any(folder.glob("eval/*.json") for folder in runs):
         print(f"figures 7 and 8 need an evaluation first: uavaou eval {runs[0]}", file=sys.stderr)
 
@@ -105,7 +85,7 @@ def _draw_study(study: Path, target: Path) -> None:
     writable_folder(target)
     from uavaou.reports.study_figures import plot_study
 
-    print("\n".join(map(str, plot_study(study, target))), flush=True)
+    show(plot_study(study, target))
 
 
 def suite(
@@ -125,7 +105,7 @@ def suite(
     from uavaou.reports.suites import plot_suite, read_suite
 
     for table in [read_suite(path) for path in files]:  # all are read before the first is drawn
-        print("\n".join(map(str, plot_suite(table, out if out is not None else table.path.parent))))
+        show(plot_suite(table, out if out is not None else table.path.parent))
 
 
 def trajectories(
@@ -147,4 +127,4 @@ def trajectories(
     from uavaou.runs.policy import load_run
 
     recording = record_mission(scenario, load_run(folder), episode_seed)
-    print("\n".join(map(str, plot_trajectories(scenario, recording, target, f"mission-{episode_seed}"))))
+    show(plot_trajectories(scenario, recording, target, f"mission-{episode_seed}"))

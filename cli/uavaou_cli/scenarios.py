@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from uavaou_cli.tables import show
+
 
 def scenarios() -> None:
     """List the scenarios that come with uavaou."""
@@ -9,4 +11,4 @@ def scenarios() -> None:
     from uavaou.zoo import zoo_names
     from uavaou_cli.tables import scenario_lines
 
-    print("\n".join(scenario_lines([Scenario.load(name) for name in zoo_names("scenarios")])))
+    show(scenario_lines([Scenario.load(name) for name in zoo_names("scenarios")]))

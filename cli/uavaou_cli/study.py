@@ -15,6 +15,7 @@ from uavaou.errors import InputError
 from uavaou_cli.checks import given_path, writable_folder
 from uavaou_cli.options import Quiet, Results, StudyArgument, choice, number
 from uavaou_cli.progress import StudyDisplay, say_how_to_go_on
+from uavaou_cli.tables import show
 
 if TYPE_CHECKING:
     from uavaou.studies.jobs import Engine
@@ -62,7 +63,7 @@ def run(
     if outcome.stopped_by is not None:
         say_how_to_go_on(ctx.obj["arguments"], f" with {outcome.done} of {outcome.total} parts done")
         raise typer.Exit(128 + outcome.stopped_by)
-    print("\n".join(study_lines(folder)))
+    show(study_lines(folder))
     if outcome.failed:
         raise typer.Exit(1)
 
@@ -73,7 +74,7 @@ def status(study: StudyArgument, out: Results = Path("results")) -> None:
     from uavaou_cli.study_tables import status_lines
 
     chosen, _ = _study(study, out)
-    print("\n".join(status_lines(chosen, study_status(chosen, out))))
+    show(status_lines(chosen, study_status(chosen, out)))
 
 
 def report(study: StudyArgument, out: Results = Path("results")) -> None:
@@ -105,7 +106,7 @@ def report(study: StudyArgument, out: Results = Path("results")) -> None:
         remarks = write_report(folder, out / "README.md")
     for remark in remarks:
         print(f"uavaou: {remark}", file=sys.stderr)
-    print("\n".join(study_lines(folder)))
+    show(study_lines(folder))
 
 
 def _refuse_nothing(study: Study, out: Path) -> None:

@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -25,6 +25,11 @@ if TYPE_CHECKING:
 WIDTH = 80
 _GAP = "  "
 _BEST_TRIALS = 5
+
+
+def show(lines: Iterable[object]) -> None:
+    """Print lines on stdout."""
+    print("\n".join(map(str, lines)), flush=True)
 
 
 def scenario_lines(scenarios: Sequence[Scenario]) -> list[str]:

@@ -14,6 +14,7 @@ from uavaou_cli.checks import available_device, writable_folder
 from uavaou_cli.options import LARGEST_SEED, Quiet, Results, choice, number
 from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import say_how_to_go_on
+from uavaou_cli.tables import show
 
 if TYPE_CHECKING:
     from uavaou.runs.folder import RunConfig, RunFolder
@@ -78,7 +79,7 @@ def train(
     if outcome.stopped_by is not None:
         say_how_to_go_on(_resuming(again, folder), f" after {outcome.progress.slots:,} slots, which are kept")
         raise typer.Exit(128 + outcome.stopped_by)
-    print("\n".join(training_lines(outcome, plan, ctx.obj["plugins"])))
+    show(training_lines(outcome, plan, ctx.obj["plugins"]))
 
 
 def _plan(

@@ -13,6 +13,7 @@ from uavaou_cli.options import LARGEST_SEED, Quiet, number
 from uavaou_cli.options import seconds as seconds_option
 from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import TuningDisplay, say_how_to_go_on
+from uavaou_cli.tables import show
 
 if TYPE_CHECKING:
     from uavaou.tuning.search import Search, SearchFolder
@@ -84,7 +85,7 @@ def tune(
     except KeyboardInterrupt:
         say_how_to_go_on(ctx.obj["arguments"])
         raise typer.Exit(130) from None
-    print("\n".join(tuning_lines(folder, search, records, scenario, ctx.obj["plugins"])))
+    show(tuning_lines(folder, search, records, scenario, ctx.obj["plugins"]))
 
 
 def _search(

@@ -6,12 +6,17 @@ intervals over training seeds.
 
 from __future__ import annotations
 
+import os
+import signal
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.files import folder_name
 from uavaou.reports import style
@@ -82,6 +87,31 @@ def plot_study(folder: Path, out_dir: Path) -> list[Path]:
         for name, figure in mission_figures(missions, study.algorithms).items():
             paths += style.save(figure, Path(out_dir), name)
     return paths
+
+
+def plot_studies(places: Mapping[Path, Path]) -> Iterator[list[Path] | InputError]:
+    """Draw studies, as many at a time as there are cores.
+
+    Args:
+        places: folder of a study -> where its pictures go.
+
+    Yields:
+        The pictures of each study in order, or why it cannot be drawn.
+    """
+    workers = min(len(places), os.cpu_count() or 1)
+    if workers == 1:
+        yield from map(_plotted, places, places.values())
+        return
+    # Ctrl-C reaches the whole group: a worker ends at once, and this process says so.
+    with ProcessPoolExecutor(workers, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL)) as pool:
+        yield from pool.map(_plotted, places, places.values())
+
+
+def _plotted(folder: Path, out_dir: Path) -> list[Path] | InputError:
+    try:
+        return plot_study(folder, out_dir)
+    except InputError as problem:
+        return problem
 
 
 def scenario_figures(study: StudyResults, scenario: str) -> dict[str, Figure]:
