@@ -17,7 +17,7 @@ import torch
 from uavaou import Scenario
 from uavaou.algorithms.registry import load_config
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.recorder import Standing
+from uavaou.runs.recorder import TrainingStatus
 from uavaou.runs.train import train
 
 PARTS = 40  # of the training, at the end of each of which is measured
@@ -64,13 +64,13 @@ def endurance(slots: int = 10_000_000) -> Endurance:
     measured: list[tuple[int, float, float]] = []
     every = slots // PARTS
 
-    def watch(standing: Standing) -> None:
-        if standing.slots >= every * (len(measured) + 1):
-            measured.append((standing.slots, _resident(), time.process_time()))
+    def watch(status: TrainingStatus) -> None:
+        if status.slots >= every * (len(measured) + 1):
+            measured.append((status.slots, _resident(), time.process_time()))
 
     began = time.process_time()
     with tempfile.TemporaryDirectory() as place:
-        train(RunConfig(scenario, algorithm, seed=0), RunFolder(Path(place) / "run"), watch=watch)
+        train(RunConfig(scenario, algorithm, seed=0), RunFolder(Path(place) / "run"), after_update=watch)
     done, memory, cpu = np.array(measured).T
     rates = np.diff(done, prepend=0) / np.diff(cpu, prepend=began)
     return Endurance(done, memory, rates)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 import reprlib
+from collections.abc import Callable
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
@@ -41,6 +42,17 @@ Whole = Annotated[int, BeforeValidator(_plain_number)]
 PositiveWhole = Annotated[Whole, Field(ge=1, le=10**12)]
 Period = Annotated[Whole, Field(ge=1, le=10**6)]  # slots
 Point = tuple[Coordinate, Coordinate]
+
+
+def reads_schema(version: int) -> Callable[[Any], int]:
+    """A validator of a file's ``schema`` that refuses every other version."""
+
+    def check(value: Any) -> int:
+        if value != version or isinstance(value, bool | float):
+            raise ValueError(f"this version reads schema {version}")
+        return version
+
+    return check
 
 
 _MOST_LISTED = 6  # fields named where one is unknown

@@ -70,9 +70,13 @@ def train(
     again = ctx.obj["arguments"]
     try:  # importing torch takes seconds: Ctrl-C may come there already
         from uavaou.runs.train import train as run_training
+        from uavaou_cli.progress import TrainingDisplay
         from uavaou_cli.tables import training_lines
 
-        outcome = run_training(plan, folder, device, backend, resume, quiet, checkpoint_every)
+        outcome = run_training(
+            plan, folder, device=device, backend=backend, resume=resume, checkpoint_every_s=checkpoint_every,
+            display=None if quiet else TrainingDisplay(),
+        )  # fmt: skip
     except KeyboardInterrupt:
         say_how_to_go_on(_resuming(again, folder))
         raise typer.Exit(130) from None

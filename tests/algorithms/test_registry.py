@@ -106,7 +106,7 @@ def test_a_run_folder_imports_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     register_algorithm("own", OwnConfig, ppo)
-    train(own(), RunFolder(tmp_path / "run"), quiet=True)
+    train(own(), RunFolder(tmp_path / "run"))
     del registry._ALGORITHMS["own"]
     (tmp_path / "own.py").write_text("raise SystemExit('imported')\n")
     code, out, err = call(capsys, "eval run")
@@ -201,7 +201,7 @@ def test_what_cannot_be_registered(arguments: Any, says: str) -> None:
 def test_a_policy_that_no_uav_could_fly_is_refused(build: Any, says: str, tmp_path: Path) -> None:
     register_algorithm("own", OwnConfig, build)
     with pytest.raises(InputError, match=says):
-        train(own(), RunFolder(tmp_path / "run"), quiet=True)
+        train(own(), RunFolder(tmp_path / "run"))
     assert not (tmp_path / "run").exists()
 
 
@@ -212,12 +212,12 @@ def test_a_resumed_run_of_ones_own_is_the_run_never_stopped(
     register_algorithm("own", OwnConfig, ppo)
     config = own(collection=collection)
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
-    train(config, whole, quiet=True)
+    train(config, whole)
     with monkeypatch.context() as patch:
         patch.setattr("uavaou.runs.recorder.EpisodesCsv.write", stop_at(300))
         with pytest.raises(StoppedError):
-            train(config, parted, quiet=True, checkpoint_every_s=0)
-    train(config, parted, resume=True, quiet=True)
+            train(config, parted, checkpoint_every_s=0)
+    train(config, parted, resume=True)
     one, other = load_file(whole.last), load_file(parted.last)
     assert all(th.equal(one[key], other[key]) for key in one)
 
@@ -244,7 +244,7 @@ def test_a_missions_result_does_not_depend_on_the_missions_beside_it(
 ) -> None:
     register_algorithm("own", OwnConfig, build)
     config = own(collection=collection)
-    train(config, RunFolder(tmp_path), quiet=True)
+    train(config, RunFolder(tmp_path))
     policy = load_run(RunFolder(tmp_path), action=action)
     th.manual_seed(1)
     many = evaluate(policy, config.scenario, 4, 500).values("mean_aou_s")

@@ -21,10 +21,10 @@ with atheris.instrument_imports(include=["uavaou"]):
     from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
     from uavaou.devices_csv import read_devices_csv
     from uavaou.errors import InputError
-    from uavaou.files import read_json
     from uavaou.reports.run_results import read_run
-    from uavaou.runs.checkpoint import Progress, _progress
+    from uavaou.runs.checkpoint_header import TrainingProgress, read_header, write_header
     from uavaou.runs.folder import RunConfig, RunFolder
+    from uavaou.runs.results import read_evaluation
     from uavaou.scenario import Scenario
 
 PLACE = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
@@ -34,7 +34,7 @@ def _checkpoint(content: bytes) -> None:
     path = PLACE / "last.safetensors"
     path.write_bytes(content)
     file = ArrayFile(path)
-    _progress(file, oldest=1)
+    read_header(file)
     for name in file.shapes:
         file.read(name)
 
@@ -64,7 +64,7 @@ def _devices(content: bytes) -> None:
 def _evaluation(content: bytes) -> None:
     path = PLACE / "eval.json"
     path.write_bytes(content)
-    read_json(path)
+    read_evaluation(path)
 
 
 def _episodes(content: bytes) -> None:
@@ -95,7 +95,7 @@ def write_seeds(folder: Path) -> None:
     checkpoint, learner = PLACE / "c", PLACE / "l"
     arrays = {"policy.weight": np.ones((2, 3), np.float32), "stream.numpy": np.zeros(4, np.uint32)}
     about = {"class": "MAPPO", "arguments": {}, "layout": {}, "rows": 2}
-    write_arrays(checkpoint, arrays, {"schema": "2", "progress": json.dumps(vars(Progress()))})
+    write_arrays(checkpoint, arrays, write_header(TrainingProgress()))
     write_arrays(learner, arrays, {"kind": "uavaou learner", "schema": "1", "about": json.dumps(about)})
     from uavaou.algorithms.registry import load_config
 
@@ -105,7 +105,8 @@ def write_seeds(folder: Path) -> None:
         b"base: tiny\nslots: 20\nbandwidth_hz: {low: 15000, high: 2.0e+4}\n",
         RunConfig(scenario, load_config("mappo"), 0).to_yaml().encode(),
         b"x_m,y_m,transmit_power_mw\n120,430,0.5\n710,95,0.8\n",
-        b'{"episodes": 3, "policies": {"mappo": {"mean_aou_s": [1.0, 2.0, 3.0]}}}',
+        b'{"scenario": "tiny", "episodes": 1, "policies": {"mappo": {"mean_aou_s": [1.0], "communications": [2],'
+        b' "devices_served": [3]}}}',
         b"mission,slots,wall_s,reward_s,mean_aou_s,communications,devices_served\n1,60,0.1,-3,4.5,6,7\n",
     )
     for number, content in enumerate(seeds):

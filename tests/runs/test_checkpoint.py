@@ -38,7 +38,7 @@ def small(**changes: Any) -> RunConfig:
 
 
 def every_update(config: RunConfig, folder: RunFolder, **options: Any) -> Any:
-    return train(config, folder, quiet=True, checkpoint_every_s=0, **options)
+    return train(config, folder, checkpoint_every_s=0, **options)
 
 
 class StoppedError(Exception):
@@ -121,7 +121,7 @@ def test_every_bit_of_a_checkpoint_is_covered(stopped: RunFolder, tmp_path: Path
         path.write_bytes(content)
         flip(path, int(place))
         with pytest.raises(InputError):
-            checkpoint._progress(tensor_file.ArrayFile(path), oldest=checkpoint.SCHEMA)
+            checkpoint.read_header(tensor_file.ArrayFile(path), oldest=checkpoint.SCHEMA)
 
 
 def test_a_kill_between_the_two_renames_costs_one_checkpoint(
@@ -163,7 +163,7 @@ def test_checkpoints_of_another_schema_are_refused_in_words(stopped: RunFolder, 
         for schema, says in (("1", "this version reads 2"), ("3", "this version reads 2")):
             tensor_file.write_arrays(path, arrays, file.text | {"schema": schema})
             with pytest.raises(InputError, match=f"written with checkpoint schema {schema}, {says}"):
-                checkpoint._progress(tensor_file.ArrayFile(path), oldest=checkpoint.SCHEMA)
+                checkpoint.read_header(tensor_file.ArrayFile(path), oldest=checkpoint.SCHEMA)
     published = Path(__file__).parents[1] / "data" / "schema-1"
     assert load_run(RunFolder(published)).model is not None  # schema 1, without a checksum
 

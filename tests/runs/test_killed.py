@@ -43,7 +43,7 @@ def play(config: RunConfig, path: Path) -> None:
     import torch as th
 
     th.set_num_threads(1)
-    train(config, RunFolder(path), resume=True, quiet=True, checkpoint_every_s=0)
+    train(config, RunFolder(path), resume=True, checkpoint_every_s=0)
 
 
 def start(config: RunConfig, path: Path) -> Any:
@@ -140,7 +140,7 @@ def play_with_two_threads(config: RunConfig, path: Path) -> None:
     import torch as th
 
     th.set_num_threads(2)
-    train(config, RunFolder(path), resume=True, quiet=True, checkpoint_every_s=0)
+    train(config, RunFolder(path), resume=True, checkpoint_every_s=0)
 
 
 @pytest.mark.slow

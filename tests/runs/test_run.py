@@ -71,13 +71,13 @@ def test_a_resumed_run_is_the_run_never_stopped(
     config = small(algorithm)
     config = RunConfig(config.scenario.replace(layout=layout), config.algorithm, config.seed)
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
-    train(config, whole, quiet=True, checkpoint_every_s=0)
+    train(config, whole, checkpoint_every_s=0)
     with monkeypatch.context() as patch:
         stop_after(patch, missions=20)
         with pytest.raises(StoppedError):
-            train(config, parted, backend=before, quiet=True, checkpoint_every_s=0)
+            train(config, parted, backend=before, checkpoint_every_s=0)
     assert json.loads(parted.meta.read_text())["finished"] is False
-    train(config, parted, backend=after, resume=True, quiet=True)
+    train(config, parted, backend=after, resume=True)
     for name in ("best", "last"):
         one, other = load_file(getattr(whole, name)), load_file(getattr(parted, name))
         assert one.keys() == other.keys()
@@ -92,7 +92,7 @@ def test_a_resumed_run_is_the_run_never_stopped(
 
 def test_the_same_config_gives_the_same_run_and_another_seed_another(tmp_path: Path) -> None:
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        train(small(seed=seed), RunFolder(tmp_path / name), quiet=True)
+        train(small(seed=seed), RunFolder(tmp_path / name))
     weights = {name: load_file(RunFolder(tmp_path / name).last) for name in "abc"}
     key = "policy.actor_body.0.weight"
     assert th.equal(weights["a"][key], weights["b"][key])
@@ -103,7 +103,7 @@ def test_the_same_config_gives_the_same_run_and_another_seed_another(tmp_path: P
 def test_what_a_run_writes(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
     config = small()
-    outcome = train(config, folder, quiet=True)
+    outcome = train(config, folder)
     assert folder.read_config() == config
     assert outcome.agent_steps == 2 * outcome.progress.slots == 2400
     episodes = rows(folder.episodes)
@@ -123,26 +123,26 @@ def test_every_backend_trains_the_same_policy(backend: str, processes: int, tmp_
     weights = []
     for name, arguments, count in (("reference", {}, 1), ("other", {"backend": backend}, processes)):
         folder = RunFolder(tmp_path / name)
-        train(small(slots=300, processes=count), folder, quiet=True, **arguments)
+        train(small(slots=300, processes=count), folder, **arguments)
         weights.append(load_file(folder.best)["policy.actor_body.0.weight"])
     assert th.equal(weights[0], weights[1])
 
 
 def test_a_folder_that_holds_a_run_is_refused(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
-    train(small(slots=200), folder, quiet=True)
+    train(small(slots=200), folder)
     before = {path: path.read_bytes() for path in folder.path.rglob("*") if path.is_file()}
     with pytest.raises(InputError, match=r"already holds a run: add --resume"):
-        train(small(slots=200), folder, quiet=True)
+        train(small(slots=200), folder)
     with pytest.raises(InputError, match="another configuration"):
-        train(small(slots=300), folder, resume=True, quiet=True)
+        train(small(slots=300), folder, resume=True)
     assert before == {path: path.read_bytes() for path in folder.path.rglob("*") if path.is_file()}
 
 
 def test_a_run_that_cannot_be_built_leaves_nothing_behind(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
     with pytest.raises(InputError, match="not enough memory for the learner"):
-        train(small(rollout_slots=1_000_000, missions=65_536), folder, quiet=True)
+        train(small(rollout_slots=1_000_000, missions=65_536), folder)
     assert not folder.path.exists()
 
 
@@ -165,7 +165,7 @@ def test_different_runs_have_different_folders() -> None:
 @pytest.mark.parametrize("damage", ["truncated", "garbage", "missing"])
 def test_a_damaged_checkpoint_is_said_in_words(damage: str, tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
-    train(small(slots=200), folder, quiet=True)
+    train(small(slots=200), folder)
     content = folder.best.read_bytes()
     if damage == "missing":
         folder.best.unlink()
@@ -178,7 +178,7 @@ def test_a_damaged_checkpoint_is_said_in_words(damage: str, tmp_path: Path) -> N
 
 def test_a_run_does_not_fit_another_shape(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
-    train(small(slots=200), folder, quiet=True)
+    train(small(slots=200), folder)
     with pytest.raises(InputError, match="trained with 2 uavs and 8 devices; scenario 'paper' has 3 and 25"):
         load_run(folder, Scenario.load("paper"))
     with pytest.raises(InputError, match="is not a run folder"):
@@ -188,7 +188,7 @@ def test_a_run_does_not_fit_another_shape(tmp_path: Path) -> None:
 @pytest.mark.parametrize("action", ["greedy", "sample"])
 def test_a_missions_result_does_not_depend_on_the_missions_beside_it(action: str, tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
-    train(small(slots=200), folder, quiet=True)
+    train(small(slots=200), folder)
     policy = load_run(folder, action=action)
     scenario = policy.views.scenario
     many = evaluate(policy, scenario, 6, 500).values("mean_aou_s")
@@ -211,6 +211,6 @@ def test_mappo_learns_quickstart(tmp_path: Path) -> None:
     scenario = Scenario.load("quickstart")
     folder = RunFolder(tmp_path / "run")
     config = load_config("mappo", {"slots": 60_000, "missions": 16, "rollout_slots": 60, "batch_rows": 960})
-    train(RunConfig(scenario, config, 0), folder, quiet=True)
+    train(RunConfig(scenario, config, 0), folder)
     learned = evaluate(load_run(folder), scenario, 50).mean_aou_s
     assert learned < 0.2 * evaluate("random", scenario, 50).mean_aou_s

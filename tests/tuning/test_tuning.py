@@ -19,9 +19,9 @@ import yaml
 
 from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import algorithm_names, load_config
-from uavaou.runs.checkpoint import Progress
+from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.recorder import Standing
+from uavaou.runs.recorder import TrainingStatus
 from uavaou.runs.train import Outcome, train
 from uavaou.tuning import trials as tuning
 from uavaou.tuning.search import Search, SearchFolder, ranked
@@ -69,13 +69,15 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[RunConfig]:
     """Trainings made up in no time; returns those that were begun."""
     begun: list[RunConfig] = []
 
-    def made_up(config: RunConfig, folder: RunFolder, *, watch: Callable[[Standing], None], **_: Any) -> Outcome:
+    def made_up(
+        config: RunConfig, folder: RunFolder, *, after_update: Callable[[TrainingStatus], None], **_: Any
+    ) -> Outcome:
         begun.append(config)
         slots, final = config.algorithm.slots, score(config)
         for tenth in range(11):
             scored = final + 10 - tenth if tenth else None
-            watch(Standing(slots * tenth // 10, tenth, 0.1 * tenth, tenth > 0, scored, "greedy"))
-        return Outcome(folder, Progress(slots, best_score=final), slots * 2)
+            after_update(TrainingStatus(slots * tenth // 10, tenth, 0.1 * tenth, tenth > 0, scored, "greedy"))
+        return Outcome(folder, TrainingProgress(slots=slots, best_score=final), slots * 2)
 
     monkeypatch.setattr(tuning, "train", made_up)
     return begun
@@ -244,12 +246,12 @@ def test_another_search_does_not_join(tmp_path: Path) -> None:
 # -- the budget ----------------------------------------------------------------------------------------
 
 
-def standings(rollout: int, warm_up: int, slow: float, quick: float) -> list[Standing]:
+def statuses(rollout: int, warm_up: int, slow: float, quick: float) -> list[TrainingStatus]:
     """A training whose slots cost ``quick`` seconds each, from its first update on ``slow``."""
     found, cpu_s = [], 0.0
     for step in range(1000):
         slots = step * rollout
-        found.append(Standing(slots, max(slots - warm_up, 0), cpu_s, False, None, "greedy"))
+        found.append(TrainingStatus(slots, max(slots - warm_up, 0), cpu_s, False, None, "greedy"))
         cpu_s += rollout * (slow if slots >= warm_up else quick)
     return found
 
@@ -264,7 +266,7 @@ def standings(rollout: int, warm_up: int, slow: float, quick: float) -> list[Sta
 )
 def test_a_rate_is_measured_after_the_first_update(seconds: float, warm_up: int, expected: int) -> None:
     rate = tuning._Rate(seconds)
-    training = standings(40, warm_up, slow=0.01, quick=0.002)
+    training = statuses(40, warm_up, slow=0.01, quick=0.002)
     with pytest.raises(tuning._Measured) as measured:
         list(map(rate, training))
     assert abs(measured.value.slots - expected) <= 40
@@ -273,7 +275,7 @@ def test_a_rate_is_measured_after_the_first_update(seconds: float, warm_up: int,
 
 def test_a_rollout_longer_than_the_budget_is_no_trial() -> None:
     rate = tuning._Rate(1.0)
-    training = standings(400, 0, slow=0.01, quick=0.01)
+    training = statuses(400, 0, slow=0.01, quick=0.01)
     with pytest.raises(InputError, match=r"one rollout of 400 slots takes 4.0 s of CPU, and a trial has 1 s"):
         list(map(rate, training))
 
@@ -290,9 +292,9 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
     slots = affordable_slots(search, {"gamma": 0.9})
     rollout = 48 if algorithm == "mappo" else 8
     assert slots % rollout == 0
-    seen: list[Standing] = []
+    seen: list[TrainingStatus] = []
     played = search.config({"gamma": 0.9}, slots)
-    train(RunConfig(search.scenario, played, 0), RunFolder(tmp_path), quiet=True, watch=seen.append)
+    train(RunConfig(search.scenario, played, 0), RunFolder(tmp_path), after_update=seen.append)
     th.set_num_threads(before)
     assert seen[-1].slots == slots  # to the slot: schedules end with the budget
     assert 0.5 < seen[-1].cpu_s < 2.0
@@ -312,9 +314,9 @@ def test_cpu_seconds_are_those_of_learning(tmp_path: Path, monkeypatch: pytest.M
         return evaluate(*arguments)
 
     monkeypatch.setattr(callback, "evaluate", costly)
-    seen: list[Standing] = []
+    seen: list[TrainingStatus] = []
     config = load_config("mappo", SMALL | {"slots": 96, "evaluate_every_slots": 48, "epochs": 1})
-    train(RunConfig(Scenario.load("tiny"), config, 0), RunFolder(tmp_path), quiet=True, watch=seen.append)
+    train(RunConfig(Scenario.load("tiny"), config, 0), RunFolder(tmp_path), after_update=seen.append)
     assert [(standing.slots, standing.evaluated) for standing in seen] == [(48, True), (96, True)]
     assert seen[-1].cpu_s < 1.0
 

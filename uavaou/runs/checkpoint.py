@@ -6,9 +6,7 @@ the learner's own state, its replay and the missions in the air; ``previous`` is
 
 from __future__ import annotations
 
-import json
 import warnings
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,49 +15,29 @@ import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from uavaou.algorithms.io.tensor_file import CHECKSUM, ArrayFile, write_arrays
+from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
 from uavaou.algorithms.io.weights import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
 from uavaou.errors import InputError
+from uavaou.runs.checkpoint_header import SCHEMA, TrainingProgress, read_header, write_header
 from uavaou.runs.folder import RunFolder
 
-SCHEMA = 2  # 1 had no checksum; its policies are still read
 _WORLD, _STREAM, _LEARNER, _REPLAY = "world.", "stream.", "learner.", "replay."
 _UNUSABLE = (KeyError, ValueError, TypeError, IndexError, RuntimeError, AttributeError, OverflowError)
 
-_MOST = 10**15  # of anything counted or measured
-
 Arrays = dict[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a training stands."""
-
-    slots: int = 0
-    missions: int = 0  # finished training missions, rows of episodes.csv
-    wall_s: float = 0.0
-    updates: int = 0
-    next_evaluation: int = 0
-    best_score: float | None = None  # mean AoU on the validation missions, s
-    best_action: str = "greedy"  # the action that the best score was reached with
-    rows: int = 0  # of progress.csv
-    row_slots: int = 0  # slots at the last of them
-    figures: dict[str, float | int] = field(default_factory=dict)  # logged since
-    budget_left: float = 1.0  # what SB3's schedules go by
-    cpu_s: float | None = None  # of the training processes so far, playing and learning; None: not measured
 
 
 class DamagedCheckpointWarning(UserWarning):
     """The newest checkpoint could not be used, the one before it is."""
 
 
-def save_policy(path: Path, model: BaseAlgorithm, progress: Progress) -> None:
+def save_policy(path: Path, model: BaseAlgorithm, progress: TrainingProgress) -> None:
     """Write the policy's weights."""
     _write(path, policy_arrays(model), progress)
 
 
 def save_training(
-    folder: RunFolder, model: BaseAlgorithm, progress: Progress, world: Arrays, replay: bool = True
+    folder: RunFolder, model: BaseAlgorithm, progress: TrainingProgress, world: Arrays, replay: bool = True
 ) -> None:
     """Write everything that resuming needs; the checkpoint before it is kept.
 
@@ -86,16 +64,7 @@ def save_training(
     newest.replace(folder.last)
 
 
-def read_progress(file: ArrayFile) -> Progress:
-    """Read where the training stood.
-
-    Raises:
-        InputError: the file is no checkpoint of this software.
-    """
-    return _progress(file, oldest=1)
-
-
-def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[Progress, Arrays]:
+def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[TrainingProgress, Arrays]:
     """Load the newest checkpoint that is whole into a learner; returns where it stood and the missions in the air.
 
     A damaged ``last`` is set aside as ``last.damaged``, with a warning that names it and the one taken.
@@ -109,7 +78,7 @@ def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[Progress, Ar
             continue
         try:
             file = ArrayFile(path)
-            progress = _progress(file, oldest=SCHEMA)
+            progress = read_header(file, oldest=SCHEMA)
             world = _load_state(file, model)
         except InputError as error:
             problems.append(str(error))
@@ -120,31 +89,6 @@ def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[Progress, Ar
             warnings.warn(message, DamagedCheckpointWarning, stacklevel=2)
         return progress, world
     raise InputError("; ".join(problems) + "; no checkpoint is left to go on from")
-
-
-def _progress(file: ArrayFile, oldest: int) -> Progress:
-    schema = file.text.get("schema", "")
-    if not schema.isdigit():
-        raise InputError(f"{file.path}: not a checkpoint of this software")
-    if not oldest <= int(schema) <= SCHEMA:
-        verb = "reads" if oldest == SCHEMA else "reads schemas 1 to"
-        raise InputError(f"{file.path}: written with checkpoint schema {schema}, this version {verb} {SCHEMA}")
-    if int(schema) > 1 and CHECKSUM not in file.text:
-        raise InputError(f"{file.path}: damaged: its checksum is missing")
-    stated = file.json("progress")
-    try:
-        progress = Progress(**stated)
-        counts = (progress.slots, progress.missions, progress.updates, progress.next_evaluation, progress.rows)
-        usable = all(isinstance(count, int) and 0 <= count <= _MOST for count in (*counts, progress.row_slots))
-        measured = (progress.wall_s, progress.cpu_s or 0.0, progress.best_score or 0.0, progress.budget_left)
-        numbers = (*measured, *progress.figures.values())
-        usable &= all(isinstance(number, int | float) and abs(number) <= _MOST for number in numbers)
-        usable &= progress.best_action in ("greedy", "sample")
-    except (TypeError, AttributeError) as error:
-        raise InputError(f"{file.path}: not a checkpoint of this software") from error
-    if not usable:
-        raise InputError(f"{file.path}: not a checkpoint of this software (impossible progress {stated!r:.200})")
-    return progress
 
 
 def _load_state(file: ArrayFile, model: BaseAlgorithm) -> Arrays:
@@ -236,6 +180,6 @@ def _to_numpy(value: Any) -> NDArray[Any]:
     return value.detach().cpu().numpy() if isinstance(value, th.Tensor) else np.asarray(value)
 
 
-def _write(path: Path, arrays: Arrays, progress: Progress) -> None:
+def _write(path: Path, arrays: Arrays, progress: TrainingProgress) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_arrays(path, arrays, {"schema": str(SCHEMA), "progress": json.dumps(asdict(progress))})
+    write_arrays(path, arrays, write_header(progress))

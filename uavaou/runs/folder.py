@@ -8,29 +8,28 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import platform
-import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from urllib.parse import quote
 
 import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
+from uavaou.fields import Whole, reads_schema, validated
 from uavaou.files import refuse_links
+from uavaou.runs.meta import RunMeta
 from uavaou.scenario import Scenario
 from uavaou.world import Views
 from uavaou.zoo import read_yaml_mapping, zoo_folder, zoo_names
 
 SCHEMA = 1
 _LONGEST_NAME = 120
-_PACKAGES = ("uavaou", "torch", "stable-baselines3", "supersuit", "pettingzoo", "gymnasium", "numpy")
+EPISODE_COLUMNS = ("mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
 
 
 @dataclass(frozen=True)
@@ -107,6 +106,22 @@ class RunFolder:
         """Held by the process that writes the run."""
         return self.path / ".lock"
 
+    def read_meta(self) -> RunMeta:
+        """Read ``meta.json``.
+
+        Raises:
+            InputError: it cannot be read, or a field of it is missing or cannot be used.
+        """
+        return RunMeta.read(self.meta)
+
+    @property
+    def finished(self) -> bool:
+        """Whether ``meta.json`` says that the training has reached its budget."""
+        try:
+            return self.read_meta().finished
+        except InputError:
+            return False
+
     def exists(self) -> bool:
         """Whether the folder holds a run."""
         return self.config.is_file()
@@ -126,23 +141,36 @@ class RunFolder:
         return read_config(self.config)
 
 
+class ConfigFile(BaseModel):
+    """A file that states a scenario and the settings of an algorithm, each in full."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    schema_: Annotated[int, BeforeValidator(reads_schema(SCHEMA))] = Field(alias="schema")
+    seed: Annotated[Whole, Field(ge=0)]
+    algorithm: dict[str, Any]
+    scenario: dict[str, Any]
+
+    def config(self, path: Path) -> RunConfig:
+        """What it states.
+
+        Args:
+            path: of the file, for errors.
+
+        Raises:
+            InputError: a field of the scenario or of the settings cannot be used.
+        """
+        scenario = Scenario.from_dict(self.scenario, source=f"{path}: scenario")
+        return RunConfig(scenario, config_from_dict(self.algorithm, path), self.seed)
+
+
 def read_config(path: Path) -> RunConfig:
     """Read a ``config.yaml``.
 
     Raises:
         InputError: the file is none, or its configuration cannot be used.
     """
-    content = read_yaml_mapping(path)
-    if content.get("schema") != SCHEMA or isinstance(content["schema"], bool | float):
-        raise InputError(f"{path}: schema = {content.get('schema')!r}: this version reads schema {SCHEMA}")
-    seed = content.get("seed")
-    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise InputError(f"{path}: seed = {seed!r}: expected a whole number from 0 on")
-    for part in ("scenario", "algorithm"):
-        if not isinstance(content.get(part), dict):
-            raise InputError(f"{path}: the part '{part}' is missing")
-    scenario = Scenario.from_dict(content["scenario"], source=f"{path}: scenario")
-    return RunConfig(scenario, config_from_dict(content["algorithm"], path), seed)
+    return validated(ConfigFile, read_yaml_mapping(path), str(path)).config(path)
 
 
 def run_folder(
@@ -213,43 +241,3 @@ def _folder_name(base: str, overrides: Mapping[str, str]) -> str:
     if len(name) > _LONGEST_NAME:  # file systems end at 255 bytes
         name = f"{name[:_LONGEST_NAME]}~{hashlib.sha256(name.encode()).hexdigest()[:12]}"
     return name
-
-
-def describe_machine() -> dict[str, Any]:
-    """Versions, commit and machine, for ``meta.json``."""
-    versions: dict[str, str | None] = {}
-    for package in _PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            versions[package] = None
-    return {
-        "versions": versions,
-        "commit": _commit(),
-        "python": platform.python_version(),
-        "system": platform.platform(),
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-    }
-
-
-def _commit() -> str | None:
-    """The commit of the repository that the package runs from; None for an installed wheel."""
-    root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return None
-    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return None
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next(
-        (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor()
-    )

@@ -18,7 +18,7 @@ from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import flatten
 from uavaou.envs.spaces import split_actions
 from uavaou.errors import InputError
-from uavaou.runs.checkpoint import read_progress
+from uavaou.runs.checkpoint_header import read_header
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.world import Views, World
@@ -108,7 +108,7 @@ def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | No
     if not path.policy.is_file():
         raise InputError(f"'{path.path}' holds no checkpoint yet: its training has not reached the first one")
     checkpoint = ArrayFile(path.policy)  # opened once: a training at work may put another in its place
-    progress = read_progress(checkpoint)
+    progress = read_header(checkpoint)
     algorithm = config.algorithm
     env = flatten(scenario, missions=1, observation=algorithm.observation, collection=algorithm.collection)
     _check_size(checkpoint, config)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
@@ -15,20 +15,38 @@ from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.files import write_json
-from uavaou.runs.checkpoint import Progress, save_policy, save_training
-from uavaou.runs.folder import RunConfig, RunFolder, describe_machine
+from uavaou.runs.checkpoint import save_policy, save_training
+from uavaou.runs.checkpoint_header import TrainingProgress
+from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.health import check_learner, check_rewards, last_good
 from uavaou.runs.interrupt import Interrupted, Interrupts
+from uavaou.runs.meta import RunMeta, describe_machine
 from uavaou.runs.policy import TrainedPolicy
-from uavaou.runs.records import Display, EpisodesCsv, ProgressCsv, Recent, plain
+from uavaou.runs.records import EpisodesCsv, ProgressCsv, Recent, plain
 
 CHECKPOINT_EVERY_S = 30.0
 MOST_SHARE = 0.025  # of the wall-clock, for checkpoints: a large replay is written less often
 _ROWS_AN_EVALUATION = 50  # of progress.csv at most; learners that update every few slots would write millions
 
 
+class Display(Protocol):
+    """Shows a training to a person."""
+
+    def start(self, total: int, done: int, uavs: int) -> None:
+        """The training begins: slots in all and slots done before, of all missions together, and the UAVs of each."""
+
+    def update(self, slots: int, mean_aou_s: float | None) -> None:
+        """``slots`` are done; ``mean_aou_s`` is that of recent missions, None before the first."""
+
+    def message(self, text: str) -> None:
+        """A line that is to stay."""
+
+    def close(self) -> None:
+        """The training has ended."""
+
+
 @dataclass(frozen=True)
-class Standing:
+class TrainingStatus:
     """Where a training stands after an update."""
 
     slots: int  # of all missions together
@@ -40,7 +58,7 @@ class Standing:
     mean_aou_s: float | None = None  # of recent training missions
 
 
-Watch = Callable[[Standing], None]
+AfterUpdate = Callable[[TrainingStatus], None]
 
 
 class Recorder(BaseCallback):
@@ -51,15 +69,16 @@ class Recorder(BaseCallback):
         folder: where it goes.
         env: what it is trained on.
         progress: where it stands.
-        display: shows it.
+        display: shows it; None: nobody looks.
         interrupts: whether it was asked to stop.
         checkpoint_every_s: wall-clock between checkpoints; more where they are costly. 0: after every update.
-        watch: called after each update; an exception of its ends the training.
+        after_update: called after each update; an exception of its ends the training.
     """
 
     def __init__(
-        self, config: RunConfig, folder: RunFolder, env: MissionVecEnv, progress: Progress, display: Display,
-        interrupts: Interrupts, checkpoint_every_s: float, watch: Watch | None = None,
+        self, config: RunConfig, folder: RunFolder, env: MissionVecEnv, progress: TrainingProgress,
+        display: Display | None, interrupts: Interrupts, checkpoint_every_s: float,
+        after_update: AfterUpdate | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
         self.progress = progress
@@ -80,7 +99,7 @@ class Recorder(BaseCallback):
         self._began = time.monotonic()
         self._next_checkpoint = self._began + checkpoint_every_s
         self._started = self._began - progress.wall_s
-        self._watch = watch
+        self._callback = after_update
         self._cpu_before = time.process_time()  # of this training: what is spent on other things moves it on
         self._cpu_s = 0.0  # of this process at the last update
         self._cpu_s_earlier = progress.cpu_s  # of the processes before it
@@ -98,6 +117,9 @@ class Recorder(BaseCallback):
         """Where the last good checkpoint is."""
         return last_good(self._folder, self._saved)
 
+    def _advance(self, **changes: Any) -> None:
+        self.progress = self.progress.model_copy(update=changes)
+
     def _on_training_start(self) -> None:
         self.num_timesteps = self.model.num_timesteps
         for name, value in self.progress.figures.items():
@@ -110,7 +132,7 @@ class Recorder(BaseCallback):
             missions = [info["mission"] for info in infos if "mission" in info]
             self._episodes.write(missions, self._slots, self._wall_s)
             self._recent.add(missions)
-            self.progress = replace(self.progress, missions=self.progress.missions + len(missions))
+            self._advance(missions=self.progress.missions + len(missions))
             self.logger.record("rollout/mean_aou_s", self._recent.mean)
         return True
 
@@ -128,7 +150,8 @@ class Recorder(BaseCallback):
         """Check, show and log the rollout and its update; evaluate and save where that is due."""
         self._cpu_s = time.process_time() - self._cpu_before
         check_learner(self.model, self._slots, self.kept)
-        self._display.update(self._slots, self._recent.mean)
+        if self._display is not None:
+            self._display.update(self._slots, self._recent.mean)
         scores: dict[str, float] = {}
         if finished or self._slots >= self.progress.next_evaluation:
             scores = {action: self._score(action) for action in ("greedy", "sample")}
@@ -138,15 +161,15 @@ class Recorder(BaseCallback):
         asked = self._interrupts.received is not None
         if finished or asked or time.monotonic() >= self._next_checkpoint:
             self._save(finished)
-        if self._watch is not None:
-            self._watch(self._standing(evaluated=bool(scores)))
+        if self._callback is not None:
+            self._callback(self._status(evaluated=bool(scores)))
         self._cpu_before = time.process_time() - self._cpu_s
         if asked and not finished:
             self._stop()
 
-    def _standing(self, evaluated: bool) -> Standing:
+    def _status(self, evaluated: bool) -> TrainingStatus:
         updates, best = getattr(self.model, "_n_updates", 0), (self.progress.best_score, self.progress.best_action)
-        return Standing(self._slots, updates, self._cpu_s, evaluated, *best, self._recent.mean)
+        return TrainingStatus(self._slots, updates, self._cpu_s, evaluated, *best, self._recent.mean)
 
     def _stop(self) -> None:
         self.stopped_by = self._interrupts.received
@@ -163,39 +186,41 @@ class Recorder(BaseCallback):
         for name, score in scores.items():
             self.logger.record(f"evaluation/mean_aou_{name}_s", score)
         self.logger.dump(self.num_timesteps)
-        self.progress = replace(self.progress, rows=self.progress.rows + 1, row_slots=self._slots)
+        self._advance(rows=self.progress.rows + 1, row_slots=self._slots)
 
     def _note(self, scores: dict[str, float]) -> None:
         """Keep the policy where it is the best so far."""
         action = min(scores, key=lambda name: scores[name])
         improved = self.progress.best_score is None or scores[action] < self.progress.best_score
         every = self._config.algorithm.evaluate_every_slots
-        self.progress = replace(self.progress, next_evaluation=(self._slots // every + 1) * every)
+        self._advance(next_evaluation=(self._slots // every + 1) * every)
         if improved:
-            self.progress = replace(self.progress, best_score=scores[action], best_action=action)
+            self._advance(best_score=scores[action], best_action=action)
             save_policy(self._folder.best, self.model, self._present())
-        self._display.message(
-            f"{self._slots:,} slots: mean AoU on {self._config.algorithm.evaluation_missions} validation missions "
-            f"{scores['greedy']:,.1f} s greedy, {scores['sample']:,.1f} s sampled{' (best so far)' if improved else ''}"
-        )
+        if self._display is not None:
+            self._display.message(
+                f"{self._slots:,} slots: mean AoU on {self._config.algorithm.evaluation_missions} validation missions "
+                f"{scores['greedy']:,.1f} s greedy, {scores['sample']:,.1f} s sampled"
+                f"{' (best so far)' if improved else ''}"
+            )
 
     def _score(self, action: str) -> float:
         algorithm = self._config.algorithm
         policy = TrainedPolicy(self.model, self._env.views, action)
         return evaluate(policy, self._config.scenario, algorithm.evaluation_missions, VALIDATION_SEED).mean_aou_s
 
-    def _present(self) -> Progress:
+    def _present(self) -> TrainingProgress:
         """Where the training stands now."""
         figures = {name: plain(value) for name, value in self.logger.name_to_value.items() if value is not None}
-        return replace(
-            self.progress,
-            slots=self._slots,
-            wall_s=self._wall_s,
-            cpu_s=None if self._cpu_s_earlier is None else self._cpu_s_earlier + self._cpu_s,
-            updates=getattr(self.model, "_n_updates", 0),
-            figures=figures,
-            budget_left=self.model._current_progress_remaining,
-        )
+        now = {
+            "slots": self._slots,
+            "wall_s": self._wall_s,
+            "cpu_s": None if self._cpu_s_earlier is None else self._cpu_s_earlier + self._cpu_s,
+            "updates": getattr(self.model, "_n_updates", 0),
+            "figures": figures,
+            "budget_left": self.model._current_progress_remaining,
+        }
+        return self.progress.model_copy(update=now)
 
     def _save(self, finished: bool) -> None:
         """Write a checkpoint; a finished training's takes the place of the previous one too, and needs no replay."""
@@ -226,27 +251,26 @@ class Recorder(BaseCallback):
             "of_wall_s": round(time.monotonic() - self._began, 3),
         }
         device = None if model is None else str(model.device)
-        stands = replace(self.progress, slots=self._saved)
-        write_meta(self._folder, self._config, stands, self._machine, device, checkpoints)
+        saved = self.progress.model_copy(update={"slots": self._saved})
+        write_meta(self._folder, self._config, saved, self._machine, device, checkpoints)
 
 
 def write_meta(
-    folder: RunFolder, config: RunConfig, progress: Progress, machine: dict[str, Any], device: str | None,
+    folder: RunFolder, config: RunConfig, progress: TrainingProgress, machine: dict[str, Any], device: str | None,
     checkpoints: dict[str, float],
 ) -> None:  # fmt: skip
     """Write ``meta.json``: the machine, the budgets, and where the last checkpoint stands."""
-    stands = {name: value for name, value in asdict(progress).items() if name not in ("slots", "figures")}
-    content: dict[str, Any] = {
+    meta = RunMeta(
         **machine,
-        "slots": progress.slots,
-        "agent_steps": progress.slots * config.scenario.uavs,
-        "slots_budget": config.algorithm.slots,
-        "finished": progress.slots >= config.algorithm.slots,
-        "device": device,
-        "checkpoints": checkpoints,
-        **stands,
-    }
-    write_json(folder.meta, content)
+        slots=progress.slots,
+        agent_steps=progress.slots * config.scenario.uavs,
+        slots_budget=config.algorithm.slots,
+        finished=progress.slots >= config.algorithm.slots,
+        device=device,
+        checkpoints=checkpoints,
+        **progress.model_dump(exclude={"slots", "figures"}),
+    )
+    write_json(folder.meta, meta.model_dump(mode="json"))
 
 
 def pause_s(every_s: float, cost_s: float) -> float:

@@ -1,10 +1,9 @@
-"""What a training writes while it runs: episodes.csv, progress.csv, and the line or bar on the terminal."""
+"""The tables that a training writes while it runs: episodes.csv and progress.csv."""
 
 from __future__ import annotations
 
 import csv
 import os
-import time
 from collections import deque
 from collections.abc import Iterable
 from itertools import islice
@@ -13,16 +12,11 @@ from typing import Any
 
 import numpy as np
 import torch as th
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3.common.logger import KVWriter
 
 from uavaou.errors import InputError
 from uavaou.files import flush_to_disk, replacing
-
-EPISODE_COLUMNS = ("mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
-_PLAIN_LINE_EVERY_S = 10.0
-_WIDE = 110  # columns from which on a bar and every figure fit one line
+from uavaou.runs.folder import EPISODE_COLUMNS
 
 
 class EpisodesCsv:
@@ -134,67 +128,6 @@ class ProgressCsv(KVWriter):
 def plain(value: Any) -> Any:
     """A figure as Python's own number, which is written the same after it has been read."""
     return value.item() if isinstance(value, np.generic | th.Tensor) else value
-
-
-class Display:
-    """Shows a long job: a bar on a terminal, plain lines elsewhere, nothing with ``quiet``.
-
-    Args:
-        total: slots of the whole job.
-        done: slots done before, before a resume.
-        uavs: agent steps a slot.
-        quiet: no bar and no lines.
-    """
-
-    def __init__(self, total: int, done: int, uavs: int, quiet: bool) -> None:
-        self._uavs = uavs
-        self._done = done
-        self._total = total
-        self._marks: deque[tuple[float, int]] = deque([(time.monotonic(), done)], maxlen=60)
-        self._next_line = time.monotonic() + _PLAIN_LINE_EVERY_S
-        self._console = Console(stderr=True)
-        self._bar: Progress | None = None
-        self._plain = not quiet and not self._console.is_terminal
-        if not quiet and self._console.is_terminal:
-            columns = (
-                BarColumn(bar_width=None),
-                TextColumn("{task.fields[figures]}"),
-                TimeRemainingColumn(compact=True),
-            )
-            self._bar = Progress(TextColumn("training"), *columns, console=self._console, expand=True)
-            self._bar.start()
-            self._task = self._bar.add_task("training", total=total, completed=done, figures="")
-
-    def update(self, slots: int, mean_aou_s: float | None) -> None:
-        """Show the slots done and the mean AoU of recent missions."""
-        now = time.monotonic()
-        started, before = self._marks[0]
-        rate = (slots - before) / max(now - started, 1e-9)
-        self._marks.append((now, slots))
-        aou = "-" if mean_aou_s is None else f"{mean_aou_s:,.1f} s"
-        agent_steps = f"{rate * self._uavs:,.0f} agent steps/s, "
-        narrow = self._bar is not None and self._console.width < _WIDE
-        figures = f"{slots:,} slots, {rate:,.0f} slots/s, {'' if narrow else agent_steps}mean AoU {aou}"
-        if self._bar is not None:
-            self._bar.update(self._task, completed=slots, figures=figures)
-        elif self._plain and now >= self._next_line:
-            self._next_line = now + _PLAIN_LINE_EVERY_S
-            left = (self._total - slots) / max(rate, 1e-9)
-            self._console.print(
-                f"{slots / self._total:4.0%}  {figures}, {left:,.0f} s left", highlight=False, soft_wrap=True
-            )
-
-    def message(self, text: str) -> None:
-        """Show a line that stays."""
-        if self._bar is not None:
-            self._bar.console.print(text, highlight=False, soft_wrap=True)
-        elif self._plain:
-            self._console.print(text, highlight=False, soft_wrap=True)
-
-    def close(self) -> None:
-        """Take the bar away."""
-        if self._bar is not None:
-            self._bar.stop()
 
 
 class Recent:

@@ -23,6 +23,7 @@ from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.fields import Whole, validated
 from uavaou.files import read_json, write_json
 from uavaou.planners.base import Planner
+from uavaou.runs.checkpoint_header import read_header
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.statistics import band_over_missions
@@ -197,9 +198,7 @@ def find_evaluation(
     if not any(found) or not folder.policy.is_file():
         return None
     checkpoint = ArrayFile(folder.policy)
-    progress = checkpoint.json("progress")
-    action = progress.get("best_action", "greedy") if isinstance(progress, dict) else None
-    present = checkpoint.digest(POLICY), action
+    present = checkpoint.digest(POLICY), read_header(checkpoint).best_action
     return next((one for one in found if one is not None and (one.policy_sha256, one.action) == present), None)
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import signal
 import sys
-from contextlib import closing, suppress
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
@@ -15,13 +16,14 @@ from uavaou.envs.flatten import flatten
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import training_seeds
-from uavaou.files import read_json, refuse_links, replacing
-from uavaou.runs.checkpoint import Progress, load_training
-from uavaou.runs.folder import RunConfig, RunFolder, describe_machine
+from uavaou.files import refuse_links, replacing
+from uavaou.runs.checkpoint import load_training
+from uavaou.runs.checkpoint_header import TrainingProgress
+from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.lock import one_writer
-from uavaou.runs.recorder import CHECKPOINT_EVERY_S, Recorder, Watch, write_meta
-from uavaou.runs.records import Display
+from uavaou.runs.meta import describe_machine
+from uavaou.runs.recorder import CHECKPOINT_EVERY_S, AfterUpdate, Display, Recorder, write_meta
 
 
 @dataclass(frozen=True)
@@ -29,20 +31,21 @@ class Outcome:
     """How a training ended."""
 
     folder: RunFolder
-    progress: Progress
+    progress: TrainingProgress
     agent_steps: int
     stopped_by: signal.Signals | None = None  # asked to stop before the end
 
 
 def train(
     config: RunConfig,
-    folder: RunFolder,
+    folder: RunFolder | Path | str,
+    *,
     device: str = "auto",
     backend: str = "batched",
     resume: bool = False,
-    quiet: bool = False,
     checkpoint_every_s: float = CHECKPOINT_EVERY_S,
-    watch: Watch | None = None,
+    display: Display | None = None,
+    after_update: AfterUpdate | None = None,
 ) -> Outcome:
     """Train to the budget, writing the run folder on the way.
 
@@ -52,15 +55,16 @@ def train(
         device: ``auto``, ``cpu`` or ``cuda``, for the networks.
         backend: ``batched``, or ``supersuit`` for SuperSuit's own stage.
         resume: go on from the last checkpoint.
-        quiet: show nothing while training.
         checkpoint_every_s: wall-clock between checkpoints; more where writing them would take more than
             2.5 % of it. 0: after every update.
-        watch: called after each update; an exception of its ends the training.
+        display: shows the training to a person; None: nobody looks.
+        after_update: called after each update; an exception that it raises ends the training.
 
     Raises:
         InputError: the folder holds a run already, holds another one, is written by another process or cannot be
             written; or a loss, a reward or a weight is no longer finite. What the last checkpoint holds is kept.
     """
+    folder = folder if isinstance(folder, RunFolder) else RunFolder(Path(folder))
     refuse_links(folder.path)
     _check_folder(folder, config, resume)
     try:
@@ -74,9 +78,9 @@ def train(
             _claim(folder, config)
             # Of a process that only waits for those that step the missions, CPU seconds say little.
             cpu_s = 0.0 if config.algorithm.processes == 1 else None
-            started = Progress(next_evaluation=config.algorithm.evaluate_every_slots, cpu_s=cpu_s)
+            started = TrainingProgress(next_evaluation=config.algorithm.evaluate_every_slots, cpu_s=cpu_s)
             progress = _restore(folder, model, env, config) if resuming else started
-            return _learn(config, folder, model, env, progress, quiet, checkpoint_every_s, watch)
+            return _learn(config, folder, model, env, progress, checkpoint_every_s, display, after_update)
     finally:
         env.close()
 
@@ -125,7 +129,7 @@ def _claim(folder: RunFolder, config: RunConfig) -> None:
         raise InputError(f"cannot write to '{folder.path}': {error.strerror}") from error
 
 
-def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> Progress:
+def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> TrainingProgress:
     progress, missions = load_training(folder, model)
     model.num_timesteps = progress.slots * config.scenario.uavs
     model._n_updates = progress.updates
@@ -140,20 +144,19 @@ def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config
 
 
 def _learn(
-    config: RunConfig, folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: Progress, quiet: bool,
-    checkpoint_every_s: float, watch: Watch | None,
+    config: RunConfig, folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: TrainingProgress,
+    checkpoint_every_s: float, display: Display | None, after_update: AfterUpdate | None,
 ) -> Outcome:  # fmt: skip
     uavs = config.scenario.uavs
     remaining = config.algorithm.slots - progress.slots
     if remaining <= 0:  # resumed, but finished before
-        if not _said_to_be_finished(folder):  # killed between its last checkpoint and its last word
+        if not folder.finished:  # killed between its last checkpoint and its meta.json
             write_meta(folder, config, progress, describe_machine(), str(model.device), {})
         return Outcome(folder, progress, model.num_timesteps)
-    with (
-        Interrupts(quiet) as interrupts,
-        closing(Display(config.algorithm.slots, progress.slots, uavs, quiet)) as display,
-    ):
-        recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s, watch)
+    with Interrupts(quiet=display is None) as interrupts, closing(display) if display is not None else nullcontext():
+        if display is not None:
+            display.start(config.algorithm.slots, progress.slots, uavs)
+        recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s, after_update)
         writers: list[KVWriter] = [recorder.progress_csv, TensorBoardOutputFormat(str(folder.path / "tensorboard"))]
         model.set_logger(Logger(str(folder.path), writers))
         try:
@@ -171,10 +174,3 @@ def _learn(
                 with suppress(OSError):  # a full disk was told of above
                     end()
     return Outcome(folder, recorder.progress, model.num_timesteps, recorder.stopped_by)
-
-
-def _said_to_be_finished(folder: RunFolder) -> bool:
-    try:
-        return bool(read_json(folder.meta)["finished"])
-    except (InputError, KeyError, TypeError):
-        return False

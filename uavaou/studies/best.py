@@ -6,16 +6,15 @@ Runs are ranked by validation: the missions of the final evaluation choose nothi
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote
 
 from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import RecordedMission, read_mission, record_mission, write_mission
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou.files import folder_name, read_json, replacing
+from uavaou.files import folder_name, replacing
 from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.meta import RunMeta
 from uavaou.runs.results import PolicyResult, find_evaluation, own_evaluation, write_evaluation
 from uavaou.studies.parts import PartKey
 from uavaou.studies.results import StudyResults
@@ -62,13 +61,13 @@ def _keep(results: StudyResults, study: Study, out: Path, run: StudyRun) -> None
         raise InputError(f"cannot write to '{kept.path}': {error.strerror or error}") from error
 
 
-def _read(source: RunFolder, config: RunConfig, episodes: int) -> tuple[PolicyResult, dict[str, Any]] | None:
+def _read(source: RunFolder, config: RunConfig, episodes: int) -> tuple[PolicyResult, RunMeta] | None:
     """The evaluation and ``meta.json`` of a run; None where it is missing or damaged, which condensing it has told."""
     try:
         if not (source.best.is_file() and source.exists() and source.read_config() == config):
             return None
         entry = find_evaluation(source, config.algorithm.name, episodes)
-        return None if entry is None else (entry, read_json(source.meta))
+        return None if entry is None else (entry, source.read_meta())
     except InputError:
         return None
 
@@ -83,14 +82,13 @@ def _copy(source: RunFolder, kept: RunFolder, config: RunConfig, episodes: int, 
     write_evaluation(kept.evaluation(), content, _DIGITS)
 
 
-def card_lines(results: StudyResults, study: Study, key: PartKey, meta: Mapping[str, Any]) -> list[str]:
+def card_lines(results: StudyResults, study: Study, key: PartKey, meta: RunMeta) -> list[str]:
     """The model card of a kept run, in Markdown."""
     scenario, algorithm = study.scenarios[key.scenario], study.variants[key.variant]
     row = {name: results.cell(key, name) for name in ("slots", "agent_steps", "best_slots", "mean_aou_slots")}
     low, high, violations = (results.cell(key, name) for name in ("low", "high", "violations"))
     between = f" (95 % interval over the missions: {low} to {high})" if low else ""
-    versions = meta.get("versions")
-    packages = ", ".join(f"{name} {v}" for name, v in versions.items() if v) if isinstance(versions, dict) else "-"
+    packages = ", ".join(f"{name} {v}" for name, v in meta.versions.items() if v) or "-"
     others = sum(key[:2] == other[:2] for other in results.parts)
     task = f"{scenario.uavs} UAVs, {scenario.devices} devices, {scenario.slots} slots"
     return [
@@ -102,7 +100,7 @@ def card_lines(results: StudyResults, study: Study, key: PartKey, meta: Mapping[
         f"- **Trained on**: {key.scenario} ({task}; `config.yaml` has every quantity), {int(row['slots']):,} slots = "
         f"{int(row['agent_steps']):,} agent steps, seed {key.seed}.",
         f"- **Sees and does**: observation `{algorithm.observation}`, collection `{algorithm.collection}` "
-        f"(docs/model.md says what they hold); {meta.get('best_action', 'greedy')} actions.",
+        f"(docs/model.md says what they hold); {meta.best_action} actions.",
         f"- **Validation**: mean AoU {row['best_slots']} slots.",
         f"- **Evaluation**: mean AoU {row['mean_aou_slots']} slots{between} on {study.episodes} missions, seeds "
         f"{EVALUATION_SEED} to {EVALUATION_SEED + study.episodes - 1}, which no training and no choice has seen; "
@@ -111,7 +109,7 @@ def card_lines(results: StudyResults, study: Study, key: PartKey, meta: Mapping[
         "- **Limits**: made for this number of UAVs and devices and, with a fixed layout, for this layout; on another "
         "one it flies, and how well nobody has measured. Trained and tested in simulation alone: it has met no wind, "
         "no obstacles and no failing radio, and is no flight controller.",
-        f"- **Made with**: {packages}; Python {meta.get('python', '-')}, commit {meta.get('commit') or 'unknown'}.",
+        f"- **Made with**: {packages}; Python {meta.python or '-'}, commit {meta.commit or 'unknown'}.",
         "",
         "AoU is in units of the slot length, summed over devices and averaged over slots. To play it, in this folder:",
         "",

@@ -12,7 +12,6 @@ import yaml
 from uavaou.csv_tables import number, read_csv
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou.files import read_json
 from uavaou.runs.folder import RunFolder, read_config
 from uavaou.runs.results import PolicyResult, find_evaluation
 from uavaou.scenario import Scenario
@@ -103,8 +102,8 @@ def _same_scenario(held: Mapping[str, Any], study: Study, name: str) -> bool:
 def trained_slots(folder: RunFolder) -> int:
     """How many slots a run has trained, by its last finished mission or its last checkpoint."""
     try:
-        stated = int(read_json(folder.meta)["slots"])
-    except (InputError, KeyError, TypeError, ValueError):
+        stated = folder.read_meta().slots
+    except InputError:
         stated = 0
     try:
         with folder.episodes.open("rb") as file:
@@ -125,10 +124,7 @@ def is_trained(folder: RunFolder, run: StudyRun) -> bool:
         return False
     if folder.read_config() != run.config:
         raise InputError(f"'{folder.path}' holds a run with another configuration (see its config.yaml)")
-    try:
-        return bool(read_json(folder.meta)["finished"])
-    except (InputError, KeyError, TypeError):
-        return False
+    return folder.finished
 
 
 def condense_run(results: StudyResults, study: Study, out: Path, run: StudyRun) -> bool:
@@ -176,17 +172,13 @@ def _validation_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[
 
 
 def _run_row(run: StudyRun, folder: RunFolder, evaluation: PolicyResult) -> list[str]:
-    meta, tau = read_json(folder.meta), run.config.scenario.slot_length_s
-    try:
-        found = interval_over_missions(evaluation.mean_aou_s / tau)
-        best = None if meta.get("best_score") is None else meta["best_score"] / tau
-        measured = meta["wall_s"], meta.get("cpu_s"), best, found.value, found.low, found.high
-        counts = int(meta["slots"]), int(meta["agent_steps"]), sum(evaluation.violations.values())
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{folder.meta}: cannot be used ({error!r})") from error
+    meta, tau = folder.read_meta(), run.config.scenario.slot_length_s
+    found = interval_over_missions(evaluation.mean_aou_s / tau)
+    best = None if meta.best_score is None else meta.best_score / tau
+    measured = meta.wall_s, meta.cpu_s, best, found.value, found.low, found.high
     variant, *rest = _cells(run.key)
-    steps, violations, commit = map(str, counts[:2]), str(counts[2]), str(meta.get("commit") or "")
-    return [variant, run.config.algorithm.name, *rest, *steps, *map(number, measured), violations, commit]
+    steps, violations = (str(meta.slots), str(meta.agent_steps)), str(sum(evaluation.violations.values()))
+    return [variant, run.config.algorithm.name, *rest, *steps, *map(number, measured), violations, meta.commit or ""]
 
 
 # -- evaluations and bounds ----------------------------------------------------------------------------

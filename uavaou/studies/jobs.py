@@ -143,17 +143,17 @@ def _train(job: Training, tell: Callable[[TrainingReport], None]) -> None:
 
     from uavaou.evaluation.evaluate import evaluate
     from uavaou.runs.policy import load_run
-    from uavaou.runs.recorder import CHECKPOINT_EVERY_S, Standing
+    from uavaou.runs.recorder import CHECKPOINT_EVERY_S, TrainingStatus
     from uavaou.runs.train import train
 
     by = f"process {os.getpid()} on {platform.node()}"
 
-    def watch(standing: Standing) -> None:
-        tell(TrainingReport(standing.slots, standing.mean_aou_s, by))
+    def report(status: TrainingStatus) -> None:
+        tell(TrainingReport(status.slots, status.mean_aou_s, by))
 
     every_s = CHECKPOINT_EVERY_S if job.checkpoint_every_s is None else job.checkpoint_every_s
     folder = RunFolder(job.path)
-    outcome = train(job.config, folder, device="cpu", resume=True, quiet=True, checkpoint_every_s=every_s, watch=watch)
+    outcome = train(job.config, folder, device="cpu", resume=True, checkpoint_every_s=every_s, after_update=report)
     if outcome.stopped_by is not None:
         raise StoppedEarlyError
     if find_evaluation(folder, job.config.algorithm.name, job.episodes) is None:

@@ -16,7 +16,7 @@ from urllib.parse import quote
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
-from uavaou.files import read_json
+from uavaou.errors import InputError
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.suites.suite import Place, Suite
@@ -82,11 +82,10 @@ def name_entries(configs: Mapping[Path, RunConfig], suite: Suite) -> list[Entry]
 def _trained_slots(path: Path, config: RunConfig) -> int:
     budget = config.algorithm.slots
     try:
-        meta = read_json(RunFolder(path).meta)
-        finished, slots = meta["finished"], meta["slots"]
-    except (ValueError, KeyError, TypeError):  # nothing is known but the budget
+        meta = RunFolder(path).read_meta()
+    except InputError:  # nothing is known but the budget
         return budget
-    return budget if finished or not isinstance(slots, int) else min(slots, budget)
+    return budget if meta.finished else min(meta.slots, budget)
 
 
 def assign(places: Iterable[Place], entries: Sequence[Entry], base: Scenario) -> list[Assignment]:

@@ -25,7 +25,7 @@ import torch as th
 from uavaou.algorithms.registry import load_plugin
 from uavaou.errors import InputError
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.recorder import Standing, Watch
+from uavaou.runs.recorder import AfterUpdate, TrainingStatus
 from uavaou.runs.train import train
 from uavaou.tuning.search import REPORTS, Search, SearchFolder, TrialRecord, write_results
 
@@ -198,7 +198,7 @@ def _play(folder: SearchFolder, search: Search, study: optuna.Study, trial: Tria
         slots = search.slots or affordable_slots(search, values)
         watch = _Watch(trial, slots)
         config = RunConfig(search.scenario, search.config(values, slots), search.seed)
-        outcome = train(config, run, device="cpu", quiet=True, watch=watch, checkpoint_every_s=math.inf)
+        outcome = train(config, run, device="cpu", after_update=watch, checkpoint_every_s=math.inf)
         if outcome.stopped_by is not None:
             raise KeyboardInterrupt
         study.tell(trial, outcome.progress.best_score)
@@ -222,13 +222,13 @@ class _Watch:
         self._trial = trial
         self._slots = slots
 
-    def __call__(self, standing: Standing) -> None:
-        if not standing.evaluated or standing.best_score is None:
+    def __call__(self, status: TrainingStatus) -> None:
+        if not status.evaluated or status.best_score is None:
             return
-        tenth = min(standing.slots * REPORTS // self._slots, REPORTS)
-        self._trial.report(standing.best_score, tenth)
+        tenth = min(status.slots * REPORTS // self._slots, REPORTS)
+        self._trial.report(status.best_score, tenth)
         for name in ("slots", "cpu_s", "best_score", "best_action"):
-            self._trial.set_user_attr(name, getattr(standing, name))
+            self._trial.set_user_attr(name, getattr(status, name))
         if tenth < REPORTS and self._trial.should_prune():
             raise optuna.TrialPruned
 
@@ -253,21 +253,21 @@ def affordable_slots(search: Search, values: dict[str, Any]) -> int:
 def warm_up(search: Search) -> None:
     """Play and learn from one rollout: what a process does once, such as compiling, is on no trial's account."""
 
-    def stop(standing: Standing) -> None:
-        raise _Measured(standing.slots)
+    def stop(status: TrainingStatus) -> None:
+        raise _Measured(status.slots)
 
     with suppress(InputError):  # these settings may not fit this machine, others may
         _probe(search, {}, stop)
 
 
-def _probe(search: Search, values: dict[str, Any], watch: Watch) -> int:
+def _probe(search: Search, values: dict[str, Any], watch: AfterUpdate) -> int:
     """Train without end until the watch has measured, and forget the training."""
     config = search.config(values, slots=10**12).model_copy(update={"evaluation_missions": 1})
     with tempfile.TemporaryDirectory() as place:
         try:
             train(
                 RunConfig(search.scenario, config, search.seed), RunFolder(Path(place) / "probe"), device="cpu",
-                quiet=True, watch=watch, checkpoint_every_s=math.inf,
+                after_update=watch, checkpoint_every_s=math.inf,
             )  # fmt: skip
         except _Measured as measured:
             return measured.slots
@@ -283,28 +283,28 @@ class _Rate:
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
         self._rollout = 0  # slots
-        self._first: Standing | None = None  # after the first update
+        self._first: TrainingStatus | None = None  # after the first update
 
-    def __call__(self, standing: Standing) -> None:
-        self._rollout = self._rollout or standing.slots
-        if standing.cpu_s >= self._seconds:
-            self._stop(standing)
+    def __call__(self, status: TrainingStatus) -> None:
+        self._rollout = self._rollout or status.slots
+        if status.cpu_s >= self._seconds:
+            self._stop(status)
         if self._first is None:
-            self._first = standing if standing.updates else None
+            self._first = status if status.updates else None
             return
-        spent = standing.cpu_s - self._first.cpu_s
+        spent = status.cpu_s - self._first.cpu_s
         if spent >= max(_PROBE_SHARE * self._seconds, min(_LEAST_PROBE_S, self._seconds / 4)):
-            rate = (standing.slots - self._first.slots) / spent
+            rate = (status.slots - self._first.slots) / spent
             slots = self._first.slots + rate * (self._seconds - self._first.cpu_s)
             raise _Measured(max(int(slots / self._rollout), 1) * self._rollout)
 
-    def _stop(self, standing: Standing) -> None:
-        if standing.slots == self._rollout and standing.cpu_s > _OVERSHOOT * self._seconds:
+    def _stop(self, status: TrainingStatus) -> None:
+        if status.slots == self._rollout and status.cpu_s > _OVERSHOOT * self._seconds:
             raise InputError(
-                f"one rollout of {standing.slots:,} slots takes {standing.cpu_s:.1f} s of CPU, and a trial has "
+                f"one rollout of {status.slots:,} slots takes {status.cpu_s:.1f} s of CPU, and a trial has "
                 f"{self._seconds:g} s"
             )
-        raise _Measured(standing.slots)
+        raise _Measured(status.slots)
 
 
 def _records(study: optuna.Study) -> list[TrialRecord]:

@@ -1,0 +1,71 @@
+"""What a checkpoint's header says: the schema of the file and where its training stands. Reading it needs no torch."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictInt, ValidationError, model_validator
+
+from uavaou.algorithms.io.tensor_file import CHECKSUM, ArrayFile
+from uavaou.errors import InputError
+from uavaou.fields import Number, Whole, explain_validation
+
+SCHEMA = 2  # 1 had no checksum; its policies are still read
+
+Count = Annotated[Whole, Field(ge=0, le=10**15)]
+
+
+class TrainingProgress(BaseModel):
+    """Where a training stands."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    slots: Count = 0  # of all missions together
+    missions: Count = 0  # finished training missions, rows of episodes.csv
+    wall_s: Number = 0.0
+    updates: Count = 0
+    next_evaluation: Count = 0  # slots
+    best_score: Number | None = None  # mean AoU on the validation missions, s
+    best_action: Literal["greedy", "sample"] = "greedy"  # the action that the best score was reached with
+    rows: Count = 0  # of progress.csv
+    row_slots: Count = 0  # slots at the last of them
+    figures: dict[str, StrictInt | StrictFloat] = {}  # logged since; may be nan
+    budget_left: Number = 1.0  # the argument of SB3's schedules, from 1 to 0
+    cpu_s: Number | None = None  # of the training processes so far, playing and learning; None: not measured
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        if self.row_slots > self.slots:
+            raise ValueError(f"row_slots = {self.row_slots}: expected at most slots = {self.slots}")
+        return self
+
+
+def write_header(progress: TrainingProgress) -> dict[str, str]:
+    """The text of a checkpoint's header."""
+    return {"schema": str(SCHEMA), "progress": json.dumps(progress.model_dump())}
+
+
+def read_header(file: ArrayFile, oldest: int = 1) -> TrainingProgress:
+    """Read where the training of a checkpoint stood.
+
+    Args:
+        file: the checkpoint.
+        oldest: schema that is read.
+
+    Raises:
+        InputError: the file is no checkpoint of this software, or of a schema that is not read.
+    """
+    schema = file.text.get("schema", "")
+    if not (schema.isascii() and schema.isdigit()):
+        raise InputError(f"{file.path}: not a checkpoint of this software")
+    if not oldest <= int(schema) <= SCHEMA:
+        verb = "reads" if oldest == SCHEMA else "reads schemas 1 to"
+        raise InputError(f"{file.path}: written with checkpoint schema {schema:.20}, this version {verb} {SCHEMA}")
+    if int(schema) > 1 and CHECKSUM not in file.text:
+        raise InputError(f"{file.path}: damaged: its checksum is missing")
+    try:
+        return TrainingProgress.model_validate(file.json("progress"))
+    except ValidationError as error:
+        reason = explain_validation(error, list(TrainingProgress.model_fields))
+        raise InputError(f"{file.path}: not a checkpoint of this software (progress: {reason})") from None

@@ -1,0 +1,96 @@
+"""``meta.json`` of a run: versions, machine, budgets, and where the training stands."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+from uavaou.fields import Number, Whole, validated
+from uavaou.files import read_json
+
+_PACKAGES = ("uavaou", "torch", "stable-baselines3", "supersuit", "pettingzoo", "gymnasium", "numpy")
+
+
+class RunMeta(BaseModel):
+    """The content of ``meta.json``; what follows ``checkpoints`` is a training's progress at its last checkpoint."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    versions: dict[str, str | None] = {}
+    commit: str | None = None  # of the repository that the package ran from
+    python: str | None = None
+    system: str | None = None
+    processor: str | None = None
+    cores: Whole | None = None
+    slots: Whole
+    agent_steps: Whole
+    slots_budget: Whole | None = None
+    finished: bool
+    device: str | None = None
+    checkpoints: dict[str, Number] = {}  # written, and the seconds that it took of the wall-clock
+    missions: Whole | None = None
+    wall_s: Number
+    updates: Whole | None = None
+    next_evaluation: Whole | None = None
+    best_score: Number | None = None  # mean AoU on the validation missions, s
+    best_action: str = "greedy"
+    rows: Whole | None = None
+    row_slots: Whole | None = None
+    budget_left: Number | None = None
+    cpu_s: Number | None = None
+
+    @classmethod
+    def read(cls, path: Path) -> RunMeta:
+        """Read a run's ``meta.json``.
+
+        Raises:
+            InputError: it cannot be read, or a field of it is missing or cannot be used.
+        """
+        return validated(cls, read_json(path), str(path))
+
+
+def describe_machine() -> dict[str, Any]:
+    """Versions, commit and machine, the first fields of :class:`RunMeta`."""
+    return {
+        "versions": {package: _version(package) for package in _PACKAGES},
+        "commit": _commit(),
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _commit() -> str | None:
+    """The commit of the repository that the package runs from; None for an installed wheel."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next(
+        (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor()
+    )
