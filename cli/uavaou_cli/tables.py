@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 import textwrap
@@ -237,17 +236,7 @@ def _value(value: object) -> str:
 
 def _train_command(search: Search, best: TrialRecord, scenario: str, plugins: Sequence[str]) -> str:
     """The command that trains with a trial's settings to the published budget."""
-    from uavaou.algorithms.registry import load_config
-    from uavaou.scenario import Scenario
+    from uavaou.runs.folder import train_command
 
-    name = search.algorithm.name
-    published = load_config(name).model_dump(mode="json")
-    settings = search.published(search.space.restored(best.values)).model_dump(mode="json")
-    command = ["uavaou", *(word for place in plugins for word in ("--plugin", place)), "train"]
-    command += ["--scenario", scenario, "--algorithm", name]
-    base, wanted = Scenario.load(scenario).to_dict(), search.scenario.to_dict()
-    for part, before, now in (("scenario", base, wanted), ("algorithm", published, settings)):
-        for field, value in now.items():
-            if value != before.get(field):
-                command += ["--set", f"{part}.{field}={json.dumps(value) if isinstance(value, list | dict) else value}"]
-    return shlex.join(command)
+    settings = search.published(search.space.restored(best.values))
+    return shlex.join(train_command(scenario, search.scenario, settings, plugins))

@@ -75,7 +75,7 @@ def train(
 
         outcome = run_training(
             plan, folder, device=device, backend=backend, resume=resume, checkpoint_every_s=checkpoint_every,
-            display=None if quiet else TrainingDisplay(),
+            display=None if quiet else TrainingDisplay(plan.scenario.slot_length_s),
         )  # fmt: skip
     except KeyboardInterrupt:
         say_how_to_go_on(_resuming(again, folder))

@@ -411,7 +411,7 @@ def test_the_printed_command_trains_with_the_winner(
     class StopError(Exception):
         pass
 
-    def note(config: RunConfig, *_: Any) -> None:
+    def note(config: RunConfig, *_: Any, **__: Any) -> None:
         trained.append(config)
         raise StopError
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -221,6 +221,35 @@ def scenario_folder(scenario: Scenario) -> str:
         return _scenario_folder(scenario, {})
     preset = Scenario.load(zoo_folder("scenarios") / f"{scenario.name}.yaml")
     return _scenario_folder(preset, _differences(preset.to_dict(), scenario.to_dict()))
+
+
+def train_command(
+    source: str, scenario: Scenario, algorithm: AlgorithmConfig, plugins: Sequence[str] = ()
+) -> list[str]:
+    """The words of the ``uavaou train`` command that trains with these settings.
+
+    Args:
+        source: the preset or file that the command starts from.
+        scenario: that is trained on; what differs from ``source`` is set.
+        algorithm: its settings; what differs from the published ones is set.
+        plugins: what registers the algorithm, where it is not this package's.
+
+    Raises:
+        InputError: ``source`` cannot be read, or the algorithm is not registered.
+    """
+    command = ["uavaou", *(word for place in plugins for word in ("--plugin", place)), "train"]
+    command += ["--scenario", source, "--algorithm", algorithm.name]
+    published = load_config(algorithm.name).model_dump(mode="json")
+    parts = {
+        "scenario": (Scenario.load(source).to_dict(), scenario.to_dict()),
+        "algorithm": (published, algorithm.model_dump(mode="json")),
+    }
+    for part, (base, wanted) in parts.items():
+        for field, value in wanted.items():
+            if value != base.get(field) and field not in ("name", "description"):
+                typed = json.dumps(value) if isinstance(value, list | dict | bool) else str(value)
+                command += ["--set", f"{part}.{field}={typed}"]
+    return command
 
 
 def _differences(base: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str, str]:

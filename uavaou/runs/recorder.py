@@ -198,10 +198,11 @@ class Recorder(BaseCallback):
             self._advance(best_score=scores[action], best_action=action)
             save_policy(self._folder.best, self.model, self._present())
         if self._display is not None:
+            tau, missions = self._config.scenario.slot_length_s, self._config.algorithm.evaluation_missions
+            means = f"{scores['greedy'] / tau:,.2f} greedy, {scores['sample'] / tau:,.2f} sampled"
+            best = " (best so far)" if improved else ""
             self._display.message(
-                f"{self._slots:,} slots: mean AoU on {self._config.algorithm.evaluation_missions} validation missions "
-                f"{scores['greedy']:,.1f} s greedy, {scores['sample']:,.1f} s sampled"
-                f"{' (best so far)' if improved else ''}"
+                f"{self._slots:,} slots: mean AoU on {missions} validation missions, in slots: {means}{best}"
             )
 
     def _score(self, action: str) -> float:

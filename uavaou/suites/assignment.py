@@ -17,7 +17,7 @@ from urllib.parse import quote
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.folder import RunConfig, RunFolder, train_command
 from uavaou.scenario import Scenario
 from uavaou.suites.suite import Place, Suite
 
@@ -240,15 +240,9 @@ def _training_command(place: Place, algorithm: AlgorithmConfig, source: str, bas
     if observation is None and (scenario.uavs, scenario.devices) == (base.uavs, base.devices):
         far = base.layout == "fixed" and not _same_layout(base, scenario)
         scenario = base.replace(layout="resample") if far else base
-    changes = {f"scenario.{k}": new for k, (_, new) in differences(Scenario.load(source), scenario).items()}
-    published = load_config(algorithm.name).model_dump(mode="json")
-    stated = algorithm.model_dump(mode="json") | ({"observation": observation} if observation else {})
-    changes |= {f"algorithm.{k}": v for k, v in stated.items() if v != published.get(k)}
-    command = ["uavaou", "train", "--scenario", source, "--algorithm", algorithm.name]
-    for key, value in changes.items():
-        if value is not None:  # of two ways to state the gain, the one that is left
-            command += ["--set", f"{key}={_plain(value)}"]
-    return tuple(command)
+    if observation:
+        algorithm = algorithm.model_copy(update={"observation": observation})
+    return tuple(train_command(source, scenario, algorithm))
 
 
 def _plain(value: Any) -> str:
