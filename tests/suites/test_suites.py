@@ -248,7 +248,7 @@ def test_all_runs_at_a_point_have_one_budget_that_of_most_points_where_there_is_
 
 
 def test_an_unfinished_training_counts_with_the_slots_that_it_has(by_devices: Suite, tmp_path: Path) -> None:
-    (tmp_path / "meta.json").write_text('{"slots": 700, "finished": false}')
+    (tmp_path / "meta.json").write_text('{"slots": 700, "agent_steps": 1400, "wall_s": 1.0, "finished": false}')
     config = RunConfig(Scenario.load("tiny"), load_config("mappo", {"slots": 1000}), 0)
     assert name_entries({tmp_path: config}, by_devices)[0].slots == 700
     for content in ('{"slots": 1020, "finished": true}', '{"slots": "many", "finished": false}', "[]", "{"):
