@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,7 +18,6 @@ from uavaou_cli.tables import show
 
 if TYPE_CHECKING:
     from uavaou.studies.jobs import Engine
-    from uavaou.studies.parts import PartKey
     from uavaou.studies.study import Study
 
 MOST_JOBS = 4096
@@ -84,57 +82,13 @@ def report(study: StudyArgument, out: Results = Path("results")) -> None:
     verdicts on the paper's claims into DIR/README.md where the study judges them. While the study runs, its tables are
     taken as they stand.
     """
-    from uavaou.reports.study_report import write_report
-    from uavaou.runs.lock import HeldError, only_writer
-    from uavaou.studies.condense import refuse_another
-    from uavaou.studies.folder import StudyFolder
-    from uavaou.studies.results import read_begun
+    from uavaou.reports.study_report import report_study
     from uavaou_cli.study_tables import study_lines
 
     chosen, folder = _study(study, out)
     writable_folder(folder)
-    _refuse_nothing(chosen, out)
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(only_writer(folder, StudyFolder(folder).lock))
-        except HeldError as held:  # by the study itself, which keeps the tables up to date
-            refuse_another(chosen, read_begun(StudyFolder(folder)))
-            note = f"uavaou: {held.by} is at work on the study: its page is written from the tables as they stand"
-            print(note, file=sys.stderr)
-        else:
-            _condense(chosen, out, folder)
-        remarks = write_report(folder, out / "README.md")
-    for remark in remarks:
-        print(f"uavaou: {remark}", file=sys.stderr)
+    report_study(chosen, out, lambda remark: print(f"uavaou: {remark}", file=sys.stderr))
     show(study_lines(folder))
-
-
-def _refuse_nothing(study: Study, out: Path) -> None:
-    """Refuse to report a study of which nothing has been evaluated, before anything is written."""
-    from uavaou.studies.condense import gather
-    from uavaou.studies.folder import StudyFolder
-    from uavaou.studies.results import read_begun
-
-    if read_begun(StudyFolder.of(out, study.name)).evaluated:
-        return
-    results, problems = gather(study, out)
-    if not results.evaluated:
-        _say_left_out(problems)
-        raise InputError(f"nothing of study '{study.name}' has been evaluated below '{out}' yet: run it first")
-
-
-def _condense(study: Study, out: Path, folder: Path) -> None:
-    from uavaou.studies.best import record_missions
-    from uavaou.studies.condense import update_results
-
-    _, problems = update_results(study, out)
-    _say_left_out(problems)
-    record_missions(folder)
-
-
-def _say_left_out(problems: Mapping[PartKey, str]) -> None:
-    for key, reason in problems.items():
-        print(f"uavaou: left out: {key}: {reason}", file=sys.stderr)
 
 
 def _study(name: str, out: Path) -> tuple[Study, Path]:

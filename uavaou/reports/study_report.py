@@ -6,7 +6,8 @@ with the study's reference where it names one, and the verdicts on the paper's c
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from itertools import product
 from pathlib import Path
 
@@ -18,8 +19,13 @@ from uavaou.reports.claims_table import claims_markdown, write_claims
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.references import below_bound
 from uavaou.reports.standings import Standing, standings
+from uavaou.runs.lock import HeldError, only_writer
+from uavaou.studies.condense import gather, refuse_another, update_results
+from uavaou.studies.folder import StudyFolder
 from uavaou.studies.marl_eval import to_marl_eval
-from uavaou.studies.results import StudyResults, read_study
+from uavaou.studies.parts import PartKey
+from uavaou.studies.results import StudyResults, read_begun, read_study
+from uavaou.studies.study import Study
 
 _NOTE = """\
 AoU in slots: the mean over the slots of a mission, in units of the slot length τ. The missions are those of the final
@@ -29,6 +35,46 @@ half of all missions, with a stratified bootstrap over seeds and missions. All p
 full information. The expected mean AoU of any policy is at least the lower bound."""
 _HEAD = ("policy", "seeds", "mean AoU (slots)", "IQM (slots)", "wall-clock of a training", "violations")
 _DIGITS = 4
+
+
+def report_study(study: Study, out: Path, remark: Callable[[str], None]) -> None:
+    """Bring the condensed results of a study up to date, and write its page.
+
+    While the study runs, its tables are taken as they stand.
+
+    Args:
+        study: what is reported.
+        out: the folder of all results.
+        remark: takes what whoever asked for the report should know, a line each.
+
+    Raises:
+        InputError: nothing has been evaluated, the results are another study's or damaged, or a file cannot be written.
+    """
+    folder = StudyFolder.of(out, study.name)
+    if not read_begun(folder).evaluated:  # nothing is written before this is known
+        results, problems = gather(study, out)
+        if not results.evaluated:
+            _tell(problems, remark)
+            raise InputError(f"nothing of study '{study.name}' has been evaluated below '{out}' yet: run it first")
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(only_writer(folder.path, folder.lock))
+        except HeldError as held:  # by the study itself, which keeps the tables up to date
+            refuse_another(study, read_begun(folder))
+            remark(f"{held.by} is at work on the study: its page is written from the tables as they stand")
+        else:
+            from uavaou.studies.best import record_missions  # imports torch
+
+            _, problems = update_results(study, out)
+            _tell(problems, remark)
+            record_missions(folder.path)
+        for line in write_report(folder.path, out / "README.md"):
+            remark(line)
+
+
+def _tell(problems: Mapping[PartKey, str], remark: Callable[[str], None]) -> None:
+    for key, reason in problems.items():
+        remark(f"left out: {key}: {reason}")
 
 
 def write_report(folder: Path, results_page: Path) -> list[str]:
