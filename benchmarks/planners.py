@@ -19,7 +19,7 @@ from uavaou.planners.anneal import Anneal
 from uavaou.planners.base import Planner
 from uavaou.planners.bound import lower_bound
 from uavaou.planners.exact import LARGEST, program_size
-from uavaou.planners.plan import Plan
+from uavaou.planners.plan import RoutePlan
 from uavaou.planners.rolling import Rolling
 from uavaou.scenario import Scenario
 from uavaou.statistics import interval_over_missions
@@ -93,9 +93,9 @@ def _policies(name: str, scenario: Scenario, chosen: argparse.Namespace) -> dict
     return planners
 
 
-def _annealed(path: Path, scenario: Scenario, time_limit_s: float) -> Plan:
+def _annealed(path: Path, scenario: Scenario, time_limit_s: float) -> RoutePlan:
     if path.is_file():
-        plan, planned_for = Plan.load(path)
+        plan, planned_for = RoutePlan.load(path)
         if planned_for == scenario:
             return plan
     path.parent.mkdir(parents=True, exist_ok=True)

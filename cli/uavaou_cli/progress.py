@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 from uavaou_cli.tables import duration
 
 if TYPE_CHECKING:
-    from uavaou.planners.plan import Progress
+    from uavaou.planners.plan import PlanningStatus
     from uavaou.studies.runner import StudyState
     from uavaou.tuning.search import TrialRecord
     from uavaou.world import World
@@ -200,7 +200,7 @@ class PlanningDisplay(Display):
         self._slot_length_s = slot_length_s
         self._bound_s = bound_s
 
-    def show(self, progress: Progress) -> None:
+    def show(self, progress: PlanningStatus) -> None:
         """Show how far the planning is; for :meth:`uavaou.planners.plan.RoutePlanner.plan`."""
         if not self.due and progress.share < 1.0:
             return

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from uavaou.evaluation.evaluate import Evaluation
     from uavaou.planners.bound import Bound
-    from uavaou.planners.plan import Plan
+    from uavaou.planners.plan import RoutePlan
     from uavaou.runs.comparison import Comparison
     from uavaou.runs.folder import RunConfig
     from uavaou.runs.train import Outcome
@@ -89,7 +89,7 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
     return [*lines, "", note]
 
 
-def plan_lines(scenario: Scenario, plan: Plan, took_s: float, path: Path) -> list[str]:
+def plan_lines(scenario: Scenario, plan: RoutePlan, took_s: float, path: Path) -> list[str]:
     """What a planning found, and where it is kept."""
     in_slots = plan.mean_aou_s / scenario.slot_length_s
     ended = "interrupted after" if plan.interrupted else "in"

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uavaou.planners.bound import Prices, lower_bound
-from uavaou.planners.copies import Copies
-from uavaou.planners.stationary import stationary_start
+from uavaou.planners.bound import LagrangianRelaxation, lower_bound
+from uavaou.planners.decomposition import LagrangianDecomposition
+from uavaou.planners.stationary_duals import stationary_duals
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import coverage_probability
 from uavaou.world.flight import MOVES
@@ -74,7 +74,7 @@ def test_no_bound_is_above_the_optimum_under_fading(scenario: Scenario) -> None:
     layout = scenario.draw_layout()
     best = optimum(scenario, layout)
     assert lower_bound(scenario, layout).mean_aou_s * scenario.slots / scenario.slot_length_s <= best * (1 + 1e-9)
-    assert Prices(scenario, layout).ascend() <= best * (1 + 1e-9)
+    assert LagrangianRelaxation(scenario, layout).ascend() <= best * (1 + 1e-9)
 
 
 @pytest.mark.slow
@@ -83,16 +83,16 @@ def test_no_bound_is_above_the_optimum_under_fading(scenario: Scenario) -> None:
 def test_nor_is_that_of_prices_which_hold_in_every_slot(scenario: Scenario) -> None:
     layout = scenario.draw_layout()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("uavaou.planners.copies._MOST_PRICES", 0)
-        copies = Copies(scenario, layout)
-        start = stationary_start(copies, layout)
+        patch.setattr("uavaou.planners.decomposition._MOST_PRICES", 0)
+        copies = LagrangianDecomposition(scenario, layout)
+        start = stationary_duals(copies, layout)
         assert start is not None
         assert copies.ascend(*start, rounds=100) <= optimum(scenario, layout) * (1 + 1e-9)
 
 
 def test_any_charges_and_prices_bound_and_the_slope_is_theirs() -> None:
     scenario = TINY.replace(fading="rician", slots=8, transmit_power_mw=0.25)
-    copies, rng = Copies(scenario, scenario.draw_layout()), np.random.default_rng(0)
+    copies, rng = LagrangianDecomposition(scenario, scenario.draw_layout()), np.random.default_rng(0)
     charges = 1 + rng.random((8, 4))
     prices = 0.3 * rng.random((9, 2, 4, 9, 5))
     value, by_charges, by_prices = copies.bound(charges, prices)

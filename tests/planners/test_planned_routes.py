@@ -16,15 +16,16 @@ from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal
-from uavaou.planners.bound import Prices, lower_bound
-from uavaou.planners.close_enough import close_enough_tours
-from uavaou.planners.copies import Copies
+from uavaou.planners.bound import LagrangianRelaxation, lower_bound
+from uavaou.planners.cetsp import close_enough_tours
+from uavaou.planners.decomposition import LagrangianDecomposition
 from uavaou.planners.exact import Exact, Program, gap_ages
-from uavaou.planners.plan import Plan, Progress, RoutePlanner, broken_rule
+from uavaou.planners.expected_age import expected_age, expected_mean_aou, total_age
+from uavaou.planners.plan import PlanningStatus, RoutePlan, RoutePlanner, broken_rule
 from uavaou.planners.rolling import Rolling
-from uavaou.planners.search import expect, mean_aou_s, total_age, trial_age
-from uavaou.planners.stationary import stationary_start
-from uavaou.planners.tour import laid
+from uavaou.planners.search import trial_age
+from uavaou.planners.stationary_duals import stationary_duals
+from uavaou.planners.tour import fleet_routes
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.ages import AgeLedger
@@ -88,11 +89,13 @@ def least_age(scenario: Scenario) -> int:
 def bounds(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The bounds in s by prices, and by copies with prices for each slot and with prices for all slots."""
     layout = scenario.draw_layout()
-    found = [Prices(scenario, layout).ascend()]
+    found = [LagrangianRelaxation(scenario, layout).ascend()]
     for most in (10**6, 0):
-        monkeypatch.setattr("uavaou.planners.copies._MOST_PRICES", most)
-        copies = Copies(scenario, layout)
-        start = Prices(scenario, layout).as_charges() if copies.short else stationary_start(copies, layout)
+        monkeypatch.setattr("uavaou.planners.decomposition._MOST_PRICES", most)
+        copies = LagrangianDecomposition(scenario, layout)
+        start = (
+            LagrangianRelaxation(scenario, layout).as_charges() if copies.short else stationary_duals(copies, layout)
+        )
         assert start is not None
         found.append(copies.ascend(*start, rounds=200))
     return [total * scenario.slot_length_s / scenario.slots for total in found]
@@ -193,15 +196,17 @@ def test_tours_dwell_where_it_pays(name: str, monkeypatch: pytest.MonkeyPatch) -
     layout, planner, seen = QUICKSTART.draw_layout(), make_planner(name), []
     assert isinstance(planner, RoutePlanner)
     plan = planner.plan(QUICKSTART, layout, seen.append)
-    assert seen[-1] == Progress(1.0, pytest.approx(plan.mean_aou_s))
+    assert seen[-1] == PlanningStatus(1.0, pytest.approx(plan.mean_aou_s))
     assert (plan.routes[1:] == plan.routes[:-1]).all(axis=-1).any()
-    monkeypatch.setattr("uavaou.planners.tour._dwelt", lambda scenario, e, tours: undwelt(scenario, layout, tours))
+    monkeypatch.setattr(
+        "uavaou.planners.tour._with_dwell_times", lambda scenario, e, tours: undwelt(scenario, layout, tours)
+    )
     assert plan.mean_aou_s < planner.plan(QUICKSTART, layout).mean_aou_s
 
 
 def undwelt(scenario: Scenario, layout: Layout, tours: list[np.ndarray]) -> tuple[np.ndarray, float]:
-    routes = laid(scenario, tours, [np.ones(len(tour), dtype=int) for tour in tours])
-    return routes, total_age(expect(scenario, layout, routes))
+    routes = fleet_routes(scenario, tours, [np.ones(len(tour), dtype=int) for tour in tours])
+    return routes, total_age(expected_age(scenario, layout, routes))
 
 
 def test_a_tour_stays_home_where_nothing_is_in_reach() -> None:
@@ -224,9 +229,9 @@ def test_a_trial_costs_what_the_changed_routes_do() -> None:
     routes = np.random.default_rng(0).integers(0, 5, (60, 2, 2))
     other = routes.copy()
     other[20:31, 1] = np.random.default_rng(1).integers(0, 5, (11, 2))
-    before, after = expect(QUICKSTART, layout, routes), expect(QUICKSTART, layout, other)
-    room = np.empty(8), np.empty(8)
-    assert trial_age(before, 1, 21, 32, after.routes[1].copy(), *room) == pytest.approx(total_age(after), rel=1e-12)
+    before, after = expected_age(QUICKSTART, layout, routes), expected_age(QUICKSTART, layout, other)
+    work = np.empty((3, 8))
+    assert trial_age(before, 1, 21, 32, after.routes[1].copy(), work) == pytest.approx(total_age(after), rel=1e-12)
 
 
 def test_annealing_improves_is_repeatable_and_reports() -> None:
@@ -242,7 +247,7 @@ def test_annealing_improves_is_repeatable_and_reports() -> None:
 
 
 def test_an_interrupted_annealing_keeps_its_best() -> None:
-    def stop(progress: Progress) -> None:
+    def stop(progress: PlanningStatus) -> None:
         raise KeyboardInterrupt
 
     plan = Anneal().plan(QUICKSTART, QUICKSTART.draw_layout(), stop)
@@ -289,7 +294,10 @@ def test_rolling_beats_the_plan_that_it_starts_from() -> None:
 def test_no_policy_beats_the_bound(seed: int, fading: str) -> None:
     scenario = QUICKSTART.replace(slots=20, layout_seed=seed, fading=fading, rate_min_bit_s=165_000)
     layout = scenario.draw_layout()
-    bounds = [lower_bound(scenario, layout).mean_aou_s, Prices(scenario, layout).ascend() * scenario.slot_length_s / 20]
+    bounds = [
+        lower_bound(scenario, layout).mean_aou_s,
+        LagrangianRelaxation(scenario, layout).ascend() * scenario.slot_length_s / 20,
+    ]
     assert min(bounds) > 0
     assert bounds[1] <= bounds[0] * (1 + 1e-5)  # the ascent ends at or below the program's optimum, (Time) not binding
     for name in ("greedy", "best-first", "tour", "anneal", "rolling"):
@@ -302,7 +310,7 @@ def test_the_relaxation_is_below_the_optimum() -> None:
     program = Program(TINY, layout)
     solution = program.solve(Anneal().plan(TINY, layout).routes)
     assert program.relaxation() <= solution.bound + 1e-6
-    total = mean_aou_s(TINY, layout, solution.routes) * TINY.slots / TINY.slot_length_s
+    total = expected_mean_aou(TINY, layout, solution.routes) * TINY.slots / TINY.slot_length_s
     assert solution.bound == pytest.approx(total, abs=1e-9)
 
 
@@ -310,18 +318,18 @@ def test_a_plan_is_read_back(tmp_path: Path) -> None:
     layout: Layout = TINY.draw_layout()
     plan, path = Anneal().plan(TINY, layout), tmp_path / "plan.json"
     path.write_text(json.dumps(plan.to_dict(TINY)))
-    loaded, scenario = Plan.load(path)
+    loaded, scenario = RoutePlan.load(path)
     np.testing.assert_array_equal(loaded.routes, plan.routes)
     assert (scenario, loaded.mean_aou_s) == (TINY, plan.mean_aou_s)
-    assert mean_aou_s(scenario, layout, loaded.routes) == plan.mean_aou_s
+    assert expected_mean_aou(scenario, layout, loaded.routes) == plan.mean_aou_s
     content = plan.to_dict(TINY)
     content["routes"][0][3] = [2, 2]
     path.write_text(json.dumps(content))
     with pytest.raises(InputError, match="more than one grid step"):
-        Plan.load(path)
+        RoutePlan.load(path)
     path.write_text("{}")
     with pytest.raises(InputError, match="not a plan"):
-        Plan.load(path)
+        RoutePlan.load(path)
 
 
 def test_time_limits_are_for_planners_that_plan() -> None:

@@ -1,4 +1,4 @@
-"""Policies that are not learned: what a learner has to beat."""
+"""Policies that are not learned: the references for a learner."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from uavaou.scenario import Scenario
 
 __all__ = ["PLANNERS", "PLAN_AHEAD", "ROUTE_PLANNERS", "Planner", "gap_planners", "make_planner", "make_planners"]
 
-# Each loads on first use: compilers and solvers take longer to import than most planners to fly.
+# Each loads on first use: importing a compiler or a solver takes longer than most missions.
 PLANNERS: dict[str, str] = {
     "random": "uavaou.planners.simple:Random",
     "stay": "uavaou.planners.simple:Stay",
@@ -23,7 +23,7 @@ PLANNERS: dict[str, str] = {
     "rolling": "uavaou.planners.rolling:Rolling",
     "exact": "uavaou.planners.exact:Exact",
 }
-# Those that lay routes before take-off and take a time limit.
+# Planners that plan routes before take-off and take a time limit.
 ROUTE_PLANNERS = ("tour", "partition-tour", "anneal", "exact")
 PLAN_AHEAD = (*ROUTE_PLANNERS, "rolling")
 
@@ -33,10 +33,10 @@ def make_planner(name: str, time_limit_s: float | None = None) -> Planner:
 
     Args:
         name: one of ``PLANNERS``.
-        time_limit_s: how long those of ``ROUTE_PLANNERS``, and ``rolling`` before take-off, may plan.
+        time_limit_s: of the planning before take-off, for ``ROUTE_PLANNERS`` and ``rolling``.
 
     Raises:
-        InputError: no planner has that name, or a time limit is given to one that does not plan ahead.
+        InputError: no planner has that name, or a planner without planning before take-off is given a time limit.
     """
     if name not in PLANNERS:
         raise unknown("planner", name, PLANNERS)

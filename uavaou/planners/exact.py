@@ -2,14 +2,14 @@
 
 Variables, in the time-expanded grid:
 
-* flow: x_u[t, c, c'] = 1 where UAV u goes from cell c in slot t to c' in slot t+1. One unit leaves the CDS in slot 1
-  and arrives there in slot K (CDS); the moves of each UAV sum to what its budget affords (Time).
-* collections: for each device a path over the slots in which it is collected. The arc from collection s to the next
-  one in t weighs the age of the device in the slots between, which makes the objective linear; a path goes through
-  slot t only if some UAV has the device in range there (Rate). One collector suffices (Association).
+* flow: x_u[t, c, c'] = 1 if UAV u goes from cell c in slot t to c' in slot t+1. One unit leaves the CDS in slot 1 and
+  arrives there in slot K (CDS); the number of moves of each UAV is within its budget (Time).
+* collections: for each device a path through the slots in which it is collected. The arc from one collection to the
+  next costs the age of the device in the slots between, which makes the objective linear. A path visits slot t only
+  if some UAV has the device in range in that slot (Rate). One collector suffices (Association).
 
-With whole flows the paths' polytope has whole corners, so only x is declared integer. Ages are counted in slots and
-the objective is a whole number: its optimum is exact, not only within a tolerance.
+If the flows are integers, the polytope of the paths has integer vertices, so only x is declared integer. Ages are
+counted in slots, so the objective is an integer, and its optimum is exact, not only within a tolerance.
 """
 
 from __future__ import annotations
@@ -22,13 +22,12 @@ from typing import ClassVar
 import highspy
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
 
 from uavaou.errors import InputError
 from uavaou.planners.anneal import Anneal
-from uavaou.planners.highs import passed, run_interruptibly
-from uavaou.planners.plan import Plan, Progress, Report, RoutePlanner
-from uavaou.planners.search import mean_aou_s
+from uavaou.planners.expected_age import expected_mean_aou
+from uavaou.planners.highs import LinearProgram, run_interruptibly
+from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import coverage_probability
 from uavaou.world.flight import MOVES, Flight
@@ -36,20 +35,20 @@ from uavaou.world.flight import MOVES, Flight
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-LARGEST = 120_000  # variables; the largest measured: after four minutes its gap is 72 % (docs/planners.md)
-_WHOLE = 1e-6  # a bound this close below a whole number is that number
+LARGEST = 120_000  # variables; at that size the gap after four minutes is 72 % (docs/planners.md)
+_INTEGRALITY = 1e-6  # a bound this close below an integer is that integer
 
 
 class Exact(RoutePlanner):
     """The optimal routes without fading, proven by HiGHS, which starts from annealed routes.
 
-    Under a time limit, or after Ctrl-C, the best routes found and a bound.
+    After a time limit or Ctrl-C, the plan has the best routes found and a bound.
     """
 
     name: ClassVar[str] = "exact"
 
-    def plan(self, scenario: Scenario, layout: Layout, report: Report | None = None) -> Plan:
-        """Solve; the plan's bound equals its mean AoU where optimality is proven.
+    def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
+        """Solve; the plan's bound equals its mean AoU if optimality is proven.
 
         Raises:
             InputError: the channel fades, or the program is larger than ``LARGEST``.
@@ -59,32 +58,33 @@ class Exact(RoutePlanner):
         size = program_size(scenario, layout)
         if size > LARGEST:
             raise InputError(
-                f"exact: scenario '{scenario.name}' needs {size:,} variables, at most {LARGEST:,} are taken on: "
-                "fewer slots, cells or devices, or another planner"
+                f"exact: scenario '{scenario.name}' needs {size:,} variables, at most {LARGEST:,} are supported: "
+                "use fewer slots, cells or devices, or another planner"
             )
         start = Anneal().plan(scenario, layout)
         if start.interrupted:
             return replace(start, planner=self.name, bound_s=0.0)
         per_slot = scenario.slot_length_s / scenario.slots
-        incumbent, begun = start.mean_aou_s, time.monotonic()
+        incumbent, started = start.mean_aou_s, time.monotonic()
 
-        def look(total: float, bound: float) -> None:
-            share = (time.monotonic() - begun) / self.time_limit_s if self.time_limit_s is not None else 0.0
-            if report is not None:
-                report(Progress(min(share, 1.0), min(total * per_slot, incumbent), max(bound, 0.0) * per_slot))
+        def report(total: float, bound: float) -> None:
+            share = (time.monotonic() - started) / self.time_limit_s if self.time_limit_s is not None else 0.0
+            if on_progress is not None:
+                best = min(total * per_slot, incumbent)
+                on_progress(PlanningStatus(min(share, 1.0), best, max(bound, 0.0) * per_slot))
 
-        solution = Program(scenario, layout).solve(start.routes, self.time_limit_s, look)
-        mean = mean_aou_s(scenario, layout, solution.routes)
+        solution = Program(scenario, layout).solve(start.routes, self.time_limit_s, report)
+        mean = expected_mean_aou(scenario, layout, solution.routes)
         routes, mean = (solution.routes, mean) if mean <= incumbent else (start.routes, incumbent)
-        plan = Plan(self.name, routes, mean, min(solution.bound * per_slot, mean), solution.interrupted)
-        if report is not None:
-            report(Progress(1.0, plan.mean_aou_s, plan.bound_s))
+        plan = RoutePlan(self.name, routes, mean, min(solution.bound * per_slot, mean), solution.interrupted)
+        if on_progress is not None:
+            on_progress(PlanningStatus(1.0, plan.mean_aou_s, plan.bound_s))
         return plan
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What HiGHS found."""
+    """The result of HiGHS."""
 
     routes: Ints  # (K, U, 2)
     bound: float  # on the total age, in slots squared
@@ -92,16 +92,18 @@ class Solution:
 
 
 def gap_ages(update_period: int, slots: int) -> Ints:
-    """The age that a device adds up between two collections, in slots squared; (K+1, K+2).
+    """Return the age that a device accumulates between two consecutive collections, in slots squared; (K+1, K+2).
 
-    Entry [s, t] is the sum over the slots after s and before t of sum_n A_i^n, with collections in s and t and none
-    between. s = 0 is the start, where update 0 waits; t = K+1 is the end of the mission.
+    Entry [s, t] is the sum of sum_n A_i^n over the slots after s and before t, with collections in s and t. s = 0 is
+    the start, when update 0 waits; t = K+1 is the end of the mission.
     """
     slot = np.arange(slots + 1)  # 0 to K
-    made = slot // update_period  # updates generated up to a slot
-    pending = np.where(slot[None, :] > slot[:, None], made[None, :] - made[:, None], 0)  # (K+1, K+1) [s, slot]
+    generated = slot // update_period  # updates generated up to a slot
+    pending = np.where(
+        slot[None, :] > slot[:, None], generated[None, :] - generated[:, None], 0
+    )  # (K+1, K+1) [s, slot]
     pending[0, 1:] += 1  # update 0
-    age = np.cumsum(pending, axis=1)  # (K+1, K+1) in a slot, last collected in s
+    age = np.cumsum(pending, axis=1)  # (K+1, K+1) age sum in a slot, last collected in s
     before = np.zeros((slots + 1, slots + 2), dtype=np.int64)
     before[:, 1:] = np.cumsum(age, axis=1)
     return before
@@ -109,7 +111,7 @@ def gap_ages(update_period: int, slots: int) -> Ints:
 
 @dataclass(frozen=True)
 class Flow:
-    """One UAV's steps in the time-expanded grid."""
+    """The steps of one UAV in the time-expanded grid."""
 
     slot: Ints  # (E,) slot in which the step begins, 1 to K-1
     here: Ints  # (E,) cell
@@ -117,7 +119,7 @@ class Flow:
 
 
 def flow(scenario: Scenario, uav: int) -> Flow:
-    """The steps that can be part of a route from the CDS back to it within the slots and the budget."""
+    """Return the steps that some route from the CDS back to it contains, within the slots and the budget."""
     flight = Flight(scenario)
     cells = np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T  # (C, 2)
     away = np.abs(cells - flight.cds[uav]).sum(axis=1)  # (C,) grid steps
@@ -127,13 +129,13 @@ def flow(scenario: Scenario, uav: int) -> Flow:
     there = np.where(inside, target[:, 0] * scenario.rows + target[:, 1], 0)
     slot = slot + 1
     in_time = (away[here] < slot) & (away[there] <= scenario.slots - slot - 1)
-    afford = away[here] + (move > 0) + away[there] <= flight.budget[uav]
-    kept = inside & in_time & afford
-    return Flow(slot[kept], here[kept], there[kept])
+    affordable = away[here] + (move > 0) + away[there] <= flight.budget[uav]
+    feasible = inside & in_time & affordable
+    return Flow(slot[feasible], here[feasible], there[feasible])
 
 
 def program_size(scenario: Scenario, layout: Layout) -> int:
-    """The number of variables, at most, without building anything."""
+    """Return an upper bound on the number of variables, without building the program."""
     steps = scenario.uavs * (scenario.slots - 1) * scenario.columns * scenario.rows * len(MOVES)
     return steps + scenario.devices * (scenario.slots + 1) * (scenario.slots + 2) // 2
 
@@ -141,73 +143,59 @@ def program_size(scenario: Scenario, layout: Layout) -> int:
 class Program:
     """The program of one scenario and layout, and its linear relaxation.
 
-    With fading, ``probability`` weighs the collections: x is then the probability of a step under some policy, and
-    the linear relaxation bounds the expected age of every policy that does not foresee the channel (a slot's fading
-    is independent of where the UAVs are in it).
+    With fading, ``probability`` weights the collections: x is then the probability of a step under some policy, and the
+    linear relaxation bounds the expected age of every policy that does not foresee the channel, because the fading of a
+    slot is independent of the positions of the UAVs in it.
     """
 
     def __init__(self, scenario: Scenario, layout: Layout) -> None:
         self._scenario = scenario
-        self._flows = [flow(scenario, u) for u in range(scenario.uavs)]
         probability = coverage_probability(scenario, layout)  # (U, X, Y, I)
         self._probability = probability.reshape(scenario.uavs, -1, scenario.devices)  # (U, C, I)
-        self._rows: list[Ints] = []
-        self._columns: list[Ints] = []
-        self._values: list[Floats] = []
-        self._low: list[Floats] = []
-        self._high: list[Floats] = []
-        self._constraints = 0
-        self.first_step = np.cumsum([0, *(len(f.slot) for f in self._flows)])  # (U+1,) columns of each UAV's steps
-        self._costs: list[Floats] = [np.zeros(self.first_step[-1])]
-        self._variables = int(self.first_step[-1])
+        self._program = LinearProgram()
+        self._flows = [flow(scenario, u) for u in range(scenario.uavs)]
+        self._steps = [self._program.add_variables(np.ones(len(flow.slot))) for flow in self._flows]  # (E,) each
         for u in range(scenario.uavs):
-            self._fly(u)
+            self._add_flow(u)
         for i in range(scenario.devices):
-            self._collect(i, gap_ages(int(layout.update_period[i]), scenario.slots))
+            self._add_collections(i, gap_ages(int(layout.update_period[i]), scenario.slots))
 
     def solve(
         self,
         start: Ints,
         time_limit_s: float | None = None,
-        on_look: Callable[[float, float], None] = lambda total, bound: None,
+        on_progress: Callable[[float, float], None] = lambda total, bound: None,
     ) -> Solution:
-        """The best routes found, from ``start`` (K, U, 2) on, and the bound proven.
+        """Return the best routes found and the bound proven.
 
         Args:
-            start: routes within all constraints.
-            time_limit_s: seconds, at most.
-            on_look: hears now and then of the best total age and of the bound on it, in slots squared.
+            start: feasible routes to start from, (K, U, 2).
+            time_limit_s: of the solver.
+            on_progress: receives the best total age and its bound now and then, in slots squared.
         """
-        solver, steps = self._solver(), int(self.first_step[-1])
-        whole = np.arange(steps, dtype=np.int32)
-        solver.changeColsIntegrality(steps, whole, np.full(steps, highspy.HighsVarType.kInteger))
+        solver, steps = self._program.solver(), sum(map(len, self._steps))
+        integers = np.arange(steps, dtype=np.int32)
+        solver.changeColsIntegrality(steps, integers, np.full(steps, highspy.HighsVarType.kInteger))
         solver.setOptionValue("mip_rel_gap", 0.0)
-        solver.setOptionValue("mip_abs_gap", 1.0 - _WHOLE)  # the objective is whole
+        solver.setOptionValue("mip_abs_gap", 1.0 - _INTEGRALITY)  # the objective is an integer
         if time_limit_s is not None:
             solver.setOptionValue("time_limit", time_limit_s)
-        solver.setSolution(steps, whole, self._steps_of(start))
-        interrupted = run_interruptibly(solver, on_look)
+        solver.setSolution(steps, integers, self._steps_of(start))
+        interrupted = run_interruptibly(solver, on_progress)
         found = solver.getSolution()
-        routes = self._routes(np.asarray(found.col_value)) if found.value_valid else start
-        bound = float(np.ceil(solver.getInfo().mip_dual_bound - _WHOLE))
+        routes = self._routes_of(np.asarray(found.col_value)) if found.value_valid else start
+        bound = float(np.ceil(solver.getInfo().mip_dual_bound - _INTEGRALITY))
         return Solution(routes, max(bound, 0.0), interrupted)
 
     def relaxation(self) -> float:
-        """The optimum of the linear relaxation, in slots squared; 0 where HiGHS finds none."""
-        solver = self._solver()
+        """Return the optimum of the linear relaxation, in slots squared; 0 if HiGHS finds none."""
+        solver = self._program.solver()
         solver.run()
         solved = solver.getModelStatus() == highspy.HighsModelStatus.kOptimal
         return float(solver.getInfo().objective_function_value) if solved else 0.0
 
-    def _solver(self) -> highspy.Highs:
-        rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
-        shape = (self._constraints, self._variables)
-        matrix = csc_array((np.concatenate(self._values), (rows, columns)), shape=shape)
-        low, high = np.concatenate(self._low), np.concatenate(self._high)
-        return passed(np.concatenate(self._costs), np.ones(self._variables), matrix, low, high)
-
     def _steps_of(self, routes: Ints) -> Floats:
-        """The steps' variables (E,) for routes (K, U, 2)."""
+        """Return the steps' variables (E,) for routes (K, U, 2)."""
         cells = routes[..., 0] * self._scenario.rows + routes[..., 1]  # (K, U)
         taken = [
             (cells[flow.slot - 1, u] == flow.here) & (cells[flow.slot, u] == flow.there)
@@ -215,11 +203,21 @@ class Program:
         ]
         return np.concatenate(taken).astype(np.float64)
 
-    def _fly(self, uav: int) -> None:
-        """One unit of flow from the CDS in slot 1 to it in slot K, within the budget."""
-        flow, scenario = self._flows[uav], self._scenario
+    def _routes_of(self, solution: Floats) -> Ints:
+        """Return the cells of the steps taken, (K, U, 2)."""
+        scenario = self._scenario
+        cells = np.empty((scenario.slots, scenario.uavs), dtype=np.int64)
+        for u, (flow, steps) in enumerate(zip(self._flows, self._steps, strict=True)):
+            taken = solution[steps] > 0.5
+            order = np.argsort(flow.slot[taken])
+            cells[:-1, u] = flow.here[taken][order]
+            cells[-1, u] = flow.there[taken][order][-1]
+        return np.stack(np.divmod(cells, scenario.rows), axis=-1)
+
+    def _add_flow(self, uav: int) -> None:
+        """Add one unit of flow from the CDS in slot 1 to the CDS in slot K, within the budget."""
+        flow, steps, scenario, program = self._flows[uav], self._steps[uav], self._scenario, self._program
         cells = scenario.columns * scenario.rows
-        step = self.first_step[uav] + np.arange(len(flow.slot))
         leaves, arrives = flow.slot * cells + flow.here, (flow.slot + 1) * cells + flow.there  # nodes
         nodes, node = np.unique(np.concatenate([leaves, arrives]), return_inverse=True)
         net = np.zeros(len(nodes))
@@ -227,71 +225,41 @@ class Program:
         home = x * scenario.rows + y
         net[np.searchsorted(nodes, cells + home)] += 1.0
         net[np.searchsorted(nodes, scenario.slots * cells + home)] -= 1.0
-        signs = np.repeat([1.0, -1.0], len(step))
-        self._constrain(node, np.concatenate([step, step]), signs, net, net)
-        moving = step[flow.here != flow.there]
-        budget = np.array([float(Flight(scenario).budget[uav])])
-        self._constrain(
-            np.zeros(len(moving), dtype=np.int64), moving, np.ones(len(moving)), np.array([-np.inf]), budget
-        )
+        conserved = program.add_constraints(len(nodes), net, net)
+        program.add_terms(conserved[node], np.concatenate([steps, steps]), np.repeat([1.0, -1.0], len(steps)))
+        within_budget = program.add_constraints(1, -np.inf, float(Flight(scenario).budget[uav]))
+        program.add_terms(within_budget, steps[flow.here != flow.there], 1.0)
 
-    def _collect(self, device: int, gap_age: Ints) -> None:
-        """A path over the slots 0 (start), those of collections, and K+1 (end)."""
-        slots = self._scenario.slots
+    def _add_collections(self, device: int, gap_age: Ints) -> None:
+        """Add a path through slot 0 (start), the slots with a collection, and slot K+1 (end)."""
+        slots, program = self._scenario.slots, self._program
         reached = self._reached(device)
         at = np.array([0, *sorted(reached), slots + 1])  # slots in which the device can be collected, and the ends
         start, end = np.triu_indices(len(at), 1)
-        arc = self._variables + np.arange(len(start))
-        self._variables += len(arc)
-        self._costs.append(gap_age[at[start], at[end]].astype(np.float64))
+        arcs = program.add_variables(np.ones(len(start)), gap_age[at[start], at[end]].astype(np.float64))
         net = np.zeros(len(at))
         net[0], net[-1] = 1.0, -1.0
-        self._constrain(
-            np.concatenate([start, end]), np.concatenate([arc, arc]), np.repeat([1.0, -1.0], len(arc)), net, net
-        )
-        rows, columns, values = [], [], []
+        conserved = program.add_constraints(len(at), net, net)
+        program.add_terms(conserved[start], arcs, 1.0)
+        program.add_terms(conserved[end], arcs, -1.0)
+        in_range = program.add_constraints(len(at) - 2, -np.inf, 0.0)
         for k, slot in enumerate(at[1:-1]):
-            into = arc[end == k + 1]
-            steps, weights = reached[int(slot)]
-            rows += [np.full(len(into) + len(steps), k)]
-            columns += [into, steps]
-            values += [np.ones(len(into)), -weights]
-        if rows:
-            low, high = np.full(len(at) - 2, -np.inf), np.zeros(len(at) - 2)
-            self._constrain(np.concatenate(rows), np.concatenate(columns), np.concatenate(values), low, high)
+            steps, probability = reached[int(slot)]
+            program.add_terms(in_range[k], arcs[end == k + 1], 1.0)
+            program.add_terms(in_range[k], steps, -probability)
 
     def _reached(self, device: int) -> dict[int, tuple[Ints, Floats]]:
-        """Slot -> the steps (columns) that begin, or in slot K end, where the device is in range, and how likely."""
+        """Map each slot to the steps (columns) that begin (in slot K: end) in range, and P(R_iu >= R_min) of each."""
         slots = self._scenario.slots
         found: dict[int, list[tuple[Ints, Floats]]] = {}
-        for u, flow in enumerate(self._flows):
-            step = self.first_step[u] + np.arange(len(flow.slot))
+        for u, (flow, steps) in enumerate(zip(self._flows, self._steps, strict=True)):
             for slot in range(1, slots + 1):
                 at = flow.slot == min(slot, slots - 1)
                 cell = flow.here if slot < slots else flow.there
                 weight = self._probability[u, cell[at], device]
                 if weight.any():
-                    found.setdefault(slot, []).append((step[at][weight > 0], weight[weight > 0]))
+                    found.setdefault(slot, []).append((steps[at][weight > 0], weight[weight > 0]))
         return {
             slot: (np.concatenate([s for s, _ in parts]), np.concatenate([w for _, w in parts]))
             for slot, parts in found.items()
         }
-
-    def _constrain(self, rows: Ints, columns: Ints, values: Floats, low: Floats, high: Floats) -> None:
-        self._rows.append(rows + self._constraints)
-        self._columns.append(columns)
-        self._values.append(values)
-        self._low.append(low)
-        self._high.append(high)
-        self._constraints += len(low)
-
-    def _routes(self, solution: Floats) -> Ints:
-        """The cells of the steps taken, (K, U, 2)."""
-        scenario = self._scenario
-        cells = np.empty((scenario.slots, scenario.uavs), dtype=np.int64)
-        for u, flow in enumerate(self._flows):
-            taken = solution[self.first_step[u] : self.first_step[u + 1]] > 0.5
-            order = np.argsort(flow.slot[taken])
-            cells[:-1, u] = flow.here[taken][order]
-            cells[-1, u] = flow.there[taken][order][-1]
-        return np.stack(np.divmod(cells, scenario.rows), axis=-1)

@@ -1,4 +1,4 @@
-"""HiGHS, the solver of linear and mixed-integer programs, through its own Python package."""
+"""Linear and mixed-integer programs for the solver HiGHS, through its own Python package."""
 
 from __future__ import annotations
 
@@ -6,38 +6,74 @@ from collections.abc import Callable
 
 import highspy
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_array
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_LOOK_S = 0.2  # between two looks at the bounds and the keyboard
 
 
-def passed(costs: Floats, upper: Floats, matrix: csc_array, low: Floats, high: Floats) -> highspy.Highs:
-    """A solver that holds: minimise costs x, 0 <= x <= upper, low <= matrix x <= high; silent, on one core."""
-    program = highspy.HighsLp()
-    program.num_row_, program.num_col_ = matrix.shape
-    program.col_cost_, program.col_lower_, program.col_upper_ = costs, np.zeros(len(costs)), upper
-    program.row_lower_, program.row_upper_ = low, high
-    program.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-    program.a_matrix_.start_, program.a_matrix_.index_ = matrix.indptr, matrix.indices
-    program.a_matrix_.value_ = matrix.data
-    solver = highspy.Highs()  # type: ignore[no-untyped-call]
-    solver.silent()
-    solver.setOptionValue("threads", 1)
-    solver.passModel(program)
-    return solver
+class LinearProgram:
+    """The program min c x subject to 0 <= x <= upper and low <= A x <= high, built block by block."""
+
+    def __init__(self) -> None:
+        self._variables = self._constraints = 0
+        self._costs: list[Floats] = []
+        self._upper: list[Floats] = []
+        self._low: list[Floats] = []
+        self._high: list[Floats] = []
+        self._terms: list[tuple[Ints, Ints, Floats]] = []  # rows, columns and values of A
+
+    def add_variables(self, upper: Floats, costs: Floats | None = None) -> Ints:
+        """Add a variable for each upper limit, of any shape; return their columns in that shape. Costs default to 0."""
+        columns = self._variables + np.arange(upper.size).reshape(upper.shape)
+        self._variables += upper.size
+        self._upper.append(upper.ravel())
+        self._costs.append(np.zeros(upper.size) if costs is None else costs.ravel())
+        return columns
+
+    def add_constraints(self, number: int, low: ArrayLike, high: ArrayLike) -> Ints:
+        """Add ``number`` constraints and return their rows; each limit is a number or an array of them."""
+        rows = self._constraints + np.arange(number)
+        self._constraints += number
+        self._low.append(np.broadcast_to(np.asarray(low, dtype=np.float64), number))
+        self._high.append(np.broadcast_to(np.asarray(high, dtype=np.float64), number))
+        return rows
+
+    def add_terms(self, rows: Ints, columns: Ints, values: Floats | float) -> None:
+        """Add ``values`` to the coefficients of A at rows and columns; the three broadcast."""
+        entries = np.broadcast_arrays(rows, columns, values)
+        self._terms.append((entries[0].ravel(), entries[1].ravel(), entries[2].ravel().astype(np.float64)))
+
+    def solver(self) -> highspy.Highs:
+        """Return a solver that holds the program; it is silent and uses one core."""
+        rows, columns, values = (np.concatenate(part) for part in zip(*self._terms, strict=True))
+        matrix = csc_array((values, (rows, columns)), shape=(self._constraints, self._variables))
+        matrix.eliminate_zeros()
+        program = highspy.HighsLp()
+        program.num_row_, program.num_col_ = matrix.shape
+        program.col_cost_, program.col_upper_ = np.concatenate(self._costs), np.concatenate(self._upper)
+        program.col_lower_ = np.zeros(self._variables)
+        program.row_lower_, program.row_upper_ = np.concatenate(self._low), np.concatenate(self._high)
+        program.a_matrix_.format_ = highspy.MatrixFormat.kColwise
+        program.a_matrix_.start_, program.a_matrix_.index_ = matrix.indptr, matrix.indices
+        program.a_matrix_.value_ = matrix.data
+        solver = highspy.Highs()  # type: ignore[no-untyped-call]
+        solver.silent()
+        solver.setOptionValue("threads", 1)
+        solver.passModel(program)
+        return solver
 
 
-_LOOK_S = 0.2  # between looks at the bounds and the keyboard
-
-
-def run_interruptibly(solver: highspy.Highs, on_look: Callable[[float, float], None]) -> bool:
-    """Run a mixed-integer solver to its end or to Ctrl-C, which stops it within a moment; whether it was stopped.
+def run_interruptibly(solver: highspy.Highs, on_progress: Callable[[float, float], None]) -> bool:
+    """Run a mixed-integer solver to its end; Ctrl-C stops it at once. Return whether it was stopped.
 
     Args:
         solver: holds the program.
-        on_look: hears now and then of the best objective and of the bound on it; infinite where there is none. A
-            KeyboardInterrupt from it stops the solver too.
+        on_progress: receives the best objective and its bound now and then; each is infinite if there is none yet. A
+            KeyboardInterrupt that it raises stops the solver too.
     """
     seen = [np.inf, -np.inf]
 
@@ -46,12 +82,12 @@ def run_interruptibly(solver: highspy.Highs, on_look: Callable[[float, float], N
 
     solver.HandleUserInterrupt = True
     solver.cbMipInterrupt += look
-    solver.startSolve()  # in a thread, so that this one hears the keyboard
+    solver.startSolve()  # in a thread, so that this thread receives Ctrl-C
     try:
         while not solver.wait(_LOOK_S)[0]:
-            on_look(*seen)
+            on_progress(*seen)
     except KeyboardInterrupt:
         solver.cancelSolve()  # type: ignore[no-untyped-call]
-        solver.wait()  # not Thread.join, which forgets a thread that it was interrupted in waiting for
+        solver.wait()  # Thread.join cannot be used: after an interrupted join it no longer knows the thread
         return True
     return False

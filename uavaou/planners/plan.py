@@ -1,4 +1,4 @@
-"""Routes planned before take-off: what a plan is, and the policy that flies it."""
+"""Routes planned before take-off, and the planners that fly them."""
 
 from __future__ import annotations
 
@@ -24,36 +24,36 @@ _MOVE_OF_STEP = {(int(dx), int(dy)): move for move, (dx, dy) in enumerate(MOVES)
 
 
 @dataclass(frozen=True)
-class Progress:
-    """How far a planning is."""
+class PlanningStatus:
+    """The state of a running planner."""
 
     share: float  # of the work or of the time, 0 to 1
     incumbent_s: float  # expected mean AoU of the best routes so far, s
     bound_s: float | None = None  # certified lower bound, s
 
 
-Report = Callable[[Progress], None]
+OnProgress = Callable[[PlanningStatus], None]
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Where each UAV is in each slot, and what that is worth."""
+class RoutePlan:
+    """The cell of each UAV in each slot, and the expected mean AoU."""
 
     planner: str
     routes: Ints  # (K, U, 2) column and row in slots 1 to K
     mean_aou_s: float  # expected over fading, s
-    bound_s: float | None = None  # no policy has a lower expected mean AoU, s; None: nothing proven
+    bound_s: float | None = None  # lower bound on the expected mean AoU of every policy, s; None: not proven
     interrupted: bool = False
 
     @property
     def gap(self) -> float | None:
-        """(mean AoU - bound) / mean AoU; None without a bound."""
+        """The relative gap (mean AoU - bound) / mean AoU; None without a bound."""
         if self.bound_s is None:
             return None
         return (self.mean_aou_s - self.bound_s) / self.mean_aou_s if self.mean_aou_s else 0.0
 
     def to_dict(self, scenario: Scenario) -> dict[str, Any]:
-        """Plain values for a JSON file, the scenario included."""
+        """Return plain values for a JSON file, with the scenario."""
         return {
             "planner": self.planner,
             "scenario": scenario.to_dict(),
@@ -64,11 +64,11 @@ class Plan:
         }
 
     @classmethod
-    def load(cls, path: Path) -> tuple[Plan, Scenario]:
-        """Read back what :meth:`to_dict` gave, written as JSON.
+    def load(cls, path: Path) -> tuple[RoutePlan, Scenario]:
+        """Read a JSON file of :meth:`to_dict`.
 
         Raises:
-            InputError: the file is no plan, or its routes break a rule of flight.
+            InputError: the file is not a plan, or its routes break a rule of flight.
         """
         try:
             content = read_json(path)
@@ -86,72 +86,72 @@ class Plan:
 
 
 def broken_rule(scenario: Scenario, routes: Ints) -> str | None:
-    """The first rule of flight that ``routes`` (K, U, 2) break, in words; None where they can be flown as they are."""
+    """Describe the first rule of flight that ``routes`` (K, U, 2) break; return None if the routes are feasible."""
     if routes.shape != (scenario.slots, scenario.uavs, 2):
         return f"routes of shape {routes.shape}, expected {(scenario.slots, scenario.uavs, 2)}"
     flight = Flight(scenario)
-    way = np.abs(np.diff(routes, axis=0)).sum(axis=-1)  # (K-1, U) grid steps
+    steps = np.abs(np.diff(routes, axis=0)).sum(axis=-1)  # (K-1, U) grid steps
     if routes.min() < 0 or (routes > [scenario.columns - 1, scenario.rows - 1]).any():
         return "a route leaves the grid"
-    if (way > 1).any():
+    if (steps > 1).any():
         return "a route moves by more than one grid step in a slot"
     if (routes[0] != flight.cds).any() or (routes[-1] != flight.cds).any():
         return "a route does not start and end at its CDS (constraint CDS)"
-    if (way.sum(axis=0) > flight.budget).any():
+    if (steps.sum(axis=0) > flight.budget).any():
         return "a route exceeds flight_time_budget_s (constraint Time)"
     return None
 
 
 class RoutePlanner(ABC):
-    """A planner that lays all routes before take-off and flies them whatever happens; all in range is collected.
+    """A planner that plans all routes before take-off and flies them open loop; every device in range is collected.
 
-    Missions of one layout fly the same plan: it depends on nothing that a mission draws.
+    Missions with the same layout fly the same plan, because a plan depends on no draw of a mission.
 
     Args:
-        time_limit_s: how long to plan; None plans for a fixed amount of work, so that the plan is the same
-            on every run.
+        time_limit_s: of the planning; None plans with a fixed amount of work, so that the plan is the same on every
+            run.
     """
 
     name: ClassVar[str]
 
     def __init__(self, time_limit_s: float | None = None) -> None:
         self.time_limit_s = time_limit_s
-        self._plans: dict[tuple[str | bytes, ...], Plan] = {}
+        self._plans: dict[tuple[str | bytes, ...], RoutePlan] = {}
 
     @abstractmethod
-    def plan(self, scenario: Scenario, layout: Layout, report: Report | None = None) -> Plan:
-        """Lay the routes for one layout.
+    def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
+        """Plan the routes for one layout.
 
         Args:
-            scenario: what is flown.
+            scenario: the scenario to plan for.
             layout: the devices.
-            report: called now and then. A KeyboardInterrupt from it, or from the keyboard, ends a search that
-                has something to show for it.
+            on_progress: called now and then. A KeyboardInterrupt from it, or Ctrl-C, ends the search; the plan then
+                has the best routes found so far.
 
         Raises:
-            InputError: the scenario is not one that this planner can plan for.
+            InputError: this planner cannot plan for the scenario.
         """
 
     def reset(self, world: World, seed: int) -> None:
-        """Plan for each layout among the missions, unless it has been done. Draws nothing from ``seed``."""
+        """Plan for each layout of the missions that has no plan yet. Nothing is drawn from ``seed``."""
         different = world.missions if world.scenario.layout == "resample" else 1  # L
         self.plans = [self._planned(world.scenario, world.layout(mission)) for mission in range(different)]
         routes = np.stack([plan.routes for plan in self.plans], axis=1)  # (K, L, U, 2)
         self._routes = np.broadcast_to(routes, (len(routes), world.missions, *routes.shape[2:]))  # (K, N, U, 2)
 
-    def keep(self, plan: Plan, scenario: Scenario, layout: Layout) -> None:
-        """Fly this plan on this layout instead of planning."""
+    def keep(self, plan: RoutePlan, scenario: Scenario, layout: Layout) -> None:
+        """Use this plan on this layout instead of planning."""
         self._plans[_key(scenario, layout)] = plan
 
-    def _planned(self, scenario: Scenario, layout: Layout) -> Plan:
+    def _planned(self, scenario: Scenario, layout: Layout) -> RoutePlan:
         key = _key(scenario, layout)
         if key not in self._plans:
             self._plans[key] = self.plan(scenario, layout)
         return self._plans[key]
 
     def act(self, world: World) -> tuple[Moves, Selections | None]:
-        """The move to where the plan is in the next slot, (N, U)."""
-        there = self._routes[min(world.slot, len(self._routes) - 1)]  # (N, U, 2), slot + 1 counted from 1
+        """Return the move to the cell of the next slot, (N, U)."""
+        there = self._routes[min(world.slot, len(self._routes) - 1)]  # (N, U, 2); row t holds slot t + 1
         return moves_between(world.cells, there), None
 
 
@@ -161,10 +161,10 @@ def _key(scenario: Scenario, layout: Layout) -> tuple[str | bytes, ...]:
 
 
 def moves_between(here: Ints, there: Ints) -> Moves:
-    """The move from each cell to the next, (..., 2) both; cells are the same or neighbours."""
+    """Return the move from each cell to the next, (..., 2) both; the two are equal or neighbours."""
     step = there - here  # (..., 2)
     by_step = np.zeros((3, 3), dtype=np.int64)
     for (dx, dy), move in _MOVE_OF_STEP.items():
-        by_step[dx, dy] = move  # -1 reads from the end
+        by_step[dx, dy] = move  # index -1 is the last
     moves: Moves = by_step[step[..., 0], step[..., 1]]
     return moves

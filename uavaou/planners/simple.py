@@ -1,36 +1,31 @@
-"""The two planners that look at nothing: the bottom of every comparison."""
+"""The two planners that ignore the state of the world: the lower end of every comparison."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from uavaou.planners.base import Moves, Selections
+from uavaou.planners.base import Moves, Selections, mission_rngs
 from uavaou.world import World
 from uavaou.world.flight import MOVES, STAY
 
-_STREAM = 2  # spawn key: no planner's stream is a mission's (no key) or a layout's (key 1) with the same seed
-
 
 class Random:
-    """Moves drawn uniformly from the five; every device in range is collected."""
+    """Draw each move uniformly from the five; collect every device in range."""
 
     def reset(self, world: World, seed: int) -> None:
-        """Seed mission j's stream with ``seed + j``."""
-        self._rngs = [
-            np.random.default_rng(np.random.SeedSequence(seed + lane, spawn_key=(_STREAM,)))
-            for lane in range(world.missions)
-        ]
+        """Seed the stream of mission j with ``seed + j``."""
+        self._rngs = mission_rngs(world, seed)
 
     def act(self, world: World) -> tuple[Moves, Selections | None]:
-        """Draw the moves, (N, U); the World reads those off the grid or too far from home its own way."""
+        """Draw the moves, (N, U); the World replaces those that are not allowed."""
         return np.stack([rng.integers(len(MOVES), size=world.scenario.uavs) for rng in self._rngs]), None
 
 
 class Stay:
-    """Every UAV hovers over its CDS; every device in range is collected."""
+    """Keep every UAV over its CDS; collect every device in range."""
 
     def reset(self, world: World, seed: int) -> None:
-        """Nothing to prepare."""
+        """Prepare nothing."""
 
     def act(self, world: World) -> tuple[Moves, Selections | None]:
         """Stay, (N, U)."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from uavaou.planners.plan import Plan
+from uavaou.planners.plan import RoutePlan
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.results import PolicyResult, find_evaluation, write_own_evaluation
 from uavaou.scenario import Scenario
@@ -58,7 +58,7 @@ class Playing:
     scenario: Scenario
     episodes: int
     seconds: float
-    plan: Plan | None
+    plan: RoutePlan | None
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def perform(job: Job, tell: Callable[[TrainingReport], None]) -> JobResult:
         tell: called after each update of a training.
 
     Returns:
-        For a planner what it did in the missions, for a plan :meth:`Plan.to_dict`, for a bound ``bound_s`` and
+        For a planner what it did in the missions, for a plan :meth:`RoutePlan.to_dict`, for a bound ``bound_s`` and
         ``method``; nothing for a training, whose folder holds everything.
 
     Raises:

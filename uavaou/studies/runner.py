@@ -11,7 +11,7 @@ from pathlib import Path
 
 from uavaou.errors import InputError
 from uavaou.files import read_json, write_json
-from uavaou.planners.plan import Plan
+from uavaou.planners.plan import RoutePlan
 from uavaou.runs.folder import scenario_folder
 from uavaou.runs.interrupt import Interrupts
 from uavaou.runs.lock import only_writer
@@ -137,7 +137,7 @@ class _Work:
         self._every_s = checkpoint_every_s
         self._runs = {run.key: run for run in study.runs()}
         self._results, _ = update_results(study, out)  # a damaged run is tried again, and fails with its reason then
-        self._plans: dict[str, Plan | None] = {}  # by scenario; None: being made
+        self._plans: dict[str, RoutePlan | None] = {}  # by scenario; None: being made
         order = study.work_order()
         self._todo = todo = [key for key in order if key not in self._results.parts]
         budget = {key: run.config.algorithm.slots for key, run in self._runs.items()}
@@ -189,7 +189,7 @@ class _Work:
         """Where the annealed plan of a scenario is kept, for all studies."""
         return self._out / "planners" / "plans" / f"{scenario_folder(self._study.scenarios[scenario])}.json"
 
-    def _saved_plan(self, scenario: str) -> Plan | None:
+    def _saved_plan(self, scenario: str) -> RoutePlan | None:
         """The plan that is kept for a scenario; None where there is none, or one of less planning.
 
         Raises:
@@ -198,7 +198,7 @@ class _Work:
         path = self._plan_path(scenario)
         if not path.is_file():
             return None
-        plan, planned_for = Plan.load(path)
+        plan, planned_for = RoutePlan.load(path)
         wanted_s = self._study.planning_seconds
         seconds = read_json(path).get("planning_seconds", wanted_s)  # plans of benchmarks do not state them
         enough = isinstance(seconds, int | float) and seconds >= wanted_s
@@ -240,7 +240,7 @@ class _Work:
             path = self._plan_path(event.key.scenario)
             try:
                 write_json(path, event.result)
-                self._plans[event.key.scenario], _ = Plan.load(path)
+                self._plans[event.key.scenario], _ = RoutePlan.load(path)
             except InputError as problem:
                 reason = str(problem)
             except OSError as error:

@@ -1,7 +1,7 @@
-"""OR-Tools' routing solver in a process of its own: run as a script, pickled problems in, pickled orders out.
+"""The routing solver of OR-Tools in its own process: a script that reads pickled problems and writes pickled orders.
 
-The wheels of OR-Tools and of HiGHS each bring a ``libhighs``, and whichever of them a process loads second fails to
-load (google/or-tools#5246). So no other module imports OR-Tools, and this one imports nothing of the package.
+The wheels of OR-Tools and of HiGHS each contain a ``libhighs``, and a process fails to load the second of them
+(google/or-tools#5246). So no other module imports OR-Tools, and this one imports nothing of the package.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from ortools.constraint_solver.routing_enums_pb2 import FirstSolutionStrategy, L
 
 Ints = NDArray[np.int64]
 
-_LEFT_OUT = 10**6  # cost of a group without a visit; more than any tour's length
+_SKIPPED = 10**6  # cost of a group without a visit; more than the length of any tour
 
 
-def order(away: Ints, group: Ints, time_limit_s: float | None) -> list[int]:
-    """A short closed tour from node 0 over one node of each group of the others.
+def order(distances: Ints, group: Ints, time_limit_s: float | None) -> list[int]:
+    """Return a short closed tour from node 0 through one node of each group.
 
     Args:
-        away: lengths, (N, N).
-        group: that each node is in, (N,); node 0 is visited whatever its group.
-        time_limit_s: searches beyond the first local optimum, by guided local search, for that long; None ends
-            at the local optimum, which is the same on every run.
+        distances: (N, N).
+        group: the group of each node, (N,); node 0 is visited whatever its group.
+        time_limit_s: duration of a guided local search beyond the first local optimum; None ends at that local
+            optimum, which is the same on every run.
     """
-    manager = pywrapcp.RoutingIndexManager(len(away), 1, 0)
+    manager = pywrapcp.RoutingIndexManager(len(distances), 1, 0)
     routing = pywrapcp.RoutingModel(manager)
-    routing.SetArcCostEvaluatorOfAllVehicles(routing.RegisterTransitMatrix(away.tolist()))
+    routing.SetArcCostEvaluatorOfAllVehicles(routing.RegisterTransitMatrix(distances.tolist()))
     for visited in np.unique(group[1:]):
         choices = 1 + np.flatnonzero(group[1:] == visited)
-        routing.AddDisjunction([manager.NodeToIndex(int(node)) for node in choices], _LEFT_OUT)
+        routing.AddDisjunction([manager.NodeToIndex(int(node)) for node in choices], _SKIPPED)
     solution = routing.SolveWithParameters(_parameters(time_limit_s))
     nodes, index = [], routing.Start(0)
     while not routing.IsEnd(index):
@@ -55,4 +55,4 @@ def _parameters(time_limit_s: float | None) -> Any:
 
 if __name__ == "__main__":
     problems, seconds = pickle.load(sys.stdin.buffer)
-    pickle.dump([order(away, group, seconds) for away, group in problems], sys.stdout.buffer)
+    pickle.dump([order(distances, group, seconds) for distances, group in problems], sys.stdout.buffer)
