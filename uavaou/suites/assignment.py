@@ -1,7 +1,7 @@
-"""Which of the runs at hand flies each point of a suite, and which training would fill the points that none can.
+"""Which of the given runs fly each point of a suite, and which trainings are missing for the other points.
 
-A point is flown by the runs that were trained for this very point where there is one; else zero-shot by runs whose
-networks have the point's shape. All runs of one policy at a point have one training budget.
+Runs that were trained for a point fly it. Where there are none, runs whose networks fit the point fly it zero-shot. All
+runs of one policy at one point have the same training budget.
 """
 
 from __future__ import annotations
@@ -19,49 +19,50 @@ from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
 from uavaou.runs.folder import RunConfig, RunFolder, train_command
 from uavaou.scenario import Scenario
-from uavaou.suites.suite import Place, Suite
+from uavaou.suites.suite import ResolvedPoint, Suite
 
-How = Literal["trained", "zero-shot", "planner"]
-_BUDGET = ("slots", "missions", "processes", "evaluate_every_slots", "evaluation_missions")  # make no other algorithm
+PolicyKind = Literal["trained", "zero-shot", "planner"]  # trained: for this very point
+# Settings that do not make another policy.
+_BUDGET = ("slots", "missions", "processes", "evaluate_every_slots", "evaluation_missions")
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A training run under the name that its policy has in the suite."""
+class SuiteRun:
+    """A trained run, with the name of its policy in the suite."""
 
     folder: RunFolder
     config: RunConfig
     policy: str
-    slots: int  # of its training: the budget, or what an unfinished one had at its last checkpoint
+    slots: int  # of its training: the budget, or those of an unfinished one's last checkpoint
 
 
 @dataclass(frozen=True)
 class Assignment:
-    """The runs of one policy that fly a point, one a training seed; none where ``how`` is None."""
+    """The runs of one policy that fly a point, one for each training seed; none where ``kind`` is None."""
 
-    place: Place
+    point: ResolvedPoint
     policy: str
-    runs: tuple[Entry, ...]
-    how: How | None
+    runs: tuple[SuiteRun, ...]
+    kind: PolicyKind | None
 
 
 @dataclass(frozen=True)
-class Missing:
-    """A training that would fill points which no run at hand can fly."""
+class MissingTraining:
+    """A training for points that none of the given runs of a policy fits."""
 
     policy: str
-    labels: tuple[str, ...]
+    labels: tuple[str, ...]  # of the points
     command: tuple[str, ...]
 
 
-def name_entries(configs: Mapping[Path, RunConfig], suite: Suite) -> list[Entry]:
+def name_runs(configs: Mapping[Path, RunConfig], suite: Suite) -> list[SuiteRun]:
     """Name the policy of each run: its algorithm, and the settings in which runs of one algorithm differ.
 
-    Budgets, and what the suite itself varies, do not make another policy.
+    Budgets, and an observation level that the suite varies, do not make another policy.
 
     Args:
-        configs: by the run's folder.
-        suite: that they are to fly.
+        configs: by run folder.
+        suite: which the runs are to fly.
     """
     apart = {*_BUDGET, *(["observation"] if suite.varies_observation else [])}
     settings = {
@@ -75,7 +76,7 @@ def name_entries(configs: Mapping[Path, RunConfig], suite: Suite) -> list[Entry]
         differing = [k for k, v in own.items() if any(other.get(k) != v for other in alike)]
         changes = ",".join(f"{k}={quote(_plain(own[k]), safe='.-_')}" for k in differing)
         policy = f"{own['name']}+{changes}" if changes else str(own["name"])
-        found.append(Entry(RunFolder(path), config, policy, _trained_slots(path, config)))
+        found.append(SuiteRun(RunFolder(path), config, policy, _trained_slots(path, config)))
     return found
 
 
@@ -88,56 +89,63 @@ def _trained_slots(path: Path, config: RunConfig) -> int:
     return budget if meta.finished else min(meta.slots, budget)
 
 
-def assign(places: Iterable[Place], entries: Sequence[Entry], base: Scenario) -> list[Assignment]:
-    """Choose who flies each point that can be flown: the runs trained for it, else those that fit, else nobody.
+def assign(points: Iterable[ResolvedPoint], runs: Sequence[SuiteRun], base: Scenario) -> list[Assignment]:
+    """Choose the runs that fly each feasible point: those trained for it, else those that fit, else none.
 
-    One run flies for each training seed: zero-shot the one that :func:`_distance` puts nearest, then the first given.
-    At one point runs with different budgets do not fly for one policy, nor do runs trained on layouts drawn anew
-    beside runs trained on a fixed one.
+    One run flies for each training seed: zero-shot the nearest by :func:`_distance`, of equally near ones the first
+    given. For one policy, runs with different budgets do not fly the same point, nor do runs trained on resampled
+    layouts beside runs trained on a fixed one.
 
     Args:
-        places: the points of the suite.
-        entries: the runs at hand.
+        points: of the suite.
+        runs: those given.
         base: the suite's scenario, overrides included.
 
     Returns:
-        An assignment of every policy to every point that can be flown, point by point.
+        An assignment of every policy to every feasible point, point by point.
     """
-    here = [place for place in places if place.scenario]
+    feasible = [point for point in points if point.scenario]
     columns = []
-    for policy in dict.fromkeys(entry.policy for entry in entries):
-        own = [entry for entry in entries if entry.policy == policy]
-        found = [_candidates(place, own, base) for place in here]
+    for policy in dict.fromkeys(run.policy for run in runs):
+        own = [run for run in runs if run.policy == policy]
+        found = [_candidates(point, own, base) for point in feasible]
         usual = _usual_slots(able for able, _ in found)
         columns.append([
-            Assignment(place, policy, _one_a_seed(able, usual), how)
-            for place, (able, how) in zip(here, found, strict=True)
+            Assignment(point, policy, _one_a_seed(able, usual), kind)
+            for point, (able, kind) in zip(feasible, found, strict=True)
         ])  # fmt: skip
-    return _told_apart([one for row in zip(*columns, strict=True) for one in row])
+    return _name_by_layout([one for row in zip(*columns, strict=True) for one in row])
 
 
-def _candidates(place: Place, own: Sequence[Entry], base: Scenario) -> tuple[list[Entry], How | None]:
-    """The runs of a policy that may fly a point, and how: all trained for it, else the nearest of each seed."""
-    assert place.scenario is not None
-    fitting = [entry for entry in own if _fits(entry, place)]
-    trained = [entry for entry in fitting if same_scenario(entry.config.scenario, place.scenario)]
+def _candidates(
+    point: ResolvedPoint, own: Sequence[SuiteRun], base: Scenario
+) -> tuple[list[SuiteRun], PolicyKind | None]:
+    """The runs of a policy that may fly a point: all trained for it, else the nearest of each seed."""
+    assert point.scenario is not None
+    fitting = [run for run in own if _fits(run, point)]
+    trained = [run for run in fitting if same_scenario(run.config.scenario, point.scenario)]
     if trained or not fitting:
         return trained, "trained" if trained else None
-    distances = {id(entry): _distance(entry.config.scenario, place.scenario, base) for entry in fitting}
-    nearest = min(fitting, key=lambda entry: distances[id(entry)])
-    alike = [entry for entry in fitting if entry.config.scenario.layout == nearest.config.scenario.layout]
+    distances = {id(run): _distance(run.config.scenario, point.scenario, base) for run in fitting}
+    nearest = min(fitting, key=lambda run: distances[id(run)])
+    alike = [run for run in fitting if run.config.scenario.layout == nearest.config.scenario.layout]
     least = {
-        seed: min(distances[id(entry)] for entry in alike if entry.config.seed == seed)
-        for seed in {entry.config.seed for entry in alike}
+        seed: min(distances[id(run)] for run in alike if run.config.seed == seed)
+        for seed in {run.config.seed for run in alike}
     }
-    return [entry for entry in alike if distances[id(entry)] == least[entry.config.seed]], "zero-shot"
+    return [run for run in alike if distances[id(run)] == least[run.config.seed]], "zero-shot"
+
+
+def _fits(run: SuiteRun, point: ResolvedPoint) -> bool:
+    assert point.scenario is not None
+    wanted = point.point.observation
+    return wanted in (None, run.config.algorithm.observation) and run.config.fits(point.scenario)
 
 
 def _distance(trained: Scenario, flown: Scenario, base: Scenario) -> tuple[int, bool]:
-    """How far a training is from a point, for comparison: first by the layout, then whether it was on ``base``.
+    """How far a training is from a point, to be compared: first by layout, then whether it was on ``base``.
 
-    A policy trained on one fixed layout knows little of another; one that met many comes second to one that knows
-    this very layout.
+    The point's own layout comes before resampled layouts, and those before another fixed layout.
     """
     by_layout = 0 if _same_layout(trained, flown) else 1 if trained.layout == "resample" else 2
     return by_layout, not same_scenario(trained, base)
@@ -148,40 +156,34 @@ def _same_layout(one: Scenario, other: Scenario) -> bool:
     return one.layout == other.layout and (fixed or one.layout == "resample")
 
 
-def _usual_slots(points: Iterable[Iterable[Entry]]) -> int | None:
-    """The training budget that the runs of most points have, the larger of two as frequent; None where no run is."""
-    counts = Counter(slots for entries in points for slots in {entry.slots for entry in entries})
+def _usual_slots(points: Iterable[Iterable[SuiteRun]]) -> int | None:
+    """The training budget found at most points, the larger of two equally frequent ones; None without runs."""
+    counts = Counter(slots for runs in points for slots in {run.slots for run in runs})
     return max(counts, key=lambda slots: (counts[slots], slots), default=None)
 
 
-def _one_a_seed(able: Sequence[Entry], usual: int | None) -> tuple[Entry, ...]:
-    """The first run of each seed, all with the ``usual`` budget; with the largest one where none has that."""
-    budgets = {entry.slots for entry in able}
-    by_seed: dict[int, Entry] = {}
-    for entry in able:
-        if entry.slots == (usual if usual in budgets else max(budgets)):
-            by_seed.setdefault(entry.config.seed, entry)
+def _one_a_seed(able: Sequence[SuiteRun], usual: int | None) -> tuple[SuiteRun, ...]:
+    """The first run of each seed, all with the ``usual`` budget, or with the largest where none has that."""
+    budgets = {run.slots for run in able}
+    by_seed: dict[int, SuiteRun] = {}
+    for run in able:
+        if run.slots == (usual if usual in budgets else max(budgets)):
+            by_seed.setdefault(run.config.seed, run)
     return tuple(by_seed[seed] for seed in sorted(by_seed))
 
 
-def _told_apart(assignments: Sequence[Assignment]) -> list[Assignment]:
-    """Where runs of a policy trained on a fixed layout and on layouts drawn anew both fly, name the latter so."""
+def _name_by_layout(assignments: Sequence[Assignment]) -> list[Assignment]:
+    """Give runs trained on resampled layouts a policy name of their own where runs of fixed layouts fly too."""
     layouts: dict[str, set[str]] = {}
     for one in assignments:
-        layouts.setdefault(one.policy, set()).update(entry.config.scenario.layout for entry in one.runs)
+        layouts.setdefault(one.policy, set()).update(run.config.scenario.layout for run in one.runs)
     named = []
     for one in assignments:
-        resampled = any(entry.config.scenario.layout == "resample" for entry in one.runs)
+        resampled = any(run.config.scenario.layout == "resample" for run in one.runs)
         joint = "," if "+" in one.policy else "+"
         several = resampled and len(layouts[one.policy]) > 1
         named.append(replace(one, policy=f"{one.policy}{joint}layout=resample") if several else one)
     return named
-
-
-def _fits(entry: Entry, place: Place) -> bool:
-    assert place.scenario is not None
-    wanted = place.point.observation
-    return wanted in (None, entry.config.algorithm.observation) and entry.config.fits(place.scenario)
 
 
 def same_scenario(one: Scenario, other: Scenario) -> bool:
@@ -196,47 +198,45 @@ def differences(one: Scenario, other: Scenario) -> dict[str, tuple[Any, Any]]:
     return {k: (a.get(k), b.get(k)) for k in a | b if a.get(k) != b.get(k) and k not in ("name", "description")}
 
 
-def needs(places: Iterable[Place], policy: str) -> list[Assignment]:
-    """Every point that can be flown, and no run of ``policy`` to fly it."""
-    return [Assignment(place, policy, (), None) for place in places if place.scenario]
+def all_missing(points: Iterable[ResolvedPoint], policy: str) -> list[Assignment]:
+    """Every feasible point, with no run of ``policy`` to fly it."""
+    return [Assignment(point, policy, (), None) for point in points if point.scenario]
 
 
-def missing_runs(
-    assignments: Sequence[Assignment], entries: Sequence[Entry], source: str, base: Scenario
-) -> list[Missing]:
+def missing_trainings(
+    assignments: Sequence[Assignment], runs: Sequence[SuiteRun], source: str, base: Scenario
+) -> list[MissingTraining]:
     """The trainings that the points without a run need, each once.
 
-    Where the point has the shape of ``base``, one training on ``base`` does for all such points; on layouts drawn anew
-    for those whose layout is another.
+    One training on ``base`` serves all points with as many UAVs and devices as ``base``; one on resampled layouts those
+    of them with another layout.
 
     Args:
         assignments: of every policy to every point.
-        entries: whose settings a further training takes, of those with the budget that most points are flown with; a
-            policy that is not among them is as published.
-        source: what names the scenario on the command line.
+        runs: those given. A further training takes their settings, with the budget that most points are flown with; a
+            policy that is not among them is trained as published.
+        source: the scenario's name on the command line.
         base: the suite's scenario, overrides included.
     """
     wanted: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-    for assignment in assignments:
-        if assignment.how is None:
-            algorithm = _settings(assignment.policy, assignments, entries)
-            command = _training_command(assignment.place, algorithm, source, base)
-            wanted.setdefault((assignment.policy, command), []).append(assignment.place.point.label)
-    return [Missing(policy, tuple(labels), command) for (policy, command), labels in wanted.items()]
+    for one in assignments:
+        if one.kind is None:
+            command = _training_command(one.point, _settings(one.policy, assignments, runs), source, base)
+            wanted.setdefault((one.policy, command), []).append(one.point.point.label)
+    return [MissingTraining(policy, tuple(labels), command) for (policy, command), labels in wanted.items()]
 
 
-def _settings(policy: str, assignments: Sequence[Assignment], entries: Sequence[Entry]) -> AlgorithmConfig:
-    own = [entry for entry in entries if entry.policy == policy]
+def _settings(policy: str, assignments: Sequence[Assignment], runs: Sequence[SuiteRun]) -> AlgorithmConfig:
+    own = [run for run in runs if run.policy == policy]
     if not own:
         return load_config(policy)
     usual = _usual_slots(one.runs for one in assignments if one.policy == policy)
-    return next((entry for entry in own if entry.slots == usual), own[0]).config.algorithm
+    return next((run for run in own if run.slots == usual), own[0]).config.algorithm
 
 
-def _training_command(place: Place, algorithm: AlgorithmConfig, source: str, base: Scenario) -> tuple[str, ...]:
-    assert place.scenario is not None
-    observation = place.point.observation
-    scenario = place.scenario
+def _training_command(point: ResolvedPoint, algorithm: AlgorithmConfig, source: str, base: Scenario) -> tuple[str, ...]:
+    assert point.scenario is not None
+    observation, scenario = point.point.observation, point.scenario
     if observation is None and (scenario.uavs, scenario.devices) == (base.uavs, base.devices):
         far = base.layout == "fixed" and not _same_layout(base, scenario)
         scenario = base.replace(layout="resample") if far else base
@@ -250,10 +250,10 @@ def _plain(value: Any) -> str:
 
 
 def budget_lines(flown: Iterable[tuple[str, str, int]]) -> list[str]:
-    """How long each policy was trained, where not all of them were trained alike; else nothing.
+    """PolicyKind long each policy was trained, where not all of them were trained alike; else nothing.
 
     Args:
-        flown: policy, label of the point and training slots of every run that flew one.
+        flown: policy, point label and training slots of every run at every point that it flew.
     """
     found: dict[str, dict[int, dict[str, None]]] = {}  # policy -> slots -> labels, in the order of the points
     for policy, label, slots in flown:

@@ -1,6 +1,6 @@
 """Evaluation suites: a scenario and a list of changes to it, each a point on an axis.
 
-A suite is YAML: ``zoo_configs/suites/``, or a file of your own. Its points change the scenario or name an observation.
+A suite is YAML: ``zoo_configs/suites/``, or a file of your own. Its points change the scenario or the observation.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _LONGEST_NAME = 120
 
 
 class Axis(BaseModel):
-    """What the points differ in: the x axis of the suite's figure."""
+    """The quantity that the points differ in: the x axis of the suite's figure."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     label: Text
     unit: str = ""
-    scale: Scale = "linear"  # category: points side by side, with no way from one to the next
+    scale: Scale = "linear"  # category: points side by side, not joined by lines
 
     @property
     def title(self) -> str:
@@ -42,15 +42,15 @@ class Axis(BaseModel):
 
 
 class Point(BaseModel):
-    """One point: how the scenario is changed there, or what the UAVs see."""
+    """One point: a change of the scenario, or of what the UAVs observe."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     label: Text
     x: Number  # in the axis' unit
     set: dict[str, Any] = {}  # fields of the scenario
-    observation: Literal["location", "local", "shared"] | None = None  # None: whatever a run was trained with
-    joined: StrictBool = True  # false: the figure's line does not lead to it, as x only places it beside the others
+    observation: Literal["location", "local", "shared"] | None = None  # None: that of each run
+    joined: StrictBool = True  # false: no line leads to it in the figure, since x is only a position beside the others
 
     @field_validator("set", mode="before")
     @classmethod
@@ -58,9 +58,9 @@ class Point(BaseModel):
         known = [name for name in Scenario.model_fields if name not in ("name", "description")]
         for name in value if isinstance(value, dict) else []:
             if name in ("name", "description"):
-                raise ValueError(f"a scenario's {name} is nothing that a point can change")
+                raise ValueError(f"a point cannot change a scenario's {name}")
             if name in cls.model_fields:
-                raise ValueError(f"'{name}' is no field of the scenario: it stands beside set, not in it")
+                raise ValueError(f"'{name}' is not a field of the scenario: write it beside set, not in it")
             if name not in known:
                 raise ValueError(f"the scenario has no '{name}'{nearest(str(name), known)}")
         return value
@@ -100,7 +100,7 @@ class Suite(BaseModel):
 
     @classmethod
     def load(cls, source: str) -> Suite:
-        """Load a suite that is shipped by name, or a YAML file by path.
+        """Load a shipped suite by name, or a YAML file by path.
 
         Raises:
             InputError: there is none of that name, or a field cannot be used; the message names it.
@@ -124,7 +124,7 @@ class Suite(BaseModel):
             InputError: naming the field, its value and what is allowed.
         """
         if "name" in fields:
-            raise InputError(f"{source}: unknown field 'name': a suite is named as its file is")
+            raise InputError(f"{source}: unknown field 'name': a suite has the name of its file")
         parts = dict(fields)
         if "points" in parts:
             points = parts["points"]
@@ -141,47 +141,47 @@ class Suite(BaseModel):
 
 
 @dataclass(frozen=True)
-class Place:
+class ResolvedPoint:
     """A point on a base scenario."""
 
     point: Point
-    scenario: Scenario | None  # None: it cannot be flown
-    problem: str = ""  # why it cannot, naming the constraint
-    remark: str = ""  # what keeps some devices from being served, where it can
+    scenario: Scenario | None  # None: it is infeasible
+    problem: str = ""  # why it is infeasible, naming the constraint
+    remark: str = ""  # why some devices cannot be served at a feasible point
 
 
-def suite_places(suite: Suite, base: Scenario) -> list[Place]:
-    """The points of a suite on ``base``, those that break a constraint with the reason in words.
+def resolve_points(suite: Suite, base: Scenario) -> list[ResolvedPoint]:
+    """The points of a suite on ``base``; an infeasible one states the constraint that it breaks.
 
     Raises:
-        InputError: a point's change is no change that ``base`` can take.
+        InputError: ``base`` cannot take a point's change.
     """
-    return [_place(suite, point, base) for point in suite.points]
+    return [_resolve(suite, point, base) for point in suite.points]
 
 
-def _place(suite: Suite, point: Point, base: Scenario) -> Place:
+def _resolve(suite: Suite, point: Point, base: Scenario) -> ResolvedPoint:
     try:
         scenario = base.replace(**point.set)
     except InfeasibleError as error:
-        return Place(point, None, str(error))
+        return ResolvedPoint(point, None, str(error))
     except InputError as error:
         raise InputError(f"suite '{suite.name}', point '{point.label}': {error}") from None
     if scenario.layout == "resample":  # each mission has its own link budget
-        return Place(point, scenario)
+        return ResolvedPoint(point, scenario)
     best = best_probability(scenario, scenario.draw_layout())  # (I,)
-    hopeless = best * scenario.slots < 1  # not one success expected from hovering at the best cell for a mission
+    hopeless = best * scenario.slots < 1  # (I,) not one success expected from hovering at the best cell for a mission
     if not hopeless.any():
-        return Place(point, scenario)
-    share = "no device" if hopeless.all() else f"{hopeless.sum()} of {scenario.devices} devices never"
-    words = (
-        f"{share} can be served: R_min = {scenario.rate_min_bit_s / 1000:g} kbit/s is met with probability "
+        return ResolvedPoint(point, scenario)
+    who = "no device can be" if hopeless.all() else f"{hopeless.sum()} of {scenario.devices} devices can never be"
+    reason = (
+        f"{who} served: R_min = {scenario.rate_min_bit_s / 1000:g} kbit/s is met with probability "
         f"{best[hopeless].max():.2g} a slot at the best cell (constraint Rate)"
-    ).replace("never can", "can never")
-    return Place(point, None, words) if hopeless.all() else Place(point, scenario, remark=words)
+    )
+    return ResolvedPoint(point, None, reason) if hopeless.all() else ResolvedPoint(point, scenario, remark=reason)
 
 
 def suite_name(suite: Suite, changes: Mapping[str, str]) -> str:
-    """The name of a suite on a changed scenario, as files bear it: ``fading+layout_seed=1``."""
+    """The name of a suite on a changed scenario in file names: ``fading+layout_seed=1``."""
     if not changes:
         return suite.name
     name = suite.name + "+" + ",".join(f"{key}={quote(value, safe='.-_')}" for key, value in sorted(changes.items()))

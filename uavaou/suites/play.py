@@ -1,0 +1,188 @@
+"""Planning and playing a suite: every policy at every point, on the same missions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from uavaou.errors import InputError
+from uavaou.evaluation.evaluate import evaluate
+from uavaou.planners.base import Planner
+from uavaou.runs.comparison import Display
+from uavaou.runs.folder import RunConfig
+from uavaou.runs.results import PolicyResult
+from uavaou.scenario import Scenario
+from uavaou.statistics import Interval, interval_over_missions
+from uavaou.suites.assignment import (
+    Assignment,
+    MissingTraining,
+    PolicyKind,
+    SuiteRun,
+    all_missing,
+    assign,
+    missing_trainings,
+    name_runs,
+)
+from uavaou.suites.suite import ResolvedPoint, Suite, resolve_points, suite_name
+
+
+@dataclass(frozen=True)
+class PolicyAtPoint:
+    """One policy at one feasible point."""
+
+    point: ResolvedPoint
+    policy: str
+    kind: PolicyKind
+    run: SuiteRun | None  # None: a planner
+
+    @property
+    def name(self) -> str:
+        """Its name in displays, unique within the suite."""
+        seed = "" if self.run is None else f" seed {self.run.config.seed}"
+        return f"{self.point.point.label}: {self.policy}{seed}"
+
+    @property
+    def scenario(self) -> Scenario:
+        """What is played."""
+        assert self.point.scenario is not None
+        return self.point.scenario
+
+
+@dataclass(frozen=True)
+class PointResult:
+    """What a policy did at a point, or why a planner refused the point."""
+
+    flown: PolicyAtPoint
+    content: PolicyResult | None
+    refusal: str = ""
+
+    @property
+    def played(self) -> PolicyResult:
+        """The metrics of every mission; not of a refusal."""
+        assert self.content is not None
+        return self.content
+
+    @property
+    def mean_aou_slots(self) -> Interval:
+        """Mean AoU in units of tau, with its 95 % interval over the missions."""
+        return interval_over_missions(self.played.mean_aou_s / self.flown.scenario.slot_length_s)
+
+    def mean(self, name: str) -> float:
+        """The mean over the missions of a metric with one value a mission."""
+        return float(getattr(self.played, name).mean())
+
+    @property
+    def violations(self) -> int:
+        """Constraint violations that the checker counted, over all missions."""
+        return sum(self.played.violations.values())
+
+
+@dataclass(frozen=True)
+class SuitePlan:
+    """Which policies play which points of a suite."""
+
+    suite: Suite
+    name: str  # of the suite, with the changes of its scenario
+    base: Scenario  # which the points change
+    points: list[ResolvedPoint]
+    runs: list[SuiteRun]
+    assignments: list[Assignment]
+    missing: list[MissingTraining]
+    flights: list[PolicyAtPoint]  # everything to be played, point by point: runs, then planners
+
+    def check_runs(self, action: str | None = None) -> None:
+        """Load every run that will play once, so that a damaged one is found before hours are spent.
+
+        Raises:
+            InputError: a run cannot be loaded.
+        """
+        for run in {id(flight.run): flight.run for flight in self.flights}.values():
+            if run is not None:
+                _load(run, run.config.scenario, action)
+
+
+def plan_suite(
+    suite: Suite, configs: Mapping[str, RunConfig], planners: Sequence[str] = (), scenario: str | None = None,
+    base: Scenario | None = None, changes: Mapping[str, str] | None = None,
+) -> SuitePlan:  # fmt: skip
+    """Assign runs and planners to the points of a suite, and find the trainings that are missing.
+
+    Without runs and planners, the missing trainings are those that MAPPO needs.
+
+    Args:
+        suite: which one.
+        configs: of the runs, by folder.
+        planners: names.
+        scenario: a preset's name or a path, which the points change; None for the suite's own.
+        base: this scenario with ``changes``; None where there are none.
+        changes: its changed fields with their values as typed, which become part of the suite's name.
+
+    Raises:
+        InputError: a change is of a field that the points set, or the scenario cannot take a point's change.
+    """
+    source, changes = scenario or suite.scenario, changes or {}
+    base = Scenario.load(source) if base is None else base
+    varied = {field for point in suite.points for field in point.set}
+    for key in changes:
+        if key.split(".")[0] in varied:
+            raise InputError(f"scenario.{key} cannot be changed: the points of the suite '{suite.name}' set it")
+    points = resolve_points(suite, base)
+    runs = name_runs({Path(folder): config for folder, config in configs.items()}, suite)
+    assignments = assign(points, runs, base)
+    wanted = assignments if configs or planners else all_missing(points, "mappo")
+    missing = missing_trainings(wanted, runs, source, base)
+    name = suite_name(suite, {**({"scenario": Scenario.load(source).name} if scenario else {}), **changes})
+    flights = [flight for point in points if point.scenario for flight in _flights(point, assignments, planners)]
+    return SuitePlan(suite, name, base, points, runs, assignments, missing, flights)
+
+
+def _flights(
+    point: ResolvedPoint, assignments: Sequence[Assignment], planners: Sequence[str]
+) -> Iterator[PolicyAtPoint]:
+    for one in assignments:
+        if one.point is point and one.kind is not None:
+            yield from (PolicyAtPoint(point, one.policy, one.kind, run) for run in one.runs)
+    yield from (PolicyAtPoint(point, name, "planner", None) for name in planners)
+
+
+def play_suite(
+    plan: SuitePlan, planners: Mapping[str, Planner], episodes: int, seed: int, display: Display,
+    action: str | None = None,
+) -> Iterator[PointResult]:  # fmt: skip
+    """Play a suite, yielding each result as it is there; a planner plays points with the same scenario once.
+
+    Args:
+        plan: what is played.
+        planners: by name.
+        episodes: missions of each policy at each point.
+        seed: of mission 0; all play the same missions.
+        display: shows the progress.
+        action: of trained policies; see :func:`uavaou.runs.policy.load_run`.
+
+    Raises:
+        InputError: a run cannot be loaded. A planner's refusal of a point is a result.
+    """
+    played: dict[tuple[str, Scenario], tuple[PolicyResult | None, str]] = {}  # by planners
+    for flight in plan.flights:
+        scenario = flight.scenario
+        display.start(flight.name)
+        if flight.run is not None:
+            policy = _load(flight.run, scenario, action)
+            evaluation = evaluate(policy, scenario, episodes, seed, display.after_slot)
+            yield PointResult(flight, PolicyResult.of(evaluation, scenario, policy))
+            continue
+        key, planner = (flight.policy, scenario), planners[flight.policy]
+        if key not in played:
+            try:
+                evaluation = evaluate(planner, scenario, episodes, seed, display.after_slot)
+                played[key] = PolicyResult.of(evaluation, scenario, planner), ""
+            except InputError as error:
+                played[key] = None, str(error)
+        yield PointResult(flight, *played[key])
+
+
+def _load(run: SuiteRun, scenario: Scenario, action: str | None) -> Planner:
+    from uavaou.runs.policy import load_run  # imports torch, which planners do without
+
+    return load_run(run.folder, scenario, action)
