@@ -63,7 +63,7 @@ def test_moving_the_statistics_moves_no_prediction(mixer: str) -> None:
 
     def predicted() -> tuple[th.Tensor, th.Tensor]:
         own = policy.returns.denormalise(policy.team_values(rows, states, actions))
-        return own.detach(), policy.following_values(rows, states)
+        return own.detach(), policy.next_values(rows, states)
 
     before = predicted()
     policy.update_statistics(th.tensor([-40.0, -900.0, 3.0]))

@@ -156,7 +156,7 @@ def test_a_plugin_imports_what_lies_beside_it(tmp_path: Path) -> None:
     (tmp_path / "beside_it.py").write_text("NAME = 'with-neighbour'\n")
     (tmp_path / "own.py").write_text(
         "from beside_it import NAME\nfrom uavaou import AlgorithmConfig, register_algorithm\n"
-        "register_algorithm(NAME, AlgorithmConfig, 'own:build')\n"
+        "register_algorithm(NAME, AlgorithmConfig, print)\n"
     )
     for _ in range(2):  # the second time, it is there already
         registry.load_plugin(str(tmp_path / "own.py"))
@@ -165,7 +165,7 @@ def test_a_plugin_imports_what_lies_beside_it(tmp_path: Path) -> None:
 
 def test_an_installed_package_offers_its_algorithms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = "from uavaou import AlgorithmConfig, register_algorithm\n"
-    (tmp_path / "offering.py").write_text(text + "register_algorithm('offered', AlgorithmConfig, 'offering:build')\n")
+    (tmp_path / "offering.py").write_text(text + "register_algorithm('offered', AlgorithmConfig, print)\n")
     (tmp_path / "silent.py").write_text("")
     monkeypatch.syspath_prepend(tmp_path)
     offered = [

@@ -1,13 +1,19 @@
-"""The configuration of each algorithm: the schema of its YAML file, validated as a scenario is."""
+"""The configuration of each algorithm: the schema of its YAML file, and the learner that is built from it."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, ValidationError, model_validator
 
 from uavaou.errors import InputError
 from uavaou.fields import NonNegative, Positive, PositiveWhole, explain_validation
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+    from uavaou.envs.vec_env import MissionVecEnv
 
 Fraction = Annotated[NonNegative, Field(le=1)]
 HiddenSizes = Annotated[tuple[Annotated[PositiveWhole, Field(le=65_536)], ...], Field(min_length=1, max_length=16)]
@@ -31,6 +37,11 @@ class AlgorithmConfig(BaseModel):
     evaluate_every_slots: PositiveWhole  # an evaluation on validation missions, and a checkpoint, this often
     evaluation_missions: Annotated[PositiveWhole, Field(le=10_000)] = 32
 
+    @property
+    def depends_on_sizes(self) -> bool:
+        """Whether a trained policy takes only the numbers of UAVs and devices that it was trained with."""
+        return True
+
     @classmethod
     def from_dict(cls, fields: dict[str, Any], source: str) -> Self:
         """Validate a mapping of field names to values.
@@ -50,56 +61,86 @@ class AlgorithmConfig(BaseModel):
         return self
 
 
-class MappoConfig(AlgorithmConfig):
+class LearnerConfig(AlgorithmConfig):
+    """What MAPPO, IPPO, VDN, QMIX and IQL share: network, masks, learning rate."""
+
+    hidden: HiddenSizes  # units of each hidden layer; MAPPO: of actor and critic alike
+    activation: Literal["relu", "tanh"]
+    masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
+    selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit or advantage of selecting a device in range
+    learning_rate: Positive
+    final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
+    gamma: Fraction
+    max_gradient_norm: Positive
+
+    def _shared_arguments(self) -> dict[str, Any]:
+        return {
+            "learning_rate": _linear_schedule(self.learning_rate, self.final_learning_rate),
+            "gamma": self.gamma,
+            "max_grad_norm": self.max_gradient_norm,
+        }
+
+    def _policy_arguments(self, **optimizer: Any) -> dict[str, Any]:
+        return {
+            "net_arch": list(self.hidden),
+            "activation": self.activation,
+            "masks": self.masks,
+            "selection_bias": self.selection_bias,
+            "optimizer_kwargs": {"fused": True, **optimizer},
+        }
+
+
+class MappoConfig(LearnerConfig):
     """MAPPO and IPPO; the fields are the arguments of :class:`uavaou.MAPPO` and its policy."""
 
     name: Literal["mappo", "ippo"] = "mappo"
-    hidden: HiddenSizes  # units of each hidden layer, actor and critic alike
-    activation: Literal["relu", "tanh"]
-    masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
-    selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit of selecting a device in range
     rollout_slots: Annotated[PositiveWhole, Field(le=1_000_000)]  # slots a mission between updates
     batch_rows: PositiveWhole  # agent steps in a minibatch
     epochs: Annotated[PositiveWhole, Field(le=1000)]
-    learning_rate: Positive
-    final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
     critic_learning_rate: Positive  # as a multiple of learning_rate
-    gamma: Fraction
     gae_lambda: Fraction
     clip_range: Positive
     entropy: NonNegative
     value_loss: NonNegative
-    max_gradient_norm: Positive
     advantage_normalization: Literal["none", "rollout", "batch"]
 
+    def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
+        """The learner on ``env``."""
+        from uavaou.algorithms.mappo import IPPO, MAPPO  # torch only where a learner is built
 
-class JointQConfig(AlgorithmConfig):
+        return {"mappo": MAPPO, "ippo": IPPO}[self.name](
+            "CentralizedValuePolicy",
+            env,
+            n_steps=self.rollout_slots,
+            batch_size=self.batch_rows,
+            n_epochs=self.epochs,
+            gae_lambda=self.gae_lambda,
+            clip_range=self.clip_range,
+            ent_coef=self.entropy,
+            vf_coef=self.value_loss,
+            advantage_normalization=self.advantage_normalization,
+            critic_learning_rate=self.critic_learning_rate,
+            policy_kwargs=self._policy_arguments(eps=1e-5),
+            seed=seed,
+            device=device,
+            **self._shared_arguments(),
+        )
+
+
+class JointQConfig(LearnerConfig):
     """VDN and IQL; the fields are the arguments of :class:`uavaou.VDN` and its policy."""
 
     name: Literal["vdn", "iql", "qmix"] = "vdn"
-    hidden: HiddenSizes  # units of each hidden layer of the utility network
-    activation: Literal["relu", "tanh"]
-    masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
-    selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial advantage of selecting a device in range
-    replay_slots: PositiveWhole  # slots of all missions together that are remembered
+    replay_slots: PositiveWhole  # slots of all missions together in the replay
     learning_starts: PositiveWhole  # slots of all missions together before the first gradient step
     batch_slots: PositiveWhole  # joint transitions in a gradient step
     slots_per_update: PositiveWhole  # slots of all missions together played for each gradient step
     target_update: PositiveWhole  # gradient steps between updates of the target networks
-    target_fraction: Annotated[Fraction, Field(gt=0)]  # of the way to the trained ones, that an update takes; 1 copies
+    target_fraction: Annotated[Fraction, Field(gt=0)]  # Polyak step of such an update; 1 copies
     n_step: Annotated[PositiveWhole, Field(le=1000)]  # slots of reward before the bootstrap
-    learning_rate: Positive
-    final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
-    gamma: Fraction
     epsilon_start: Fraction
     epsilon_end: Fraction
     epsilon_fraction: Annotated[Fraction, Field(gt=0)]  # of the budget, over which epsilon falls linearly
-    max_gradient_norm: Positive
-
-    @property
-    def rollout(self) -> tuple[int, int]:
-        """Slots of every mission between updates, and the gradient steps of an update."""
-        return max(self.slots_per_update // self.missions, 1), max(self.missions // self.slots_per_update, 1)
 
     @model_validator(mode="after")
     def _updates_fit_missions(self) -> Self:
@@ -112,6 +153,30 @@ class JointQConfig(AlgorithmConfig):
             raise ValueError(f"replay_slots = {self.replay_slots}: must be more than {least}")
         return self
 
+    def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
+        """The learner on ``env``."""
+        from uavaou.algorithms.qlearning import IQL, QMIX, VDN  # torch only where a learner is built
+
+        return {"vdn": VDN, "iql": IQL, "qmix": QMIX}[self.name](
+            "JointQPolicy",
+            env,
+            buffer_size=self.replay_slots,
+            learning_starts=self.learning_starts,
+            batch_size=self.batch_slots,
+            train_freq=max(self.slots_per_update // self.missions, 1),
+            gradient_steps=max(self.missions // self.slots_per_update, 1),
+            n_steps=self.n_step,
+            target_update_interval=self.target_update,
+            tau=self.target_fraction,
+            exploration_initial_eps=self.epsilon_start,
+            exploration_final_eps=self.epsilon_end,
+            exploration_fraction=self.epsilon_fraction,
+            policy_kwargs=self._policy_arguments(),
+            seed=seed,
+            device=device,
+            **self._shared_arguments(),
+        )
+
 
 class QmixConfig(JointQConfig):
     """QMIX: also the mixing network's sizes."""
@@ -119,3 +184,15 @@ class QmixConfig(JointQConfig):
     name: Literal["qmix"] = "qmix"
     mixer_width: Annotated[PositiveWhole, Field(le=4096)]
     hypernet_width: Annotated[PositiveWhole, Field(le=4096)]
+
+    def _policy_arguments(self, **optimizer: Any) -> dict[str, Any]:
+        sizes = {"mixer_width": self.mixer_width, "hypernet_width": self.hypernet_width}
+        return super()._policy_arguments(**optimizer) | sizes
+
+
+def _linear_schedule(start: float, final_fraction: float) -> Callable[[float], float]:
+    def schedule(progress_remaining: float) -> float:
+        # The last rollout may exceed the budget: SB3 then calls with less than nothing remaining.
+        return start * (final_fraction + (1 - final_fraction) * max(progress_remaining, 0.0))
+
+    return schedule

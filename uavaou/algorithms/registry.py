@@ -1,10 +1,10 @@
 """The algorithms by name: those of this package and those of others, registered the same way.
 
-An entry is a configuration class, the function that builds the learner, and where the published settings
-are. Others come from an installed package (entry points of the group ``uavaou.algorithms``), or from a file
-or module that the user names. Reading a run's folder never imports code.
+An entry is a configuration class, the function that builds the learner, and the file of published settings.
+Other algorithms come from an installed package (entry points of the group ``uavaou.algorithms``), or from a
+file or module that the user names. Reading a run's folder never imports code.
 
-Importing this module needs no torch.
+Importing this module does not import torch.
 """
 
 from __future__ import annotations
@@ -38,28 +38,26 @@ class Algorithm:
     """An algorithm as it is registered."""
 
     config: type[AlgorithmConfig]
-    build: Builder | str  # the function, or "module:function" to import when a learner is wanted
+    build: Builder
     defaults: Path | None  # YAML; None: the configuration class has a default for every field
 
 
 _ALGORITHMS: dict[str, Algorithm] = {}
-_PLUGINS: set[Path] = set()  # files that were loaded
+_PLUGINS: set[Path] = set()  # files already loaded
 
 
-def register_algorithm(
-    name: str, config: type[AlgorithmConfig], build: Builder | str, defaults: Path | None = None
-) -> None:
+def register_algorithm(name: str, config: type[AlgorithmConfig], build: Builder, defaults: Path | None = None) -> None:
     """Make an algorithm known by name to training, evaluation and every command.
 
     Args:
         name: lower-case letters, digits, ``-`` and ``_``.
         config: its settings; a subclass of :class:`~uavaou.algorithms.config.AlgorithmConfig`.
         build: ``build(config, env, seed, device)`` returns an SB3 algorithm on ``env``, which is what
-            :func:`uavaou.flatten` returns. Or its place, ``"module:function"``.
-        defaults: a YAML file with the published settings; None where every field of ``config`` has a default.
+            :func:`uavaou.flatten` returns.
+        defaults: a YAML file with the published settings; None if every field of ``config`` has a default.
 
     Raises:
-        InputError: the name is taken or is no name, or ``config`` is no such class.
+        InputError: the name is taken or misspelt, or ``config`` is not such a class.
     """
     if not _NAME.fullmatch(name):
         raise InputError(f"algorithm name {name!r}: expected lower-case letters, digits, '-' and '_'")
@@ -71,7 +69,7 @@ def register_algorithm(
 
 
 def algorithm_names() -> list[str]:
-    """The names that are registered, and those that installed packages offer."""
+    """The registered names, and those that installed packages offer."""
     return list(dict.fromkeys([*_ALGORITHMS, *sorted(entry_points(group=ENTRY_POINTS).names)]))
 
 
@@ -81,10 +79,10 @@ def registered_fields() -> list[str]:
 
 
 def find_algorithm(name: str) -> Algorithm:
-    """Return the algorithm of a name; imports an installed package that offers it.
+    """Return the algorithm of a name; imports the installed package that offers it.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: no algorithm has that name.
     """
     if name not in _ALGORITHMS:
         for entry in entry_points(group=ENTRY_POINTS, name=name):
@@ -97,10 +95,10 @@ def find_algorithm(name: str) -> Algorithm:
 
 
 def load_plugin(place: str) -> None:
-    """Import what registers algorithms: a Python file, or a module that can be imported.
+    """Import a Python file or a module that registers algorithms.
 
     Raises:
-        InputError: there is no such file or module, or the file registers nothing.
+        InputError: no such file or module exists, or the file registers nothing.
     """
     if place.endswith(".py"):
         _load_file(Path(place))
@@ -109,7 +107,7 @@ def load_plugin(place: str) -> None:
         import_module(place)
     except (ModuleNotFoundError, ValueError, TypeError) as error:
         if isinstance(error, ModuleNotFoundError) and not f"{place}.".startswith(f"{error.name}."):
-            raise  # the module is there, and what it imports is not
+            raise  # the module exists, but something that it imports does not
         raise InputError(f"plugin '{place}': no such module (a file's name ends in .py)") from None
 
 
@@ -126,7 +124,7 @@ def _load_file(path: Path) -> None:
     module = module_from_spec(spec)
     sys.modules[spec.name] = module
     if str(path.parent) not in sys.path:
-        sys.path.append(str(path.parent))  # what lies beside the file can be imported, and shadows nothing
+        sys.path.append(str(path.parent))  # the file can import its neighbours, which shadow nothing
     spec.loader.exec_module(module)
     if set(_ALGORITHMS) == before:
         raise InputError(f"plugin '{path}' registers no algorithm: it must call uavaou.register_algorithm")
@@ -166,12 +164,7 @@ def make_model(config: AlgorithmConfig, env: MissionVecEnv, seed: int, device: s
     Raises:
         InputError: its policy cannot act on local observations alone, as a UAV must.
     """
-    build = find_algorithm(config.name).build
-    if isinstance(build, str):
-        module, _, function = build.partition(":")
-        build = getattr(import_module(module), function)
-        assert callable(build)
-    model = build(config, env, seed, device)
+    model = find_algorithm(config.name).build(config, env, seed, device)
     _check_acts_locally(config.name, model, env)
     return model
 
@@ -191,14 +184,11 @@ def _check_acts_locally(name: str, model: BaseAlgorithm, env: MissionVecEnv) -> 
 
 def _register_own() -> None:
     published = zoo_folder("algorithms")
-    for name, config, builder, file in (
-        ("mappo", MappoConfig, "mappo", "mappo.yaml"),
-        ("ippo", MappoConfig, "mappo", "mappo.yaml"),  # differs in its critic's input alone
-        ("vdn", JointQConfig, "joint_q", "vdn.yaml"),
-        ("qmix", QmixConfig, "joint_q", "qmix.yaml"),
-        ("iql", JointQConfig, "joint_q", "vdn.yaml"),  # differs in its mixer alone
-    ):
-        register_algorithm(name, config, f"uavaou.algorithms.builders:{builder}", published / file)
+    register_algorithm("mappo", MappoConfig, MappoConfig.build, published / "mappo.yaml")
+    register_algorithm("ippo", MappoConfig, MappoConfig.build, published / "mappo.yaml")  # another critic input
+    register_algorithm("vdn", JointQConfig, JointQConfig.build, published / "vdn.yaml")
+    register_algorithm("qmix", QmixConfig, QmixConfig.build, published / "qmix.yaml")
+    register_algorithm("iql", JointQConfig, JointQConfig.build, published / "vdn.yaml")  # another mixer
 
 
 _register_own()

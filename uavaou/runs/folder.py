@@ -41,9 +41,9 @@ class RunConfig:
     seed: int
 
     def fits(self, scenario: Scenario) -> bool:
-        """Whether the policy can be flown in ``scenario``: as many UAVs and devices, hence rows of the same columns."""
+        """Whether the policy can be flown in ``scenario``: rows of the same columns, or of the same meaning."""
         seen = self.algorithm.observation, self.algorithm.collection
-        return Views(self.scenario, *seen).layout == Views(scenario, *seen).layout
+        return Views(self.scenario, *seen).layout.fits(Views(scenario, *seen).layout, self.algorithm.depends_on_sizes)
 
     def to_yaml(self) -> str:
         """The content of ``config.yaml``."""

@@ -66,6 +66,13 @@ class RowLayout:
         """Whether the action holds a device selection beside the move."""
         return self.collection == "select"
 
+    def fits(self, other: RowLayout, depends_on_sizes: bool = True) -> bool:
+        """Whether a policy for these rows can read ``other``: the same columns, in number or in meaning alone."""
+        if depends_on_sizes:
+            return self == other
+        names = [[columns.name for columns in (*layout.local, *layout.state)] for layout in (self, other)]
+        return names[0] == names[1] and self.collection == other.collection
+
     def local_columns(self, name: str) -> slice | None:
         """The columns of a local feature, or None where the observation does not have it."""
         return next((columns.slice for columns in self.local if columns.name == name), None)

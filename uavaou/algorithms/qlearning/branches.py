@@ -72,7 +72,7 @@ class Branches:
             yield run, values[:, run.columns].reshape(len(values), run.count, run.size)  # (B, branches, options)
 
     def greedy(self, values: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
-        """The best allowed choice, (B, M); of equal options the first.
+        """The best allowed choice, (B, M); the first of equal options.
 
         Args:
             values: (B, sum(n_b)).
@@ -94,7 +94,7 @@ class Branches:
         return total / self.count
 
     def uniform(self, uniforms: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
-        """Choices drawn uniformly from what each branch allows, (B, M).
+        """Choices drawn uniformly from the allowed options of each branch, (B, M).
 
         Args:
             uniforms: (B, M) in [0, 1).
@@ -105,7 +105,7 @@ class Branches:
         drawn = []
         for run, options in self._split(allowed):
             ordinal = options.cumsum(dim=2)  # of each allowed option, from 1
-            rank = (uniforms[:, run.branches, None] * ordinal[..., -1:]).long()  # how many allowed options to pass by
+            rank = (uniforms[:, run.branches, None] * ordinal[..., -1:]).long()  # allowed options to skip
             drawn.append((ordinal <= rank).sum(dim=2).clamp_max(run.size - 1))
         return th.cat(drawn, dim=1)
 

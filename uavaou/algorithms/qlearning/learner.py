@@ -1,4 +1,4 @@
-"""Q-learning of a team from a joint replay, in SB3's form: what VDN, QMIX and IQL share."""
+"""VDN, QMIX and IQL: Q-learning of a team from a joint replay, in SB3's form. They differ in the mixer alone."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ _STATISTICS_INTERVAL = 20  # gradient steps between updates of the targets' stat
 
 
 class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
-    """Double Q-learning of Q_tot from joint transitions, with target networks and parameters shared by all agents.
+    """Double Q-learning of Q_tot from joint transitions, with target networks; all agents share parameters.
 
-    Subclasses name the mixer. Values are normalised by running statistics of their targets; what the networks
-    predict does not change when the statistics do.
+    Subclasses name the mixer. Running statistics of the targets normalise the values; a change of the statistics
+    does not change what the networks predict.
 
     Args:
-        policy: ``"JointQPolicy"``.
+        policy: ``"JointQPolicy"``, or a subclass of it.
         env: what :func:`uavaou.flatten` returns, or any ``VecEnv`` with team-major rows ``[local | global]``, one
             reward for a whole team, missions that end by termination, and a ``row_layout``.
-        learning_rate: Adam's, or its schedule.
+        learning_rate: of Adam, or its schedule.
         buffer_size: slots in the replay, of all missions together.
         learning_starts: slots of all missions together before the first gradient step.
         batch_size: joint transitions (whole slots, all agents) in a gradient step.
-        tau: how far the target networks move at an update of theirs; 1 copies.
+        tau: Polyak step of the target networks; 1 copies.
         gamma: discount factor.
         train_freq: slots of every mission between updates.
-        gradient_steps: of an update.
+        gradient_steps: in each update.
         n_steps: slots of reward before the bootstrap.
         target_update_interval: gradient steps between updates of the target networks.
-        exploration_fraction: of the training over which epsilon falls linearly.
+        exploration_fraction: of the training, over which epsilon falls linearly.
         exploration_initial_eps, exploration_final_eps: epsilon, the probability that an agent acts at random.
         max_grad_norm: gradient clip.
     """
@@ -116,7 +116,7 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         dones: NDArray[np.bool_],
         infos: list[dict[str, Any]],
     ) -> None:
-        """Store the slot just played; what follows it is stored with the next."""
+        """Store the slot just played; the next call stores its successor."""
         assert isinstance(self._last_obs, np.ndarray)
         replay_buffer.add(self._last_obs, buffer_action, reward, dones)
         self._last_obs = new_obs
@@ -127,8 +127,8 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
             return
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
-        figures = [self._update(self.replay_buffer.sample(batch_size)) for _ in range(gradient_steps)]
-        loss, value, target = np.mean(figures, axis=0)
+        statistics = [self._update(self.replay_buffer.sample(batch_size)) for _ in range(gradient_steps)]
+        loss, value, target = np.mean(statistics, axis=0)
         self.logger.record("train/loss", float(loss))
         self.logger.record("train/mean_value", float(value))
         self.logger.record("train/mean_target", float(target))
@@ -155,9 +155,34 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         return loss.item(), mean.item(), targets.mean().item()
 
     def targets(self, batch: JointBatch) -> th.Tensor:
-        """TD targets of Q_tot in units of the reward, (B, V): n slots of reward, and what follows unless it ended."""
-        following = self.policy.following_values(batch.next_local, batch.next_states)  # (B, V)
-        return batch.rewards[:, None] + batch.discounts[:, None] * following
+        """TD targets of Q_tot in units of the reward, (B, V): n slots of reward, then the bootstrap."""
+        next_values = self.policy.next_values(batch.next_local, batch.next_states)  # (B, V)
+        return batch.rewards[:, None] + batch.discounts[:, None] * next_values
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
         return ["policy", "policy.optimizer"], []
+
+
+class VDN(JointQLearning):
+    """Value decomposition networks: Q_tot is the sum of the UAVs' utilities (Sunehag et al. 2018, arXiv 1706.05296).
+
+    Arguments: :class:`JointQLearning`.
+    """
+
+    mixer: ClassVar[str] = "sum"
+
+
+class QMIX(JointQLearning):
+    """Q_tot is monotone in the UAVs' utilities, mixed by a network whose weights depend on the global state.
+
+    Rashid et al. 2018, arXiv 1803.11485. Arguments: :class:`JointQLearning`; ``policy_kwargs`` takes ``mixer_width``
+    and ``hypernet_width``.
+    """
+
+    mixer: ClassVar[str] = "monotonic"
+
+
+class IQL(JointQLearning):
+    """Independent Q-learning: every UAV learns the team's return by itself (Tan 1993)."""
+
+    mixer: ClassVar[str] = "none"

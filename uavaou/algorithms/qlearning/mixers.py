@@ -1,4 +1,4 @@
-"""From the agents' utilities to the team's value, monotone in each, so that greedy agents make a greedy team."""
+"""Mixers: from the agents' utilities to the team's value, which is monotone in each of them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def make_mixer(name: str, agents: int, state_size: int, width: int = 32, hyperne
         width, hypernet_width: of :class:`MonotonicMixer`.
 
     Raises:
-        InputError: the name is none of these.
+        InputError: the name is not one of these.
     """
     if name not in MIXERS:
         raise unknown("mixer", name, MIXERS)
@@ -43,11 +43,11 @@ class Mixer(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
-        """Team values, (B, V): V is 1, or U where nothing is mixed."""
+        """Team values, (B, V): V is 1, or U without mixing."""
 
     @abstractmethod
     def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
-        """From now on give ``values * ratio + shift`` with the utilities of ``network``, which may change for it."""
+        """Change the outputs to ``values * ratio + shift`` for the utilities of ``network``, which may change too."""
 
 
 class NoMixer(Mixer):
@@ -70,7 +70,7 @@ class SumMixer(Mixer):
         return utilities.sum(dim=1, keepdim=True)
 
     def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
-        """Rescale every utility; each bears its part of the shift."""
+        """Rescale every utility and spread the shift over them."""
         network.rescale(ratio, shift / self.agents)
 
 
@@ -102,7 +102,7 @@ class MonotonicMixer(Mixer):
 
     @th.no_grad()
     def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
-        """Rescale the mixing network's outer layer; the utilities stay."""
+        """Rescale the outer layer of the mixing network; the utilities do not change."""
         for hypernet in (self.second_weights, self.value):
             rescale_linear(hypernet.outer, ratio)
         self.value.outer.bias.add_(shift)

@@ -1,4 +1,4 @@
-"""The policy of VDN, QMIX and IQL in SB3's form: utilities by branches, a mixer, and their target networks."""
+"""The policy of VDN, QMIX and IQL in SB3's form: utilities with one branch a component, a mixer, target networks."""
 
 from __future__ import annotations
 
@@ -24,20 +24,19 @@ from uavaou.world.views import MOVES, RowLayout
 class JointQPolicy(LocalPolicy):
     """Utilities that all UAVs share and a mixer, over rows ``[local | global]``.
 
-    Flying needs the utilities alone, which read ``local``; the mixer reads the global state and is for training.
+    Acting needs the utilities alone, which read ``local``; the mixer reads the global state, in training alone.
 
     Args:
         observation_space, action_space, lr_schedule: as SB3 passes them; the action is Discrete or MultiDiscrete.
         row_layout: which columns of a row hold what; the algorithm fills it in from the VecEnv. Masks are read
-            from the local columns ``action_mask`` (a flag for each option of each branch), or ``allowed_moves``
-            and ``in_range``, where there are such.
+            from the local column run ``action_mask`` (a flag for each option of each branch), or ``allowed_moves``
+            and ``in_range``, if the layout has them.
         mixer: ``sum`` (VDN), ``monotonic`` (QMIX) or ``none`` (IQL).
         net_arch: hidden layer sizes of the utility network.
         activation: ``relu`` or ``tanh``.
-        selection_bias: by how much selecting a device in range is valued above not selecting it, at first;
-            collecting costs nothing in this model.
-        masks: whether options that are not allowed are left out, of choices, targets and exploration alike;
-            without, the World rejects them. What is observed is the same.
+        selection_bias: initial advantage of selecting a device in range; collecting costs nothing in this model.
+        masks: whether choices, targets and exploration leave out what is not allowed; without masks the World
+            rejects it. The observation is the same.
         mixer_width, hypernet_width: hidden units of the monotonic mixer and of the networks that give its weights.
     """
 
@@ -68,25 +67,30 @@ class JointQPolicy(LocalPolicy):
         self._activation = activation
         self.selection_bias = selection_bias
         self.masks = masks
-        self.utilities = UtilityNetwork(row_layout.local_size, self._hidden, activation, self.branches)
-        if row_layout.selects:
-            with th.no_grad():
-                self.utilities.advantage.bias[MOVES + 1 :: 2] = selection_bias
+        self.utilities = self.make_utilities()
         self._mixer = {"mixer": mixer, "mixer_width": mixer_width, "hypernet_width": hypernet_width}
         self.mixer = make_mixer(mixer, row_layout.uavs, row_layout.global_size, mixer_width, hypernet_width)
         self.target_utilities = deepcopy(self.utilities).requires_grad_(False)
         self.target_mixer = deepcopy(self.mixer).requires_grad_(False)
         self.returns = ReturnStatistics(decay=0.9)
         self.epsilon: th.Tensor
-        self.register_buffer("epsilon", th.zeros(()))  # of the exploration when the policy was last trained
+        self.register_buffer("epsilon", th.zeros(()))  # exploration when the policy was last trained
         self.optimizer = optimizer_class(self.trained_parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
+    def make_utilities(self) -> UtilityNetwork:
+        """The network of the utilities; a policy of one's own may make another."""
+        network = UtilityNetwork(self.row_layout.local_size, self._hidden, self._activation, self.branches)
+        if self.row_layout.selects:
+            with th.no_grad():
+                network.advantage.bias[MOVES + 1 :: 2] = self.selection_bias
+        return network
+
     def trained_parameters(self) -> list[nn.Parameter]:
-        """Parameters of the utilities and of the mixer, without their targets'."""
+        """Parameters of the utilities and of the mixer, without those of the target networks."""
         return [*self.utilities.parameters(), *self.mixer.parameters()]
 
     def allowed(self, local: th.Tensor) -> th.Tensor | None:
-        """Which options are allowed, (B, sum(n_b)), from the masks in ``local`` (B, local); None where it has none."""
+        """Allowed options (B, sum(n_b)), from the masks in ``local`` (B, local); None without masks."""
         if not self.masks:
             return None
         whole = self.row_layout.local_columns("action_mask")
@@ -106,7 +110,7 @@ class JointQPolicy(LocalPolicy):
     def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
         """Actions (B, M) of ``local`` (B, local): greedy, or epsilon-greedy from ``uniforms`` (B, >= 1 + M).
 
-        One coin decides for a whole composite action: with one a branch, hardly any action would stay greedy.
+        One coin decides for a whole composite action: with one coin a branch, hardly any action would stay greedy.
         """
         allowed = self.allowed(local)
         greedy = self.branches.greedy(self.utilities(local, allowed), allowed)
@@ -122,11 +126,11 @@ class JointQPolicy(LocalPolicy):
         return mixed
 
     @th.no_grad()
-    def following_values(self, local: th.Tensor, states: th.Tensor) -> th.Tensor:
-        """Q_tot (B, V) in units of the reward, of the next slots: chosen online, valued by the target networks.
+    def next_values(self, local: th.Tensor, states: th.Tensor) -> th.Tensor:
+        """Q_tot (B, V) of the next slots in units of the reward: chosen online, valued by the target networks.
 
-        Double Q-learning (van Hasselt et al. 2016). The joint action is the greedy one of each agent, which is
-        the team's, as the mixers are monotone.
+        Double Q-learning (van Hasselt et al. 2016). Mixers are monotone: the greedy actions of the agents are the
+        greedy joint action.
         """
         allowed = self.allowed(local)
         choice = self.branches.greedy(self.utilities(local, allowed), allowed)
@@ -135,7 +139,7 @@ class JointQPolicy(LocalPolicy):
 
     @th.no_grad()
     def update_statistics(self, targets: th.Tensor) -> None:
-        """Take in targets of Q_tot, in units of the reward; what the networks predict stays as it was."""
+        """Update the statistics with targets of Q_tot, in units of the reward; predictions do not change."""
         ratio, shift = self.returns.update(targets)
         for utilities, mixer in ((self.utilities, self.mixer), (self.target_utilities, self.target_mixer)):
             mixer.rescale(utilities, ratio, shift)

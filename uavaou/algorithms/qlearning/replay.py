@@ -1,8 +1,8 @@
-"""A joint replay: slots of whole teams in a ring over time, nothing stored twice.
+"""A joint replay: slots of whole teams in a ring over time, each stored once.
 
-An SB3 ReplayBuffer draws each row's environment by itself, which tears teammates apart, and stores every
-observation twice, once as somebody's next one. Here a slot of a mission is one entry, and what follows it is
-the next entry in time.
+SB3's ReplayBuffer draws the environment of each row separately, which separates teammates, and stores every
+observation twice, as an observation and as a next one. Here a slot of a mission is one entry, and its successor
+is the next entry in time.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class JointReplay(BaseBuffer):
         return self.full or self.pos > self.n_steps
 
     def sample(self, batch_size: int, env: Any = None) -> JointBatch:
-        """Draw joint transitions uniformly: a slot whose n-th successor is held, of any mission."""
+        """Draw joint transitions uniformly from all slots whose n-th successor is held."""
         held = self.buffer_size if self.full else self.pos
         return self._get_samples(np.random.randint(0, (held - self.n_steps) * self.missions, batch_size))
 
@@ -128,7 +128,7 @@ class JointReplay(BaseBuffer):
 
 
 def _check_memory(slots: int, slot_bytes: int) -> None:
-    """Refuse what would be taken page by page until the machine has no more."""
+    """Refuse a replay larger than the memory: its pages are taken only as it fills."""
     machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if slots * slot_bytes > machine:
         raise InputError(

@@ -1,4 +1,4 @@
-"""What an agent's branch values are computed by."""
+"""The network of an agent's branch values."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from uavaou.algorithms.qlearning.branches import Branches
 
 
 class UtilityNetwork(nn.Module):
-    """A local observation's branch values: a state value, and advantages that are centred in each branch.
+    """Branch values of a local observation: a state value, plus advantages centred in each branch.
 
-    Dueling (Wang et al. 2016), for branches (Tavakoli et al. 2018, arXiv 1711.08946). A branch of which only one
-    option is allowed has advantage 0: what cannot be chosen adds nothing.
+    Dueling (Wang et al. 2016), for branches (Tavakoli et al. 2018, arXiv 1711.08946). A branch with one allowed
+    option has advantage 0.
     """
 
     def __init__(self, inputs: int, hidden: list[int], activation: str, branches: Branches) -> None:
@@ -27,14 +27,14 @@ class UtilityNetwork(nn.Module):
             nn.init.zeros_(head.bias)
 
     def forward(self, local: th.Tensor, allowed: th.Tensor | None) -> th.Tensor:
-        """Branch values (B, sum(n_b)) of ``local`` (B, local) where ``allowed`` (B, sum(n_b)) holds."""
+        """Branch values (B, sum(n_b)) of ``local`` (B, local), for the options ``allowed`` (B, sum(n_b))."""
         features = self.body(local)
         values: th.Tensor = self.value(features) + self.branches.centre(self.advantage(features), allowed)
         return values
 
     @th.no_grad()
     def rescale(self, ratio: th.Tensor, shift: th.Tensor) -> None:
-        """From now on give ``values * ratio + shift``."""
+        """Change the outputs to ``values * ratio + shift``."""
         for head in (self.advantage, self.value):
             rescale_linear(head, ratio)
         self.value.bias.add_(shift)
