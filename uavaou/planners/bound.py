@@ -20,14 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaou.planners.decomposition import LagrangianDecomposition, neighbours
+from uavaou.planners.decomposition import LagrangianDecomposition
 from uavaou.planners.exact import Program, gap_ages, program_size
 from uavaou.planners.stationary_duals import stationary_duals
 from uavaou.planners.subgradient import subgradient_ascent
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
-from uavaou.world.coverage import coverage_probability
-from uavaou.world.flight import Flight
+from uavaou.world.coverage import cell_coverage
+from uavaou.world.flight import Flight, neighbours
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -96,14 +96,12 @@ class LagrangianRelaxation:
     """
 
     def __init__(self, scenario: Scenario, layout: Layout) -> None:
-        probability = coverage_probability(scenario, layout)  # (U, X, Y, I)
-        self._probability = probability.reshape(scenario.uavs, -1, scenario.devices)  # (U, C, I)
+        self._probability = cell_coverage(scenario, layout)  # (U, C, I)
         periods, self._gap_of = np.unique(layout.update_period, return_inverse=True)  # (G,), (I,)
         gaps = np.stack([gap_ages(int(k), scenario.slots).T for k in periods])  # (G, K+2, K+1), [t, s]
         self._gap_ages = np.ascontiguousarray(gaps, dtype=np.float64)  # contiguous along s, the inner loop
-        cds = Flight(scenario).cds  # (U, 2)
-        self._homes = cds[:, 0] * scenario.rows + cds[:, 1]  # (U,)
-        self._neighbours, _ = neighbours(scenario.columns, scenario.rows)  # (C, 5)
+        self._homes = Flight(scenario).cds @ [scenario.rows, 1]  # (U,) cells
+        self._neighbours, _ = neighbours(scenario)  # (C, 5)
         self.prices = np.zeros((scenario.slots + 1, scenario.devices))  # (K+1, I); row 0 is no slot
 
     def value(self) -> tuple[float, Floats]:

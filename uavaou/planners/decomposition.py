@@ -33,8 +33,8 @@ from uavaou.planners.exact import gap_ages
 from uavaou.planners.subgradient import subgradient_ascent
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
-from uavaou.world.coverage import coverage_probability
-from uavaou.world.flight import MOVES, Flight
+from uavaou.world.coverage import cell_coverage
+from uavaou.world.flight import MOVES, Flight, neighbours
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -60,10 +60,9 @@ class LagrangianDecomposition:
 
     def __init__(self, scenario: Scenario, layout: Layout) -> None:
         self.slots = scenario.slots
-        self.probability = coverage_probability(scenario, layout).reshape(scenario.uavs, -1, scenario.devices)
-        self.neighbours, self.on_grid = neighbours(scenario.columns, scenario.rows)
-        cds = Flight(scenario).cds  # (U, 2)
-        self._homes = cds[:, 0] * scenario.rows + cds[:, 1]  # (U,)
+        self.probability = cell_coverage(scenario, layout)  # (U, C, I)
+        self.neighbours, self.on_grid = neighbours(scenario)
+        self._homes = Flight(scenario).cds @ [scenario.rows, 1]  # (U,) cells
         self._gap_ages = [gap_ages(int(k), scenario.slots).astype(np.float64) for k in layout.update_period]
         uavs, cells, devices = self.probability.shape
         self.short = scenario.slots * uavs * devices * cells * len(MOVES) <= _MOST_PRICES
@@ -116,15 +115,6 @@ class LagrangianDecomposition:
 
         start = np.concatenate([charges.ravel(), prices.ravel() / scale])
         return subgradient_ascent(value, start, _FIRST_LEVEL * self.slots, rounds, _PATIENCE, time_limit_s=time_limit_s)
-
-
-def neighbours(columns: int, rows: int) -> tuple[Ints, NDArray[np.bool_]]:
-    """Return the cell that each move leads to, (C, 5), or the cell itself if that is off the grid; and whether not."""
-    cells = np.indices((columns, rows)).reshape(2, -1).T  # (C, 2)
-    target = cells[:, None] + MOVES  # (C, 5, 2)
-    on_grid = np.asarray(((target >= 0) & (target < [columns, rows])).all(axis=-1))
-    own = np.arange(len(cells))[:, None]
-    return np.where(on_grid, target[..., 0] * rows + target[..., 1], own), on_grid
 
 
 def _subtract_credits(by_charges: Floats, collected: Floats, gap: Ints) -> None:

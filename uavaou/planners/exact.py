@@ -29,8 +29,8 @@ from uavaou.planners.expected_age import expected_mean_aou
 from uavaou.planners.highs import LinearProgram, run_interruptibly
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner
 from uavaou.scenario import Layout, Scenario
-from uavaou.world.coverage import coverage_probability
-from uavaou.world.flight import MOVES, Flight
+from uavaou.world.coverage import cell_coverage
+from uavaou.world.flight import MOVES, Flight, grid_cells, neighbours
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -121,16 +121,13 @@ class Flow:
 def flow(scenario: Scenario, uav: int) -> Flow:
     """Return the steps that some route from the CDS back to it contains, within the slots and the budget."""
     flight = Flight(scenario)
-    cells = np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T  # (C, 2)
-    away = np.abs(cells - flight.cds[uav]).sum(axis=1)  # (C,) grid steps
-    slot, here, move = (axis.ravel() for axis in np.indices((scenario.slots - 1, len(cells), len(MOVES))))
-    target = cells[here] + MOVES[move]  # (E, 2)
-    inside = ((target >= 0) & (target < [scenario.columns, scenario.rows])).all(axis=1)
-    there = np.where(inside, target[:, 0] * scenario.rows + target[:, 1], 0)
-    slot = slot + 1
+    away = np.abs(grid_cells(scenario) - flight.cds[uav]).sum(axis=1)  # (C,) grid steps
+    slot, here, move = (axis.ravel() for axis in np.indices((scenario.slots - 1, len(away), len(MOVES))))
+    targets, on_grid = neighbours(scenario)  # (C, 5)
+    slot, there = slot + 1, targets[here, move]  # (E,)
     in_time = (away[here] < slot) & (away[there] <= scenario.slots - slot - 1)
     affordable = away[here] + (move > 0) + away[there] <= flight.budget[uav]
-    feasible = inside & in_time & affordable
+    feasible = on_grid[here, move] & in_time & affordable
     return Flow(slot[feasible], here[feasible], there[feasible])
 
 
@@ -150,8 +147,7 @@ class Program:
 
     def __init__(self, scenario: Scenario, layout: Layout) -> None:
         self._scenario = scenario
-        probability = coverage_probability(scenario, layout)  # (U, X, Y, I)
-        self._probability = probability.reshape(scenario.uavs, -1, scenario.devices)  # (U, C, I)
+        self._probability = cell_coverage(scenario, layout)  # (U, C, I)
         self._program = LinearProgram()
         self._flows = [flow(scenario, u) for u in range(scenario.uavs)]
         self._steps = [self._program.add_variables(np.ones(len(flow.slot))) for flow in self._flows]  # (E,) each
@@ -233,8 +229,10 @@ class Program:
     def _add_collections(self, device: int, gap_age: Ints) -> None:
         """Add a path through slot 0 (start), the slots with a collection, and slot K+1 (end)."""
         slots, program = self._scenario.slots, self._program
-        reached = self._reached(device)
-        at = np.array([0, *sorted(reached), slots + 1])  # slots in which the device can be collected, and the ends
+        slot, step, probability = self._steps_in_range(device)
+        at = np.concatenate(
+            [[0], np.unique(slot), [slots + 1]]
+        )  # slots in which a collection is possible, and the ends
         start, end = np.triu_indices(len(at), 1)
         arcs = program.add_variables(np.ones(len(start)), gap_age[at[start], at[end]].astype(np.float64))
         net = np.zeros(len(at))
@@ -243,23 +241,19 @@ class Program:
         program.add_terms(conserved[start], arcs, 1.0)
         program.add_terms(conserved[end], arcs, -1.0)
         in_range = program.add_constraints(len(at) - 2, -np.inf, 0.0)
-        for k, slot in enumerate(at[1:-1]):
-            steps, probability = reached[int(slot)]
-            program.add_terms(in_range[k], arcs[end == k + 1], 1.0)
-            program.add_terms(in_range[k], steps, -probability)
+        collects = end < len(at) - 1
+        program.add_terms(in_range[end[collects] - 1], arcs[collects], 1.0)
+        program.add_terms(in_range[np.searchsorted(at, slot) - 1], step, -probability)
 
-    def _reached(self, device: int) -> dict[int, tuple[Ints, Floats]]:
-        """Map each slot to the steps (columns) that begin (in slot K: end) in range, and P(R_iu >= R_min) of each."""
-        slots = self._scenario.slots
-        found: dict[int, list[tuple[Ints, Floats]]] = {}
+    def _steps_in_range(self, device: int) -> tuple[Ints, Ints, Floats]:
+        """Return slot, step and P(R_iu >= R_min) > 0 of all steps that begin (in slot K: end) in range, (M,) each."""
+        parts = []
         for u, (flow, steps) in enumerate(zip(self._flows, self._steps, strict=True)):
-            for slot in range(1, slots + 1):
-                at = flow.slot == min(slot, slots - 1)
-                cell = flow.here if slot < slots else flow.there
-                weight = self._probability[u, cell[at], device]
-                if weight.any():
-                    found.setdefault(slot, []).append((steps[at][weight > 0], weight[weight > 0]))
-        return {
-            slot: (np.concatenate([s for s, _ in parts]), np.concatenate([w for _, w in parts]))
-            for slot, parts in found.items()
-        }
+            last = flow.slot == self._scenario.slots - 1  # these steps end in slot K
+            cell = np.concatenate([flow.here, flow.there[last]])
+            probability = self._probability[u, cell, device]
+            slot = np.concatenate([flow.slot, flow.slot[last] + 1])
+            likely = probability > 0
+            parts.append((slot[likely], np.concatenate([steps, steps[last]])[likely], probability[likely]))
+        slots, columns, probabilities = zip(*parts, strict=True)
+        return np.concatenate(slots), np.concatenate(columns), np.concatenate(probabilities)

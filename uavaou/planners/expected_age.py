@@ -6,17 +6,16 @@ import numpy as np
 
 from uavaou.planners.search import ExpectedAge, Ints, recompute
 from uavaou.scenario import Layout, Scenario
-from uavaou.world.coverage import coverage_probability
+from uavaou.world.coverage import cell_coverage
 
 
 def expected_age(scenario: Scenario, layout: Layout, routes: Ints) -> ExpectedAge:
     """Return the expected ages of ``routes`` (K, U, 2), cells by column and row in slots 1 to K."""
     slots, devices = scenario.slots, scenario.devices
-    probability = coverage_probability(scenario, layout).reshape(scenario.uavs, -1, devices)  # (U, C, I)
     generated = np.arange(slots + 1)[:, None] % layout.update_period == 0  # (K+1, I)
     cells = routes[..., 0] * scenario.rows + routes[..., 1]  # (K, U)
     expected = ExpectedAge(
-        miss=np.ascontiguousarray(1.0 - probability),
+        miss=np.ascontiguousarray(1.0 - cell_coverage(scenario, layout)),
         generated=generated.astype(np.float64),
         routes=np.ascontiguousarray(np.concatenate([cells[:1], cells]).T),
         fleet_miss=np.ones((slots + 1, devices)),

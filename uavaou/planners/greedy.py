@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.planners.base import Moves, Selections
-from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
-from uavaou.world.coverage import coverage_probability
-from uavaou.world.flight import first_step
+from uavaou.world.coverage import cell_coverage
+from uavaou.world.flight import first_step, grid_cells
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -42,9 +41,9 @@ class Greedy:
         different = world.missions if scenario.layout == "resample" else 1  # L
         layouts = [world.layout(mission) for mission in range(different)]
         unfaded = scenario.replace(fading="none")
-        self._probability = np.stack([_by_cell(scenario, layout) for layout in layouts])  # (L, U, C, I)
-        self._in_radius: Bools = np.stack([_by_cell(unfaded, layout) > 0 for layout in layouts])  # (L, U, C, I)
-        self._cells: Ints = np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T  # (C, 2), column-major
+        self._probability = np.stack([cell_coverage(scenario, layout) for layout in layouts])  # (L, U, C, I)
+        self._in_radius: Bools = np.stack([cell_coverage(unfaded, layout) > 0 for layout in layouts])  # (L, U, C, I)
+        self._cells = grid_cells(scenario)  # (C, 2)
         self._steps_home = np.abs(self._cells - world.flight.cds[:, None, :]).sum(axis=-1)  # (U, C)
 
     def act(self, world: World) -> tuple[Moves, Selections | None]:
@@ -89,9 +88,3 @@ class BestFirst(Greedy):
     """Greedy with the largest value of all UAVs first: about half the age of :class:`Greedy` on ``paper``."""
 
     best_first = True
-
-
-def _by_cell(scenario: Scenario, layout: Layout) -> Floats:
-    """Return the coverage probability with all cells in one axis, column by column, (U, C, I)."""
-    probability = coverage_probability(scenario, layout)  # (U, X, Y, I)
-    return probability.reshape(scenario.uavs, -1, probability.shape[-1])

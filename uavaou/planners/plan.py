@@ -20,7 +20,8 @@ from uavaou.world.flight import MOVES, Flight
 
 Ints = NDArray[np.int64]
 
-_MOVE_OF_STEP = {(int(dx), int(dy)): move for move, (dx, dy) in enumerate(MOVES)}
+_MOVE_OF_STEP = np.zeros((3, 3), dtype=np.int64)  # by columns and rows; index -1 is the last
+_MOVE_OF_STEP[MOVES[:, 0], MOVES[:, 1]] = np.arange(len(MOVES))
 
 
 @dataclass(frozen=True)
@@ -135,19 +136,17 @@ class RoutePlanner(ABC):
     def reset(self, world: World, seed: int) -> None:
         """Plan for each layout of the missions that has no plan yet. Nothing is drawn from ``seed``."""
         different = world.missions if world.scenario.layout == "resample" else 1  # L
-        self.plans = [self._planned(world.scenario, world.layout(mission)) for mission in range(different)]
+        layouts = [world.layout(mission) for mission in range(different)]
+        for layout in layouts:
+            if _key(world.scenario, layout) not in self._plans:
+                self.keep(self.plan(world.scenario, layout), world.scenario, layout)
+        self.plans = [self._plans[_key(world.scenario, layout)] for layout in layouts]
         routes = np.stack([plan.routes for plan in self.plans], axis=1)  # (K, L, U, 2)
         self._routes = np.broadcast_to(routes, (len(routes), world.missions, *routes.shape[2:]))  # (K, N, U, 2)
 
     def keep(self, plan: RoutePlan, scenario: Scenario, layout: Layout) -> None:
         """Use this plan on this layout instead of planning."""
         self._plans[_key(scenario, layout)] = plan
-
-    def _planned(self, scenario: Scenario, layout: Layout) -> RoutePlan:
-        key = _key(scenario, layout)
-        if key not in self._plans:
-            self._plans[key] = self.plan(scenario, layout)
-        return self._plans[key]
 
     def act(self, world: World) -> tuple[Moves, Selections | None]:
         """Return the move to the cell of the next slot, (N, U)."""
@@ -163,8 +162,5 @@ def _key(scenario: Scenario, layout: Layout) -> tuple[str | bytes, ...]:
 def moves_between(here: Ints, there: Ints) -> Moves:
     """Return the move from each cell to the next, (..., 2) both; the two are equal or neighbours."""
     step = there - here  # (..., 2)
-    by_step = np.zeros((3, 3), dtype=np.int64)
-    for (dx, dy), move in _MOVE_OF_STEP.items():
-        by_step[dx, dy] = move  # index -1 is the last
-    moves: Moves = by_step[step[..., 0], step[..., 1]]
+    moves: Moves = _MOVE_OF_STEP[step[..., 0], step[..., 1]]
     return moves

@@ -55,11 +55,10 @@ class ExpectedAge(NamedTuple):
 @compiled_fast
 def recompute(e: ExpectedAge) -> None:
     """Compute everything from the routes."""
-    last = len(e.cumulative) - 1
-    for t in range(1, last + 1):
+    for t in range(1, len(e.cumulative)):
         _update_miss(e, t)
         _forward(e, t)
-    for t in range(last, 0, -1):
+    for t in range(len(e.cumulative) - 1, 0, -1):
         _backward(e, t)
 
 
@@ -179,9 +178,8 @@ def _backward(e: ExpectedAge, t: int) -> bool:
 
 # -- proposals: changes to one UAV's route ---------------------------------------------------------------
 #
-# Routes hold a cell (column * rows + row) for each slot. The cells of slots 1 and K are the CDS and never change. Each
-# proposal writes ``trial`` in slots first <= t < end, keeps every step a grid step, and returns (first, end); the two
-# are equal if it found no change.
+# The cells of slots 1 and K are the CDS and never change. A proposal writes ``trial`` in slots first <= t < end, keeps
+# every step a grid step, and returns (first, end); the two are equal if it found no change.
 
 
 @compiled_fast
@@ -283,14 +281,12 @@ def shift(route: Ints, trial: Ints, low: int, high: int, columns: int, rows: int
 def reverse(route: Ints, trial: Ints, low: int, high: int, rows: int, rng: Rng) -> tuple[int, int]:
     """Fly a stretch in reverse, as 2-opt does."""
     first = rng.integers(low, high)
-    found = 0
+    found = first
     for end in range(first + 3, min(first + _LONGEST_COPY, high) + 1):
         if steps(route[first - 1], route[end - 1], rows) <= 1 and steps(route[first], route[end], rows) <= 1:
             found = end
             if rng.random() < 0.5:
                 break
-    if found == 0:
-        return _NOTHING
     for t in range(first, found):
         trial[t] = route[first + found - 1 - t]
     return first, found

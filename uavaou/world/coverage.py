@@ -78,6 +78,12 @@ def coverage_probability(scenario: Scenario, layout: Layout) -> Floats:
         return rician_exceedance(snr_min / snr, scenario.rician_factor)
 
 
+def cell_coverage(scenario: Scenario, layout: Layout) -> Floats:
+    """Return :func:`coverage_probability` with all grid cells in one axis, column by column, (U, C, I)."""
+    probability = coverage_probability(scenario, layout)  # (U, X, Y, I)
+    return probability.reshape(scenario.uavs, -1, probability.shape[-1])
+
+
 def rician_exceedance(power_gain: Floats, rician_factor: float) -> Floats:
     """P(|g|^2 >= power_gain) for Rician fading of mean power 1; any shape, elementwise.
 

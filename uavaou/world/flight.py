@@ -72,6 +72,21 @@ class Flight:
         return first_step(self.cds - cells)
 
 
+def grid_cells(scenario: Scenario) -> Ints:
+    """Return the (column, row) of every grid cell, column by column, (C, 2); cell c is column * rows + row."""
+    cells: Ints = np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T
+    return cells
+
+
+def neighbours(scenario: Scenario) -> tuple[Ints, Bools]:
+    """Return the cell that each move leads to, (C, 5), or the cell itself if that is off the grid; and whether not."""
+    cells = grid_cells(scenario)
+    target = cells[:, None] + MOVES  # (C, 5, 2)
+    on_grid: Bools = ((target >= 0) & (target < [scenario.columns, scenario.rows])).all(axis=-1)
+    own = np.arange(len(cells))[:, None]
+    return np.where(on_grid, target[..., 0] * scenario.rows + target[..., 1], own), on_grid
+
+
 def first_step(way: Ints) -> Ints:
     """The first move of a way of (columns, rows), (..., 2): along x first, then y; stay where there is none to go."""
     along_x = np.where(way[..., 0] > 0, RIGHT, LEFT)
