@@ -1,7 +1,7 @@
-"""``save`` and ``load`` of learners without pickle: a stranger's file runs no code.
+"""``save`` and ``load`` of learners without pickle: loading a stranger's file runs no code.
 
-SB3's own ``save`` writes a zip of pickles, and its ``load`` runs whatever they say. Here a learner is its weights
-and optimizer in safetensors, and the arguments that it was made with as JSON beside them.
+SB3's own ``save`` writes a zip of pickles, and its ``load`` runs the code in them. Here a learner is its weights
+and optimizer in safetensors, with its constructor arguments as JSON.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -33,27 +33,27 @@ _UNUSABLE = (TypeError, ValueError, KeyError, IndexError, AttributeError, Assert
 class SafeSaveLoad(BaseAlgorithm):
     """Saves and loads an SB3 learner whose policy has a ``row_layout``; comes before SB3's class among the bases.
 
-    Arguments are saved as they were given; a schedule as its value when it is saved.
+    Arguments are saved as they were given, a schedule as its present value.
     """
 
     _given: dict[str, Any]
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
-        """Note the arguments, whatever the learner does with them."""
+        """Record the arguments of the constructor."""
         learner = super().__new__(cls)
         given = inspect.signature(cls.__init__).bind_partial(learner, *args, **kwargs).arguments
         learner._given = given.pop("kwargs", {}) | given
         return learner
 
     def save(self, path: str | Path, exclude: Any = None, include: Any = None) -> None:  # type: ignore[override]
-        """Write the learner to a safetensors file, to go on with :meth:`load`; runs have checkpoints of their own.
+        """Write the learner to a safetensors file for :meth:`load`; runs have checkpoints of their own.
 
         Args:
             path: of the file; ``.safetensors`` is added where it has no suffix.
             exclude, include: not used; SB3's :meth:`save_sb3` takes them.
 
         Raises:
-            InputError: an argument that the learner was made with is no plain value.
+            InputError: an argument of the constructor is not a plain value.
             OSError: the file cannot be written.
         """
         if exclude or include:
@@ -61,6 +61,7 @@ class SafeSaveLoad(BaseAlgorithm):
         layout: Any = self.policy.row_layout
         about = {
             "class": type(self).__name__,
+            "policy": type(self.policy).__name__,
             "arguments": self._plain_arguments(),
             "layout": asdict(layout),
             "rows": self.n_envs,
@@ -72,7 +73,12 @@ class SafeSaveLoad(BaseAlgorithm):
 
     @classmethod
     def load(  # type: ignore[override]
-        cls, path: str | Path, env: Any = None, device: th.device | str = "auto", **changes: Any
+        cls,
+        path: str | Path,
+        env: Any = None,
+        device: th.device | str = "auto",
+        policy: type[Any] | None = None,
+        **changes: Any,
     ) -> Self:
         """Read a learner that :meth:`save` wrote.
 
@@ -80,21 +86,30 @@ class SafeSaveLoad(BaseAlgorithm):
             path: of the file.
             env: to learn on; None to predict, or to be set later.
             device: where the networks run.
+            policy: the class of the saved policy; None for the learner's own.
             changes: arguments that replace the saved ones, a schedule among them.
 
         Raises:
-            InputError: the file is missing, damaged, of another class or no learner of this software.
+            InputError: the file is missing, damaged, not a learner of this software, or a learner or policy of
+                another class; or ``env`` has rows that the policy cannot read.
         """
         file = ArrayFile(_with_suffix(path))
-        about = _about(file, cls.__name__)
+        kind: Any = policy or next(iter(cls.policy_aliases.values()))
+        about = _about(file, cls.__name__, kind)
         try:
-            layout = _layout(about["layout"])
+            saved = _layout(about["layout"])
+            layout = saved if env is None else env.row_layout
+            sized = kind.depends_on_sizes
+            if not saved.fits(layout, sized):
+                raise InputError("env: its rows are not those that the learner was saved with")
             arguments = about["arguments"] | changes
-            policy_kwargs = dict(arguments.get("policy_kwargs") or {})
-            _check_size(file, layout, policy_kwargs.get("net_arch") or (1,))
-            policy_kwargs["row_layout"] = layout
-            arguments["policy_kwargs"] = policy_kwargs
-            learner = cls._make(arguments, layout, int(about["rows"]), env, device)
+            policy_kwargs = dict(arguments.pop("policy_kwargs", None) or {})
+            _check_size(file, layout if sized else None, policy_kwargs.get("net_arch") or (1,))
+            arguments |= {"device": device, "policy_kwargs": policy_kwargs | {"row_layout": layout}}
+            if env is None:
+                learner = cls._without_env(kind, arguments, layout, int(about["rows"]))
+            else:
+                learner = cls(kind, env, **arguments)
             load_policy_arrays(file, learner)
             load_optimizer_arrays(file, learner)
             learner.num_timesteps, learner._n_updates = int(about["num_timesteps"]), int(about["n_updates"])
@@ -105,13 +120,8 @@ class SafeSaveLoad(BaseAlgorithm):
         return learner
 
     @classmethod
-    def _make(cls, arguments: dict[str, Any], layout: RowLayout, rows: int, env: Any, device: th.device | str) -> Self:
-        policy = next(iter(cls.policy_aliases))
-        if env is not None:
-            if env.row_layout != layout:
-                raise InputError("env: its rows are not those that the learner was saved with")
-            return cls(policy, env, device=device, **arguments)
-        learner = cls(policy, None, device=device, _init_setup_model=False, **arguments)
+    def _without_env(cls, policy: type[Any], arguments: dict[str, Any], layout: RowLayout, rows: int) -> Self:
+        learner = cls(policy, None, _init_setup_model=False, **arguments)
         if not 1 <= rows <= 65_536 * layout.uavs or rows % layout.uavs:
             raise ValueError(f"rows = {rows}")
         learner.n_envs = rows
@@ -120,11 +130,11 @@ class SafeSaveLoad(BaseAlgorithm):
         return learner
 
     def save_sb3(self, path: str | Path, exclude: Any = None, include: Any = None) -> None:
-        """Write SB3's own zip, for tools that read it. Whoever loads such a file runs what is in it."""
+        """Write SB3's own zip, for tools that read it. Loading such a file runs the code in it."""
         super().save(path, exclude=[*(exclude or ()), "_given"], include=include)
 
     def set_parameters(self, load_path_or_dict: Any, *args: Any, **kwargs: Any) -> None:
-        """As SB3's, from a dict of tensors; files are read by :meth:`load`."""
+        """As SB3's, from a dict of tensors; :meth:`load` reads files."""
         if not isinstance(load_path_or_dict, dict):
             raise InputError("set_parameters: expected a dict of tensors; a file is read by load")
         super().set_parameters(load_path_or_dict, *args, **kwargs)
@@ -151,7 +161,14 @@ class SafeSaveLoad(BaseAlgorithm):
 
 
 class NoPickledPolicy(BasePolicy):
-    """A policy that is saved and loaded with its learner alone: SB3's ``load`` of a policy runs pickles."""
+    """A policy that is saved and loaded with its learner alone: SB3's ``load`` of a policy runs pickles.
+
+    Attributes:
+        depends_on_sizes: whether the weights fit only the numbers of UAVs and devices that they were trained with.
+            A policy without such weights says False; its file is then loaded for other numbers too.
+    """
+
+    depends_on_sizes: ClassVar[bool] = True
 
     def save(self, path: str) -> None:
         """Refused, since it could not be loaded."""
@@ -168,7 +185,7 @@ def _with_suffix(path: str | Path) -> Path:
     return path if path.suffix else path.with_suffix(".safetensors")
 
 
-def _about(file: ArrayFile, name: str) -> dict[str, Any]:
+def _about(file: ArrayFile, name: str, policy: type[Any]) -> dict[str, Any]:
     if file.text.get("kind") != _KIND or CHECKSUM not in file.text:
         raise InputError(f"{file.path}: not a learner saved by this software")
     if file.text.get("schema") != str(SCHEMA):
@@ -178,6 +195,10 @@ def _about(file: ArrayFile, name: str) -> dict[str, Any]:
         raise InputError(f"{file.path}: not a learner saved by this software")
     if about.get("class") != name:
         raise InputError(f"{file.path}: holds a {about.get('class')!r:.40}, not a {name}")
+    if about.get("policy", policy.__name__) != policy.__name__:
+        raise InputError(
+            f"{file.path}: holds a {about['policy']!r:.40}, not a {policy.__name__}: pass load(..., policy=...)"
+        )
     return about
 
 
@@ -185,15 +206,17 @@ def _layout(stated: dict[str, Any]) -> RowLayout:
     parts = {part: tuple(Columns(**columns) for columns in stated[part]) for part in ("local", "state")}
     for part in parts.values():
         end = 0
-        for columns in part:  # one run of columns follows the other
+        for columns in part:  # runs of columns are adjacent
             if columns.start != end or not isinstance(columns.stop, int) or columns.stop < end:
                 raise ValueError(f"columns {columns}")
             end = columns.stop
     return RowLayout(int(stated["uavs"]), int(stated["devices"]), str(stated["collection"]), **parts)
 
 
-def _check_size(file: ArrayFile, layout: RowLayout, hidden: Any) -> None:
-    """Refuse to build networks larger than the file that is to fill them."""
-    sizes = [layout.local_size, *(int(size) for size in hidden), MOVES + layout.devices]
+def _check_size(file: ArrayFile, layout: RowLayout | None, hidden: Any) -> None:
+    """Refuse to build networks larger than the file that is to fill them; without ``layout``, hidden layers alone."""
+    sizes = [int(size) for size in hidden]
+    if layout is not None:
+        sizes = [layout.local_size, *sizes, MOVES + layout.devices]
     if any(size < 0 for size in sizes) or sum(a * b for a, b in pairwise(sizes)) > file.elements:
         raise InputError(f"{file.path}: states networks of {sizes} units, which it does not hold")
