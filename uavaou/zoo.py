@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,24 @@ def zoo_path(kind: str, name: str) -> Path:
     if name not in zoo_names(kind):
         raise unknown(kind.rstrip("s"), name, zoo_names(kind))
     return path
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """Writes what stands in two places twice, instead of a reference from one to the other."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def to_yaml(content: Mapping[str, Any], **style: Any) -> str:
+    """The text of a YAML file: fields in their order, no references.
+
+    Args:
+        content: plain values.
+        style: PyYAML's options, such as ``width``.
+    """
+    text: str = yaml.dump(dict(content), Dumper=_PlainDumper, sort_keys=False, **style)
+    return text
 
 
 class _BoundedLoader(yaml.SafeLoader):

@@ -230,7 +230,7 @@ def test_a_run_that_fails_stops_no_other_and_is_tried_again(
     engine = Inline(answer=lambda job: None if job.key.seed == 0 else Ended(job.key, None, "no wind today"))
     ended = run_inline(study, tmp_path / "out", engine)
     assert ended.done == 1
-    assert "part 'scenario' is missing" in ended.failed[PartKey("mappo", "tiny", 0)]
+    assert "the field algorithm is missing" in ended.failed[PartKey("mappo", "tiny", 0)]
     assert ended.failed[PartKey("anneal", "tiny")] == "no plan: no wind today"
     assert ended.failed[PartKey("own critic", "tiny", 1)] == "no wind today"
     assert main(["study", "status", str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "out")]) == 0
@@ -263,11 +263,11 @@ def test_a_broken_run_goes_on_and_ends_as_the_whole_one(
     real = training.train
 
     def broken(*arguments: Any, **options: Any) -> Any:
-        def watch(standing: Any) -> None:
-            if standing.slots >= 96:
+        def after_update(status: Any) -> None:
+            if status.slots >= 96:
                 raise InputError("the lights went out")
 
-        return real(*arguments, **(options | {"watch": watch, "checkpoint_every_s": 0}))
+        return real(*arguments, **(options | {"after_update": after_update, "checkpoint_every_s": 0}))
 
     monkeypatch.setattr(training, "train", broken)
     ended = run_inline(study, tmp_path / "again", Inline())

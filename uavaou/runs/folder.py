@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import quote
 
-import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from uavaou.algorithms.config import AlgorithmConfig
@@ -25,7 +24,7 @@ from uavaou.files import refuse_links
 from uavaou.runs.meta import RunMeta
 from uavaou.scenario import Scenario
 from uavaou.world import Views
-from uavaou.zoo import read_yaml_mapping, zoo_folder, zoo_names
+from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_folder, zoo_names
 
 SCHEMA = 1
 _LONGEST_NAME = 120
@@ -53,7 +52,7 @@ class RunConfig:
             "algorithm": self.algorithm.model_dump(mode="json"),
             "scenario": self.scenario.to_dict(),
         }
-        return yaml.safe_dump(content, sort_keys=False)
+        return to_yaml(content)
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, nearest
@@ -32,7 +30,7 @@ from uavaou.studies.fields import (
     validated_entry,
 )
 from uavaou.studies.parts import ANNEALED, BOUND, PartKey
-from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
+from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_names, zoo_path
 
 SCHEMA = 1  # of study.yaml
 _PLAN_AHEAD = {*ROUTE_PLANNERS, *ANNEALED}
@@ -174,14 +172,7 @@ class Study:
 
     def to_yaml(self) -> str:
         """:meth:`to_dict` as YAML."""
-        return yaml.dump(self.to_dict(), Dumper=_PlainDumper, sort_keys=False, width=120)
-
-
-class _PlainDumper(yaml.SafeDumper):
-    """Writes what stands in two places twice: references are not read back."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
+        return to_yaml(self.to_dict(), width=120)
 
 
 def _scenario(entry: Any, source: str, path: Path) -> tuple[str, Scenario]:

@@ -6,27 +6,25 @@ A search's folder holds ``search.yaml`` (what is searched; processes that join r
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
+from pydantic import BaseModel, ConfigDict
 
 from uavaou.algorithms.config import AlgorithmConfig
-from uavaou.algorithms.registry import config_from_dict
+from uavaou.csv_tables import write_csv
 from uavaou.errors import InputError
+from uavaou.fields import Positive, PositiveWhole, validated
 from uavaou.files import replacing
-from uavaou.runs.folder import RunFolder
+from uavaou.runs.folder import ConfigFile, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.tuning.search_space import SearchSpace
-from uavaou.zoo import read_yaml_mapping
+from uavaou.zoo import read_yaml_mapping, to_yaml
 
 SCHEMA = 1
 REPORTS = 10  # evaluations of a trial, at equal fractions of its budget
-_PARTS = {"scenario": dict, "algorithm": dict, "space": dict, "budget": dict, "first": list}
-_BUDGETS = ("seconds", "slots")
 
 
 @dataclass(frozen=True)
@@ -86,14 +84,24 @@ class Search:
             "algorithm": self.algorithm.model_dump(mode="json"),
             "scenario": self.scenario.to_dict(),
         }
-        return yaml.dump(content, Dumper=_PlainDumper, sort_keys=False)
+        return to_yaml(content)
 
 
-class _PlainDumper(yaml.SafeDumper):
-    """Writes what stands in two places twice, instead of a reference from one to the other."""
+class _Budget(BaseModel):
+    """Of a trial: seconds or slots, one of them."""
 
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
+    model_config = ConfigDict(extra="forbid")
+
+    seconds: Positive | None = None
+    slots: PositiveWhole | None = None
+
+
+class _SearchFile(ConfigFile):
+    """The content of ``search.yaml``."""
+
+    budget: _Budget
+    space: dict[str, Any]
+    first: list[dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -143,21 +151,16 @@ class SearchFolder:
         """
         if not self.config.is_file():
             raise InputError(f"'{self.path}' holds no search: it has no search.yaml")
-        content = read_yaml_mapping(self.config)
-        if content.get("schema") != SCHEMA:
-            raise InputError(f"{self.config}: schema = {content.get('schema')!r}: this version reads schema {SCHEMA}")
-        for part, kind in _PARTS.items():
-            if not isinstance(content.get(part), kind):
-                raise InputError(f"{self.config}: the part '{part}' is missing")
-        budget = content["budget"]
+        stated = validated(_SearchFile, read_yaml_mapping(self.config), str(self.config))
+        config = stated.config(self.config)
         return Search(
-            scenario=Scenario.from_dict(content["scenario"], source=f"{self.config}: scenario"),
-            algorithm=config_from_dict(content["algorithm"], self.config),
-            space=SearchSpace.from_dict(content["space"], f"{self.config}: space"),
-            seconds=budget.get("seconds"),
-            slots=budget.get("slots"),
-            seed=int(content.get("seed", 0)),
-            first=tuple(content["first"]),
+            scenario=config.scenario,
+            algorithm=config.algorithm,
+            space=SearchSpace.from_dict(stated.space, f"{self.config}: space"),
+            seconds=stated.budget.seconds,
+            slots=stated.budget.slots,
+            seed=config.seed,
+            first=tuple(stated.first),
         )
 
     def claim(self, search: Search) -> None:
@@ -206,17 +209,8 @@ def ranked(records: Sequence[TrialRecord]) -> list[TrialRecord]:
 def write_results(folder: SearchFolder, search: Search, records: Sequence[TrialRecord]) -> None:
     """Write ``tune.csv``, and ``best.yaml`` when a trial has been played to the end."""
     varied = list(search.space.dimensions)
-    with replacing(folder.table) as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["trial", "state", "mean_aou_s", "action", "slots", "cpu_s", *varied, "reason"])
-        for record in records:
-            if record.state != "waiting":
-                score = None if record.score is None else f"{record.score:.6g}"
-                cpu_s = None if record.cpu_s is None else f"{record.cpu_s:.2f}"
-                values = [record.values.get(name) for name in varied]
-                writer.writerow(
-                    [record.number, record.state, score, record.action, record.slots, cpu_s, *values, record.reason]
-                )
+    columns = ("trial", "state", "mean_aou_s", "action", "slots", "cpu_s", *varied, "reason")
+    write_csv(folder.table, columns, [_row(record, varied) for record in records if record.state != "waiting"])
     for record in ranked(records)[:1]:
         settings = search.published(search.space.restored(record.values)).model_dump(mode="json")
         with replacing(folder.best) as file:
@@ -224,5 +218,12 @@ def write_results(folder: SearchFolder, search: Search, records: Sequence[TrialR
                 f"# The best of a search on '{search.scenario.name}', trial {record.number}: mean AoU "
                 f"{record.score:.6g} s on the validation missions\n"
                 f"# after {record.slots:,} slots. The budget below is not the trial's, but a training's of its own.\n"
+                + to_yaml(settings, default_flow_style=None)
             )
-            yaml.dump(settings, file, Dumper=_PlainDumper, sort_keys=False, default_flow_style=None)
+
+
+def _row(record: TrialRecord, varied: Sequence[str]) -> list[Any]:
+    score = None if record.score is None else f"{record.score:.6g}"
+    cpu_s = None if record.cpu_s is None else f"{record.cpu_s:.2f}"
+    values = [str(record.values.get(name, "")) for name in varied]  # every digit
+    return [record.number, record.state, score, record.action, record.slots, cpu_s, *values, record.reason]

@@ -11,10 +11,9 @@ import math
 import multiprocessing
 import shutil
 import signal
-import tempfile
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
@@ -24,10 +23,11 @@ import torch as th
 
 from uavaou.algorithms.registry import load_plugin
 from uavaou.errors import InputError
-from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.recorder import AfterUpdate, TrainingStatus
+from uavaou.runs.folder import RunConfig
+from uavaou.runs.recorder import TrainingStatus
 from uavaou.runs.train import train
 from uavaou.tuning.search import REPORTS, Search, SearchFolder, TrialRecord, write_results
+from uavaou.tuning.trial_budget import affordable_slots, warm_up
 
 try:
     import optuna
@@ -49,8 +49,6 @@ _STARTUP_TRIALS = 6  # drawn at random before the sampler learns from them
 # Learning curves cross early, and a learning rate that falls to the end pays late: nothing is pruned before
 # three trials were played to the end, nor in the first third of a trial.
 _PRUNE_AFTER_TRIALS, _PRUNE_AFTER_REPORTS = 3, REPORTS // 3
-_PROBE_SHARE, _LEAST_PROBE_S = 0.05, 1.0  # of a trial's seconds: what its rate is measured in
-_OVERSHOOT = 1.1  # a first rollout that takes more than its trial's seconds, by this factor, is no trial
 _LOOK_EVERY_S = 0.5
 _PATIENCE_S = 20.0  # for workers to end by themselves after an interrupt
 
@@ -231,80 +229,6 @@ class _Watch:
             self._trial.set_user_attr(name, getattr(status, name))
         if tenth < REPORTS and self._trial.should_prune():
             raise optuna.TrialPruned
-
-
-class _Measured(Exception):  # noqa: N818 - the way out of a training that has shown its rate
-    """Carries the slots that a trial can afford."""
-
-    def __init__(self, slots: int) -> None:
-        self.slots = slots
-
-
-def affordable_slots(search: Search, values: dict[str, Any]) -> int:
-    """The slots that these settings play and learn from in the search's CPU seconds, in whole rollouts.
-
-    Raises:
-        InputError: the settings cannot be trained, or their first rollout takes more than the seconds.
-    """
-    assert search.seconds is not None
-    return _probe(search, values, _Rate(search.seconds))
-
-
-def warm_up(search: Search) -> None:
-    """Play and learn from one rollout: what a process does once, such as compiling, is on no trial's account."""
-
-    def stop(status: TrainingStatus) -> None:
-        raise _Measured(status.slots)
-
-    with suppress(InputError):  # these settings may not fit this machine, others may
-        _probe(search, {}, stop)
-
-
-def _probe(search: Search, values: dict[str, Any], watch: AfterUpdate) -> int:
-    """Train without end until the watch has measured, and forget the training."""
-    config = search.config(values, slots=10**12).model_copy(update={"evaluation_missions": 1})
-    with tempfile.TemporaryDirectory() as place:
-        try:
-            train(
-                RunConfig(search.scenario, config, search.seed), RunFolder(Path(place) / "probe"), device="cpu",
-                after_update=watch, checkpoint_every_s=math.inf,
-            )  # fmt: skip
-        except _Measured as measured:
-            return measured.slots
-    raise KeyboardInterrupt  # what a training without end has ended by
-
-
-class _Rate:
-    """Watches a training until its rate is known, then raises :class:`_Measured`.
-
-    The rate is that of slots with updates: before its first one, a learner with a replay buffer is quicker.
-    """
-
-    def __init__(self, seconds: float) -> None:
-        self._seconds = seconds
-        self._rollout = 0  # slots
-        self._first: TrainingStatus | None = None  # after the first update
-
-    def __call__(self, status: TrainingStatus) -> None:
-        self._rollout = self._rollout or status.slots
-        if status.cpu_s >= self._seconds:
-            self._stop(status)
-        if self._first is None:
-            self._first = status if status.updates else None
-            return
-        spent = status.cpu_s - self._first.cpu_s
-        if spent >= max(_PROBE_SHARE * self._seconds, min(_LEAST_PROBE_S, self._seconds / 4)):
-            rate = (status.slots - self._first.slots) / spent
-            slots = self._first.slots + rate * (self._seconds - self._first.cpu_s)
-            raise _Measured(max(int(slots / self._rollout), 1) * self._rollout)
-
-    def _stop(self, status: TrainingStatus) -> None:
-        if status.slots == self._rollout and status.cpu_s > _OVERSHOOT * self._seconds:
-            raise InputError(
-                f"one rollout of {status.slots:,} slots takes {status.cpu_s:.1f} s of CPU, and a trial has "
-                f"{self._seconds:g} s"
-            )
-        raise _Measured(status.slots)
 
 
 def _records(study: optuna.Study) -> list[TrialRecord]:

@@ -1,0 +1,48 @@
+"""A small search on the scenario ``tiny``, for the tests of tuning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from uavaou import Scenario
+from uavaou.algorithms.registry import load_config
+from uavaou.runs.folder import RunConfig
+from uavaou.tuning.search import Search, SearchFolder
+from uavaou.tuning.search_space import SearchSpace
+from uavaou.tuning.trials import read_trials
+
+SMALL = {"missions": 4, "rollout_slots": 12, "batch_rows": 48, "hidden": [8], "evaluation_missions": 2}
+SET = " ".join(f"--set algorithm.{name}={str(value).replace(' ', '')}" for name, value in SMALL.items())
+PUBLISHED = load_config("mappo").model_dump()
+SPACE = {
+    "gamma": {"kind": "categorical", "choices": [0.5, 0.9, PUBLISHED["gamma"]]},
+    "learning_rate": {"kind": "log-uniform", "low": 1e-4, "high": 1e-2},
+    "epochs": {"kind": "integer", "low": 1, "high": 10},
+}
+
+
+def a_search(space: dict[str, Any] | None = None, seed: int = 0, **budget: Any) -> Search:
+    config = load_config("mappo", SMALL)
+    varied = SearchSpace.from_dict(space or SPACE, "space")
+    varied.check(config)
+    budget = budget or {"slots": 1000}
+    first = (varied.values(config),)
+    return Search(Scenario.load("tiny"), config, varied, budget.get("seconds"), budget.get("slots"), seed, first)
+
+
+def a_folder(path: Path, **arguments: Any) -> SearchFolder:
+    folder = SearchFolder(path)
+    folder.claim(a_search(**arguments))
+    return folder
+
+
+def score(config: RunConfig) -> float:
+    """A made-up figure: the published settings are good."""
+    settings = config.algorithm.model_dump()
+    rate, epochs = (abs(settings[name] - PUBLISHED[name]) for name in ("learning_rate", "epochs"))
+    return float(100 * rate + epochs + 10)
+
+
+def states(folder: SearchFolder) -> list[str]:
+    return [record.state for record in read_trials(folder)]

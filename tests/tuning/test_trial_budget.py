@@ -1,0 +1,96 @@
+"""The slots that a trial can afford."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch as th
+
+from tests.tuning.small_search import SMALL, SPACE, a_search
+from uavaou import InputError, Scenario
+from uavaou.algorithms.registry import load_config
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.recorder import TrainingStatus
+from uavaou.runs.train import train
+from uavaou.tuning import trial_budget
+from uavaou.tuning.search import Search
+from uavaou.tuning.search_space import SearchSpace
+from uavaou.tuning.trial_budget import affordable_slots, warm_up
+
+
+def statuses(rollout: int, warm_up: int, slow: float, quick: float) -> list[TrainingStatus]:
+    """A training whose slots cost ``quick`` seconds each, from its first update on ``slow``."""
+    found, cpu_s = [], 0.0
+    for step in range(1000):
+        slots = step * rollout
+        found.append(TrainingStatus(slots, max(slots - warm_up, 0), cpu_s, False, None, "greedy"))
+        cpu_s += rollout * (slow if slots >= warm_up else quick)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("seconds", "warm_up", "expected"),
+    [
+        (10.0, 0, 1000),  # 1000 slots at 0.01 s
+        (10.0, 200, 1160),  # 200 at 0.002, the other 9.6 s at 0.01
+        (1.0, 800, 480),  # ends before the first update: 500 slots at 0.002, in whole rollouts of 40
+    ],
+)
+def test_a_rate_is_measured_after_the_first_update(seconds: float, warm_up: int, expected: int) -> None:
+    rate = trial_budget._Rate(seconds)
+    training = statuses(40, warm_up, slow=0.01, quick=0.002)
+    with pytest.raises(trial_budget._Measured) as measured:
+        list(map(rate, training))
+    assert abs(measured.value.slots - expected) <= 40
+    assert measured.value.slots % 40 == 0
+
+
+def test_a_rollout_longer_than_the_budget_is_no_trial() -> None:
+    rate = trial_budget._Rate(1.0)
+    training = statuses(400, 0, slow=0.01, quick=0.01)
+    with pytest.raises(InputError, match=r"one rollout of 400 slots takes 4.0 s of CPU, and a trial has 1 s"):
+        list(map(rate, training))
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "vdn"])
+def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
+    before = th.get_num_threads()
+    th.set_num_threads(1)
+    own = {"mappo": SMALL, "vdn": {"missions": 4, "slots_per_update": 8, "learning_starts": 200, "replay_slots": 2000}}
+    config = load_config(algorithm, own[algorithm] | {"hidden": [16], "evaluation_missions": 2, "gamma": 0.9})
+    space = SearchSpace.from_dict({"gamma": SPACE["gamma"]}, "space")
+    search = Search(Scenario.load("tiny"), config, space, 1.0, None, 0, ())
+    warm_up(search)
+    slots = affordable_slots(search, {"gamma": 0.9})
+    rollout = 48 if algorithm == "mappo" else 8
+    assert slots % rollout == 0
+    seen: list[TrainingStatus] = []
+    played = search.config({"gamma": 0.9}, slots)
+    train(RunConfig(search.scenario, played, 0), RunFolder(tmp_path), after_update=seen.append)
+    th.set_num_threads(before)
+    assert seen[-1].slots == slots  # to the slot: schedules end with the budget
+    assert 0.5 < seen[-1].cpu_s < 2.0
+    assert sum(status.evaluated for status in seen) == 10
+
+
+def test_cpu_seconds_are_those_of_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from uavaou.runs import recorder as callback
+
+    warm_up(a_search())
+    evaluate = callback.evaluate
+
+    def costly(*arguments: Any) -> Any:
+        until = time.process_time() + 1.0
+        while time.process_time() < until:
+            pass
+        return evaluate(*arguments)
+
+    monkeypatch.setattr(callback, "evaluate", costly)
+    seen: list[TrainingStatus] = []
+    config = load_config("mappo", SMALL | {"slots": 96, "evaluate_every_slots": 48, "epochs": 1})
+    train(RunConfig(Scenario.load("tiny"), config, 0), RunFolder(tmp_path), after_update=seen.append)
+    assert [(status.slots, status.evaluated) for status in seen] == [(48, True), (96, True)]
+    assert seen[-1].cpu_s < 1.0
