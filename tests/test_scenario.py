@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +10,8 @@ import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
+from tests.scenario_files import refusal, write
 from tests.strategies import scenarios
 from uavaou.errors import InputError
 from uavaou.scenario import Range, Scenario, WholeRange
@@ -22,29 +20,6 @@ from uavaou.zoo import zoo_names
 
 PRESETS = ["paper", "paper-table1", "quickstart", "tiny"]
 TINY = Scenario.load("tiny")
-CSV = "x_m,y_m\n0,0\n50,60\n"
-
-
-def refusal(action: Callable[[], object]) -> str:
-    """The message of the InputError that the action ends in; one line."""
-    with pytest.raises(InputError) as caught:
-        action()
-    message = str(caught.value)
-    assert "\n" not in message
-    assert 0 < len(message) < 400
-    return message
-
-
-def write(folder: Path, text: str, name: str = "mine.yaml") -> Path:
-    path = folder / name
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def with_csv(folder: Path, table: str, more: str = "") -> Scenario:
-    """A scenario based on tiny with a map of its own."""
-    write(folder, table, "map.csv")
-    return Scenario.load(write(folder, f"base: tiny\ndevices_csv: map.csv\n{more}"))
 
 
 # -- presets and units ---------------------------------------------------------------------------------
@@ -338,173 +313,6 @@ def test_a_very_long_name_is_not_found(tmp_path: Path, monkeypatch: pytest.Monke
 def test_base_gives_what_the_file_leaves_out(tmp_path: Path) -> None:
     scenario = Scenario.load(write(tmp_path, "base: tiny\nslots: 30\nreference_gain_db: -40\n"))
     assert scenario == TINY.replace(name="mine", slots=30, reference_gain_db=-40)
-
-
-# -- devices of one's own ------------------------------------------------------------------------------
-
-
-def test_a_map_of_ones_own(tmp_path: Path) -> None:
-    table = (
-        "x_m, y_m, update_period_slots, transmit_power_mw, bandwidth_hz\n"
-        "0, 0, 1, 0.5, 15000\n12.5, 200, 7, 1e-1, 20000\n"
-    )
-    scenario = with_csv(tmp_path, table)
-    assert scenario.devices == 2
-    layout = scenario.draw_layout()
-    assert layout.positions.tolist() == [[0, 0], [12.5, 200]]
-    assert layout.update_period.tolist() == [1, 7]
-    assert layout.transmit_power == pytest.approx([0.5e-3, 0.1e-3])
-    assert layout.bandwidth.tolist() == [15_000, 20_000]
-    assert Scenario.load(write(tmp_path, scenario.to_yaml(), "again.yaml")) == scenario
-
-
-def test_a_map_without_the_other_columns_keeps_the_scenarios_values(tmp_path: Path) -> None:
-    scenario = with_csv(tmp_path, CSV, "transmit_power_mw: {low: 1, high: 2}\n")
-    layout = scenario.draw_layout()
-    assert (layout.bandwidth == 15_000).all()
-    assert ((layout.transmit_power >= 1e-3) & (layout.transmit_power <= 2e-3)).all()
-
-
-def test_a_map_as_spreadsheets_write_it(tmp_path: Path) -> None:
-    (tmp_path / "map.csv").write_bytes(b"\xef\xbb\xbfx_m,y_m\r\n0,0\r\n50,60\r\n\r\n")
-    assert Scenario.load(write(tmp_path, "base: tiny\ndevices_csv: map.csv\n")).devices == 2
-
-
-def test_a_map_is_the_same_in_every_resampled_mission(tmp_path: Path) -> None:
-    scenario = with_csv(tmp_path, CSV, "layout: resample\n")
-    world = World(scenario, missions=3)
-    assert (world.device_positions == [[0, 0], [50, 60]]).all()
-    assert len(np.unique(world.update_period, axis=0)) > 1  # what the map leaves open is drawn
-
-
-@pytest.mark.parametrize(
-    ("table", "words"),
-    [
-        ("x_m\n0\n", ["y_m", "missing", "x_m"]),
-        ("x,y\n0,0\n", ["'x'", "did you mean 'x_m'"]),
-        ("x_m,y_m,power\n0,0,1\n", ["'power'", "transmit_power_mw"]),
-        ("x_m,y_m,bandwith_hz\n0,0,1\n", ["'bandwith_hz'", "did you mean 'bandwidth_hz'"]),
-        ("x_m,y_m\n0,zero\n", ["line 2", "y_m", "'zero'", "number"]),
-        ("x_m,y_m\n0,0\n5\n", ["line 3", "y_m", "number"]),
-        ("x_m,y_m\n0,\n", ["line 2", "y_m", "number"]),
-        ("x_m,y_m\n0,nan\n", ["line 2", "y_m", "finite"]),
-        ("x_m,y_m\n0,0\n\n1,zero\n", ["line 4", "y_m"]),
-        ("x_m,y_m\n", ["no device"]),
-        ("", ["x_m"]),
-        ("x_m,y_m\n0,0\n0,0\n", ["devices_m[1]", "same position", "device 0"]),
-        ("x_m,y_m\n0,0\n900,0\n", ["devices_m[1]", "outside"]),
-        ("x_m,y_m,update_period_slots\n0,0,1.5\n", ["update_period_slots", "1.5"]),
-        ("x_m,y_m,update_period_slots\n0,0,0\n", ["update_period_slots", "0"]),
-        ("x_m,y_m,bandwidth_hz\n0,0,-1\n", ["bandwidth_hz", "-1", "greater than 0"]),
-        ("x_m,y_m,x_m\n0,0,5\n", ["x_m", "twice"]),
-        ("x_m,y_m\n0,0,5\n", ["line 2"]),
-    ],
-)
-def test_maps_that_cannot_be_used(table: str, words: list[str], tmp_path: Path) -> None:
-    message = refusal(lambda: with_csv(tmp_path, table)).replace(str(tmp_path), "")
-    for word in words:
-        assert word in message, message
-
-
-def test_a_map_that_is_a_folder_or_not_text(tmp_path: Path) -> None:
-    (tmp_path / "map.csv").mkdir()
-    path = write(tmp_path, "base: tiny\ndevices_csv: map.csv\n")
-    assert "cannot be read" in refusal(lambda: Scenario.load(path))
-    (tmp_path / "other.csv").write_bytes(b"x_m,y_m\n\xff,\xfe\n")
-    path = write(tmp_path, "base: tiny\ndevices_csv: other.csv\n")
-    assert "cannot be read" in refusal(lambda: Scenario.load(path))
-
-
-# -- junk ----------------------------------------------------------------------------------------------
-
-
-def nested(depth: int) -> list[Any]:
-    """A list in a list in a list."""
-    value: list[Any] = []
-    for _ in range(depth):
-        value = [value]
-    return value
-
-
-EXTREMES: list[dict[str, Any]] = [
-    {"slots": 10**5000},
-    {"area_x_m": 10**400},
-    {"area_x_m": 1e308, "grid_step_m": 1e-5},
-    {"cds_m": [[1e308, 0], [0, 0]], "area_x_m": 0.01, "area_y_m": 0.01, "grid_step_m": 0.01},
-    {"slots": nested(20_000)},
-    {"bandwidth_hz": nested(20_000)},
-    {"cds_m": [[[[[]]]], {}]},
-    {"update_period_slots": [10**400] * 4},
-    {"\ud800": 1},
-    {"name": "\ud800"},
-    {"": None},
-]
-
-
-@pytest.mark.parametrize("changes", EXTREMES, ids=[f"{number}: {list(c)}" for number, c in enumerate(EXTREMES)])
-def test_extreme_values_are_refused_or_accepted_but_never_crash(changes: dict[str, Any]) -> None:
-    with suppress(InputError):
-        Scenario.from_dict(TINY.to_dict() | changes)
-
-
-EXTREMES_THAT_LOAD: list[dict[str, Any]] = [
-    {"flight_time_budget_s": 1e25},
-    {"noise_power_dbm": 1e6},
-    {"noise_power_dbm": -1e6},
-    {"reference_gain_db": 1e6},
-    {"carrier_frequency_hz": 1e-300},
-    {"update_period_slots": 10**30},
-    {"update_period_slots": {"low": 1, "high": 10**30}},
-]
-
-
-@pytest.mark.parametrize("changes", EXTREMES_THAT_LOAD, ids=str)
-@pytest.mark.filterwarnings("error")
-def test_what_is_accepted_can_be_played(changes: dict[str, Any]) -> None:
-    """An absurd quantity is refused when it is loaded, or simulated; it does not fail later."""
-    try:
-        scenario = TINY.replace(**changes)
-    except InputError:
-        return
-    world = World(scenario)
-    assert np.isfinite(world.snr).all()
-    assert (world.update_period >= 1).all()
-    assert world.allowed_moves[..., 0].all()
-
-
-junk = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers()
-    | st.integers(-(10**320), 10**320)
-    | st.floats()
-    | st.text(max_size=8)
-    | st.binary(max_size=4)
-    | st.dates()
-    | st.sampled_from(["paper", "1e3", "none", "", "\0"]),
-    lambda inner: (
-        st.lists(inner, max_size=5)
-        | st.dictionaries(st.text(max_size=5) | st.sampled_from(["low", "high"]), inner, max_size=3)
-        | st.tuples(inner, inner)
-    ),
-    max_leaves=12,
-)
-near_numbers = st.sampled_from([0, 1, 2, 3, -1, 1.0, 0.1, 1e-12, 1e12, 1e300, 10**20, -0.0, 100, 200, 5e-324])
-fields = st.sampled_from(sorted(Scenario.model_fields)) | st.text(max_size=6)
-
-
-@settings(max_examples=100)
-@given(st.dictionaries(fields, junk, max_size=8))
-def test_junk_is_refused_politely(mapping: dict[str, Any]) -> None:
-    assert refusal(lambda: Scenario.from_dict(mapping))
-
-
-@settings(max_examples=300)
-@given(changes=st.dictionaries(fields, junk | near_numbers, min_size=1, max_size=4))
-def test_a_good_scenario_with_junk_in_it_is_refused_politely(changes: dict[str, Any]) -> None:
-    for action in (lambda: TINY.replace(**changes), lambda: Scenario.from_dict(TINY.to_dict() | changes)):
-        with suppress(InputError):  # nothing else may be raised
-            action()
 
 
 @pytest.mark.parametrize("mapping", [None, [], "tiny", 3, [("slots", 3)], {1: 2}, {None: 3}, {(1, 2): 3}])

@@ -1,0 +1,26 @@
+"""Scenario files that tests write, and the message of an InputError."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from uavaou.errors import InputError
+
+
+def refusal(action: Callable[[], object]) -> str:
+    """The message of the InputError that the action ends in; one line."""
+    with pytest.raises(InputError) as caught:
+        action()
+    message = str(caught.value)
+    assert "\n" not in message
+    assert 0 < len(message) < 400
+    return message
+
+
+def write(folder: Path, text: str, name: str = "mine.yaml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path

@@ -1,0 +1,92 @@
+"""Devices from a CSV file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.scenario_files import refusal, write
+from uavaou.scenario import Scenario
+from uavaou.world.world import World
+
+CSV = "x_m,y_m\n0,0\n50,60\n"
+
+
+def with_csv(folder: Path, table: str, more: str = "") -> Scenario:
+    """A scenario based on tiny with a map of its own."""
+    write(folder, table, "map.csv")
+    return Scenario.load(write(folder, f"base: tiny\ndevices_csv: map.csv\n{more}"))
+
+
+def test_a_map_of_ones_own(tmp_path: Path) -> None:
+    table = (
+        "x_m, y_m, update_period_slots, transmit_power_mw, bandwidth_hz\n"
+        "0, 0, 1, 0.5, 15000\n12.5, 200, 7, 1e-1, 20000\n"
+    )
+    scenario = with_csv(tmp_path, table)
+    assert scenario.devices == 2
+    layout = scenario.draw_layout()
+    assert layout.positions.tolist() == [[0, 0], [12.5, 200]]
+    assert layout.update_period.tolist() == [1, 7]
+    assert layout.transmit_power == pytest.approx([0.5e-3, 0.1e-3])
+    assert layout.bandwidth.tolist() == [15_000, 20_000]
+    assert Scenario.load(write(tmp_path, scenario.to_yaml(), "again.yaml")) == scenario
+
+
+def test_a_map_without_the_other_columns_keeps_the_scenarios_values(tmp_path: Path) -> None:
+    scenario = with_csv(tmp_path, CSV, "transmit_power_mw: {low: 1, high: 2}\n")
+    layout = scenario.draw_layout()
+    assert (layout.bandwidth == 15_000).all()
+    assert ((layout.transmit_power >= 1e-3) & (layout.transmit_power <= 2e-3)).all()
+
+
+def test_a_map_as_spreadsheets_write_it(tmp_path: Path) -> None:
+    (tmp_path / "map.csv").write_bytes(b"\xef\xbb\xbfx_m,y_m\r\n0,0\r\n50,60\r\n\r\n")
+    assert Scenario.load(write(tmp_path, "base: tiny\ndevices_csv: map.csv\n")).devices == 2
+
+
+def test_a_map_is_the_same_in_every_resampled_mission(tmp_path: Path) -> None:
+    scenario = with_csv(tmp_path, CSV, "layout: resample\n")
+    world = World(scenario, missions=3)
+    assert (world.device_positions == [[0, 0], [50, 60]]).all()
+    assert len(np.unique(world.update_period, axis=0)) > 1  # what the map leaves open is drawn
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("x_m\n0\n", ["y_m", "missing", "x_m"]),
+        ("x,y\n0,0\n", ["'x'", "did you mean 'x_m'"]),
+        ("x_m,y_m,power\n0,0,1\n", ["'power'", "transmit_power_mw"]),
+        ("x_m,y_m,bandwith_hz\n0,0,1\n", ["'bandwith_hz'", "did you mean 'bandwidth_hz'"]),
+        ("x_m,y_m\n0,zero\n", ["line 2", "y_m", "'zero'", "number"]),
+        ("x_m,y_m\n0,0\n5\n", ["line 3", "y_m", "number"]),
+        ("x_m,y_m\n0,\n", ["line 2", "y_m", "number"]),
+        ("x_m,y_m\n0,nan\n", ["line 2", "y_m", "finite"]),
+        ("x_m,y_m\n0,0\n\n1,zero\n", ["line 4", "y_m"]),
+        ("x_m,y_m\n", ["no device"]),
+        ("", ["x_m"]),
+        ("x_m,y_m\n0,0\n0,0\n", ["devices_m[1]", "same position", "device 0"]),
+        ("x_m,y_m\n0,0\n900,0\n", ["devices_m[1]", "outside"]),
+        ("x_m,y_m,update_period_slots\n0,0,1.5\n", ["update_period_slots", "1.5"]),
+        ("x_m,y_m,update_period_slots\n0,0,0\n", ["update_period_slots", "0"]),
+        ("x_m,y_m,bandwidth_hz\n0,0,-1\n", ["bandwidth_hz", "-1", "greater than 0"]),
+        ("x_m,y_m,x_m\n0,0,5\n", ["x_m", "twice"]),
+        ("x_m,y_m\n0,0,5\n", ["line 2"]),
+    ],
+)
+def test_maps_that_cannot_be_used(table: str, words: list[str], tmp_path: Path) -> None:
+    message = refusal(lambda: with_csv(tmp_path, table)).replace(str(tmp_path), "")
+    for word in words:
+        assert word in message, message
+
+
+def test_a_map_that_is_a_folder_or_not_text(tmp_path: Path) -> None:
+    (tmp_path / "map.csv").mkdir()
+    path = write(tmp_path, "base: tiny\ndevices_csv: map.csv\n")
+    assert "cannot be read" in refusal(lambda: Scenario.load(path))
+    (tmp_path / "other.csv").write_bytes(b"x_m,y_m\n\xff,\xfe\n")
+    path = write(tmp_path, "base: tiny\ndevices_csv: other.csv\n")
+    assert "cannot be read" in refusal(lambda: Scenario.load(path))
