@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,10 +15,14 @@ from uavaou_cli.checks import given_path, writable_file
 from uavaou_cli.evaluate_suite import Request, evaluate_suite
 from uavaou_cli.options import Episodes, MissionSeed, Quiet, SetScenario, choice, seconds
 from uavaou_cli.overrides import parse_overrides
-from uavaou_cli.tables import show
+from uavaou_cli.progress import EvaluationDisplay
+from uavaou_cli.tables import interval_figures, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
+    from uavaou.evaluation.evaluate import Evaluation
     from uavaou.planners.base import Planner
+    from uavaou.runs.comparison import Comparison
+    from uavaou.scenario import Scenario
 
 # In the help, which must not import the planners; a test holds it to the registry.
 _PLANNER_NAMES = "random, stay, greedy, best-first, tour, partition-tour, anneal, rolling or exact"
@@ -58,8 +63,6 @@ def evaluate(
     made = _make_planners(planners, time_limit)  # a misspelled one fails before torch is imported
     from uavaou.runs.comparison import common_scenario, compare, load_runs, read_runs
     from uavaou.scenario import Scenario
-    from uavaou_cli.progress import EvaluationDisplay
-    from uavaou_cli.tables import evaluation_lines
 
     configs = read_runs(folders)
     overrides.only_of_scenario("a trained run is evaluated as it is")
@@ -103,3 +106,43 @@ def _make_planners(names: list[str], time_limit: float | None) -> dict[str, Plan
     if time_limit is not None and not any(name in PLAN_AHEAD for name in names):
         raise InputError(f"--time-limit {time_limit:g}: needs a --policy that plans ahead: {', '.join(PLAN_AHEAD)}")
     return make_planners(names, time_limit)
+
+
+def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> list[str]:
+    """A table of policies: means, each with its 95 % interval below."""
+    scenario, episodes, seed = comparison.scenario, comparison.episodes, comparison.seed
+    changed = " with " + ", ".join(f"{key}={value}" for key, value in sorted(overrides.items())) if overrides else ""
+    seeds = f"seeds {seed} to {seed + episodes - 1}" if episodes > 1 else f"seed {seed}"
+    missions = "missions" if episodes > 1 else "mission"
+    lines = wrapped(f"{scenario.name}{changed}: {episodes:,} {missions}, {seeds}")
+    heads = [
+        ("action", ""),
+        ("mean AoU", "(slots)"),
+        ("mean AoU", "(s)"),
+        ("communi-", "cations"),
+        ("devices", f"of {scenario.devices}"),
+        ("viola-", "tions"),
+    ]
+    actions = comparison.actions
+    rows = [(name, _cells(scenario, result, actions[name])) for name, result in comparison.results.items()]
+    lines += ["", *two_line_table(heads, rows)]
+    for name, result in comparison.results.items():
+        broken = ", ".join(f"{key} {count:,}" for key, count in result.violations.items() if count)
+        if broken:
+            lines += ["", f"{name} broke constraints: {broken}"]
+    note = "below each mean: its 95 % interval over missions" if episodes > 1 else "one mission alone gives no interval"
+    return [*lines, "", note]
+
+
+def _cells(scenario: Scenario, result: Evaluation, action: str | None) -> list[tuple[str, str]]:
+    from uavaou.statistics import interval_over_missions
+
+    aou = result.values("mean_aou_s")
+    return [
+        (action or "-", ""),
+        interval_figures(interval_over_missions(aou / scenario.slot_length_s)),
+        interval_figures(interval_over_missions(aou)),
+        interval_figures(interval_over_missions(result.values("communications"))),
+        interval_figures(interval_over_missions(result.values("devices_served"))),
+        (f"{sum(result.violations.values()):,}", ""),
+    ]

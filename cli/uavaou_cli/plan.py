@@ -12,11 +12,16 @@ import typer
 from uavaou.errors import InputError, unknown
 from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
 from uavaou_cli.checks import writable_folder
+from uavaou_cli.evaluate import evaluation_lines
 from uavaou_cli.options import Episodes, MissionSeed, Quiet, ScenarioArgument, SetScenario, number, seconds
 from uavaou_cli.overrides import Overrides, parse_overrides
-from uavaou_cli.tables import show
+from uavaou_cli.progress import EvaluationDisplay, PlanningDisplay
+from uavaou_cli.tables import aligned, duration, figure, show, wrapped
 
 if TYPE_CHECKING:
+    from uavaou.planners.bound import Bound
+    from uavaou.planners.plan import RoutePlan
+    from uavaou.runs.comparison import Comparison
     from uavaou.scenario import Scenario
 
 _BOUND_S = 30.0  # for the bound that stands beside a plan; `uavaou gap` takes longer
@@ -68,15 +73,13 @@ def gap(
     from uavaou.planners import gap_planners, make_planners
     from uavaou.planners.bound import lower_bound
     from uavaou.runs.comparison import compare, load_runs
-    from uavaou_cli.progress import EvaluationDisplay
-    from uavaou_cli.tables import gap_lines
 
     planners = make_planners(gap_planners(chosen), time_limit, limited=("anneal", "rolling"))
     policies = (load_runs(run, chosen) if run else {}) | planners
     bound = lower_bound(chosen, chosen.draw_layout())
     with EvaluationDisplay(quiet, list(policies), episodes * chosen.slots) as display:
         comparison = compare(policies, chosen, episodes, seed, display)
-    show(gap_lines(comparison, bound))
+    show(_gap_lines(comparison, bound))
 
 
 def _scenario(name: str, overrides: Overrides) -> Scenario:
@@ -96,8 +99,6 @@ def _plan_and_report(
     from uavaou.planners.plan import RoutePlanner
     from uavaou.reports.trajectories import plot_trajectories
     from uavaou.runs.comparison import compare
-    from uavaou_cli.progress import EvaluationDisplay, PlanningDisplay
-    from uavaou_cli.tables import evaluation_lines, plan_lines
 
     planner = make_planner(name, time_limit)
     assert isinstance(planner, RoutePlanner)
@@ -112,7 +113,41 @@ def _plan_and_report(
     write_json(folder / "plan.json", plan.to_dict(scenario))
     with EvaluationDisplay(quiet, [name], episodes * scenario.slots) as flights:
         comparison = compare({name: planner}, scenario, episodes, seed, flights)
-    show([*plan_lines(scenario, plan, took, folder / "plan.json"), ""])
+    show([*_plan_lines(scenario, plan, took, folder / "plan.json"), ""])
     show(evaluation_lines(comparison, {}))
     recording = record_mission(scenario, planner, seed)
     show(plot_trajectories(scenario, recording, folder, f"mission-{seed}"))
+
+
+def _plan_lines(scenario: Scenario, plan: RoutePlan, took_s: float, path: Path) -> list[str]:
+    """What a planning found, and where it is kept."""
+    tau = scenario.slot_length_s
+    ended = "interrupted after" if plan.interrupted else "in"
+    lines = [
+        f"planned {scenario.name} with {plan.planner} {ended} {duration(took_s)}",
+        f"expected mean AoU: {figure(plan.mean_aou_s / tau)} slots ({figure(plan.mean_aou_s)} s)",
+    ]
+    if plan.gap is not None and plan.bound_s is not None:
+        proven = "proven optimal" if plan.gap < 1e-9 else f"gap {plan.gap:.1%}"
+        lines.append(f"lower bound:       {figure(plan.bound_s / tau)} slots, {proven}")
+    return [*lines, f"plan:              {path}"]
+
+
+def _gap_lines(comparison: Comparison, bound: Bound) -> list[str]:
+    """One row for the bound and one for each policy, the best first."""
+    scenario, results = comparison.scenario, comparison.results
+    episodes, seed = comparison.episodes, comparison.seed
+    tau, least = scenario.slot_length_s, bound.mean_aou_s
+    best = min(result.mean_aou_s for result in results.values())
+    rows = [("policy", "mean AoU (slots)", "(s)", "over bound", "over best", "")]
+    rows.append(("lower bound", figure(least / tau), figure(least), "1.00", _ratio(least, best), bound.method))
+    for name, result in sorted(results.items(), key=lambda item: item[1].mean_aou_s):
+        mean = result.mean_aou_s
+        rows.append((name, figure(mean / tau), figure(mean), _ratio(mean, least), _ratio(mean, best), ""))
+    head = f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}"
+    note = "the expected mean AoU of every policy that does not foresee the channel is at least the bound"
+    return [head, "", *aligned(rows), "", *wrapped(note)]
+
+
+def _ratio(value: float, base: float) -> str:
+    return f"{value / base:,.2f}" if base > 0 else "-"

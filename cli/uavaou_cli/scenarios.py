@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from uavaou_cli.tables import show
+from uavaou_cli.tables import aligned, show, wrapped
 
 
 def scenarios() -> None:
     """List the scenarios that come with uavaou."""
     from uavaou.scenario import Scenario
     from uavaou.zoo import zoo_names
-    from uavaou_cli.tables import scenario_lines
 
-    show(scenario_lines([Scenario.load(name) for name in zoo_names("scenarios")]))
+    rows, words = [("scenario", "UAVs", "devices", "slots", "area")], [""]
+    for scenario in map(Scenario.load, zoo_names("scenarios")):
+        area = f"{scenario.area_x_m:g} m x {scenario.area_y_m:g} m"
+        rows.append((scenario.name, str(scenario.uavs), str(scenario.devices), str(scenario.slots), area))
+        words.append(scenario.description)
+    for sizes, description in zip(aligned(rows), words, strict=True):
+        show([sizes, *wrapped(description, indent="  ")])
+    show(["", "paper is the default; the path of a YAML file can stand for a name"])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+import textwrap
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,10 +16,12 @@ from uavaou.errors import InputError
 from uavaou_cli.checks import given_path, writable_folder
 from uavaou_cli.options import Quiet, Results, StudyArgument, choice, number
 from uavaou_cli.progress import StudyDisplay, say_how_to_go_on
-from uavaou_cli.tables import show
+from uavaou_cli.tables import WIDTH, aligned, duration, interval_figures, show, wrapped
 
 if TYPE_CHECKING:
+    from uavaou.reports.standings import Standing
     from uavaou.studies.jobs import Engine
+    from uavaou.studies.status import PartStatus
     from uavaou.studies.study import Study
 
 MOST_JOBS = 4096
@@ -46,7 +50,6 @@ def run(
     chosen, folder = _study(study, out)
     writable_folder(folder)
     from uavaou.studies.runner import run_study
-    from uavaou_cli.study_tables import study_lines
 
     with ExitStack() as stack:
         performer = _engine(stack, engine, jobs, address, ctx.obj["plugins"])
@@ -61,7 +64,7 @@ def run(
     if outcome.stopped_by is not None:
         say_how_to_go_on(ctx.obj["arguments"], f" with {outcome.done} of {outcome.total} parts done")
         raise typer.Exit(128 + outcome.stopped_by)
-    show(study_lines(folder))
+    show(_result_lines(folder))
     if outcome.failed:
         raise typer.Exit(1)
 
@@ -69,10 +72,9 @@ def run(
 def status(study: StudyArgument, out: Results = Path("results")) -> None:
     """Show how the runs of a study stand."""
     from uavaou.studies.status import study_status
-    from uavaou_cli.study_tables import status_lines
 
     chosen, _ = _study(study, out)
-    show(status_lines(chosen, study_status(chosen, out)))
+    show(_status_lines(chosen, study_status(chosen, out)))
 
 
 def report(study: StudyArgument, out: Results = Path("results")) -> None:
@@ -83,12 +85,11 @@ def report(study: StudyArgument, out: Results = Path("results")) -> None:
     taken as they stand.
     """
     from uavaou.reports.study_report import report_study
-    from uavaou_cli.study_tables import study_lines
 
     chosen, folder = _study(study, out)
     writable_folder(folder)
     report_study(chosen, out, lambda remark: print(f"uavaou: {remark}", file=sys.stderr))
-    show(study_lines(folder))
+    show(_result_lines(folder))
 
 
 def _study(name: str, out: Path) -> tuple[Study, Path]:
@@ -112,3 +113,51 @@ def _engine(stack: ExitStack, name: str, jobs: int | None, address: str | None, 
     from uavaou.studies.cluster import Cluster
 
     return stack.enter_context(Cluster(jobs if address else jobs or cores, address, plugins))
+
+
+def _result_lines(folder: Path) -> list[str]:
+    """The results of a study: for each scenario the mean AoU of every variant and planner, the best first."""
+    from uavaou.reports.standings import standings
+    from uavaou.studies.results import read_study
+
+    results = read_study(folder)
+    lines = [f"study {results.settings['name']}: mean AoU in slots, {results.settings['episodes']} missions a run"]
+    if not results.evaluated:
+        return [*lines, "", "nothing has been evaluated yet", f"results: {folder}"]
+    for scenario, found in standings(results).items():
+        head = (scenario, "seeds", "mean AoU", "95 % interval", "violations")
+        lines += ["", *aligned([head, *map(_cells, found)])]
+    note = (
+        "intervals: Student's over seeds; of one seed, and of planners, a bootstrap over missions; the lower bound is "
+        "one on the expected mean AoU"
+    )
+    return [*lines, "", *wrapped(note), f"results: {folder}"]
+
+
+def _cells(one: Standing) -> tuple[str, ...]:
+    violations = "-" if one.violations is None else f"{one.violations:,}"
+    return one.policy, str(one.seeds or "-"), *interval_figures(one.mean), violations
+
+
+def _status_lines(study: Study, parts: Sequence[PartStatus]) -> list[str]:
+    """A row for each run, planner and bound, and the time left."""
+    from uavaou.studies.status import seconds_left
+
+    states = ("finished", "trained", "running", "stopped", "failed", "waiting")
+    counts = [(state, sum(part.state == state for part in parts)) for state in states]
+    summary = ", ".join(f"{count} {state}" for state, count in counts if count)
+    left_s = seconds_left(list(parts))
+    left = f", about {duration(left_s)} left" if left_s is not None else ""
+    rows = [("variant", "scenario", "seed", "slots", "state")]
+    for part in parts:
+        seed = "-" if part.key.seed is None else str(part.key.seed)
+        slots = "-" if part.slots is None else f"{part.slots:,} of {part.budget:,}"
+        rows.append((part.key.variant, part.key.scenario, seed, slots, part.state + _by(part)))
+    failed = [f"{part.key.variant} on {part.key.scenario}: {part.detail}" for part in parts if part.state == "failed"]
+    reasons = [line for text in failed for line in textwrap.wrap(text, WIDTH, subsequent_indent="  ")]
+    head = f"study {study.name}: {len(parts)} parts, {summary}{left}"
+    return [head, "", *aligned(rows), *(["", *reasons] if reasons else [])]
+
+
+def _by(part: PartStatus) -> str:
+    return f", {part.detail}" if part.state == "running" and part.detail else ""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,11 +14,12 @@ from uavaou.errors import InputError
 from uavaou_cli.checks import available_device, writable_folder
 from uavaou_cli.options import LARGEST_SEED, Quiet, Results, choice, number
 from uavaou_cli.overrides import parse_overrides
-from uavaou_cli.progress import say_how_to_go_on
-from uavaou_cli.tables import show
+from uavaou_cli.progress import TrainingDisplay, say_how_to_go_on
+from uavaou_cli.tables import duration, figure, show
 
 if TYPE_CHECKING:
     from uavaou.runs.folder import RunConfig, RunFolder
+    from uavaou.runs.train import Outcome
 
 _ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # in the help, without the registry; tested
 
@@ -70,8 +72,6 @@ def train(
     again = ctx.obj["arguments"]
     try:  # importing torch takes seconds: Ctrl-C may come there already
         from uavaou.runs.train import train as run_training
-        from uavaou_cli.progress import TrainingDisplay
-        from uavaou_cli.tables import training_lines
 
         outcome = run_training(
             plan, folder, device=device, backend=backend, resume=resume, checkpoint_every_s=checkpoint_every,
@@ -83,7 +83,7 @@ def train(
     if outcome.stopped_by is not None:
         say_how_to_go_on(_resuming(again, folder), f" after {outcome.progress.slots:,} slots, which are kept")
         raise typer.Exit(128 + outcome.stopped_by)
-    show(training_lines(outcome, plan, ctx.obj["plugins"]))
+    show(_lines(outcome, plan, ctx.obj["plugins"]))
 
 
 def _plan(
@@ -116,3 +116,22 @@ def _again(path: Path, out: Path, given: Mapping[str, object]) -> tuple[RunConfi
 
 def _resuming(arguments: list[str], folder: RunFolder) -> list[str]:
     return arguments if "--resume" in arguments or not folder.exists() else [*arguments, "--resume"]
+
+
+def _lines(outcome: Outcome, config: RunConfig, plugins: Sequence[str]) -> list[str]:
+    """How a training ended, and what to type next, with the ``plugins`` that this command was given."""
+    progress, folder = outcome.progress, outcome.folder.path
+    lines = [
+        f"trained {config.algorithm.name} on {config.scenario.name}: "
+        f"{progress.slots:,} slots, {outcome.agent_steps:,} agent steps, {duration(progress.wall_s)}",
+        f"run folder:      {folder}",
+    ]
+    if progress.best_score is not None:
+        in_slots = progress.best_score / config.scenario.slot_length_s
+        lines.append(
+            f"best validation: mean AoU {figure(in_slots)} slots ({figure(progress.best_score)} s), "
+            f"{progress.best_action} actions"
+        )
+    named = [word for place in plugins for word in ("--plugin", place)]
+    command = ["uavaou", *named, "eval", str(folder), "--policy", "random", "--policy", "greedy"]
+    return [*lines, f"next:            {shlex.join(command)}"]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,17 +13,20 @@ from uavaou.errors import InputError
 from uavaou_cli.checks import writable_folder
 from uavaou_cli.options import LARGEST_SEED, Quiet, number
 from uavaou_cli.options import seconds as seconds_option
-from uavaou_cli.overrides import parse_overrides
+from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TuningDisplay, say_how_to_go_on
-from uavaou_cli.tables import show
+from uavaou_cli.tables import aligned, figure, show, wrapped
 
 if TYPE_CHECKING:
-    from uavaou.tuning.search import Search, SearchFolder
+    from uavaou.algorithms.config import AlgorithmConfig
+    from uavaou.tuning.search import Search, SearchFolder, TrialRecord
+    from uavaou.tuning.search_space import SearchSpace
 
 DEFAULT_TRIALS = 12
 DEFAULT_TOP = 4
 MOST_TRIALS = 100_000
 MOST_JOBS = 1024
+_BEST_TRIALS = 5  # that are shown
 
 
 def tune(
@@ -62,19 +67,29 @@ def tune(
     """
     if (seconds is None) == (slots is None):
         raise InputError("each trial's budget: give --seconds S or --slots N, one of them")
+    overrides = parse_overrides(set_ or [])
     if from_ is None:
         if top is not None:
             raise InputError("--top: of which search? add --from DIR")
-        search, folder = _search(scenario, algorithm or "mappo", seconds, slots, space, seed, out, set_ or [])
+        settings, varied, first = _start(algorithm or "mappo", space, overrides)
     else:
         for option, given in (("--trials", trials), ("--space", space)):
             if given is not None:
                 raise InputError(f"{option} and --from: give one of them; --top says how many trials run")
         top = top or DEFAULT_TOP
-        search, folder = _continuation(from_, top, scenario, algorithm, seconds, slots, seed, out, set_ or [])
+        settings, varied, first = _best(from_, top, algorithm, overrides)
+    from uavaou.runs.folder import run_folder
+    from uavaou.scenario import Scenario
+    from uavaou.tuning.search import Search, SearchFolder
+
+    base = Scenario.load(scenario)
+    search = Search(overrides.of_scenario(base), settings, varied, seconds, slots, seed, first)
+    run = run_folder(out, base, overrides.scenario, settings.name, overrides.algorithm, seed)
+    folder = SearchFolder(run.path.parent)
+    if from_ is not None and folder.path.resolve() == from_.resolve():
+        raise InputError(f"--from {from_}: the best of it would go into its own folder: choose another --out")
     wanted = top or trials or DEFAULT_TRIALS
     from uavaou.tuning.trials import read_trials, run_search
-    from uavaou_cli.tables import tuning_lines
 
     writable_folder(folder.path)
     folder.claim(search)
@@ -85,57 +100,76 @@ def tune(
     except KeyboardInterrupt:
         say_how_to_go_on(ctx.obj["arguments"])
         raise typer.Exit(130) from None
-    show(tuning_lines(folder, search, records, scenario, ctx.obj["plugins"]))
+    show(_lines(folder, search, records, scenario, ctx.obj["plugins"]))
 
 
-def _search(
-    scenario: str, algorithm: str, seconds: float | None, slots: int | None, space: Path | None, seed: int, out: Path,
-    items: list[str],
-) -> tuple[Search, SearchFolder]:  # fmt: skip
-    """The search that the options ask for, and its folder."""
-    from uavaou.runs.folder import run_folder
-    from uavaou.scenario import Scenario
-    from uavaou.tuning.search import Search, SearchFolder
+def _start(
+    name: str, space: Path | None, overrides: Overrides
+) -> tuple[AlgorithmConfig, SearchSpace, tuple[dict[str, Any], ...]]:
+    """What a new search starts from: the published settings and the overrides, the space, and the first trial."""
     from uavaou.tuning.search_space import RESERVED, SearchSpace
 
-    overrides = parse_overrides(items)
-    for name in RESERVED:
-        if name in overrides.algorithm:
-            raise InputError(f"--set algorithm.{name}: the search sets it itself")
-    base, config = Scenario.load(scenario), overrides.of_algorithm(algorithm)
-    varied = SearchSpace.load(algorithm, space).without(overrides.algorithm)
-    varied.check(config)
-    search = Search(overrides.of_scenario(base), config, varied, seconds, slots, seed, (varied.values(config),))
-    run = run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)
-    return search, SearchFolder(run.path.parent)
+    for field in RESERVED:
+        if field in overrides.algorithm:
+            raise InputError(f"--set algorithm.{field}: the search sets it itself")
+    settings = overrides.of_algorithm(name)
+    varied = SearchSpace.load(name, space).without(overrides.algorithm)
+    varied.check(settings)
+    return settings, varied, (varied.values(settings),)
 
 
-def _continuation(
-    source: Path, top: int, scenario: str, algorithm: str | None, seconds: float | None, slots: int | None, seed: int,
-    out: Path, items: list[str],
-) -> tuple[Search, SearchFolder]:  # fmt: skip
-    """The search that plays the best trials of another one again, and its folder."""
-    from uavaou.runs.folder import run_folder
-    from uavaou.scenario import Scenario
-    from uavaou.tuning.search import Search, SearchFolder, ranked
+def _best(
+    source: Path, top: int, name: str | None, overrides: Overrides
+) -> tuple[AlgorithmConfig, SearchSpace, tuple[dict[str, Any], ...]]:
+    """What a search starts from that plays the best trials of another one again."""
+    from uavaou.tuning.search import SearchFolder, ranked
 
-    overrides = parse_overrides(items)
-    for name in overrides.algorithm:
-        raise InputError(f"--set algorithm.{name} and --from: the other search's settings are taken as they are")
+    for field in overrides.algorithm:
+        raise InputError(f"--set algorithm.{field} and --from: the other search's settings are taken as they are")
     before = SearchFolder(source).read()
-    if algorithm not in (None, before.algorithm.name):
-        raise InputError(f"--from {source}: a search of {before.algorithm.name}, not of --algorithm {algorithm}")
+    if name not in (None, before.algorithm.name):
+        raise InputError(f"--from {source}: a search of {before.algorithm.name}, not of --algorithm {name}")
     from uavaou.tuning.trials import read_trials
 
     best = ranked(read_trials(SearchFolder(source)))
     if len(best) < top:
         raise InputError(f"--top {top}: '{source}' holds {len(best)} trials that were played to the end")
-    base = Scenario.load(scenario)
-    search = Search(
-        overrides.of_scenario(base), before.algorithm, before.space, seconds, slots, seed,
-        tuple(record.values for record in best[:top]),
-    )  # fmt: skip
-    folder = SearchFolder(run_folder(out, base, overrides.scenario, before.algorithm.name, {}, seed).path.parent)
-    if folder.path.resolve() == source.resolve():
-        raise InputError(f"--from {source}: the best of it would go into its own folder: choose another --out")
-    return search, folder
+    return before.algorithm, before.space, tuple(record.values for record in best[:top])
+
+
+def _lines(
+    folder: SearchFolder, search: Search, records: Sequence[TrialRecord], scenario: str, plugins: Sequence[str]
+) -> list[str]:
+    """The best trials of a search, what they changed, and the command that trains with the best."""
+    from uavaou.runs.folder import train_command
+    from uavaou.tuning.search import ranked
+
+    best = ranked(records)
+    counted = [record for record in records if record.counts]
+    states = [f"{sum(r.state == state for r in counted)} {state}" for state in ("complete", "pruned", "failed")]
+    lines = [
+        f"{search.algorithm.name} on {search.scenario.name}: "
+        f"{len(counted)} {'trial' if len(counted) == 1 else 'trials'}, {', '.join(states)}"
+    ]
+    if not best:
+        reasons = {record.reason for record in counted if record.reason}
+        return [*lines, *(f"failed: {reason}" for reason in sorted(reasons)), f"table:  {folder.table}"]
+    start, tau = search.space.values(search.algorithm), search.scenario.slot_length_s
+    rows = [("trial", "mean AoU (slots)", "action", "slots", "CPU (s)")]
+    for record in best[:_BEST_TRIALS]:
+        assert record.score is not None
+        figures = figure(record.score / tau), str(record.action), f"{record.slots:,}", f"{record.cpu_s:,.1f}"
+        rows.append((str(record.number), *figures))
+    table = aligned(rows)
+    lines += ["", table[0]]
+    for line, record in zip(table[1:], best, strict=False):
+        changed = [f"{name}={_value(value)}" for name, value in record.values.items() if value != start[name]]
+        words = ", ".join(changed) or "as published"
+        lines += [line, *wrapped(words, indent="    ")]
+    settings = search.published(search.space.restored(best[0].values))
+    command = shlex.join(train_command(scenario, search.scenario, settings, plugins))
+    return [*lines, "", f"table:  {folder.table}", f"best:   {folder.best}", f"train:  {command}"]
+
+
+def _value(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
