@@ -1,6 +1,8 @@
 """uavaou: teams of UAVs that keep IoT data fresh, trained, planned, evaluated and explained.
 
-The public names load on first use, so that ``import uavaou`` is quick and needs no torch.
+The public names load on first use, so that ``import uavaou`` is quick and needs no torch. ``train`` trains a policy
+into a run folder, ``load_run`` loads the best policy of one, ``evaluate`` measures a policy or a planner, and
+``read_study`` reads the results of a study.
 """
 
 from __future__ import annotations
@@ -21,7 +23,11 @@ if TYPE_CHECKING:
     from uavaou.envs.local_rows import LocalRows as LocalRows
     from uavaou.errors import InputError as InputError
     from uavaou.evaluation.evaluate import evaluate as evaluate
+    from uavaou.runs.folder import RunConfig as RunConfig
+    from uavaou.runs.policy import load_run as load_run
+    from uavaou.runs.train import train as train
     from uavaou.scenario import Scenario as Scenario
+    from uavaou.studies.results import read_study as read_study
     from uavaou.world import World as World
 
 __version__ = "0.1.0"
@@ -39,7 +45,11 @@ _HOMES = {
     "register_algorithm": "uavaou.algorithms.registry",
     "LocalRows": "uavaou.envs.local_rows",
     "InputError": "uavaou.errors",
+    "RunConfig": "uavaou.runs.folder",
+    "train": "uavaou.runs.train",
+    "load_run": "uavaou.runs.policy",
     "evaluate": "uavaou.evaluation.evaluate",
+    "read_study": "uavaou.studies.results",
 }
 __all__ = [*_HOMES, "uavaou_v0"]
 

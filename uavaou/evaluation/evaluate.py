@@ -28,6 +28,7 @@ class Evaluation:
     metrics: list[MissionMetrics]  # of each batch of missions
     violations: dict[str, int]
     aou_over_time_s: NDArray[np.float64]  # (episodes, K) s, sum over devices of the age sums in each slot
+    slot_length_s: float  # tau
 
     def values(self, name: str) -> NDArray[Any]:
         """One figure of :class:`~uavaou.world.MissionMetrics` over all missions, (episodes, ...)."""
@@ -37,6 +38,11 @@ class Evaluation:
     def mean_aou_s(self) -> float:
         """Mean over missions and slots of sum_i sum_n A_i^n[t], s."""
         return float(self.values("mean_aou_s").mean())
+
+    @property
+    def mean_aou_slots(self) -> float:
+        """The same in slots."""
+        return self.mean_aou_s / self.slot_length_s
 
 
 def evaluate(
@@ -80,4 +86,4 @@ def evaluate(
         violations += checker.finish()
         batches.append(world.metrics())
         ages.append(aou)
-    return Evaluation(batches, total_violations(violations), np.concatenate(ages))
+    return Evaluation(batches, total_violations(violations), np.concatenate(ages), scenario.slot_length_s)

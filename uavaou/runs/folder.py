@@ -37,7 +37,24 @@ class RunConfig:
 
     scenario: Scenario
     algorithm: AlgorithmConfig
-    seed: int
+    seed: int = 0
+
+    @classmethod
+    def load(
+        cls, algorithm: str = "mappo", scenario: Scenario | Path | str = "paper", seed: int = 0, **settings: Any
+    ) -> RunConfig:
+        """The published settings of an algorithm on a scenario.
+
+        Args:
+            algorithm: its name.
+            scenario: the name of a preset, the path of a YAML file, or the scenario itself.
+            seed: of the training.
+            settings: that differ from the published ones, such as ``slots=100_000``.
+
+        Raises:
+            InputError: a name is unknown, or a value cannot be used.
+        """
+        return cls(Scenario.load(scenario), load_config(algorithm, settings), seed)
 
     def fits(self, scenario: Scenario) -> bool:
         """Whether the policy can be flown in ``scenario``: rows of the same columns, or of the same meaning."""
@@ -60,6 +77,11 @@ class RunFolder:
     """The paths of one run."""
 
     path: Path
+
+    @classmethod
+    def at(cls, place: RunFolder | Path | str) -> RunFolder:
+        """The run folder at a path."""
+        return place if isinstance(place, RunFolder) else cls(Path(place))
 
     @property
     def config(self) -> Path:

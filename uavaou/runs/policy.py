@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -91,23 +92,32 @@ def _draw(probabilities: th.Tensor, uniforms: th.Tensor) -> th.Tensor:
     return (uniforms[:, None] >= ends[:, :-1]).sum(dim=1)
 
 
-def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | None = None) -> TrainedPolicy:
+def load_run(
+    path: RunFolder | Path | str, scenario: Scenario | Path | str | None = None, action: str | None = None
+) -> TrainedPolicy:
     """Load the best policy of a run.
 
     Args:
         path: the run's folder.
-        scenario: to act in, of the same shape; None for the one trained on.
+        scenario: to act in, that the policy fits: a name, the path of a YAML file, or the scenario itself; None for
+            the one trained on.
         action: ``greedy`` or ``sample``; None for the one that the best checkpoint was chosen by.
 
     Raises:
         InputError: the folder is no run, holds no checkpoint, or was trained on another shape.
+
+    >>> from uavaou import evaluate, load_run
+    >>> policy = load_run("first-run")
+    >>> evaluate(policy, "quickstart", episodes=2).violations["bounds"]
+    0
     """
-    config = path.read_config()
-    scenario = config.scenario if scenario is None else scenario
-    _check_shape(path, config, scenario)
-    if not path.policy.is_file():
-        raise InputError(f"'{path.path}' holds no checkpoint yet: its training has not reached the first one")
-    checkpoint = ArrayFile(path.policy)  # opened once: a training at work may put another in its place
+    folder = RunFolder.at(path)
+    config = folder.read_config()
+    scenario = config.scenario if scenario is None else Scenario.load(scenario)
+    _check_shape(folder, config, scenario)
+    if not folder.policy.is_file():
+        raise InputError(f"'{folder.path}' holds no checkpoint yet: its training has not reached the first one")
+    checkpoint = ArrayFile(folder.policy)  # opened once: a training at work may put another in its place
     progress = read_header(checkpoint)
     algorithm = config.algorithm
     env = flatten(scenario, missions=1, observation=algorithm.observation, collection=algorithm.collection)
@@ -115,7 +125,7 @@ def load_run(path: RunFolder, scenario: Scenario | None = None, action: str | No
     try:
         model = make_model(algorithm, env, config.seed, device="cpu")
     except MemoryError as error:
-        raise InputError(f"{path.config}: states a learner that does not fit the memory") from error
+        raise InputError(f"{folder.config}: states a learner that does not fit the memory") from error
     load_policy_arrays(checkpoint, model)
     model.policy.set_training_mode(False)
     views = Views(scenario, algorithm.observation, algorithm.collection)

@@ -63,8 +63,14 @@ def train(
     Raises:
         InputError: the folder holds a run already, holds another one, is written by another process or cannot be
             written; or a loss, a reward or a weight is no longer finite. What the last checkpoint holds is kept.
+
+    >>> from uavaou import RunConfig, train
+    >>> config = RunConfig.load("mappo", "quickstart", slots=2000, evaluate_every_slots=1000)
+    >>> outcome = train(config, "first-run")
+    >>> outcome.folder.finished
+    True
     """
-    folder = folder if isinstance(folder, RunFolder) else RunFolder(Path(folder))
+    folder = RunFolder.at(folder)
     refuse_links(folder.path)
     _check_folder(folder, config, resume)
     try:

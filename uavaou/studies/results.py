@@ -264,6 +264,10 @@ def read_study(folder: str | Path) -> StudyResults:
     Raises:
         InputError: a file is missing or damaged; the message names the file, and the line and column where there is
             one.
+
+    >>> from uavaou import read_study
+    >>> read_study("results/studies/layouts").name
+    'layouts'
     """
     place = StudyFolder(Path(folder))
     if not place.study.is_file():
