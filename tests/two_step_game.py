@@ -53,20 +53,10 @@ class TwoStepGame(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(2 * self.games)]
         return self.rows(), np.repeat(rewards, 2).astype(np.float32), np.repeat(~first, 2), infos
 
-    def close(self) -> None:
-        pass
+    def unused(self, *_: Any, **__: Any) -> list[Any]:
+        return [None] * self.num_envs
 
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        return [getattr(self, attr_name, None)] * self.num_envs
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        setattr(self, attr_name, value)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        return [getattr(self, method_name)(*args, **kwargs)] * self.num_envs
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        return [False] * self.num_envs
+    close = get_attr = set_attr = env_method = env_is_wrapped = unused  # type: ignore[assignment]
 
 
 def play_greedily(model: Any) -> float:

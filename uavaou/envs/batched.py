@@ -1,7 +1,7 @@
-"""Many missions as one vector environment, in the form of SuperSuit's first stage but without its loop.
+"""Many missions as one vector environment: SuperSuit's first stage without its loop over missions.
 
-``supersuit.pettingzoo_env_to_vec_env_v1`` steps missions one by one through Python dicts. This class
-gives the same rows, rewards and ends for a whole World of missions at once.
+``supersuit.pettingzoo_env_to_vec_env_v1`` steps missions one by one through Python dicts. This class returns the
+same rows, rewards and ends for a whole World of missions at once.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ Step = tuple[Rows, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], li
 
 
 class BatchedMissions(VectorEnv[Any, Any, Any]):
-    """N missions x U UAVs as N * U rows ``[local | global]``, mission-major; restarts a mission in its last slot.
+    """N missions of U UAVs as N * U rows ``[local | global]``, mission-major; restarts the missions in the last slot.
 
-    Infos are empty but in the last slot of a mission, where each row holds ``mission`` (its metrics) and
+    Infos are empty except in the last slot of a mission, where each row holds ``mission`` (the metrics) and
     ``terminal_observation``. Masks are part of the rows.
     """
 
@@ -42,12 +42,11 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
         self.observation_space: spaces.Space[Any] = row_space(self.views.layout)
         self.action_space: spaces.Space[Any] = action_space(self.views.layout)
         self.world: World | None = None
-        self._actions: NDArray[Any] | None = None
 
     def reset(  # type: ignore[override]
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Rows, list[dict[str, Any]]]:
-        """Start a mission in every lane; lane j is seeded with ``seed + j``."""
+        """Start all missions; mission j is seeded with ``seed + j``."""
         if self.world is None:
             fresh = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
             self.world = World(self.scenario, self.missions, fresh)
@@ -75,15 +74,6 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
             rows = self.views.rows(self.world)
         return rows, rewards, np.full(self.num_envs, over), np.zeros(self.num_envs, dtype=np.bool_), infos
 
-    def step_async(self, actions: NDArray[Any]) -> None:
-        """Keep the actions for :meth:`step_wait`."""
-        self._actions = actions
-
-    def step_wait(self) -> Step:
-        """Play the slot with the actions kept."""
-        assert self._actions is not None
-        return self.step(self._actions)
-
     def snapshot(self, mission: int = 0) -> dict[str, Any]:
         """Describe the slot just stepped in one mission; see :meth:`uavaou.world.World.snapshot`."""
         assert self.world is not None, "call reset() first"
@@ -93,10 +83,6 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
         """A map of the first mission, (H, W, 3)."""
         if self.render_mode is None or self.world is None:
             return None
-        from uavaou.envs.map import render_frame  # matplotlib only where a picture is asked for
+        from uavaou.envs.map import render_frame  # imports matplotlib
 
         return render_frame(self.scenario, self.world.layout(), self.world.snapshot())
-
-    def env_is_wrapped(self, wrapper_class: type) -> list[bool]:
-        """No row is wrapped by anything."""
-        return [False] * self.num_envs

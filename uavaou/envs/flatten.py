@@ -41,8 +41,7 @@ def flatten(
 ) -> MissionVecEnv:
     """Flatten N missions of U UAVs into an SB3 ``VecEnv`` of N * U rows ``[local | global]``.
 
-    Rows are mission-major, then UAV. Mission j is seeded with ``seed + j``, whatever the number of
-    processes and the backend.
+    Rows are mission-major, then UAV. Mission j is seeded with ``seed + j`` for any number of processes and backend.
 
     Args:
         scenario: a preset's name, a YAML path, or a :class:`~uavaou.Scenario`.
@@ -52,11 +51,11 @@ def flatten(
         backend: ``batched``, or ``supersuit`` for SuperSuit's own stage, mission by mission.
         observation: ``location``, ``local`` or ``shared``.
         collection: ``select`` or ``auto``.
-        reward: the transform trained on, ``root`` or ``aou``.
+        reward: the transform to train on, ``root`` or ``aou``.
         render_mode: None or ``rgb_array``.
 
     Raises:
-        InputError: an argument is none of these, or ``processes`` does not divide ``missions``.
+        InputError: an argument has none of these values, or ``processes`` does not divide ``missions``.
     """
     scenario = Scenario.load(scenario)
     check_reward(reward)

@@ -1,4 +1,4 @@
-"""The flattened rows without their global part, for learners that have no centralised critic."""
+"""Rows without their global part, for learners without a centralised critic."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from uavaou.envs.vec_env import MissionVecEnv
 
 
 class LocalRows(VecEnvWrapper):
-    """Rows ``[local]`` of an environment whose rows are ``[local | global]``: what a UAV sees, and no more.
+    """The local part of rows ``[local | global]``: what a UAV observes.
 
-    Any SB3 algorithm that learns on it can fly, since no UAV knows the global state.
+    A UAV can fly the policy of any SB3 algorithm that learns on these rows.
 
     Args:
         env: what :func:`uavaou.flatten` returns.
@@ -26,7 +26,7 @@ class LocalRows(VecEnvWrapper):
         super().__init__(env, observation_space=vector_space(self._size))
 
     def reset(self) -> NDArray[np.float32]:
-        """Start a mission in every lane; rows (N * U, local)."""
+        """Start all missions; rows (N * U, local)."""
         return self._local(self.venv.reset())
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:

@@ -1,6 +1,6 @@
-"""The map of a mission: devices coloured by age, coverage, UAVs with their trails, and one frame as an array.
+"""The map of a mission: devices coloured by age, coverage, UAVs with their trails; a frame is an array.
 
-matplotlib is imported inside the functions, so that an environment which is never rendered starts without it.
+The functions import matplotlib, so that an environment that is never rendered starts without it.
 """
 
 from __future__ import annotations
@@ -23,17 +23,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-# Okabe and Ito's palette, told apart by colour-blind readers (https://jfly.uni-koeln.de/color/).
-BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILLION, PURPLE = (
-    "#000000",
-    "#E69F00",
-    "#56B4E9",
-    "#009E73",
-    "#F0E442",
-    "#0072B2",
-    "#D55E00",
-    "#CC79A7",
-)
+# Okabe and Ito's palette, which colour-blind readers can tell apart (https://jfly.uni-koeln.de/color/).
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 UAV_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, YELLOW)
 AGE_COLOURS = "magma_r"  # perceptually uniform; fresh is light, stale is dark
 
@@ -44,12 +36,12 @@ _COVERAGE_GREY = "#555555"
 
 
 def uav_colour(uav: int) -> str:
-    """The colour of a UAV, in every picture alike; beyond eight UAVs colours repeat."""
+    """The colour of a UAV in all pictures; beyond eight UAVs the colours repeat."""
     return UAV_COLOURS[uav % len(UAV_COLOURS)]
 
 
 def uav_offset(scenario: Scenario) -> Floats:
-    """How far each UAV is drawn beside its cell, so that UAVs on the same way stay apart; (U, 1) m, on both axes."""
+    """Offset at which each UAV is drawn, so that UAVs on the same path stay apart; (U, 1) m, on both axes."""
     apart = min(0.09, 0.4 / scenario.uavs) * scenario.grid_step_m
     centred: Floats = np.arange(scenario.uavs, dtype=np.float64)[:, None] - (scenario.uavs - 1) / 2  # (U, 1)
     return centred * apart
@@ -58,8 +50,8 @@ def uav_offset(scenario: Scenario) -> Floats:
 def age_scale(scenario: Scenario, layout: Layout, ages: ArrayLike | None = None) -> LogNorm:
     """A logarithmic colour scale for age sums in s; an age of 0 takes the lowest colour.
 
-    Without ``ages`` the scale runs from one slot to what a device reaches that is never collected, so that
-    all frames of a mission share it; with ``ages`` it spans them.
+    Without ``ages`` the scale runs from one slot to the age of a device that is never collected, so that all
+    frames of a mission share it; with ``ages`` it spans them.
     """
     from matplotlib.colors import LogNorm
 
@@ -72,51 +64,6 @@ def age_scale(scenario: Scenario, layout: Layout, ages: ArrayLike | None = None)
         aged = aged[aged > 0] if np.any(aged > 0) else np.array([tau])
         low, high = float(aged.min()), float(aged.max())
     return LogNorm(low, max(high, 2 * low), clip=True)
-
-
-def draw_map(
-    axes: Axes,
-    scenario: Scenario,
-    layout: Layout,
-    snapshot: dict[str, Any],
-    trails: Floats | None = None,
-    *,
-    scale: LogNorm | None = None,
-    coverage: bool = True,
-) -> None:
-    """Draw one slot of a mission: area, coverage, devices coloured by age sum, links in use, UAVs and trails.
-
-    Args:
-        axes: where to draw.
-        scenario: the scenario of the mission.
-        layout: its devices.
-        snapshot: as :meth:`uavaou.world.World.snapshot` gives it.
-        trails: positions in slots 1 to T, (T, U, 2) m; those after the snapshot's slot are left out.
-        scale: colours of the ages in s; by default :func:`age_scale` without ages, the same in all slots.
-        coverage: whether to draw each device's range.
-    """
-    draw_ground(axes, scenario)
-    if coverage:
-        draw_coverage(axes, scenario, layout)
-    _draw_slot(axes, scenario, layout, snapshot, trails, age_scale(scenario, layout) if scale is None else scale)
-
-
-def _draw_slot(
-    axes: Axes,
-    scenario: Scenario,
-    layout: Layout,
-    snapshot: dict[str, Any],
-    trails: Floats | None,
-    scale: LogNorm,
-    trail_slots: int | None = None,
-) -> None:
-    """What changes from slot to slot; ``trail_slots`` limits how far back the trails go."""
-    positions = np.asarray(snapshot["positions"])  # (U, 2) m
-    if trails is not None:
-        draw_trails(axes, scenario, np.asarray(trails)[: max(snapshot["slot"], 1)], trail_slots)
-    _draw_links(axes, scenario, layout, positions, np.asarray(snapshot["collected_by"]))
-    draw_devices(axes, layout, snapshot["age_sum"], scale)
-    draw_uavs(axes, scenario, positions)
 
 
 def _limits(length: float, scenario: Scenario) -> tuple[float, float]:
@@ -145,19 +92,19 @@ def draw_ground(axes: Axes, scenario: Scenario) -> None:
     axes.tick_params(which="minor", length=0)
     axes.set_axisbelow(True)
     for u, (x, y) in enumerate(scenario.cds_m):
-        # Squares around one another, so that UAVs which share a CDS all show theirs.
+        # Nested squares show all UAVs that share a CDS.
         side = 7.5 + 3.5 * (scenario.cds_m[:u].count((x, y)))
         axes.plot(x, y, "s", ms=side, mfc="none", mec=uav_colour(u), mew=1.3, zorder=4, clip_on=False)
 
 
-def draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:
-    """Around each device, where the UAV of middle altitude reaches it at R_min without fading."""
+def _draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:
+    """A disc around each device: where the UAV of middle altitude reaches R_min without fading."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Circle
 
     middle = int(np.argsort(scenario.altitudes)[(scenario.uavs - 1) // 2])
     radius = coverage_radius(scenario, layout)[middle]  # (I,) m
-    # A radius far beyond the area would only slow the drawing: the disc fills the picture all the same.
+    # A radius far beyond the area slows the drawing and fills the picture anyway.
     radius = np.minimum(np.nan_to_num(radius), 3 * (scenario.area_x_m + scenario.area_y_m))
     discs = [
         Circle((float(x), float(y)), float(r)) for (x, y), r in zip(layout.positions, radius, strict=True) if r > 0
@@ -195,12 +142,12 @@ def add_age_bar(axes: Axes, scale: LogNorm, label: str, **place: Any) -> Colorba
     return bar
 
 
-def draw_trails(axes: Axes, scenario: Scenario, trails: Floats, slots: int | None = None) -> None:
-    """The ways flown, (T, U, 2) m, one colour a UAV, fading into the past; ``slots`` limits how far back."""
+def _draw_trails(axes: Axes, scenario: Scenario, trails: Floats) -> None:
+    """The recent part of the trails (T, U, 2) m, one colour a UAV, fading into the past."""
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgba
 
-    recent = trails if slots is None else trails[-slots:]
+    recent = trails[-_TRAIL_SLOTS:]
     if len(recent) < 2:
         return
     shifted = recent + uav_offset(scenario)  # (T, U, 2) m
@@ -212,7 +159,7 @@ def draw_trails(axes: Axes, scenario: Scenario, trails: Floats, slots: int | Non
         axes.add_collection(lines, autolim=False)
 
 
-def draw_uavs(axes: Axes, scenario: Scenario, positions: Floats) -> None:
+def _draw_uavs(axes: Axes, scenario: Scenario, positions: Floats) -> None:
     """The UAVs at ``positions`` (U, 2) m, numbered."""
     for u, (x, y) in enumerate(positions + uav_offset(scenario)):
         axes.plot(x, y, "^", ms=15, mfc=uav_colour(u), mec="white", mew=1.0, zorder=7, clip_on=False)
@@ -226,10 +173,10 @@ def _draw_links(
 ) -> None:
     from matplotlib.collections import LineCollection
 
-    served = np.flatnonzero(collected_by >= 0)
-    by = collected_by[served]
+    collected = np.flatnonzero(collected_by >= 0)
+    by = collected_by[collected]
     start = (positions + uav_offset(scenario))[by]  # (links, 2) m
-    lines = np.stack([start, layout.positions[served]], axis=1)  # (links, 2 ends, 2) m
+    lines = np.stack([start, layout.positions[collected]], axis=1)  # (links, 2 ends, 2) m
     colours = [uav_colour(int(u)) for u in by]
     axes.add_collection(LineCollection(list(lines), colors=colours, linewidths=1.0, linestyles=":", zorder=4), False)
 
@@ -254,7 +201,12 @@ def render_frame(
     figure.figimage(ground, zorder=-10)
     axes.set(xlim=_limits(scenario.area_x_m, scenario), ylim=_limits(scenario.area_y_m, scenario), aspect="equal")
     axes.set_axis_off()
-    _draw_slot(axes, scenario, layout, snapshot, trails, age_scale(scenario, layout), _TRAIL_SLOTS)
+    positions = np.asarray(snapshot["positions"])  # (U, 2) m
+    if trails is not None:
+        _draw_trails(axes, scenario, np.asarray(trails)[: max(snapshot["slot"], 1)])
+    _draw_links(axes, scenario, layout, positions, np.asarray(snapshot["collected_by"]))
+    draw_devices(axes, layout, snapshot["age_sum"], age_scale(scenario, layout))
+    _draw_uavs(axes, scenario, positions)
     total = float(np.sum(snapshot["age_sum"]))
     axes.set_title(f"slot {snapshot['slot']} of {scenario.slots}     total age {total:,.0f} s", fontsize=11)
     return _pixels(figure)[..., :3].copy()
@@ -264,9 +216,9 @@ def render_frame(
 def _frame_ground(
     scenario_json: str, positions: bytes, bandwidth: bytes, transmit_power: bytes, update_period: bytes
 ) -> NDArray[np.uint8]:
-    """What all frames of a mission share, (H, W, 4); ticks and labels cost more time than all the rest.
+    """The part that all frames of a mission share, (H, W, 4); ticks and labels cost more time than the rest.
 
-    The arguments are text and bytes because they are the key of the cache.
+    The arguments are text and bytes because they are the cache's key.
     """
     scenario = Scenario.model_validate_json(scenario_json)
     layout = Layout(
@@ -277,16 +229,16 @@ def _frame_ground(
     )
     figure, axes = _frame()
     draw_ground(axes, scenario)
-    draw_coverage(axes, scenario, layout)
+    _draw_coverage(axes, scenario, layout)
     bar = figure.add_axes((0.87, 0.09, 0.025, 0.83))
     add_age_bar(axes, age_scale(scenario, layout), "age sum of the device (s)", cax=bar)
     ground = _pixels(figure)
-    ground.flags.writeable = False  # it is shared by all the frames to come
+    ground.flags.writeable = False  # the cache shares it
     return ground
 
 
 def _frame() -> tuple[Figure, Axes]:
-    """An empty frame; places are set by hand, since laying out by constraints would double the time."""
+    """An empty frame; fixed places, since a constrained layout doubles the time."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -297,6 +249,6 @@ def _frame() -> tuple[Figure, Axes]:
 
 
 def _pixels(figure: Figure) -> NDArray[np.uint8]:
-    canvas: Any = figure.canvas  # the Agg canvas, which carries no types
+    canvas: Any = figure.canvas  # the Agg canvas has no types
     canvas.draw()
     return np.array(canvas.buffer_rgba(), dtype=np.uint8)  # (H, W, 4)

@@ -1,7 +1,7 @@
-"""Named transforms of the paper's reward that learners may train on; metrics never use them.
+"""Named transforms of the paper's reward for training; metrics never use them.
 
-Left alone, a device's age sum grows with the square of the time since its last visit, so the paper's
-r[t] spans five orders of magnitude between an untrained and a trained fleet.
+The age sum of a device grows with the square of the time since its last visit. The paper's r[t] therefore spans
+five orders of magnitude between an untrained and a trained fleet.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from uavaou.world import World
 
 Reward = Literal["aou", "root"]
 REWARDS: tuple[Reward, ...] = ("aou", "root")
-_AOU_SCALE = 20.0  # brings a patrolled device's age sum, in slots, to the order of 1
+_AOU_SCALE = 20.0  # scales the age sum of a patrolled device, in slots, to the order of 1
 _ROOT_SCALE = 5.0
 
 
 def check_reward(name: str) -> None:
-    """Raise :class:`~uavaou.errors.InputError` where ``name`` is no transform."""
+    """Raise :class:`~uavaou.errors.InputError` if ``name`` is not a transform."""
     if name not in REWARDS:
         raise unknown("reward", name, REWARDS)
 

@@ -1,8 +1,8 @@
 """The PettingZoo environment: one mission, a view on a World of one.
 
-Agents ``uav_0`` ... act at the same time. Observations are the UAV's local observation, a flat float32
-vector; :meth:`UavAouEnv.state` is the global state. Rewards are the paper's r[t] in seconds, the same
-for every UAV. All UAVs live to slot K, which is a real termination. Infos carry ``action_mask`` in the form that
+Agents ``uav_0`` ... act at the same time. An observation is the UAV's local observation, a flat float32 vector;
+:meth:`UavAouEnv.state` is the global state. The reward is the paper's r[t] in seconds, the same for all UAVs. All
+UAVs live to slot K, where the mission terminates. Infos hold ``action_mask`` in the form that
 ``action_space.sample(mask)`` takes (int8; in ``select`` a tuple: the five moves, then leave and select for each
 device), and in the last slot ``mission``, the mission's metrics.
 """
@@ -42,7 +42,7 @@ def parallel_env(
         render_mode: None or ``rgb_array``.
 
     Raises:
-        InputError: an argument is none of these.
+        InputError: an argument has none of these values.
     """
     return UavAouEnv(Scenario.load(scenario), observation, collection, render_mode)
 
@@ -53,7 +53,7 @@ def env(**kwargs: Any) -> AECEnv[str, NDArray[np.float32], Any]:
 
 
 def check_render_mode(render_mode: str | None) -> None:
-    """Raise :class:`~uavaou.errors.InputError` where ``render_mode`` is neither None nor one of the modes."""
+    """Raise :class:`~uavaou.errors.InputError` if ``render_mode`` is neither None nor one of the modes."""
     if render_mode is not None and render_mode not in RENDER_MODES:
         raise unknown("render_mode", render_mode, RENDER_MODES)
 
@@ -83,17 +83,17 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         self._trail: list[NDArray[np.float64]] = []
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """The same object at every call, as PettingZoo asks."""
+        """The same object at every call, as PettingZoo requires."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """The same object at every call, as PettingZoo asks."""
+        """The same object at every call, as PettingZoo requires."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
-        """Start a mission: seeded, or the next one of the present stream. Options are ignored."""
+        """Start a mission: seeded, or the next one of the random stream. Options are ignored."""
         if self.world is None:
             fresh = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
             self.world = World(self.scenario, missions=1, seed=fresh)
@@ -146,13 +146,10 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         """A map of devices coloured by age, coverage, and UAVs with their trails, (H, W, 3)."""
         if self.render_mode is None:
             return None
-        from uavaou.envs.map import render_frame  # matplotlib only where a picture is asked for
+        from uavaou.envs.map import render_frame  # imports matplotlib
 
         world = self._running()
         return render_frame(self.scenario, world.layout(), world.snapshot(), np.stack(self._trail))
-
-    def close(self) -> None:
-        """Nothing is held open."""
 
     def _running(self) -> World:
         if self.world is None:
@@ -167,6 +164,6 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         allowed = world.allowed_moves[0].astype(np.int8)  # (U, 5)
         if not self.views.layout.selects:
             return {agent: {"action_mask": allowed[u]} for u, agent in enumerate(self.possible_agents)}
-        devices = np.ones((self.scenario.uavs, self.scenario.devices, 2), dtype=np.int8)  # leaving is always allowed
+        devices = np.ones((self.scenario.uavs, self.scenario.devices, 2), dtype=np.int8)  # [1, in range]
         devices[..., 1] = world.in_range[0]
         return {agent: {"action_mask": (allowed[u], *devices[u])} for u, agent in enumerate(self.possible_agents)}

@@ -115,10 +115,6 @@ class MissionVecEnv(SB3VecEnvWrapper):
         rows, rewards, dones, infos = super().step_wait()
         return rows, rewards, dones.astype(bool, copy=False), infos
 
-    def close(self) -> None:
-        """Close the environments, in every process too."""
-        self.venv.close()
-
     def missions_state(self) -> State:
         """The state of all missions, for :meth:`load_missions_state`."""
         in_workers = isinstance(self.venv, WorkerProcesses)
