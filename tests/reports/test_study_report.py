@@ -162,7 +162,7 @@ def test_the_claims_are_about_three_variants(tmp_path: Path) -> None:
     [
         ("mapo", "reference: mappo", r"variants.'vdn': against: no variant 'mapo'; did you mean 'mappo'\?"),
         ("vdn", "reference: mappo", r"variants.'vdn': against = 'vdn': expected another variant"),
-        ("qmix", "", r"variants.'vdn': against = 'qmix': is beside the study's reference"),
+        ("qmix", "", r"variants.'vdn': against = 'qmix': needs the study to name a reference"),
         ("qmix", "reference: vdn", r"against = 'qmix': the reference is what the others are held against"),
         ("3", "reference: mappo", r"variants.'vdn': against = 3"),
     ],

@@ -99,19 +99,24 @@ def _same_scenario(held: Mapping[str, Any], study: Study, name: str) -> bool:
 # -- a training ----------------------------------------------------------------------------------------
 
 
-def trained_slots(folder: RunFolder) -> int:
-    """How many slots a run has trained, by its last finished mission or its last checkpoint."""
-    try:
-        stated = folder.read_meta().slots
-    except InputError:
-        stated = 0
+def trained_so_far(folder: RunFolder) -> tuple[int, float]:
+    """How far a run's training is, while it may be writing: slots, and slots a second; 0 where there is nothing."""
     try:
         with folder.episodes.open("rb") as file:
             file.seek(max(file.seek(0, 2) - 4096, 0))
             lines = file.read().decode("utf-8", "replace").split("\n")
-        return max(int(lines[-2].split(",")[1]), stated)  # the last line is incomplete, or empty
-    except (OSError, ValueError, IndexError):
-        return stated
+        _, slots, wall_s, *_ = lines[-2].split(",")  # the last line is incomplete, or empty
+        return int(slots), int(slots) / float(wall_s)
+    except (OSError, ValueError, IndexError, ZeroDivisionError):
+        return 0, 0.0
+
+
+def trained_slots(folder: RunFolder) -> int:
+    """How many slots a run has trained, by its last finished mission or its last checkpoint."""
+    try:
+        return max(trained_so_far(folder)[0], folder.read_meta().slots)
+    except InputError:
+        return trained_so_far(folder)[0]
 
 
 def is_trained(folder: RunFolder, run: StudyRun) -> bool:

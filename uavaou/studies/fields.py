@@ -1,4 +1,4 @@
-"""The fields of a study's file, and what each may be."""
+"""The fields of a study's file, and the allowed values of each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _Entry = TypeVar("_Entry", bound=BaseModel)
 
 
 def _seeds(value: Any) -> Any:
-    """A number of seeds, or the seeds."""
+    """A number of seeds, or a list of them."""
     one = isinstance(value, int) and not isinstance(value, bool)
     seeds = list(range(value)) if one and 0 <= value <= MOST_RUNS else value
     if not isinstance(seeds, list) or not seeds or len(seeds) > MOST_RUNS:
@@ -32,8 +32,14 @@ def _seeds(value: Any) -> Any:
     return tuple(seeds)
 
 
+def _slots(value: Any) -> Any:
+    if value is None:
+        raise ValueError("expected a number; leave it out for the published budgets")
+    return value
+
+
 def _expecting(kind: type[list[Any]] | type[dict[Any, Any]], example: str) -> BeforeValidator:
-    """Refuse what is no ``kind`` in the words of a YAML file."""
+    """Refuse a value of another ``kind`` in the words of a YAML file."""
     word = "list" if kind is list else "mapping"
 
     def checked(value: Any) -> Any:
@@ -44,24 +50,29 @@ def _expecting(kind: type[list[Any]] | type[dict[Any, Any]], example: str) -> Be
     return BeforeValidator(checked)
 
 
-class StudyFields(BaseModel):
-    """The fields of a study's file; the entries of ``scenarios`` and ``variants`` are looked at one by one."""
+class StudySettings(BaseModel):
+    """The settings that a study's file states as they are."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     description: StrictStr = ""
-    slots: PositiveWhole | None = None  # training budget of every run; None: each algorithm's published one
-    seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)]
+    seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)]  # of the trainings
+    planners: Annotated[list[StrictStr], _expecting(list, "[greedy, random]")] = []  # evaluated on each scenario
+    bound: StrictBool = False  # whether each scenario's certified bound is computed
+    planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of annealing, once a scenario
+    episodes: Annotated[PositiveWhole, Field(le=MOST_EPISODES)] = 100  # missions of the final evaluation
+    reference: StrictStr | None = None  # the variant that the report compares the others with; None: no such table
+    claims: StrictBool = False  # whether the report judges the paper's claims
+
+
+class StudyFile(StudySettings):
+    """A study's file; the entries of ``scenarios`` and ``variants`` are validated one by one."""
+
+    slots: Annotated[PositiveWhole | None, BeforeValidator(_slots)] = None  # of every run; None: as published
     scenarios: Annotated[list[Any], Field(min_length=1), _expecting(list, "[paper, tiny]")]
     variants: Annotated[
         dict[StrictStr, Any], Field(min_length=1), _expecting(dict, "{mappo: {}, vdn: {set: {gamma: 0.9}}}")
     ]
-    planners: Annotated[list[StrictStr], _expecting(list, "[greedy, random]")] = []
-    bound: StrictBool = False
-    planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of annealing, once a scenario
-    episodes: Annotated[PositiveWhole, Field(le=MOST_EPISODES)] = 100  # missions of the final evaluation
-    reference: StrictStr | None = None  # the variant that the others are held against in the report
-    claims: StrictBool = False  # the report judges the paper's claims from this study
 
 
 class ScenarioEntry(BaseModel):
@@ -81,11 +92,11 @@ class VariantEntry(BaseModel):
 
     algorithm: StrictStr | None = None  # None: that of the variant's name
     set: Annotated[dict[StrictStr, Any], _expecting(dict, "{gamma: 0.9}")] = {}
-    against: StrictStr | None = None  # the variant it is held against in the report beside the reference
+    against: StrictStr | None = None  # the variant that the report compares it with, beside the reference
 
 
 def validated_entry(kind: type[_Entry], content: Any, source: str, settings: str) -> _Entry:
-    """Validate an entry of ``scenarios`` or ``variants``; ``settings`` says what may stand below its ``set``.
+    """Validate an entry of ``scenarios`` or ``variants``; ``settings`` names what belongs below its ``set``.
 
     Raises:
         InputError: naming the field, its value and what is allowed.
@@ -98,7 +109,7 @@ def validated_entry(kind: type[_Entry], content: Any, source: str, settings: str
 
 
 def usable_name(name: str, source: str) -> str:
-    """Refuse a name that could not be a folder's and stand in one cell of a table; returns it.
+    """Refuse a name that cannot name a folder and fill a table cell; returns it.
 
     Raises:
         InputError: saying what is expected.

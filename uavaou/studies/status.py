@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 from uavaou.errors import InputError
-from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import holder
-from uavaou.studies.condense import is_trained, refuse_another, trained_slots
+from uavaou.studies.condense import is_trained, refuse_another, trained_slots, trained_so_far
 from uavaou.studies.folder import StudyFolder
 from uavaou.studies.parts import ANNEALED, PLAN, PartKey
 from uavaou.studies.results import StudyResults, read_begun
@@ -70,7 +68,7 @@ def _run_status(
         return PartStatus(key, "finished", int(results.cell(key, "slots")), budget)
     slots, by = trained_slots(folder), holder(folder.lock)
     if by is not None:
-        return PartStatus(key, "running", slots, budget, _rate(folder), by)
+        return PartStatus(key, "running", slots, budget, trained_so_far(folder)[1] or None, by)
     try:
         trained = is_trained(folder, run)
     except InputError as problem:
@@ -78,18 +76,6 @@ def _run_status(
     if key in failures:
         return PartStatus(key, "failed", slots, budget, detail=failures[key])
     return PartStatus(key, "trained" if trained else "stopped" if slots else "waiting", slots, budget)
-
-
-def _rate(folder: RunFolder) -> float | None:
-    """Slots a second of wall-clock since the run's beginning."""
-    try:
-        with folder.episodes.open(newline="", encoding="utf-8") as file:
-            last = None
-            for row in csv.DictReader(file):
-                last = row
-        return int(last["slots"]) / float(last["wall_s"]) if last is not None else None
-    except (OSError, ValueError, KeyError, TypeError, ZeroDivisionError):
-        return None
 
 
 def seconds_left(parts: list[PartStatus]) -> float | None:

@@ -1,20 +1,20 @@
 """What a study is: variants of algorithms, scenarios and seeds, and the planners and bounds beside them.
 
-``zoo_configs/studies/*.yaml`` and a user's own files have the fields of ``StudyFields``; :meth:`Study.load` checks them
-and resolves every run's configuration before anything is trained.
+``zoo_configs/studies/*.yaml`` and a user's own files have the fields of ``StudyFile``. :meth:`Study.load` checks them
+and resolves the configuration of every run before anything is trained.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from itertools import product
+from dataclasses import dataclass
+from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
-from uavaou.errors import InputError, nearest
+from uavaou.errors import InputError, nearest, unknown
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.fields import short, validated
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
@@ -24,7 +24,8 @@ from uavaou.studies.fields import (
     JUDGED,
     MOST_RUNS,
     ScenarioEntry,
-    StudyFields,
+    StudyFile,
+    StudySettings,
     VariantEntry,
     usable_name,
     validated_entry,
@@ -44,37 +45,13 @@ class StudyRun:
     config: RunConfig
 
 
-@dataclass(frozen=True)
-class Study:
-    """A study, resolved: every setting of every run is known.
+class Study(StudySettings):
+    """A study, resolved: every setting of every run is known."""
 
-    Attributes:
-        name: of its results' folder.
-        description: one sentence.
-        seeds: of the trainings.
-        scenarios: by their names in the study.
-        variants: settings by the variants' names.
-        planners: evaluated on each scenario.
-        bound: whether each scenario's certified bound is computed.
-        planning_seconds: that annealing may take, once a scenario.
-        episodes: missions of every evaluation.
-        reference: the variant that the report holds the others against; None for no such table.
-        claims: whether the report judges the paper's claims.
-        against: variants that the report holds against another one beside the reference, and which.
-    """
-
-    name: str
-    description: str
-    seeds: tuple[int, ...]
-    scenarios: dict[str, Scenario]
-    variants: dict[str, AlgorithmConfig]
-    planners: tuple[str, ...]
-    bound: bool
-    planning_seconds: float
-    episodes: int
-    reference: str | None = None
-    claims: bool = False
-    against: dict[str, str] = field(default_factory=dict)
+    name: str  # of its results' folder
+    scenarios: dict[str, Scenario]  # by their names in the study
+    variants: dict[str, AlgorithmConfig]  # the settings of each variant
+    against: dict[str, str]  # variant -> the one that the report compares it with, beside the reference
 
     @classmethod
     def load(cls, source: str | Path) -> Study:
@@ -96,30 +73,20 @@ class Study:
     @classmethod
     def from_file(cls, path: Path) -> Study:
         """Load a study from a YAML file; scenario files are found beside it."""
-        content = read_yaml_mapping(path)
-        fields = validated(StudyFields, content, str(path))
-        if fields.slots is None and "slots" in content:
-            raise InputError(f"{path}: slots = None: expected a number; leave it out for the published budgets")
-        entries = [_scenario(entry, f"{path}: scenarios[{k}]", path) for k, entry in enumerate(fields.scenarios)]
-        _check_distinct([name for name, _ in entries], f"{path}: scenarios")
-        stated = {
-            name: validated_entry(
-                VariantEntry,
-                {} if entry is None else entry,
-                f"{path}: variants.{short(name)}",
-                "settings of the algorithm",
-            )
-            for name, entry in fields.variants.items()
-        }
-        variants = {
-            name: _variant(name, entry, fields.slots, f"{path}: variants.{short(name)}")
-            for name, entry in stated.items()
-        }
-        study = cls(
-            path.stem, fields.description, fields.seeds, dict(entries), variants, tuple(fields.planners), fields.bound,
-            fields.planning_seconds, fields.episodes, fields.reference, fields.claims,
-            {name: entry.against for name, entry in stated.items() if entry.against is not None},
-        )  # fmt: skip
+        file = validated(StudyFile, read_yaml_mapping(path), str(path))
+        pairs = [_scenario(entry, f"{path}: scenarios[{k}]", path) for k, entry in enumerate(file.scenarios)]
+        _check_distinct([name for name, _ in pairs], f"{path}: scenarios")
+        variants, against = {}, {}
+        for name, content in file.variants.items():
+            source = f"{path}: variants.{short(name)}"
+            stated = {} if content is None else content
+            entry = validated_entry(VariantEntry, stated, source, "settings of the algorithm")
+            variants[name] = _variant(name, entry, file.slots, source)
+            if entry.against is not None:
+                against[name] = entry.against
+        settings = {name: getattr(file, name) for name in StudySettings.model_fields}  # validated once
+        parts = {"name": path.stem, "scenarios": dict(pairs), "variants": variants, "against": against}
+        study = cls.model_construct(**settings, **parts)
         _check(study, str(path))
         return study
 
@@ -160,7 +127,7 @@ class Study:
             "seeds": list(self.seeds),
             "episodes": self.episodes,
             "evaluation_seed": EVALUATION_SEED,
-            "planners": list(self.planners),
+            "planners": self.planners,
             "bound": self.bound,
             "planning_seconds": self.planning_seconds,
             "reference": self.reference,
@@ -176,41 +143,35 @@ class Study:
 
 
 def _scenario(entry: Any, source: str, path: Path) -> tuple[str, Scenario]:
-    """The name in the study and the scenario of an entry: a name or a path, or a mapping that changes it."""
+    """The name in the study and the scenario of an entry: a name, a path, or a mapping that changes a scenario."""
     fields = {"scenario": entry} if isinstance(entry, str) else entry
     stated = validated_entry(ScenarioEntry, fields, source, "changes of the scenario")
     if "name" in stated.set:
         raise InputError(f"{source}: set.name: write name beside set")
-    scenario = _load_scenario(stated.scenario, source, path)
-    changed = ",".join(f"{key}={value}" for key, value in sorted(stated.set.items()))
-    name = stated.name or (f"{scenario.name}+{changed}" if changed else scenario.name)
-    if stated.set:
-        try:
-            scenario = scenario.replace(**stated.set)
-        except InputError as error:
-            raise InputError(f"{source}: set: {error}") from None
-    return usable_name(name, f"{source}: name"), scenario
-
-
-def _load_scenario(name: str, source: str, path: Path) -> Scenario:
     try:
-        beside = path.parent / name
-        return Scenario.load(beside if name.endswith((".yaml", ".yml")) else name)
+        beside = path.parent / stated.scenario
+        scenario = Scenario.load(beside if stated.scenario.endswith((".yaml", ".yml")) else stated.scenario)
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
+    changed = ",".join(f"{key}={value}" for key, value in sorted(stated.set.items()))
+    name = stated.name or (f"{scenario.name}+{changed}" if changed else scenario.name)
+    try:
+        scenario = scenario.replace(**stated.set) if stated.set else scenario
+    except InputError as error:
+        raise InputError(f"{source}: set: {error}") from None
+    return usable_name(name, f"{source}: name"), scenario
 
 
 def _variant(name: str, stated: VariantEntry, slots: int | None, source: str) -> AlgorithmConfig:
     usable_name(name, source)
     if name in PLANNERS or name == BOUND:
         raise InputError(f"{source}: a planner or the bound has that name: choose another")
-    changes = dict(stated.set)
-    if "name" in changes:
+    if "name" in stated.set:
         raise InputError(f"{source}: set.name: choose the algorithm with algorithm")
-    if slots is not None and "slots" in changes:
+    if slots is not None and "slots" in stated.set:
         raise InputError(f"{source}: set.slots: the study has slots for every run: give one of them")
     try:
-        return load_config(stated.algorithm or name, changes | ({} if slots is None else {"slots": slots}))
+        return load_config(stated.algorithm or name, stated.set | ({} if slots is None else {"slots": slots}))
     except InputError as error:
         hint = "" if stated.algorithm else "; a variant of another name states its algorithm"
         raise InputError(f"{source}: {error}{hint if 'unknown algorithm' in str(error) else ''}") from None
@@ -223,16 +184,14 @@ def _check_distinct(names: Sequence[str], source: str) -> None:
 
 
 def _check(study: Study, source: str) -> None:
-    """What fields say together."""
+    """Check the fields against each other."""
     if len(study.seeds) * len(study.scenarios) * len(study.variants) > MOST_RUNS:
         raise InputError(f"{source}: more than {MOST_RUNS:,} runs")
     if not study.name.isprintable() or study.name.startswith("."):
         raise InputError(f"{source}: the study's name, that of the file, cannot be a folder's")
     for planner in study.planners:
         if planner not in PLANNERS:
-            known = ", ".join(PLANNERS)
-            raise InputError(f"{source}: planners: unknown planner {short(planner)}{nearest(planner, PLANNERS)} "
-                             f"(known: {known})")  # fmt: skip
+            raise InputError(f"{source}: planners: {unknown('planner', planner, PLANNERS)}")
     _check_distinct(study.planners, f"{source}: planners")
     _check_comparisons(study, source)
     _check_layouts(study, source)
@@ -240,46 +199,40 @@ def _check(study: Study, source: str) -> None:
 
 
 def _check_comparisons(study: Study, source: str) -> None:
-    """What the report is to compare must be there."""
+    """The variants that the report compares must be there."""
     known = f"(variants: {', '.join(study.variants)})"
     named = {"reference": study.reference} if study.reference is not None else {}
     named |= {f"variants.{short(name)}: against": other for name, other in study.against.items()}
-    for field_name, name in named.items():
+    for field, name in named.items():
         if name not in study.variants:
-            hint = nearest(name, study.variants)
-            raise InputError(f"{source}: {field_name}: no variant {short(name)}{hint} {known}")
+            raise InputError(f"{source}: {field}: no variant {short(name)}{nearest(name, study.variants)} {known}")
     for name, other in study.against.items():
         where = f"{source}: variants.{short(name)}: against = {short(other)}"
         if other == name:
             raise InputError(f"{where}: expected another variant {known}")
         if study.reference is None:
-            raise InputError(f"{where}: is beside the study's reference, which it does not name {known}")
+            raise InputError(f"{where}: needs the study to name a reference {known}")
         if name == study.reference:
-            raise InputError(f"{where}: the reference is what the others are held against: leave it out")
-    if study.claims:
-        for name in JUDGED:
-            if name not in study.variants:
-                hint = nearest(name, study.variants)
-                raise InputError(f"{source}: claims = True: expected variants named {', '.join(JUDGED)}, "
-                                 f"there is no '{name}'{hint} {known}")  # fmt: skip
+            raise InputError(f"{where}: the others are compared with the reference: leave it out")
+    for name in JUDGED if study.claims else ():
+        if name not in study.variants:
+            expected = f"expected variants named {', '.join(JUDGED)}, there is no '{name}'"
+            raise InputError(f"{source}: claims = True: {expected}{nearest(name, study.variants)} {known}")
 
 
 def _check_layouts(study: Study, source: str) -> None:
-    """Plans and bounds are those of one layout."""
+    """Plans and bounds are for one layout."""
+    ahead = [f"planners: {name}" for name in study.planners if name in _PLAN_AHEAD]
+    needy = [*(["bound: true"] if study.bound else []), *ahead]
     for name, scenario in study.scenarios.items():
-        if scenario.layout == "resample":
-            ahead = [planner for planner in study.planners if planner in _PLAN_AHEAD]
-            what = "bound: true" if study.bound else f"planners: {ahead[0]}" if ahead else None
-            if what:
-                raise InputError(f"{source}: {what}: scenario '{name}' draws a new layout for each mission")
+        if scenario.layout == "resample" and needy:
+            raise InputError(f"{source}: {needy[0]}: scenario '{name}' draws a new layout for each mission")
 
 
 def _check_folders(study: Study, source: str) -> None:
     """Refuse two names for one training."""
     seen: dict[Path, PartKey] = {}
-    for run in study.runs():
-        if run.key.seed != study.seeds[0]:
-            break
+    for run in islice(study.runs(), len(study.scenarios) * len(study.variants)):  # those of the first seed
         path = study.folder(Path(), run).path
         if path in seen:
             names = " and ".join(f"'{a}' and '{b}'" for a, b in zip(run.key, seen[path], strict=True) if a != b)

@@ -123,7 +123,7 @@ def _candidates(
     """The runs of a policy that may fly a point: all trained for it, else the nearest of each seed."""
     assert point.scenario is not None
     fitting = [run for run in own if _fits(run, point)]
-    trained = [run for run in fitting if same_scenario(run.config.scenario, point.scenario)]
+    trained = [run for run in fitting if not differences(run.config.scenario, point.scenario)]
     if trained or not fitting:
         return trained, "trained" if trained else None
     distances = {id(run): _distance(run.config.scenario, point.scenario, base) for run in fitting}
@@ -148,7 +148,7 @@ def _distance(trained: Scenario, flown: Scenario, base: Scenario) -> tuple[int, 
     The point's own layout comes before resampled layouts, and those before another fixed layout.
     """
     by_layout = 0 if _same_layout(trained, flown) else 1 if trained.layout == "resample" else 2
-    return by_layout, not same_scenario(trained, base)
+    return by_layout, bool(differences(trained, base))
 
 
 def _same_layout(one: Scenario, other: Scenario) -> bool:
@@ -186,14 +186,8 @@ def _name_by_layout(assignments: Sequence[Assignment]) -> list[Assignment]:
     return named
 
 
-def same_scenario(one: Scenario, other: Scenario) -> bool:
-    """Whether two scenarios are the same experiment, whatever they are called."""
-    unnamed = {"name": "-", "description": ""}
-    return one.model_copy(update=unnamed) == other.model_copy(update=unnamed)
-
-
 def differences(one: Scenario, other: Scenario) -> dict[str, tuple[Any, Any]]:
-    """The fields in which two scenarios differ, with both values; names apart."""
+    """The fields in which two scenarios differ, names and descriptions apart, with both values."""
     a, b = one.to_dict(), other.to_dict()
     return {k: (a.get(k), b.get(k)) for k in a | b if a.get(k) != b.get(k) and k not in ("name", "description")}
 
