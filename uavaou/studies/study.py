@@ -84,9 +84,9 @@ class Study(StudySettings):
             variants[name] = _variant(name, entry, file.slots, source)
             if entry.against is not None:
                 against[name] = entry.against
-        settings = {name: getattr(file, name) for name in StudySettings.model_fields}  # validated once
-        parts = {"name": path.stem, "scenarios": dict(pairs), "variants": variants, "against": against}
-        study = cls.model_construct(**settings, **parts)
+        values: dict[str, Any] = {name: getattr(file, name) for name in StudySettings.model_fields}
+        values |= {"name": path.stem, "scenarios": dict(pairs), "variants": variants, "against": against}
+        study = cls.model_construct(**values)  # validated above
         _check(study, str(path))
         return study
 
