@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,12 +13,15 @@ from typing import TYPE_CHECKING
 from uavaou.errors import InputError
 from uavaou_cli.checks import writable_file
 from uavaou_cli.overrides import Overrides
-from uavaou_cli.tables import show
+from uavaou_cli.progress import EvaluationDisplay
+from uavaou_cli.tables import aligned, figure, interval_figures, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.planners.base import Planner
     from uavaou.runs.folder import RunConfig
-    from uavaou.suites.play import PointResult
+    from uavaou.suites.assignment import MissingTraining
+    from uavaou.suites.play import PointResult, SuitePlan
+    from uavaou.suites.suite import ResolvedPoint
 
 
 @dataclass(frozen=True)
@@ -40,8 +45,6 @@ def evaluate_suite(request: Request, configs: Mapping[str, RunConfig], planners:
     from uavaou.suites.play import plan_suite, play_suite
     from uavaou.suites.suite import Suite
     from uavaou.suites.table import write_suite
-    from uavaou_cli.progress import EvaluationDisplay
-    from uavaou_cli.suite_tables import suite_lines, suite_points
 
     suite, overrides = Suite.load(request.suite), request.overrides
     base = overrides.of_scenario(Scenario.load(request.scenario or suite.scenario))
@@ -52,7 +55,7 @@ def evaluate_suite(request: Request, configs: Mapping[str, RunConfig], planners:
     if request.out is not None and request.json is not None and request.out.resolve() == request.json.resolve():
         raise InputError(f"--out and --json are both '{request.out}': give each a file of its own")
     if not configs and not planners:
-        show(suite_points(plan))
+        show(_point_lines(plan))
         return
     plan.check_runs(request.action)
     slots = request.episodes * max((flight.scenario.slots for flight in plan.flights), default=0)
@@ -64,6 +67,124 @@ def evaluate_suite(request: Request, configs: Mapping[str, RunConfig], planners:
                 results.append(result)
         notes = write_suite(plan, results, request.episodes, request.seed, request.out, request.json)
     finally:  # what has been played is shown even where Ctrl-C ended it, or a disk has filled
-        show(suite_lines(plan, results, request.episodes, request.seed))
+        show(_result_lines(plan, results, request.episodes, request.seed))
     for note in notes if not request.quiet else []:
         print(note, file=sys.stderr)
+
+
+def _point_lines(plan: SuitePlan) -> list[str]:
+    """The points of a suite, and the trainings that they need."""
+    from uavaou.zoo import zoo_names
+
+    suite = plan.suite
+    lines = wrapped(f"{suite.name}: {suite.description}")
+    rows = [(suite.axis.title, "")]
+    for point in suite.points:
+        changed = [f"{key}={value}" for key, value in point.set.items()]
+        seen = [f"observation {point.observation}"] if point.observation else []
+        rows.append((point.label, textwrap.shorten(", ".join([*changed, *seen]) or "as it is", 50)))
+    lines += ["", *aligned(rows), *_reasons(plan.points)]
+    lines += _missing_lines(plan.missing)
+    companion = f"suite-{suite.name}"
+    if companion in zoo_names("studies"):
+        lines += ["", f"all of them: uavaou study run {companion}"]
+    return [*lines, "", f"then: uavaou eval RUN... --suite {suite.name}"]
+
+
+def _result_lines(plan: SuitePlan, results: Sequence[PointResult], episodes: int, seed: int) -> list[str]:
+    """The table of a suite, with missing trainings, infeasible points and how zero-shot runs were trained."""
+    count = "1 mission" if episodes == 1 else f"{episodes:,} missions"
+    head = f"{plan.name} on {plan.base.name}: {plan.suite.axis.title}; {count} each, seeds from {seed}"
+    rows: list[tuple[str, ...]] = [(plan.suite.axis.label, "policy", "how", "mean AoU", "interval", "comm.", "served")]
+    rows.append(("", "", "", "(slots)", "95 %", "", ""))
+    rows += _rows(plan, results)
+    lines = [*wrapped(head), "", *aligned(rows, left=3)]
+    refused = _paragraphs(f"{result.flown.name}: {result.refusal}" for result in results if result.refusal)
+    lines += [*_violations(results), *_budgets(results), *_reasons(plan.points), *refused]
+    lines += [*_elsewhere(plan, results), *_missing_lines(plan.missing), *_unused(plan)]
+    if any(point.scenario is None for point in plan.points) or plan.missing:
+        lines += ["", "- not played, see above"]
+    return lines
+
+
+def _rows(plan: SuitePlan, results: Sequence[PointResult]) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    seeds = {result.flown.run.config.seed for result in results if result.flown.run is not None}
+    for point in plan.points:
+        label = point.point.label
+        if point.scenario is None:
+            rows.append((label, "-", "infeasible", "-", "", "", ""))
+            continue
+        missing = [one for one in plan.assignments if one.point is point and one.kind is None]
+        rows += [(label, one.policy, "-", "-", "", "", "") for one in missing]
+        rows += [(label, *_cells(result, len(seeds) > 1)) for result in results if result.flown.point is point]
+    return rows
+
+
+def _cells(result: PointResult, several_seeds: bool) -> tuple[str, ...]:
+    flown = result.flown
+    name = flown.policy if flown.run is None or not several_seeds else f"{flown.policy} #{flown.run.config.seed}"
+    if result.refusal:
+        return name, flown.kind, "-", "", "", ""
+    counts = figure(result.mean("communications")), f"{result.mean('devices_served'):.1f}"
+    return name, flown.kind, *interval_figures(result.mean_aou_slots), *counts
+
+
+def _violations(results: Sequence[PointResult]) -> list[str]:
+    broken = [(one.flown.name, one.violations) for one in results if not one.refusal and one.violations]
+    if not broken:
+        return ["", "constraint violations: none"] if results else []
+    return ["", *(f"{name} broke constraints {count:,} times" for name, count in broken)]
+
+
+def _budgets(results: Sequence[PointResult]) -> list[str]:
+    """The training slots of the policies, where they differ."""
+    from uavaou.suites.assignment import budget_lines
+
+    runs = [(one.flown, one.flown.run) for one in results]
+    flown = [(one.policy, one.point.point.label, run.slots) for one, run in runs if run is not None]
+    lines = [part for line in budget_lines(flown) for part in wrapped(line)]
+    return ["", *lines] if lines else []
+
+
+def _reasons(points: Sequence[ResolvedPoint]) -> list[str]:
+    """Why points are infeasible, and why devices cannot be served; points with one reason together."""
+    labels: dict[str, list[str]] = {}
+    for point in points:
+        if point.problem or point.remark:
+            reason = f"infeasible: {point.problem}" if point.problem else point.remark
+            labels.setdefault(reason, []).append(point.point.label)
+    return _paragraphs(f"{', '.join(found)}: {reason}" for reason, found in labels.items())
+
+
+def _elsewhere(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
+    """How the training scenario of each zero-shot run differs from the suite's, apart from what all points set."""
+    from uavaou.suites.assignment import differences
+
+    texts = []
+    set_everywhere = set.intersection(*(set(point.set) for point in plan.suite.points))
+    for run in {id(one.flown.run): one.flown.run for one in results if one.flown.kind == "zero-shot"}.values():
+        if run is None:
+            continue
+        changed = differences(run.config.scenario, plan.base).items()
+        parts = ", ".join(f"{k} = {there} (here {here})" for k, (there, here) in changed if k not in set_everywhere)
+        if parts:
+            texts.append(textwrap.shorten(f"{run.folder.path} was trained with {parts}", 400))
+    return _paragraphs(texts)
+
+
+def _missing_lines(missing: Sequence[MissingTraining]) -> list[str]:
+    lines: list[str] = []
+    for one in missing:
+        lines += _paragraphs([f"no run of {one.policy} fits {', '.join(one.labels)}; this trains one:"])
+        lines.append("  " + shlex.join(one.command))
+    return lines
+
+
+def _unused(plan: SuitePlan) -> list[str]:
+    flown = {id(run) for assignment in plan.assignments for run in assignment.runs}
+    return [f"not used: {run.folder.path}" for run in plan.runs if id(run) not in flown]
+
+
+def _paragraphs(texts: Iterable[str]) -> list[str]:
+    return [line for text in texts for line in ("", *wrapped(text))]

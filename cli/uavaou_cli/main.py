@@ -92,15 +92,7 @@ def _root(
 
 
 @plots.callback()
-def _plots(ctx: typer.Context) -> None:
-    _help_when_alone(ctx)
-
-
 @studies.callback()
-def _studies(ctx: typer.Context) -> None:
-    _help_when_alone(ctx)
-
-
 def _help_when_alone(ctx: typer.Context) -> None:
     if ctx.invoked_subcommand is None:
         print(ctx.get_help())

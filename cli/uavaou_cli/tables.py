@@ -21,7 +21,7 @@ def show(lines: Iterable[object]) -> None:
 
 def wrapped(text: str, indent: str = "") -> list[str]:
     """A paragraph in lines of 80 columns."""
-    return textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent)
+    return textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
