@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from uavaou.evaluation.recorded_mission import RecordedMission, record_mission, write_mission
+from uavaou.planners import make_planner
 from uavaou.scenario import Scenario
 from uavaou.studies.results import COLUMNS
 
@@ -124,3 +126,12 @@ def _write(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> 
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         writer.writerows(rows)
+
+
+def record(folder: Path, policy: str = "mappo", planner: str = "greedy") -> RecordedMission:
+    """Write ``mission-<policy>.json``, flown by a planner."""
+    scenario = Scenario.load("tiny")
+    recording = record_mission(scenario, make_planner(planner), 5)
+    mission = RecordedMission(scenario, policy, 0, 5, recording)
+    write_mission(folder / f"mission-{policy}.json", mission)
+    return mission

@@ -142,7 +142,7 @@ def test_the_physics_knows_nothing_of_learning() -> None:
         ("import uavaou.evaluation.checker", "torch uavaou.world"),
         ("import uavaou.studies.study, uavaou.studies.results, uavaou.studies.marl_eval", "torch matplotlib"),
         ("import uavaou.reports.figures, uavaou.reports.trajectories, uavaou.reports.audit", "torch"),
-        ("import uavaou.reports.study_figures, uavaou.reports.claims_table", "torch"),
+        ("import uavaou.reports.claims_table", "torch"),
     ],
 )
 def test_nothing_heavy_is_imported_unasked(statement: str, absent: str) -> None:

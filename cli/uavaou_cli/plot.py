@@ -45,7 +45,7 @@ def figures(
 
 def _draw_all(studies: list[Path], out: Path | None) -> None:
     """Draw every study that can be drawn; a damaged one, or one without results yet, is named and left out."""
-    from uavaou.reports.study_figures import plot_studies
+    from uavaou.reports.figures import plot_studies
     from uavaou.studies.results import NothingYetError
 
     places = {study: _place(study, studies, out) for study in studies}
@@ -74,16 +74,16 @@ def _draw_runs(runs: list[Path], target: Path) -> None:
     for folder in runs:
         RunFolder(folder).read_config()
     writable_folder(target)
-    from uavaou.reports.figures import plot_figures
+    from uavaou.reports.figures import plot_runs
 
-    show(plot_figures(runs, target))
+    show(plot_runs(runs, target))
     if not any(folder.glob("eval/*.json") for folder in runs):
         print(f"figures 7 and 8 need an evaluation first: uavaou eval {runs[0]}", file=sys.stderr)
 
 
 def _draw_study(study: Path, target: Path) -> None:
     writable_folder(target)
-    from uavaou.reports.study_figures import plot_study
+    from uavaou.reports.figures import plot_study
 
     show(plot_study(study, target))
 

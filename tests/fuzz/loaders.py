@@ -19,9 +19,10 @@ with atheris.instrument_imports(include=["uavaou"]):
 
     from uavaou.algorithms.io.save_load import _about
     from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
+    from uavaou.algorithms.registry import load_config
     from uavaou.devices_csv import read_devices_csv
     from uavaou.errors import InputError
-    from uavaou.reports.run_results import read_run
+    from uavaou.reports.run_tables import read_runs
     from uavaou.runs.checkpoint_header import TrainingProgress, read_header, write_header
     from uavaou.runs.folder import RunConfig, RunFolder
     from uavaou.runs.results import read_evaluation
@@ -70,8 +71,9 @@ def _evaluation(content: bytes) -> None:
 def _episodes(content: bytes) -> None:
     folder = PLACE / "run"
     folder.mkdir(exist_ok=True)
+    (folder / "config.yaml").write_text(RunConfig(Scenario.load("tiny"), load_config("mappo"), 0).to_yaml())
     (folder / "episodes.csv").write_bytes(content)
-    read_run(folder)
+    read_runs([folder])
 
 
 LOADERS = (_checkpoint, _learner, _scenario, _config, _devices, _evaluation, _episodes)
@@ -97,8 +99,6 @@ def write_seeds(folder: Path) -> None:
     about = {"class": "MAPPO", "arguments": {}, "layout": {}, "rows": 2}
     write_arrays(checkpoint, arrays, write_header(TrainingProgress()))
     write_arrays(learner, arrays, {"kind": "uavaou learner", "schema": "1", "about": json.dumps(about)})
-    from uavaou.algorithms.registry import load_config
-
     seeds = (
         checkpoint.read_bytes(),
         learner.read_bytes(),

@@ -103,15 +103,15 @@ def test_malformed_tables_name_the_place(tmp_path: Path, old: str, new: str, wor
 
 
 def test_suites_in_a_run_folder_do_not_change_its_figures(capsys: pytest.CaptureFixture[str], place: Path) -> None:
-    from uavaou.reports.figures import read_run
+    from uavaou.reports.run_tables import read_runs
 
     call(capsys, "eval run --suite own.yaml --episodes 2 --quiet")
-    assert read_run(place / "run").evaluations == {}
+    assert not read_runs([place / "run"]).table("missions")["mission"].size
     one = yaml.safe_load(OWN)
     (place / "alone.yaml").write_text(yaml.safe_dump(one | {"points": one["points"][:1]}))
     (place / "off.yaml").write_text(yaml.safe_dump(one | {"points": one["points"][1:2]}))
     for suite in ("alone", "off"):
         call(capsys, f"eval run --policy greedy --suite {suite}.yaml --episodes 2 --quiet")
-    evaluations = read_run(place / "run").evaluations  # a suite of the run's own point serves figures 7 and 8
-    assert list(evaluations) == ["alone"]
-    assert evaluations["alone"]["greedy"].aou_over_time_s is not None
+    found = read_runs([place / "run"])  # a suite of the run's own point serves figures 7 and 8
+    assert found.planners == ("greedy",)
+    assert found.table("execution", "greedy")["mean_aou_slots"].size

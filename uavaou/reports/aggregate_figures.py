@@ -80,7 +80,7 @@ def _iqm_figure(scores: Scores, unit: str, looks: Looks, note: str) -> Figure:
     if values.min() > 0 and values.max() > 10 * values.min():
         axes.set_xscale("log")
         style.label_log_axis(axes.xaxis, *axes.get_xlim())
-    _label(figure, f"AoU, interquartile mean, {unit}", note)
+    _label(figure, f"interquartile mean AoU ({unit})", note)
     return figure
 
 
@@ -140,6 +140,6 @@ def _profile_figure(scores: Scores, unit: str, looks: Looks, note: str) -> Figur
     else:
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.compact(value)))
     axes.set(xlim=(thresholds[0], thresholds[-1]), ylim=(-0.02, 1.02))
-    axes.set(xlabel=f"AoU $x$, {unit}", ylabel="share of missions\nwith AoU $\\leq x$")
+    axes.set(xlabel=f"AoU $x$ ({unit})", ylabel="share of missions\nwith AoU $\\leq x$")
     style.legend_below(figure, axes, "bands: " + note)
     return figure

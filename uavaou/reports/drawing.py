@@ -1,4 +1,4 @@
-"""The paper's figures 3 to 8 as drawings of lines and levels, wherever their numbers come from."""
+"""The paper's figures 3 to 8 as drawings of lines with bands, levels and points."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from uavaou.reports import style
-from uavaou.statistics import Interval
+from uavaou.statistics import Band, Interval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,40 +20,33 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Looks = Mapping[str, style.Look]
 
-OVER_SEEDS = "95 % interval over seeds"
-OVER_MISSIONS = "95 % interval over missions"
-_STEPS = [1, 2, 5, 10]  # ticks at multiples that are read at a glance
+_STEPS = [1, 2, 5, 10]  # ticks at multiples that are easy to read
 
 
 @dataclass(frozen=True)
 class Measure:
-    """One figure of a mission and how it is drawn; names that end in ``_s`` are in seconds."""
+    """One metric of a mission and how it is drawn."""
 
-    column: str
+    column: str  # of a study's tables
     label: str
     log: bool = False
     mirrored: bool = False  # never positive: drawn as its size on a reversed axis, which may be logarithmic
     at_most_devices: bool = False
 
 
-def aou(column: str, unit: str) -> Measure:
-    """The AoU of a mission in the unit of the column."""
-    return Measure(column, f"AoU, mean over slots ({unit})", log=True)
-
-
 REWARD = Measure("reward_s", "reward per episode, $\\sum_t r[t]$ (s)", log=True, mirrored=True)
+AOU = Measure("mean_aou_slots", "mean AoU (slots)", log=True)
+VALIDATION_AOU = Measure("mean_aou_slots", "mean AoU on the\nvalidation missions (slots)", log=True)
 COMMUNICATIONS = Measure("communications", "UAV\N{EN DASH}IoT communications\nper episode")
 DEVICES_SERVED = Measure("devices_served", "devices served\nat least once", at_most_devices=True)
 
 
 @dataclass(frozen=True)
 class Line:
-    """One policy's line of B points; low and high are nan where there is no interval."""
+    """One policy's line of B points; its band is nan where there is no interval."""
 
     x: Floats  # (B,)
-    mean: Floats  # (B,)
-    low: Floats  # (B,)
-    high: Floats  # (B,)
+    y: Band  # (B,) each
     seeds: int = 1
 
 
@@ -64,36 +57,46 @@ class ByPeriod:
     period: Floats  # (I,) slots, k_i
     counts: Floats  # (I,) communications a mission
     values: Floats  # (P,) the periods that occur
-    mean: Floats  # (P,) over the devices of each
-    low: Floats  # (P,), nan where there is no interval
-    high: Floats  # (P,)
+    mean: Band  # (P,) each, over the devices of a period
 
 
 def measure_figure(
-    lines: Mapping[str, Line], levels: Mapping[str, Interval], looks: Looks, measure: Measure, devices: int | None
+    lines: Mapping[str, Line], levels: Mapping[str, Interval], looks: Looks, measure: Measure, devices: int
 ) -> tuple[Figure, Axes]:
-    """Lines with bands, levels as horizontal lines; the x axis and the legend are the caller's."""
+    """Lines with bands, levels as horizontal lines; the caller adds the x axis and the legend."""
     figure, axes = style.new_axes(height_in=3.0)
     sign = -1.0 if measure.mirrored else 1.0
-    alike = len({line.seeds for line in lines.values()}) == 1  # the legend's title says how many
+    alike = len({line.seeds for line in lines.values()}) == 1  # the legend's title then gives the number
+    alpha = _band_alpha(lines)
     for name, line in lines.items():
         seeds = "" if alike else f" ({line.seeds} seed{'s' if line.seeds > 1 else ''})"
-        _draw_line(axes, line, sign, looks[name], looks[name].label + seeds)
+        marks: dict[str, Any] = {"marker": looks[name].marker, "markevery": max(1, len(line.x) // 8)}
+        _draw_line(axes, line, sign, looks[name], looks[name].label + seeds, alpha, **marks)
     for name, level in levels.items():
         _draw_level(axes, level, sign, looks[name])
-    shown = [sign * line.mean for line in lines.values()] + [
-        np.array([sign * level.value]) for level in levels.values()
-    ]
-    _finish_y(axes, measure, sign * np.concatenate(shown), devices)
+    shown = [line.y.value for line in lines.values()] + [np.array([level.value]) for level in levels.values()]
+    _scale_y(axes, sign * np.concatenate(shown), measure.log, "\N{MINUS SIGN}" if measure.mirrored else "")
+    axes.set_ylabel(measure.label)
+    if measure.at_most_devices:
+        axes.set_ylim(0, 1.06 * devices)
+        axes.axhline(devices, color=style.GREY, linewidth=0.6)
+    if measure.mirrored:
+        axes.invert_yaxis()
     axes.set_xlim(left=0)
     return figure, axes
 
 
-def _draw_line(axes: Axes, line: Line, sign: float, look: style.Look, label: str) -> None:
-    axes.fill_between(line.x, sign * line.low, sign * line.high, color=look.colour, alpha=0.18, linewidth=0)
-    every = max(1, len(line.x) // 8)
-    marks: dict[str, Any] = {"marker": look.marker, "markevery": every, "linestyle": look.dash}
-    axes.plot(line.x, sign * line.mean, color=look.colour, label=label, **marks)
+def _band_alpha(lines: Mapping[str, Line]) -> float:
+    """Many bands on top of one another must not hide the lines."""
+    return 0.18 if len(lines) < 5 else 0.09
+
+
+def _draw_line(axes: Axes, line: Line, sign: float, look: style.Look, label: str, alpha: float, **marks: Any) -> None:
+    value = sign * line.y.value
+    least = 1e-9 * value.max()  # no measure changes its sign, and a logarithmic axis shows no 0
+    low, high = np.maximum(sign * line.y.low, least), np.maximum(sign * line.y.high, least)
+    axes.fill_between(line.x, low, high, color=look.colour, alpha=alpha, linewidth=0)
+    axes.plot(line.x, value, color=look.colour, label=label, **{"linestyle": look.dash} | marks)
 
 
 def _draw_level(axes: Axes, level: Interval, sign: float, look: style.Look) -> None:
@@ -103,19 +106,15 @@ def _draw_level(axes: Axes, level: Interval, sign: float, look: style.Look) -> N
     axes.axhline(sign * level.value, color=look.colour, linestyle=look.dash, linewidth=1.0, label=look.label)
 
 
-def _finish_y(axes: Axes, measure: Measure, shown: Floats, devices: int | None) -> None:
-    axes.set_ylabel(measure.label)
-    sign = "\N{MINUS SIGN}" if measure.mirrored else ""
-    logarithmic = measure.log and style.log_scale_if_wide(axes, shown, sign)
-    if not logarithmic:
-        axes.set_ylim(bottom=0)
-        axes.yaxis.set_major_locator(MaxNLocator(6, steps=_STEPS, integer=not measure.log))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: (sign if value else "") + style.compact(value)))
-    if measure.at_most_devices and devices is not None:
-        axes.set_ylim(0, 1.06 * devices)
-        axes.axhline(devices, color=style.GREY, linewidth=0.6)
-    if measure.mirrored:
-        axes.invert_yaxis()
+def _scale_y(axes: Axes, shown: Floats, log: bool, sign: str = "") -> None:
+    """Logarithmic where wanted and wide, and then without the empty decades of a band that touches 0; else from 0."""
+    if log and style.log_scale_if_wide(axes, shown, sign):
+        lowest = float(shown[shown > 0].min())
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], lowest / 2, float(shown.max()) / 1e5))
+        return
+    axes.set_ylim(bottom=0)
+    axes.yaxis.set_major_locator(MaxNLocator(6, steps=_STEPS, integer=not log))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: (sign if value else "") + style.compact(value)))
 
 
 def label_training(axes: Axes, mission_slots: float) -> None:
@@ -142,35 +141,26 @@ def _axis_above(axes: Axes, factor: float, label: str) -> None:
 
 
 def time_unit(longest_s: float) -> tuple[str, float]:
-    """The unit that a time is best shown in, and its seconds."""
+    """The unit that suits a time, and its seconds."""
     return ("h", 3600.0) if longest_s > 2 * 3600 else ("min", 60.0) if longest_s > 120 else ("s", 1.0)
 
 
-def execution_figure(lines: Mapping[str, Line], looks: Looks, unit: str, slot_length_s: float | None) -> Figure:
-    """Figure 7: AoU over the slots of a mission; the legend is the caller's."""
+def execution_figure(lines: Mapping[str, Line], looks: Looks, slot_length_s: float) -> tuple[Figure, Axes]:
+    """Figure 7: AoU over the slots of a mission; the caller adds the legend."""
     figure, axes = style.new_axes(height_in=3.0)
     for name, line in lines.items():
-        look = looks[name]
-        axes.fill_between(line.x, line.low, line.high, color=look.colour, alpha=0.18, linewidth=0)
         width = 0.8 if style.is_planner(name) else 1.2
-        axes.plot(line.x, line.mean, color=look.colour, linestyle=look.dash, linewidth=width, label=look.label)
+        _draw_line(axes, line, 1.0, looks[name], looks[name].label, _band_alpha(lines), linewidth=width)
     slots = max(float(line.x[-1]) for line in lines.values())
-    axes.set(xlabel="slot $t$ of the mission", ylabel=f"AoU ({unit})", xlim=(0, slots))
-    shown = np.concatenate([line.mean for line in lines.values()])
-    if style.log_scale_if_wide(axes, shown):
-        # A band may touch 0, where a logarithmic axis has no end.
-        axes.set_ylim(bottom=max(shown[shown > 0].min() / 2, shown.max() / 1e5))
-    else:
-        axes.set_ylim(bottom=0)
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.compact(value)))
-    if slot_length_s is not None:
-        name, seconds = time_unit(slots * slot_length_s)
-        _axis_above(axes, slot_length_s / seconds, f"mission time ({name})")
-    return figure
+    axes.set(xlabel="slot $t$ of the mission", ylabel="AoU (slots)", xlim=(0, slots))
+    _scale_y(axes, np.concatenate([line.y.value for line in lines.values()]), log=True)
+    unit, seconds = time_unit(slots * slot_length_s)
+    _axis_above(axes, slot_length_s / seconds, f"mission time ({unit})")
+    return figure, axes
 
 
-def period_figure(groups: Mapping[str, ByPeriod], looks: Looks, bars: str) -> Figure:
-    """Figure 8: communications of a device against its generation period; ``bars`` says what the bars are."""
+def period_figure(groups: Mapping[str, ByPeriod], looks: Looks) -> tuple[Figure, Axes]:
+    """Figure 8: communications of a device against its generation period; the caller adds the legend."""
     figure, axes = style.new_axes(height_in=2.7)
     apart = min(0.16, 0.7 / len(groups))
     for turn, (name, group) in enumerate(groups.items()):
@@ -182,40 +172,26 @@ def period_figure(groups: Mapping[str, ByPeriod], looks: Looks, bars: str) -> Fi
     if len(periods) <= 15:
         axes.set_xticks(periods)
     axes.grid(axis="x", visible=False)
-    style.legend_below(figure, axes, f"dot: one device; bar: {bars}")
-    return figure
+    return figure, axes
 
 
 def _draw_by_period(axes: Axes, group: ByPeriod, shift: float, look: style.Look) -> None:
     faint: dict[str, Any] = {"alpha": 0.35, "markersize": 3, "markeredgewidth": 0}
     axes.plot(group.period + shift, group.counts, ".", color=look.colour, **faint)
-    reach = np.nan_to_num(np.stack([group.mean - group.low, group.high - group.mean]))  # (2, P)
+    mean, low, high = group.mean
     axes.errorbar(
-        group.values + shift,
-        group.mean,
-        yerr=reach,
-        color=look.colour,
-        marker=look.marker or "_",
-        markersize=4,
-        linestyle="none",
-        elinewidth=1.0,
-        capsize=1.8,
+        group.values + shift, mean, yerr=np.nan_to_num(np.stack([mean - low, high - mean])),  # (2, P)
+        color=look.colour, marker=look.marker or "_", markersize=4, linestyle="none", elinewidth=1.0, capsize=1.8,
         label=look.label,
-    )
+    )  # fmt: skip
 
 
-def bands_title(seeds: Sequence[int], one_seed: str, planners: bool) -> str:
-    """What the bands of a figure mean; ``one_seed`` says it for algorithms of one seed."""
-    title = "bands: " + over_seeds(seeds, one_seed)
-    return title + (f"\nplanners: {OVER_MISSIONS}" if planners else "")
-
-
-def over_seeds(seeds: Sequence[int], one_seed: str) -> str:
+def over_seeds(seeds: Sequence[int]) -> str:
     """What the intervals of algorithms with so many seeds each are over."""
-    counts = set(seeds)
-    meanings = []
-    if counts - {1}:
-        meanings.append(f"95 % interval over {seeds[0]} seeds" if len(counts) == 1 else OVER_SEEDS)
-    if 1 in counts:
-        meanings.append(f"{one_seed} (1 seed)")
-    return "; ".join(meanings)
+    counts, parts = sorted({*seeds} or {1}), []
+    if counts[-1] > 1:
+        number = f"{counts[0]} " if len(counts) == 1 else ""
+        parts.append(f"95 % interval over {number}seeds")
+    if counts[0] == 1:
+        parts.append("none (1 seed)")
+    return "; ".join(parts)

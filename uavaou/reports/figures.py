@@ -1,13 +1,16 @@
-"""The paper's figures 3 to 8, and AoU against wall-clock time, from the folders of training runs.
+"""The figures of studies and training runs: the paper's 3 to 8, AoU against wall-clock time, aggregates, missions.
 
-What a band means is printed on each figure: with several seeds, the 95 % bootstrap interval of the mean over
-the seeds; with one seed, the central 95 % of the missions.
+Everything is drawn from the tables of a study; no policy is loaded. Training runs are condensed to the same tables, in
+memory. Bands and bars are Student's 95 % intervals over training seeds, those of planners bootstrap intervals over
+missions. Ages are in slots.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import os
+import signal
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,255 +18,248 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.errors import InputError
+from uavaou.evaluation.recorded_mission import read_mission
+from uavaou.files import folder_name
 from uavaou.reports import style
+from uavaou.reports.aggregate_figures import aggregate_figures
 from uavaou.reports.drawing import (
+    AOU,
     COMMUNICATIONS,
     DEVICES_SERVED,
-    OVER_MISSIONS,
     REWARD,
+    VALIDATION_AOU,
     ByPeriod,
     Line,
+    Looks,
     Measure,
-    aou,
-    bands_title,
     execution_figure,
     label_training,
     measure_figure,
+    over_seeds,
     period_figure,
     time_unit,
 )
-from uavaou.reports.run_results import Run, read_run
-from uavaou.runs.results import PolicyResult
-from uavaou.statistics import band_over_trainings, interval_over_missions
+from uavaou.reports.mission_figures import mission_figures
+from uavaou.reports.references import best_planner
+from uavaou.reports.run_tables import read_runs
+from uavaou.statistics import Interval, band_over_trainings, interval_over_missions
+from uavaou.studies.parts import BOUND
+from uavaou.studies.results import StudyResults, Table, read_study
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 
-MOST_BINS = 100
-_MISSIONS_A_BIN = 8  # fewer would make a band of noise
-_FEWEST_BINS = 10  # a short run is still a line
-_AOU = aou("mean_aou_s", "s")
+_TIMES = 100  # points of a curve over wall-clock time
 _TRAINING_FIGURES = {
     "figure-3-reward": REWARD,
-    "figure-4-aou": _AOU,
+    "figure-4-aou": AOU,
     "figure-5-communications": COMMUNICATIONS,
     "figure-6-devices-served": DEVICES_SERVED,
 }
 
 
-# -- curves --------------------------------------------------------------------------------------------
+def plot_study(folder: Path, out_dir: Path) -> list[Path]:
+    """Draw a study's figures, each as PNG and PDF.
 
-
-@dataclass(frozen=True)
-class Curve:
-    """One algorithm's line: B bins of training slots."""
-
-    slots: Floats  # (B,) training slots of one seed
-    wall_s: Floats  # (B,) s since the start of training, mean over the seeds
-    mean: Floats  # (B,)
-    low: Floats  # (B,)
-    high: Floats  # (B,)
-    seeds: int
-
-
-def training_curve(runs: Sequence[Run], column: str) -> Curve:
-    """Bin the missions of one algorithm's runs by training slots, at most ``MOST_BINS`` bins.
-
-    The line ends with the shortest run: beyond it, the mean would jump when a seed drops out.
-    """
-    reach = min(float(run.episodes["slots"].max()) for run in runs)
-    ends = np.unique(np.concatenate([run.episodes["slots"] for run in runs]))
-    groups = np.array_split(ends[ends <= reach], _bin_count(runs))
-    edges = np.array([group[-1] for group in groups])  # (B,) the last slot of each bin
-    binned = [_bins(run.episodes, column, edges) for run in runs]  # one list of B arrays a run
-    filled = np.array([all(len(values) > 0 for values in bins) for bins in zip(*binned, strict=True)])
-    table = np.array([_means(bins, filled) for bins in binned])  # (seeds, B)
-    walls = [_means(_bins(run.episodes, "wall_s", edges), filled) for run in runs]
-    if len(runs) > 1:
-        mean, low, high = band_over_trainings(table)
-    else:
-        ends_of_band = [np.quantile(values, [0.025, 0.975]) for values in binned[0] if len(values) > 0]
-        mean, (low, high) = table[0], np.transpose(ends_of_band)
-    centres = np.array([group.mean() for group in groups])[filled]
-    return Curve(centres, np.mean(walls, axis=0), mean, low, high, len(runs))
-
-
-def _bin_count(runs: Sequence[Run]) -> int:
-    missions = min(len(run.episodes["slots"]) for run in runs)
-    distinct = min(len(np.unique(run.episodes["slots"])) for run in runs)  # missions side by side end together
-    return max(1, min(MOST_BINS, distinct, max(missions // _MISSIONS_A_BIN, _FEWEST_BINS)))
-
-
-def _bins(episodes: dict[str, Floats], column: str, edges: Floats) -> list[Floats]:
-    """The values of the missions that ended in each bin, B arrays."""
-    place = np.searchsorted(edges, episodes["slots"])  # a mission belongs to the first edge not before it
-    return [episodes[column][place == b] for b in range(len(edges))]
-
-
-def _means(bins: list[Floats], filled: NDArray[np.bool_]) -> Floats:
-    return np.array([values.mean() for values, has_all in zip(bins, filled, strict=True) if has_all])
-
-
-# -- figures -------------------------------------------------------------------------------------------
-
-
-def plot_figures(runs: Iterable[Path], out_dir: Path) -> list[Path]:
-    """Draw the figures of a set of runs, each as PNG and PDF.
-
-    Figures 3 to 6 follow training, 7 and 8 need evaluations that hold ages over time and communications by
-    device; ``aou-wall-clock`` is figure 4 against time. Runs of several scenarios get a folder a scenario.
+    Figures of one scenario go to a folder of its name where the study has several; aggregates over all scenarios, and
+    recorded missions where there are any, go to ``out_dir`` itself.
 
     Args:
-        runs: run folders, ``.../<scenario>/<algorithm>/seed-<n>``.
-        out_dir: where the pictures go.
+        folder: ``results/studies/<name>``.
+        out_dir: where the figures go.
 
     Raises:
-        InputError: there is no run, or a file of one is missing or malformed.
+        InputError: a table is missing or malformed, or the figures cannot be written.
     """
-    scenarios: dict[str, list[Run]] = {}
-    for folder in runs:
-        run = read_run(Path(folder))
-        scenarios.setdefault(run.scenario, []).append(run)
-    if not scenarios:
-        raise InputError("no run folders to draw figures from")
+    study = read_study(folder).require_evaluated()
+    paths = _plot_scenarios(study, Path(out_dir))
+    missions = [read_mission(path) for path in sorted(study.folder.path.glob("mission-*.json"))]
+    with style.house_style():
+        for figures in (aggregate_figures(study), mission_figures(missions, study.algorithms)):
+            for name, figure in figures.items():
+                paths += style.save(figure, Path(out_dir), name)
+    return paths
+
+
+def plot_studies(places: Mapping[Path, Path]) -> Iterator[list[Path] | InputError]:
+    """Draw studies, as many at a time as there are cores.
+
+    Args:
+        places: folder of a study -> where its pictures go.
+
+    Yields:
+        The pictures of each study in order, or why it cannot be drawn.
+    """
+    workers = min(len(places), os.cpu_count() or 1)
+    if workers == 1:
+        yield from map(_plotted, places, places.values())
+        return
+    # Ctrl-C reaches the whole group: a worker ends at once, and this process says so.
+    with ProcessPoolExecutor(workers, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL)) as pool:
+        yield from pool.map(_plotted, places, places.values())
+
+
+def _plotted(folder: Path, out_dir: Path) -> list[Path] | InputError:
+    try:
+        return plot_study(folder, out_dir)
+    except InputError as problem:
+        return problem
+
+
+def plot_runs(folders: Iterable[Path], out_dir: Path) -> list[Path]:
+    """Draw figures 3 to 8 and AoU over wall-clock time of training runs, each as PNG and PDF.
+
+    Figures 7 and 8 need evaluations. Runs on several scenarios get a folder for each.
+
+    Args:
+        folders: of the runs, ``.../<scenario>/<algorithm>/seed-<n>``.
+        out_dir: where the figures go.
+
+    Raises:
+        InputError: there is no run, a file of one is missing or malformed, or the figures cannot be written.
+    """
+    return _plot_scenarios(read_runs(folders), Path(out_dir))
+
+
+def _plot_scenarios(study: StudyResults, out_dir: Path) -> list[Path]:
     paths = []
     with style.house_style():
-        for scenario, members in sorted(scenarios.items()):
-            place = Path(out_dir) / scenario if len(scenarios) > 1 else Path(out_dir)
-            for name, figure in _figures(members).items():
+        for scenario in study.scenarios:
+            place = out_dir / folder_name(scenario) if len(study.scenarios) > 1 else out_dir
+            for name, figure in scenario_figures(study, scenario).items():
                 paths += style.save(figure, place, name)
     return paths
 
 
-def _figures(runs: Sequence[Run]) -> dict[str, Figure]:
-    groups: dict[str, list[Run]] = {}
-    for run in sorted(runs, key=lambda run: run.algorithm):
-        groups.setdefault(run.algorithm, []).append(run)
-    planners = _planners(runs)
-    figures = {name: _training_figure(groups, planners, measure) for name, measure in _TRAINING_FIGURES.items()}
-    figures["aou-wall-clock"] = _training_figure(groups, planners, _AOU, against_time=True)
-    suites = sorted({suite for run in runs for suite in run.evaluations})
-    for suite in suites:
-        ending = f"-{suite}" if len(suites) > 1 else ""
-        results = _results(runs, suite)
-        for name, draw in (
-            ("figure-7-aou-execution", _execution_figure),
-            ("figure-8-communications-by-period", _period_figure),
-        ):
-            figure = draw(results, runs[0])
-            if figure is not None:
-                figures[name + ending] = figure
+def scenario_figures(study: StudyResults, scenario: str) -> dict[str, Figure]:
+    """Figures 3 to 8 and AoU over wall-clock time, of the algorithms, the best planner and the bound."""
+    planner = best_planner(study, [scenario])
+    looks = style.looks([*study.algorithms, BOUND, *study.planners], study.algorithms)
+
+    def having(table: str, names: Iterable[str]) -> dict[str, list[Table]]:
+        return {name: runs for name in names if (runs := study.runs(table, name, scenario))}
+
+    figures = {}
+    if curves := having("curves", study.algorithms):
+        for name, measure in _TRAINING_FIGURES.items():
+            levels = _levels(study, scenario, planner, measure)
+            figures[name] = _training_figure(study, scenario, curves, levels, measure, looks)
+    if validations := having("validation", study.algorithms):
+        levels = _levels(study, scenario, planner, VALIDATION_AOU)
+        figures["aou-wall-clock"] = _wall_clock_figure(study, scenario, validations, levels, looks)
+    flown = [*study.algorithms, *([planner] if planner else [])]
+    if executed := having("execution", flown):
+        figures["figure-7-aou-execution"] = _execution_figure(study, scenario, executed, looks)
+    if counted := having("devices", flown):
+        figures["figure-8-communications-by-period"] = _period_figure(study, scenario, counted, looks)
     return figures
 
 
-def _planners(runs: Sequence[Run]) -> dict[str, PolicyResult]:
-    """Each planner's first evaluation: all runs of a scenario see it play the same missions."""
-    found: dict[str, PolicyResult] = {}
-    for run in runs:
-        for suite in sorted(run.evaluations):
-            for name, result in run.evaluations[suite].items():
-                # A fleet that stays home is orders of magnitude off: its line would flatten all the others.
-                if style.is_planner(name) and style.base_name(name) != "stay":
-                    found.setdefault(name, result)
-    return dict(sorted(found.items()))
+def _legend(figure: Figure, axes: Axes, what: str, seeds: Sequence[int], planner: bool = False) -> None:
+    note = "\nplanners: 95 % interval over missions" if planner else ""
+    style.legend_below(figure, axes, f"{what}: {over_seeds(seeds)}{note}")
 
 
-def _results(runs: Sequence[Run], suite: str) -> dict[str, list[PolicyResult]]:
-    """Policy -> its results in the suite, one a seed; of planners one alone."""
-    found: dict[str, list[PolicyResult]] = {}
-    for run in runs:
-        for name, result in run.evaluations.get(suite, {}).items():
-            if not (style.is_planner(name) and name in found):
-                found.setdefault(name, []).append(result)
-    return dict(sorted(found.items(), key=lambda item: (style.is_planner(item[0]), item[0])))
+def _levels(study: StudyResults, scenario: str, planner: str | None, measure: Measure) -> dict[str, Interval]:
+    """The bound and the best planner as levels of a measure; the bound bounds AoU and reward alone."""
+    levels = {}
+    if planner is not None:
+        levels[planner] = interval_over_missions(study.missions(planner, measure.column, [scenario])[scenario][0])
+    if scenario in study.bounds and measure.column in ("mean_aou_slots", "reward_s"):
+        reward = -study.slots(scenario) * study.slot_length_s(scenario)  # s, of a mission whose mean AoU is one slot
+        value = study.bounds[scenario] * (reward if measure.column == "reward_s" else 1.0)
+        levels[BOUND] = Interval(value, np.nan, np.nan)
+    return levels
 
 
 def _training_figure(
-    groups: dict[str, list[Run]], planners: dict[str, PolicyResult], measure: Measure, against_time: bool = False
+    study: StudyResults,
+    scenario: str,
+    curves: Mapping[str, list[Table]],
+    levels: dict[str, Interval],
+    measure: Measure,
+    looks: Looks,
 ) -> Figure:
-    first = next(iter(groups.values()))[0]
-    curves = {name: training_curve(members, measure.column) for name, members in groups.items()}
-    unit, seconds = time_unit(max(float(curve.wall_s.max()) for curve in curves.values()))
+    """Figures 3 to 6: a measure of the training missions over training."""
+    slots = study.slots(scenario)
     lines = {
-        name: Line(
-            curve.wall_s / seconds if against_time else curve.slots / first.mission_slots,
-            curve.mean,
-            curve.low,
-            curve.high,
-            curve.seeds,
-        )
-        for name, curve in curves.items()
+        name: _line([(run["slots"] / slots, run[measure.column]) for run in runs]) for name, runs in curves.items()
     }
-    levels = {
-        name: interval_over_missions(_level(result, measure, first.mission_slots)) for name, result in planners.items()
-    }
-    figure, axes = measure_figure(lines, levels, style.looks([*groups, *planners]), measure, first.devices)
-    if against_time:
-        axes.set_xlabel(f"wall-clock time of training ({unit})")
-    else:
-        label_training(axes, first.mission_slots)
-    seeds = [curve.seeds for curve in curves.values()]
-    style.legend_below(figure, axes, bands_title(seeds, "95 % of the missions", bool(levels)))
+    figure, axes = measure_figure(lines, levels, looks, measure, study.devices(scenario))
+    label_training(axes, slots)
+    _legend(figure, axes, "bands", [line.seeds for line in lines.values()], bool(levels.keys() - {BOUND}))
     return figure
 
 
-def _level(result: PolicyResult, measure: Measure, slots: float) -> Floats:
-    """The same measure of a planner's missions, (n,)."""
-    if measure is REWARD:
-        return -slots * result.mean_aou_s
-    values: Floats = getattr(result, measure.column)
-    return values
+def _line(runs: list[tuple[Floats, Floats]]) -> Line:
+    """The mean over seeds at the points of the first one, up to the end of the shortest."""
+    runs = [_one_value_each(x, y) for x, y in runs]
+    reach = min(float(x[-1]) for x, _ in runs)
+    start = max(float(x[0]) for x, _ in runs)
+    grid = runs[0][0]
+    grid = grid[(grid >= start) & (grid <= reach)]
+    grid = grid if len(grid) else np.array([reach])
+    return Line(grid, band_over_trainings([np.interp(grid, x, y) for x, y in runs]), len(runs))
 
 
-def _execution_figure(results: Mapping[str, list[PolicyResult]], run: Run) -> Figure | None:
-    """Figure 7, of the policies whose evaluation tells ages over time."""
-    timed = {name: [r for r in found if r.aou_over_time_s is not None] for name, found in results.items()}
-    lines = {name: _over_time(found) for name, found in timed.items() if found}
-    if not lines:
-        return None
-    figure = execution_figure(lines, style.looks(lines), "s", run.slot_length_s)
-    learned = [line.seeds for name, line in lines.items() if not style.is_planner(name)]
-    title = bands_title(learned or [1], OVER_MISSIONS, len(learned) < len(lines))
-    style.legend_below(figure, figure.axes[0], title)
+def _one_value_each(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """The mean of the values at each x: groups of missions that end in the same slot become one point."""
+    ends, place = np.unique(x, return_inverse=True)
+    return ends, np.bincount(place, y) / np.bincount(place)
+
+
+def _wall_clock_figure(
+    study: StudyResults,
+    scenario: str,
+    validations: Mapping[str, list[Table]],
+    levels: dict[str, Interval],
+    looks: Looks,
+) -> Figure:
+    """The AoU of each run's latest validation against the time since its training began."""
+    lines = {name: _over_time(runs) for name, runs in validations.items()}
+    unit, seconds = time_unit(max(float(line.x[-1]) for line in lines.values()))
+    lines = {name: Line(line.x / seconds, line.y, line.seeds) for name, line in lines.items()}
+    figure, axes = measure_figure(lines, levels, looks, VALIDATION_AOU, study.devices(scenario))
+    axes.set_xlabel(f"wall-clock time of training ({unit})")
+    _legend(figure, axes, "bands", [line.seeds for line in lines.values()], bool(levels.keys() - {BOUND}))
     return figure
 
 
-def _over_time(found: Sequence[PolicyResult]) -> Line:
-    """AoU over the slots with its interval: over the seeds, or as one file alone gives it."""
-    tables = [result.aou_over_time_s for result in found if result.aou_over_time_s is not None]
-    slot = np.arange(1.0, len(tables[0]) + 1)
-    if len(tables) > 1 and len({len(table) for table in tables}) == 1:
-        mean, low, high = band_over_trainings(np.stack(tables))
-        return Line(slot, mean, low, high, len(tables))
-    ends = (found[0].aou_over_time_low_s, found[0].aou_over_time_high_s)
-    low, high = (np.full(len(slot), np.nan) if end is None else end for end in ends)
-    return Line(slot, tables[0], low, high, len(tables))
+def _over_time(runs: list[Table]) -> Line:
+    """The latest validation AoU of each seed at each time, from when all have one to when the first ends."""
+    times = [run["wall_s"] for run in runs]
+    start = max(float(time[0]) for time in times)
+    grid = np.linspace(start, max(start, min(float(time[-1]) for time in times)), _TIMES)
+    latest = [
+        run["mean_aou_slots"][np.searchsorted(time, grid, side="right") - 1]
+        for run, time in zip(runs, times, strict=True)
+    ]
+    return Line(grid, band_over_trainings(latest), len(runs))
 
 
-def _period_figure(results: Mapping[str, list[PolicyResult]], _: Run) -> Figure | None:
-    """Figure 8, of the policies whose evaluation tells communications by device."""
-    counted = {name: _by_device(found) for name, found in results.items()}
-    drawn = {name: _by_period(*found) for name, found in counted.items() if found is not None}
-    if not drawn:
-        return None
-    return period_figure(drawn, style.looks(drawn), "95 % interval of the mean over devices")
+def _execution_figure(study: StudyResults, scenario: str, executed: Iterable[str], looks: Looks) -> Figure:
+    lines = {}
+    for name in executed:
+        table = study.stack("execution", name, scenario, "mean_aou_slots")  # (S, K)
+        slot = study.stack("execution", name, scenario, "slot")[0]  # (K,)
+        lines[name] = Line(slot, band_over_trainings(table), len(table))
+    figure, axes = execution_figure(lines, looks, study.slot_length_s(scenario))
+    _legend(figure, axes, "bands", [line.seeds for name, line in lines.items() if name in study.algorithms])
+    return figure
 
 
-def _by_period(period: Floats, counts: Floats) -> ByPeriod:
-    values = np.unique(period)
-    mean, low, high = np.transpose([interval_over_missions(counts[period == value]) for value in values])
-    return ByPeriod(period, counts, values, mean, low, high)
-
-
-def _by_device(found: Sequence[PolicyResult]) -> tuple[Floats, Floats] | None:
-    """Periods and communications a mission of each device of each seed's layout, (I,) each."""
-    pairs = [(r.update_period_slots, r.device_communications) for r in found]
-    known = [(period, counts.mean(axis=0)) for period, counts in pairs if period is not None and counts is not None]
-    if not known:
-        return None
-    period = known[0][0]
-    if all(np.array_equal(other, period) for other, _ in known):
-        return period, np.mean([counts for _, counts in known], axis=0)  # one layout: seeds are no new devices
-    return np.concatenate([other for other, _ in known]), np.concatenate([counts for _, counts in known])
+def _period_figure(study: StudyResults, scenario: str, counted: Mapping[str, list[Table]], looks: Looks) -> Figure:
+    groups = {}
+    for name in counted:
+        period = study.stack("devices", name, scenario, "update_period_slots")[0]  # (I,)
+        counts = study.stack("devices", name, scenario, "communications")  # (S, I)
+        values = np.unique(period)
+        means = np.stack([counts[:, period == value].mean(axis=1) for value in values], axis=1)  # (S, P)
+        groups[name] = ByPeriod(period, counts.mean(axis=0), values, band_over_trainings(means))
+    figure, axes = period_figure(groups, looks)
+    seeds = [len(runs) for name, runs in counted.items() if name in study.algorithms]
+    _legend(figure, axes, "dot: one device; bar", seeds)
+    return figure

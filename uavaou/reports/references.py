@@ -75,14 +75,14 @@ def comparable(
     """
     names = list(study.scenarios)
     if len(names) == 1:
-        return {name: dict(tables) for name, tables in scores.items()}, "in slots $\\tau$"
+        return {name: dict(tables) for name, tables in scores.items()}, "slots"
     best = best_planner(study, names)
-    choices = [({name: study.bounds.get(name, 0.0) for name in names}, "as a multiple of the lower bound")]
+    choices = [({name: study.bounds.get(name, 0.0) for name in names}, "multiples of the lower bound")]
     if best is not None:
         flown = study.missions(best, "mean_aou_slots")
-        choices.append(({name: float(flown[name].mean()) for name in names}, f"as a multiple of {best}'s"))
+        choices.append(({name: float(flown[name].mean()) for name in names}, f"multiples of {best}'s mean"))
     means = {name: float(np.mean([tables[name].mean() for tables in scores.values()])) for name in names}
-    choices += [(means, "as a multiple of the mean of all"), (dict.fromkeys(names, 1.0), "in slots $\\tau$")]
+    choices += [(means, "multiples of the mean of all"), (dict.fromkeys(names, 1.0), "slots")]
     levels, unit = next(choice for choice in choices if min(choice[0].values()) > 0)
     shared = {
         name: {scenario: table / levels[scenario] for scenario, table in tables.items()}

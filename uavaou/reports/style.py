@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from uavaou.envs.map import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
+from uavaou.envs.map import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, YELLOW
 from uavaou.errors import InputError
 from uavaou.planners import PLANNERS
 
@@ -92,6 +92,8 @@ _LOOKS = {
 }
 _SPARE_COLOURS = (GREEN, PURPLE, BLACK, SKY, ORANGE, VERMILLION, BLUE)
 _SPARE_MARKERS = ("X", "p", "<", ">", "d", "8", "1")
+_MOST_OF_ONE_COLOUR = 3  # variants of one algorithm
+_VARIANT_COLOURS = (VERMILLION, ORANGE, PURPLE, GREEN, SKY, YELLOW, GREY, BLACK)
 _VARIANT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (5, 1.2, 1, 1.2)), (0, (1.2, 1)))
 
 
@@ -108,9 +110,9 @@ def is_planner(name: str) -> bool:
 def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> dict[str, Look]:
     """Give every name a look, the known algorithms always the same one.
 
-    Variants of one algorithm (``mappo+gamma=0.9``) share its colour, differ in dashes and markers and show their
-    overrides, which an algorithm without a second variant need not; unknown names take spare colours in
-    alphabetical order.
+    Up to three variants of one algorithm (``mappo+gamma=0.9``) share its colour and differ in dashes and markers; more
+    of them also get colours that no other algorithm there has. Overrides are shown where there are several variants.
+    Unknown algorithms take spare colours in alphabetical order.
 
     Args:
         names: of algorithms, their variants, planners.
@@ -119,8 +121,11 @@ def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> 
     """
     stated = {name: base for name, base in (algorithms or {}).items() if name != base}
     bases = {name: base_name(stated.get(name, name)) for name in sorted(set(names))}
-    ordered = sorted(bases, key=lambda name: (name in stated, name))  # an algorithm itself has the solid line
-    alone = {base for base, count in Counter(bases.values()).items() if count == 1}
+    order = list(stated)  # the study's; an algorithm itself comes before its variants and has the solid line
+    ordered = sorted(bases, key=lambda name: (order.index(name) + 1 if name in stated else 0, name))
+    counts = Counter(bases.values())
+    taken = {_LOOKS[base].colour for base in counts if base in _LOOKS}
+    free = [colour for colour in _VARIANT_COLOURS if colour not in taken]
     given: dict[str, Look] = {}
     variants: dict[str, int] = {}
     spare = sorted(set(bases.values()) - _LOOKS.keys())
@@ -140,8 +145,9 @@ def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> 
         variants[base] = turn + 1
         if turn:
             marker = _SPARE_MARKERS[(turn - 1) % len(_SPARE_MARKERS)]
-            look = replace(look, dash=_VARIANT_DASHES[turn % len(_VARIANT_DASHES)], marker=marker)
-        overrides = "" if base in alone else name.partition("+")[2]
+            colour = free[(turn - 1) % len(free)] if free and counts[base] > _MOST_OF_ONE_COLOUR else look.colour
+            look = replace(look, colour=colour, dash=_VARIANT_DASHES[turn % len(_VARIANT_DASHES)], marker=marker)
+        overrides = "" if counts[base] == 1 else name.partition("+")[2]
         label = name if name in stated else look.label + (f" {overrides}" if overrides else "")
         given[name] = replace(look, label=label.replace("$", "\\$"))  # of a name, not the beginning of a formula
     return given

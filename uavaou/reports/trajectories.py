@@ -72,11 +72,11 @@ def _map(scenario: Scenario, recording: Recording) -> Figure:
     _shade_visits(axes, visit_bar, scenario, recording)
     for u in range(scenario.uavs):
         draw_steps(axes, scenario, recording.positions[:, u], u)
-    mean_age = recording.age_sum.mean(axis=0)  # (I,) s
+    mean_age = ages_in_slots(scenario, recording).mean(axis=0)  # (I,) slots
     counts = recording.communications.sum(axis=0)  # (I,)
     scale = age_scale(scenario, recording.layout, mean_age)
     draw_devices(axes, recording.layout, mean_age, scale, device_area(counts, int(counts.max())))
-    add_age_bar(axes, scale, "mean age sum (s)", cax=age_bar)
+    add_age_bar(axes, scale, "mean age sum (slots)", cax=age_bar)
     label_log_axis(age_bar.yaxis, *age_bar.get_ylim())
     figure.legend(handles=fleet_handles(scenario), loc="upper center", ncols=_LEGEND_COLUMNS, borderpad=0)
     title = "communications of the device"
@@ -173,36 +173,48 @@ def _count_handles(counts: Ints) -> list[Line2D]:
 
 
 def _ages(scenario: Scenario, recording: Recording) -> Figure:
-    devices = recording.age_sum.shape[1]
+    ages = ages_in_slots(scenario, recording)  # (K, I) slots
+    devices = ages.shape[1]
     strip_in = float(np.clip(0.085 * devices, 1.4, 6))
     figure = new_figure(height_in=strip_in + 1.9)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.1, strip_in])
-    slots = np.arange(1, len(recording.age_sum) + 1)
-    total = recording.age_sum.sum(axis=1)  # (K,) s
+    slots = np.arange(1, len(ages) + 1)
+    total = ages.sum(axis=1)  # (K,) slots
     upper.plot(slots, total, color=BLACK, linewidth=0.8)
     upper.axhline(float(total.mean()), color=GREY, linewidth=0.8, linestyle=(0, (4, 1.5)))
     log_scale_if_wide(upper, total)
-    note = f"mean {total.mean():,.0f} s"
+    note = f"mean {total.mean():,.4g} slots"
     upper.annotate(note, (1, 1), (0, 1), "axes fraction", "offset points", ha="right", va="bottom", fontsize=7)
-    upper.set_ylabel("total age (s)")
+    upper.set_ylabel("AoU (slots)")
     upper.set_xlim(0.5, len(slots) + 0.5)
-    scale = age_scale(scenario, recording.layout, recording.age_sum)
-    draw_strip(lower, recording, scale)
-    bar = add_age_bar(lower, scale, "age sum (s)")
+    scale = age_scale(scenario, recording.layout, ages)
+    draw_strip(lower, recording, ages, scale)
+    bar = add_age_bar(lower, scale, "age sum (slots)")
     label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
-    handles = [
-        Line2D([], [], color=uav_colour(u), lw=1.5, label=f"UAV {u}") for u in range(min(scenario.uavs, _LEGEND_UAVS))
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=_LEGEND_COLUMNS, title="communication with")
+    legend_of_communications(figure, scenario)
     return figure
 
 
-def draw_strip(axes: Axes, recording: Recording, scale: LogNorm) -> None:
-    """Each device's age over the slots, devices in rows by update period, a tick for each communication."""
-    slots, devices = recording.age_sum.shape
+def ages_in_slots(scenario: Scenario, recording: Recording) -> Floats:
+    """The age sum of each device at the end of each slot, (K, I) slots."""
+    ages: Floats = recording.age_sum / scenario.slot_length_s
+    return ages
+
+
+def legend_of_communications(figure: Figure, scenario: Scenario) -> None:
+    """The legend of the ticks that :func:`draw_strip` draws."""
+    uavs = range(min(scenario.uavs, _LEGEND_UAVS))
+    handles = [Line2D([], [], color=uav_colour(u), lw=1.5, label=f"UAV {u}") for u in uavs]
+    title = "tick: communication with"
+    figure.legend(handles=handles, loc="outside lower center", ncols=_LEGEND_COLUMNS, title=title)
+
+
+def draw_strip(axes: Axes, recording: Recording, ages: Floats, scale: LogNorm) -> None:
+    """The age of each device over the slots, (K, I): devices in rows by update period, a tick a communication."""
+    slots, devices = ages.shape
     order = np.argsort(recording.layout.update_period, kind="stable")  # (I,)
     axes.imshow(
-        recording.age_sum.T[order],
+        ages.T[order],
         norm=scale,
         cmap=AGE_COLOURS,
         aspect="auto",

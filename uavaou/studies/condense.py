@@ -23,6 +23,9 @@ from uavaou.studies.results import Rows, StudyResults, read_begun
 from uavaou.studies.study import Study, StudyRun
 
 MOST_GROUPS = 200  # of a learning curve
+VALIDATION_COLUMNS = (
+    "time/slots", "time/wall_s", "evaluation/mean_aou_greedy_s", "evaluation/mean_aou_sample_s",
+)  # fmt: skip
 _CURVE = ("reward_s", "mean_aou_s", "communications", "devices_served")
 
 
@@ -144,18 +147,18 @@ def condense_run(results: StudyResults, study: Study, out: Path, run: StudyRun) 
         return False
     scenario = run.config.scenario
     rows = evaluation_rows(run.key, scenario, evaluation, str(folder.path))
-    rows["curves"] = _curve_rows(run.key, scenario, folder.episodes)
-    rows["validation"] = _validation_rows(run.key, scenario, folder.path / "progress.csv")
+    rows["curves"] = curve_rows(run.key, scenario, folder.episodes)
+    rows["validation"] = validation_rows(run.key, scenario, folder.path / "progress.csv")
     rows["runs"] = [_run_row(run, folder, evaluation)]
     results.put(run.key, rows, run.config)
     return True
 
 
-def _curve_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[str]]:
+def curve_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[str]]:
     """The training missions in order, averaged in groups of equal size (or one more)."""
-    table = read_csv(path, ("slots", "wall_s", *_CURVE))
+    table = read_csv(path, ("slots", "wall_s", *_CURVE), whole_lines=True)
     if not len(table):
-        raise InputError(f"{path}: holds no mission")
+        raise InputError(f"{path}: no mission has ended yet")
     slots, wall_s = table.floats("slots"), table.floats("wall_s")  # (M,) each
     columns = {name: table.floats(name) for name in _CURVE}  # (M,) each
     rows = []
@@ -167,12 +170,13 @@ def _curve_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[str]]
     return rows
 
 
-def _validation_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[str]]:
-    greedy, sampled = "evaluation/mean_aou_greedy_s", "evaluation/mean_aou_sample_s"
-    table = read_csv(path, ("time/slots", "time/wall_s", greedy, sampled))
+def validation_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[str]]:
+    """The evaluations of a training on the validation missions, from its ``progress.csv``."""
+    table = read_csv(path, VALIDATION_COLUMNS)
+    slots_column, time, greedy, sampled = VALIDATION_COLUMNS
     table = table.where(cell != "" for cell in table.text(greedy))
     aou = (table.floats(name) / scenario.slot_length_s for name in (greedy, sampled))
-    columns = zip(table.floats("time/slots"), table.floats("time/wall_s"), *aou, strict=True)
+    columns = zip(table.floats(slots_column), table.floats(time), *aou, strict=True)
     return [[*_cells(key), str(int(slots)), *map(number, values)] for slots, *values in columns]
 
 

@@ -92,11 +92,10 @@ class StudyResults:
     @property
     def algorithms(self) -> dict[str, str]:
         """Variant -> algorithm of the learned variants, in the study's order."""
-        runs = self.table("runs")
-        found = dict(zip(runs["variant"].tolist(), runs["algorithm"].tolist(), strict=True))
-        order = list(_mapping(self.settings.get("variants")))
-        names = sorted(found, key=lambda name: order.index(name) if name in order else len(order))
-        return {name: found[name] for name in names}
+        stated = _mapping(self.settings.get("variants"))
+        learned = {key.variant for key in self.parts if key.seed is not None}
+        order = [*(name for name in stated if name in learned), *sorted(learned - stated.keys())]
+        return {name: str(_mapping(stated.get(name)).get("name", name)) for name in order}
 
     @property
     def planners(self) -> tuple[str, ...]:
@@ -117,7 +116,7 @@ class StudyResults:
 
     @property
     def scenarios(self) -> dict[str, dict[str, Any]]:
-        """Name -> fields of the scenarios with evaluated parts, in the study's order.
+        """Name -> fields of the scenarios with trained or evaluated parts, in the study's order.
 
         Raises:
             InputError: ``study.yaml`` lacks one of them, or a field that figures are labelled with.
@@ -125,7 +124,7 @@ class StudyResults:
         stated = self.settings.get("scenarios")
         if not isinstance(stated, dict):
             raise InputError(f"{self.folder.study}: field 'scenarios' is missing or not a mapping")
-        found = {key.scenario for key, tables in self.parts.items() if "missions" in tables}
+        found = {key.scenario for key, tables in self.parts.items() if tables.keys() & {"curves", "missions"}}
         for name in sorted(found):
             if name.startswith(".") or set(name) & set("/\\\0"):  # figures go to folders of these names
                 raise InputError(f"{self.folder.table('missions')}: scenario {name!r} cannot name a folder")

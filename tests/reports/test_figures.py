@@ -1,9 +1,7 @@
-"""A study's figures from its tables alone, its recorded missions, and its export for marl-eval."""
+"""A study's figures come from its tables alone and show what they say."""
 
 from __future__ import annotations
 
-import json
-import shutil
 import subprocess
 import sys
 import time
@@ -16,19 +14,11 @@ import pytest
 import yaml
 from matplotlib.image import imread
 
-from tests.synthetic_study import MAPPO, PLANNERS, SCENARIO, SLOT_S, VDN, K, Variant, write_study
-from uavaou.errors import InputError
-from uavaou.evaluation.recorded_mission import RecordedMission, Recording, read_mission, record_mission, write_mission
-from uavaou.planners import make_planner
+from tests.synthetic_study import MAPPO, SLOT_S, K, Variant, record, write_study
 from uavaou.reports import style
+from uavaou.reports.figures import _line, _over_time, plot_study
 from uavaou.reports.references import best_planner, comparable, in_all_scenarios
-from uavaou.reports.study_figures import _line, _over_time, plot_study
-from uavaou.runs.folder import RunFolder
-from uavaou.runs.policy import load_run
-from uavaou.scenario import Scenario
-from uavaou.studies.best import record_missions
-from uavaou.studies.marl_eval import to_marl_eval
-from uavaou.studies.results import read_study, study_folders
+from uavaou.studies.results import read_study
 from uavaou_cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,14 +33,6 @@ OF_A_SCENARIO = {
 }
 AGGREGATES = {"aou-iqm", "probability-of-improvement", "performance-profile"}
 MISSIONS = {"missions-side-by-side", "missions-device-ages"}
-
-
-def record(folder: Path, policy: str = "mappo", planner: str = "greedy") -> RecordedMission:
-    scenario = Scenario.load("tiny")
-    recording = record_mission(scenario, make_planner(planner), 5)
-    mission = RecordedMission(scenario, policy, 0, 5, recording)
-    write_mission(folder / f"mission-{policy}.json", mission)
-    return mission
 
 
 def run_cli(place: Path, code: str) -> subprocess.CompletedProcess[str]:
@@ -107,7 +89,7 @@ def test_several_scenarios_get_a_folder_each(tmp_path: Path, drawn: dict[str, An
     plot_study(study, tmp_path / "out")
     expected = {f"{place}/{name}" for place in ("paper", "a b%3F") for name in OF_A_SCENARIO}
     assert set(drawn) == expected | {f"out/{name}" for name in AGGREGATES}
-    assert "multiple of the lower bound" in drawn["out/aou-iqm"].get_supxlabel()
+    assert "multiples of the lower bound" in drawn["out/aou-iqm"].get_supxlabel()
 
 
 def test_figures_show_what_the_tables_say(tmp_path: Path, drawn: dict[str, Any]) -> None:
@@ -220,8 +202,8 @@ def test_missions_that_end_together_are_one_point() -> None:
     two = np.array([10.0, 20.0]), np.array([2.0, 4.0])
     line = _line([one, two])
     assert line.x.tolist() == [10.0, 20.0]
-    assert line.mean.tolist() == [3.0, 3.0]
-    assert _line([two, one]).mean.tolist() == [3.0, 3.0]
+    assert line.y.value.tolist() == [3.0, 3.0]
+    assert _line([two, one]).y.value.tolist() == [3.0, 3.0]
 
 
 def test_seeds_that_were_never_in_training_together_have_one_time() -> None:
@@ -230,7 +212,7 @@ def test_seeds_that_were_never_in_training_together_have_one_time() -> None:
     for runs in ([early, late], [late, early]):
         line = _over_time(runs)
         assert set(line.x) == {5.0}
-        assert set(line.mean) == {7.5}  # what each held at that time
+        assert set(line.y.value) == {7.5}  # what each held at that time
 
 
 def test_scores_of_scenarios_without_ages_stay_in_slots(tmp_path: Path) -> None:
@@ -239,7 +221,7 @@ def test_scores_of_scenarios_without_ages_stay_in_slots(tmp_path: Path) -> None:
     assert "best-first" in comparable(study, still)[1]
     alone = read_study(write_study(tmp_path / "two", planners={}, scenarios=("a", "b"), bound=None, seeds=1))
     shared, unit = comparable(alone, still)
-    assert unit == "in slots $\\tau$"
+    assert unit == "slots"
     assert not np.any(shared["mappo"]["a"])
 
 
@@ -262,162 +244,3 @@ def test_references(tmp_path: Path) -> None:
     np.testing.assert_allclose(shared["mappo"]["a"], expected)
     alone = read_study(write_study(tmp_path / "two", planners={"random": Variant(5.0)}))
     assert best_planner(alone, ["paper"]) is None
-
-
-def test_runs_that_are_not_finished_are_left_out(tmp_path: Path) -> None:
-    folder = write_study(tmp_path / "study", seeds=3)
-    runs = (folder / "runs.csv").read_text().splitlines(keepends=True)
-    (folder / "runs.csv").write_text("".join(row for row in runs if not row.startswith("mappo,mappo,paper,1,")))
-    study = read_study(folder)
-    assert study.stack("missions", "mappo", "paper", "mean_aou_slots").shape == (2, 12)
-    assert study.stack("missions", "vdn", "paper", "mean_aou_slots").shape == (3, 12)
-
-
-def test_seeds_of_different_lengths_cannot_be_stacked(tmp_path: Path) -> None:
-    folder = write_study(tmp_path / "study")
-    text = (folder / "missions.csv").read_text().splitlines(keepends=True)
-    (folder / "missions.csv").write_text("".join([text[0], *text[2:]]))
-    with pytest.raises(InputError, match=r"missions\.csv.*'mappo' on 'paper'"):
-        read_study(folder).stack("missions", "mappo", "paper", "mean_aou_slots")
-
-
-def test_studies_are_found_and_the_papers_is_first(tmp_path: Path) -> None:
-    for name in ("other", "paper", "ablation"):
-        write_study(tmp_path / "studies" / name, {"mappo": MAPPO}, seeds=1, missions=2)
-    assert [folder.name for folder in study_folders(tmp_path)] == ["paper", "ablation", "other"]
-
-
-# -- recorded missions ---------------------------------------------------------------------------------
-
-
-def test_a_recorded_mission_is_read_as_it_was_written(tmp_path: Path) -> None:
-    mission = record(tmp_path, "tour's")
-    again = read_mission(tmp_path / "mission-tour's.json")
-    assert (again.scenario, again.policy, again.training_seed, again.mission_seed) == (
-        Scenario.load("tiny"), "tour's", 0, 5,
-    )  # fmt: skip
-    for field in ("positions", "collected_by", "age_sum"):
-        np.testing.assert_allclose(getattr(again.recording, field), getattr(mission.recording, field), rtol=1e-12)
-    np.testing.assert_array_equal(again.recording.communications, mission.recording.communications)
-    np.testing.assert_allclose(again.recording.layout.positions, mission.recording.layout.positions)
-    np.testing.assert_array_equal(again.recording.layout.update_period, mission.recording.layout.update_period)
-
-
-@pytest.mark.slow
-def test_the_kept_policies_of_a_study_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    small = "missions=2 rollout_slots=12 batch_rows=24 evaluate_every_slots=24 evaluation_missions=2"
-    options = [word for setting in small.split() for word in ("--set", f"algorithm.{setting}")]
-    assert main(["train", "--scenario", "tiny", "--slots", "48", "--seed", "3", "--quiet", *options]) == 0
-    trained = next(tmp_path.glob("results/tiny/*/seed-3"))
-    study = write_study(tmp_path / "study", {"mappo": MAPPO}, seeds=1, scenarios=("none kept", "a%b"))
-    assert record_missions(study) == []
-    shutil.copytree(trained, study / "best" / "a%25b" / "big mappo" / "seed-3")
-    record(study, "of tiny")
-    other = record(study, "of another")
-    write_mission(
-        study / "mission-of another.json", replace(other, scenario=other.scenario.replace(rate_min_bit_s=1000))
-    )
-    assert record_missions(study) == [study / "mission-big mappo.json"]
-    assert {path.name for path in study.glob("mission-*")} == {"mission-big mappo.json", "mission-of tiny.json"}
-    mission = read_mission(study / "mission-big mappo.json")
-    assert (mission.policy, mission.training_seed, mission.mission_seed) == ("big mappo", 3, 10_000)
-    played = record_mission(Scenario.load("tiny"), load_run(RunFolder(trained)), 10_000)
-    np.testing.assert_array_equal(mission.recording.collected_by, played.collected_by)
-    np.testing.assert_allclose(mission.recording.age_sum, played.age_sum)
-
-
-def change(field: str, value: Any) -> Any:
-    def edit(content: dict[str, Any]) -> None:
-        (content["layout"] if field in content["layout"] else content)[field] = value
-
-    return edit
-
-
-@pytest.mark.parametrize(
-    ("edit", "words"),
-    [
-        (change("schema", 2), "schema 1"),
-        (change("positions_m", [[0.0]]), "'positions_m'"),
-        (change("age_sum_slots", "old"), "'age_sum_slots'"),
-        (change("collected_by", [[9] * 4] * 12), "'collected_by' names UAVs outside 0 to 1"),
-        (change("collected_by", [[0.5] * 4] * 12), "not whole"),
-        (change("update_period_slots", [0, 1, 1, 1]), "'update_period_slots'"),
-        (change("mission_seed", None), "'mission_seed'"),
-        (lambda content: content.pop("layout"), "'layout'"),
-        (lambda content: content["scenario"].update(slots=-1), "slots"),
-    ],
-)
-def test_a_damaged_recording_is_an_input_error(tmp_path: Path, edit: Any, words: str) -> None:
-    record(tmp_path)
-    path = tmp_path / "mission-mappo.json"
-    content = json.loads(path.read_text())
-    edit(content)
-    path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=words) as raised:
-        read_mission(path)
-    assert "mission-mappo.json" in str(raised.value)
-
-
-def test_nothing_pending_is_no_communication() -> None:
-    layout = SCENARIO.draw_layout()
-    kept = np.zeros((3, 1, 2)), np.array([[0], [0], [0]]), np.array([[0.0], [0.0], [0.0]])
-    one = type(layout)(layout.positions[:1], layout.bandwidth[:1], layout.transmit_power[:1], np.array([2]))
-    np.testing.assert_array_equal(Recording(*kept, one).communications[:, 0], [True, True, False])
-
-
-# -- marl-eval -----------------------------------------------------------------------------------------
-
-
-def test_export_has_the_structure_that_marl_eval_describes(tmp_path: Path) -> None:
-    variants = {"mappo": MAPPO, "vdn": VDN}
-    folder = write_study(tmp_path / "study", variants, PLANNERS, seeds=3, scenarios=("a", "b"))
-    results = read_study(folder)
-    content = json.loads(json.dumps(to_marl_eval(results)))
-    assert list(content) == ["uavaou_v0"]
-    assert set(content["uavaou_v0"]) == {"a", "b"}
-    for algorithms in content["uavaou_v0"].values():
-        assert set(algorithms) == {"mappo", "vdn"}  # planners have no training
-        for runs in algorithms.values():
-            assert set(runs) == {"seed_0", "seed_1", "seed_2"}
-            for run in runs.values():
-                check_run(run)
-    run = content["uavaou_v0"]["b"]["vdn"]["seed_1"]
-    study = read_study(folder)
-    aou = study.stack("missions", "vdn", "b", "mean_aou_slots")[1].mean()
-    assert run["absolute_metrics"]["mean_aou_slots"] == [pytest.approx(aou)]
-    assert run["absolute_metrics"]["return"] == [pytest.approx(-aou * K * SLOT_S)]
-    assert run["step_4"]["step_count"] == study.runs("validation", "vdn", "b")[1]["slots"][4]
-
-
-def check_run(run: dict[str, Any]) -> None:
-    steps = [key for key in run if key != "absolute_metrics"]
-    assert steps == [f"step_{k}" for k in range(len(steps))]
-    assert len(steps) == 30
-    counts = [run[step]["step_count"] for step in steps]
-    assert counts == sorted(counts)
-    assert all(isinstance(count, int) for count in counts)
-    for step in steps:
-        for metric in set(run[step]) - {"step_count", "elapsed_time"}:
-            assert isinstance(run[step][metric], list)
-            assert len(run[step][metric]) == 1
-            assert metric in run["absolute_metrics"]
-    assert all(isinstance(values, list) for values in run["absolute_metrics"].values())
-
-
-def test_export_keeps_the_runs_and_steps_that_all_have(tmp_path: Path) -> None:
-    folder = write_study(tmp_path / "study", {"mappo": MAPPO, "vdn": VDN}, seeds=3)
-    for name, part in (("runs.csv", "vdn,vdn,paper,2,"), ("validation.csv", "mappo,paper,1,60000,")):
-        rows = (folder / name).read_text().splitlines(keepends=True)
-        kept = [row for row in rows if not row.startswith(part)]
-        assert len(kept) == len(rows) - 1
-        (folder / name).write_text("".join(kept))
-    tasks = to_marl_eval(read_study(folder))["uavaou_v0"]
-    assert {len(runs) for runs in tasks["paper"].values()} == {2}
-    assert {len(run) for runs in tasks["paper"].values() for run in runs.values()} == {30}  # 29 steps and the last
-
-
-def test_tables_of_a_study_without_runs_are_an_input_error(tmp_path: Path) -> None:
-    folder = write_study(tmp_path / "study", {}, {}, bound=None)
-    with pytest.raises(InputError, match="no evaluated run"):
-        read_study(folder).require_evaluated()

@@ -1,0 +1,205 @@
+"""Figures from run folders: the runs become the tables of a study, in slots, and are drawn as a study is."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uavaou.algorithms.registry import load_config
+from uavaou.errors import InputError
+from uavaou.reports import style
+from uavaou.reports.figures import plot_runs
+from uavaou.reports.run_tables import read_runs
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.scenario import Scenario
+from uavaou.studies.condense import curve_rows
+from uavaou.studies.parts import PartKey
+
+HEADER = ["mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served"]
+VALIDATION = ["evaluation/mean_aou_greedy_s", "evaluation/mean_aou_sample_s", "time/slots", "time/wall_s"]
+TINY = Scenario.load("tiny")
+LANES, SLOTS, DEVICES, TAU = 4, TINY.slots, TINY.devices, TINY.slot_length_s
+TRAINING_FIGURES = {"figure-3-reward", "figure-4-aou", "figure-5-communications", "figure-6-devices-served"}
+ALL_FIGURES = TRAINING_FIGURES | {"aou-wall-clock", "figure-7-aou-execution", "figure-8-communications-by-period"}
+
+
+# -- run folders as training writes them ---------------------------------------------------------------
+
+
+def evaluated(rng: np.random.Generator, level_s: float, missions: int = 6) -> dict[str, Any]:
+    """What an evaluation holds for one policy."""
+    return {
+        "mean_aou_s": (level_s * rng.uniform(0.8, 1.2, missions)).tolist(),
+        "communications": rng.integers(20, 30, missions).tolist(),
+        "devices_served": [DEVICES] * missions,
+        "violations": {},
+        "device_mean_aou_s": [level_s / DEVICES] * DEVICES,
+        "device_communications": rng.integers(2, 9, (missions, DEVICES)).tolist(),
+        "aou_over_time_s": (level_s * rng.uniform(0.8, 1.2, SLOTS)).tolist(),
+    }
+
+
+def write_run(root: Path, algorithm: str = "mappo", seed: int = 0, missions: int = 80, evaluation: bool = True) -> Path:
+    folder = root / "tiny" / algorithm / f"seed-{seed}"
+    (folder / "eval").mkdir(parents=True)
+    rng = np.random.default_rng([seed, len(algorithm)])
+    with (folder / "episodes.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(HEADER)
+        for mission in range(missions):
+            ended = (mission // LANES + 1) * LANES * SLOTS  # missions side by side end together
+            aou = 5000 * np.exp(-5 * mission / missions) * rng.uniform(0.8, 1.2) + 20
+            writer.writerow([mission + 1, ended, 0.01 * ended, -SLOTS * aou, aou, rng.integers(10, 30), 4])
+    config = RunConfig(TINY, load_config(algorithm), seed)
+    (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
+    if evaluation:
+        rows = [VALIDATION, ["", "", 10, 1], [900, 950, 480, 4.8], [60, 70, 960, 9.6]]
+        (folder / "progress.csv").write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
+        write_evaluation(folder, "default", {algorithm: evaluated(rng, 40), "greedy": evaluated(rng, 60)})
+    return folder
+
+
+def write_evaluation(folder: Path, name: str, policies: dict[str, Any]) -> None:
+    content = {"scenario": "tiny", "episodes": 6, "policies": policies}
+    (folder / "eval" / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The figures by path; the files cost the time."""
+    figures: dict[str, Any] = {}
+
+    def keep(figure: Any, folder: Path, name: str) -> list[Path]:
+        figures[f"{folder.name}/{name}"] = figure
+        return [folder / name]
+
+    monkeypatch.setattr(style, "save", keep)
+    return figures
+
+
+# -- figures -------------------------------------------------------------------------------------------
+
+
+def test_seeds_of_an_algorithm_are_one_line_in_slots(tmp_path: Path, drawn: dict[str, Any]) -> None:
+    runs = [write_run(tmp_path, "mappo", seed) for seed in range(3)] + [write_run(tmp_path, "vdn")]
+    plot_runs(runs, tmp_path / "out")
+    assert set(drawn) == {f"out/{name}" for name in ALL_FIGURES}
+    fourth = drawn["out/figure-4-aou"]
+    assert "95 % interval over seeds; none (1 seed)" in fourth.legends[0].get_title().get_text()
+    lines = {line.get_label(): line for line in fourth.axes[0].get_lines()}
+    assert set(lines) == {"MAPPO (3 seeds)", "VDN (1 seed)", "greedy"}
+    groups = [curve_rows(PartKey("", "", 0), TINY, folder / "episodes.csv") for folder in runs[:3]]
+    aou = np.array([[float(row[6]) for row in rows] for rows in groups]).reshape(3, -1, LANES).mean(axis=(0, 2))
+    np.testing.assert_allclose(lines["MAPPO (3 seeds)"].get_ydata(), aou)  # missions that end together are one point
+    assert fourth.axes[0].get_ylabel() == "mean AoU (slots)"
+    wall = {line.get_label(): line for line in drawn["out/aou-wall-clock"].axes[0].get_lines()}
+    assert wall["MAPPO (3 seeds)"].get_ydata()[-1] == pytest.approx(60 / TAU)
+
+
+def test_runs_are_written_as_png_and_pdf(tmp_path: Path) -> None:
+    paths = plot_runs([write_run(tmp_path / "results", missions=4, evaluation=False)], tmp_path / "figures")
+    assert {path.stem for path in paths} == TRAINING_FIGURES
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {path.name for path in paths}  # no drafts
+    assert all(path.stat().st_size > 1000 for path in paths)
+
+
+def test_a_run_with_two_evaluations_is_drawn_once(tmp_path: Path, drawn: dict[str, Any]) -> None:
+    folder = write_run(tmp_path)
+    rng = np.random.default_rng(0)
+    write_evaluation(folder, "first-3", {"mappo": evaluated(rng, 9000, 3)})
+    plot_runs([folder], tmp_path / "out")
+    assert set(drawn) == {f"out/{name}" for name in ALL_FIGURES}
+    assert read_runs([folder]).stack("missions", "mappo", "tiny", "mean_aou_slots").shape == (1, 6)
+
+
+def test_figures_of_two_scenarios_go_to_two_folders(tmp_path: Path, drawn: dict[str, Any]) -> None:
+    run = write_run(tmp_path / "results", missions=3, evaluation=False)
+    other = write_run(tmp_path / "others", missions=3, evaluation=False)
+    replace_in("config.yaml", "name: tiny", "name: hilly")(other)
+    plot_runs([run, other], tmp_path)
+    assert {name.split("/")[0] for name in drawn} == {"tiny", "hilly"}
+
+
+def test_overrides_of_the_folder_stay_in_the_name(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, "mappo", evaluation=False)
+    moved = folder.parent.with_name("mappo+gamma=0.9") / folder.name
+    moved.parent.mkdir()
+    folder.rename(moved)
+    assert list(read_runs([moved]).algorithms) == ["mappo+gamma=0.9"]
+
+
+def test_a_line_cut_off_while_writing_is_left_out(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, evaluation=False)
+    with (folder / "episodes.csv").open("a", encoding="utf-8") as file:
+        file.write("81,10")
+    (run,) = read_runs([folder]).runs("curves", "mappo", "tiny")
+    assert len(run["slots"]) == 80
+
+
+# -- bad input -----------------------------------------------------------------------------------------
+
+
+def replace_in(name: str, old: str, new: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        text = (folder / name).read_text(encoding="utf-8")
+        (folder / name).write_text(text.replace(old, new, 1), encoding="utf-8")
+
+    return change
+
+
+def change_policy(field: str, value: Any) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        path = folder / "eval" / "default.json"
+        content = json.loads(path.read_text(encoding="utf-8"))
+        content["policies"]["greedy"][field] = value
+        path.write_text(json.dumps(content), encoding="utf-8")
+
+    return change
+
+
+BROKEN: list[tuple[Callable[[Path], object], list[str]]] = [
+    (lambda folder: RunFolder(folder).config.unlink(), ["config.yaml"]),
+    (lambda folder: (folder / "episodes.csv").unlink(), ["episodes.csv", "cannot be read"]),
+    (lambda folder: (folder / "episodes.csv").write_text(""), ["episodes.csv", "'slots' is missing"]),
+    (lambda folder: (folder / "episodes.csv").write_text(",".join(HEADER) + "\n"), ["no mission has ended"]),
+    (replace_in("episodes.csv", "wall_s", "seconds"), ["episodes.csv", "'wall_s' is missing"]),
+    (replace_in("episodes.csv", "\n1,48,", "\n1,many,"), ["episodes.csv: line 2", "'slots'", "'many'"]),
+    (replace_in("episodes.csv", "\n1,48,", "\n1,nan,"), ["episodes.csv: line 2", "'slots'"]),
+    (replace_in("episodes.csv", "\n2,48,", "\n2\n"), ["episodes.csv: line 3", "1 values, expected 7"]),
+    (replace_in("progress.csv", "900", "none"), ["progress.csv: line 3", "'none'"]),
+    (replace_in("config.yaml", "algorithm:", "algorithm: ]"), ["config.yaml", "not valid YAML"]),
+    (replace_in("eval/default.json", "{", "["), ["default.json", "JSON"]),
+    (replace_in("eval/default.json", "policies", "rules"), ["default.json", "field policies is missing"]),
+    (replace_in("eval/default.json", '"mean_aou_s"', '"mean"'), ["default.json: ", "mean_aou_s is missing"]),
+    (change_policy("communications", ["few"]), ["policies.greedy.communications = ['few']", "expected finite numbers"]),
+    (change_policy("aou_over_time_s", [[1.0]]), ["aou_over_time_s = [[1.0]]: expected a list of numbers"]),
+    (change_policy("aou_over_time_s", None), ["seed-0", "evaluate it again"]),
+]
+
+
+@pytest.mark.parametrize(("break_it", "words"), BROKEN)
+def test_malformed_run_is_an_input_error(tmp_path: Path, break_it: Callable[[Path], object], words: list[str]) -> None:
+    folder = write_run(tmp_path / "results")
+    break_it(folder)
+    with pytest.raises(InputError) as raised:
+        plot_runs([folder], tmp_path / "figures")
+    assert all(word in str(raised.value) for word in words), str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_no_runs_is_an_input_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no run folders"):
+        plot_runs([], tmp_path)
+
+
+def test_figures_into_a_file_is_an_input_error(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("")
+    run = write_run(tmp_path / "results", missions=4, evaluation=False)
+    with pytest.raises(InputError, match="cannot be written"):
+        plot_runs([run], tmp_path / "taken")

@@ -1,0 +1,104 @@
+"""Pictures of one mission, frames, and the look of every figure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.image import imread
+
+from uavaou.envs.map import FRAME_SHAPE, render_frame
+from uavaou.evaluation.recorded_mission import Recording
+from uavaou.reports import style
+from uavaou.reports.trajectories import plot_trajectories
+from uavaou.scenario import Scenario
+from uavaou.world import World
+
+
+def is_drawn(path: Path) -> bool:
+    """Whether a PNG shows something: more than a few colours, and at least a column wide."""
+    pixels = imread(path)
+    return pixels.shape[1] >= 690 and float(pixels[..., :3].std()) > 0.03
+
+
+def patrol(scenario: Scenario) -> tuple[World, Recording]:
+    """One mission of random moves."""
+    world = World(scenario, missions=1, seed=3)
+    rng = np.random.default_rng(0)
+    snapshots = []
+    while not world.done:
+        world.step(rng.integers(0, 5, (1, scenario.uavs)))
+        snapshots.append(world.snapshot())
+    return world, Recording.from_snapshots(snapshots)
+
+
+def test_trajectories_are_drawn(tmp_path: Path) -> None:
+    scenario = Scenario.load("quickstart")
+    paths = plot_trajectories(scenario, patrol(scenario)[1], tmp_path, "mission")
+    assert [path.name for path in paths] == [
+        f"mission-{kind}.{end}" for kind in ("map", "ages") for end in ("png", "pdf")
+    ]
+    assert all(is_drawn(path) for path in paths if path.suffix == ".png")
+
+
+def test_recording_counts_communications_as_the_world_does() -> None:
+    world, recording = patrol(Scenario.load("quickstart"))
+    np.testing.assert_array_equal(recording.communications.sum(axis=0), world.metrics().device_communications[0])
+
+
+def test_nobody_flies_and_nobody_is_served(tmp_path: Path) -> None:
+    scenario = Scenario.load("tiny").replace(rate_min_bit_s=1e9)
+    world = World(scenario)
+    snapshots = []
+    while not world.done:
+        world.step(np.zeros((1, scenario.uavs), dtype=np.int64))
+        snapshots.append(world.snapshot())
+    paths = plot_trajectories(scenario, Recording.from_snapshots(snapshots), tmp_path, "idle")
+    assert all(is_drawn(path) for path in paths if path.suffix == ".png")
+
+
+def test_frame_shows_the_mission() -> None:
+    scenario = Scenario.load("tiny")
+    world = World(scenario, missions=1, seed=0)
+    before = render_frame(scenario, world.layout(), world.snapshot())
+    trail = [world.positions[0]]
+    for _ in range(4):
+        world.step(np.array([[1, 3]]))
+        trail.append(world.positions[0])
+    after = render_frame(scenario, world.layout(), world.snapshot(), np.stack(trail))
+    again = render_frame(scenario, world.layout(), world.snapshot(), np.stack(trail))
+    assert before.shape == after.shape == FRAME_SHAPE
+    assert after.dtype == np.uint8
+    assert (before != after).any()
+    np.testing.assert_array_equal(after, again)
+
+
+# -- style ---------------------------------------------------------------------------------------------
+
+
+def test_an_algorithm_looks_the_same_in_every_company() -> None:
+    alone = style.looks(["mappo"])["mappo"]
+    together = style.looks(["vdn", "mappo", "mappo+gamma=0.9", "novel"])
+    assert together["mappo"] == alone
+    assert together["mappo+gamma=0.9"].colour == alone.colour
+    assert together["mappo+gamma=0.9"].dash != alone.dash
+    assert len({together[name].colour for name in ("mappo", "vdn", "novel")}) == 3
+
+
+def test_many_variants_of_one_algorithm_have_colours_of_their_own() -> None:
+    variants = {"published": "mappo", **{f"variant {number}": "mappo" for number in range(4)}}
+    looks = style.looks([*variants, "greedy"], variants)
+    assert len({look.colour for look in looks.values()}) == 6
+    assert looks["published"] == style.looks(["published"], variants)["published"]  # the first keeps the algorithm's
+
+
+def test_the_same_figure_gives_the_same_bytes(tmp_path: Path) -> None:
+    written = []
+    for folder in ("one", "two"):
+        with style.house_style():
+            figure, axes = style.new_axes()
+            axes.plot([1, 2, 3], label="$x$")
+            axes.legend()
+            written.append([path.read_bytes() for path in style.save(figure, tmp_path / folder, "line")])
+    assert written[0] == written[1]
+    assert not any(b"CreationDate" in content for content in written[0])
