@@ -62,7 +62,7 @@ def test_a_map_is_the_same_in_every_resampled_mission(tmp_path: Path) -> None:
         ("x_m,y_m,power\n0,0,1\n", ["'power'", "transmit_power_mw"]),
         ("x_m,y_m,bandwith_hz\n0,0,1\n", ["'bandwith_hz'", "did you mean 'bandwidth_hz'"]),
         ("x_m,y_m\n0,zero\n", ["line 2", "y_m", "'zero'", "number"]),
-        ("x_m,y_m\n0,0\n5\n", ["line 3", "y_m", "number"]),
+        ("x_m,y_m\n0,0\n5\n", ["line 3", "1 values, expected 2"]),
         ("x_m,y_m\n0,\n", ["line 2", "y_m", "number"]),
         ("x_m,y_m\n0,nan\n", ["line 2", "y_m", "finite"]),
         ("x_m,y_m\n0,0\n\n1,zero\n", ["line 4", "y_m"]),
@@ -74,7 +74,7 @@ def test_a_map_is_the_same_in_every_resampled_mission(tmp_path: Path) -> None:
         ("x_m,y_m,update_period_slots\n0,0,0\n", ["update_period_slots", "0"]),
         ("x_m,y_m,bandwidth_hz\n0,0,-1\n", ["bandwidth_hz", "-1", "greater than 0"]),
         ("x_m,y_m,x_m\n0,0,5\n", ["x_m", "twice"]),
-        ("x_m,y_m\n0,0,5\n", ["line 2"]),
+        ("x_m,y_m\n0,0,5\n", ["line 2", "3 values, expected 2"]),
     ],
 )
 def test_maps_that_cannot_be_used(table: str, words: list[str], tmp_path: Path) -> None:

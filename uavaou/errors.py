@@ -1,4 +1,4 @@
-"""The one error that is the user's to mend: its message is a single line written for a person."""
+"""Errors that the user can correct: the message is one line written for a person."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Iterable
 
 
 class InputError(ValueError):
-    """Bad input: a field, a file or a name that cannot be used as given.
+    """A field, a file or a name that cannot be used as given.
 
-    The command line prints the message as one line and exits with code 2; every other exception is a
-    bug and keeps its traceback.
+    The command line prints the message as one line and exits with code 2. Every other exception is a bug and keeps its
+    traceback.
     """
 
     def __init__(self, message: str) -> None:
@@ -18,17 +18,17 @@ class InputError(ValueError):
 
 
 class InfeasibleError(InputError):
-    """A scenario whose every flight breaks a constraint of the model; the message names the constraint."""
+    """A scenario in which every flight breaks a constraint of the model; the message names the constraint."""
 
 
 def nearest(word: str, allowed: Iterable[str]) -> str:
-    """Return a hint such as ``; did you mean 'slots'?``, or an empty string where nothing is near."""
+    """Return a hint such as ``; did you mean 'slots'?``, or an empty string if no allowed word is near."""
     matches = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.5)
     return f"; did you mean '{matches[0]}'?" if matches else ""
 
 
 def unknown(kind: str, word: str, allowed: Iterable[str]) -> InputError:
-    """Return the error for a name that is not among the ``allowed`` ones, nearest spelling included."""
+    """Return the error for a name that is not ``allowed``; it gives the nearest spelling."""
     names = list(allowed)
     listing = ", ".join(names)
     return InputError(f"unknown {kind} '{word}'{nearest(word, names)} (known: {listing})")

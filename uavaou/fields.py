@@ -1,6 +1,6 @@
-"""The fields of configurations: number types that refuse what is no number, and errors in one line.
+"""Types for the fields of configurations, and pydantic's errors in one line.
 
-Scenarios and algorithm settings are pydantic models built of these types.
+All configuration files are pydantic models. Their number types refuse booleans and text.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ DEVICE_COLUMNS = ("bandwidth_hz", "transmit_power_mw", "update_period_slots")  #
 
 
 def _plain_number(value: Any) -> Any:
-    """Refuse what pydantic would quietly turn into a number: booleans and text."""
+    """Refuse booleans and text, which pydantic would convert to numbers."""
     if isinstance(value, bool):
         raise ValueError("expected a number, not true or false")
     if isinstance(value, str):
@@ -30,7 +30,7 @@ def _plain_number(value: Any) -> Any:
     return value
 
 
-# Bounds far outside of what anybody means, so that nothing overflows on the way to SI units.
+# The limits are far outside of realistic values; they prevent overflows in conversions to SI units.
 Number = Annotated[float, BeforeValidator(_plain_number), Field(allow_inf_nan=False, ge=-1e15, le=1e15)]
 Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
@@ -55,7 +55,7 @@ def reads_schema(version: int) -> Callable[[Any], int]:
     return check
 
 
-_MOST_LISTED = 6  # fields named where one is unknown
+_MOST_LISTED = 6  # a model with more fields does not list them in the error for an unknown one
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
@@ -63,7 +63,7 @@ def validated(kind: type[_Model], content: Any, source: str) -> _Model:
     """Validate a mapping.
 
     Raises:
-        InputError: naming the field, its value and what is allowed.
+        InputError: it names the field, its value and what is allowed.
     """
     if not isinstance(content, dict):
         raise InputError(f"{source} = {short(content)}: expected a mapping with {', '.join(kind.model_fields)}")
@@ -74,14 +74,14 @@ def validated(kind: type[_Model], content: Any, source: str) -> _Model:
 
 
 def explain_validation(error: ValidationError, fields: list[str]) -> str:
-    """Turn pydantic's report into one line on the first thing to mend."""
+    """Turn pydantic's report into one line on the first problem."""
     details = error.errors(include_url=False)
-    # A misspelt field before what is missing for it.
+    # Report a misspelt field before a missing one: it is often the same field.
     unknown = [str(d["loc"][0]) for d in details if d["type"] == "extra_forbidden" and len(d["loc"]) == 1]
     if unknown:
         known = "" if len(fields) > _MOST_LISTED else f" (known: {', '.join(fields)})"
         return f"unknown field '{_shortened(unknown[0])}'{nearest(unknown[0], fields)}{known}"
-    # Of a union's branches, the one that got furthest into the value says most.
+    # Of the branches of a union, the one that got furthest into the value gives the most specific error.
     first = max(
         details, key=lambda d: (d["loc"][:1] == details[0]["loc"][:1], len(d["loc"]), d["type"] == "value_error")
     )
@@ -107,7 +107,7 @@ def explain_validation(error: ValidationError, fields: list[str]) -> str:
 
 
 def _message(detail: Any) -> str:
-    """What pydantic says of a value, in words that take no knowledge of Python."""
+    """Return pydantic's message on a value in words that need no knowledge of Python."""
     kind, context = detail["type"], detail.get("ctx", {})
     plain = {
         "tuple_type": "expected a list, such as [1, 2]",
@@ -131,7 +131,7 @@ def _message(detail: Any) -> str:
 
 
 def _field_input(details: list[Any], field: str) -> Any:
-    """What was given for a field, as some branch of its union saw it whole."""
+    """Return the mapping given for a field, or None."""
     return next((d["input"] for d in details if d["loc"][0] == field and isinstance(d["input"], dict)), None)
 
 
@@ -140,7 +140,7 @@ def _shortened(text: str) -> str:
 
 
 def short(value: Any) -> str:
-    """A value in at most 60 characters, however deep or long it is."""
+    """Return a value in at most 60 characters, however deep or long it is."""
     shortener = reprlib.Repr()
     shortener.maxlevel, shortener.maxstring, shortener.maxlong, shortener.maxother = 3, 40, 40, 57
     try:

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and folders from strangers that lead nowhere else."""
+"""Atomic writes, bounded reads, and checks of folders from untrusted sources."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from uavaou.errors import InputError
 
 @contextmanager
 def replacing(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
-    """Open a file that takes the place of ``path`` when the block ends well, after it has reached the disk.
+    """Open a file that replaces ``path`` atomically, after it has reached the disk, if the block ends without error.
 
-    Until then, and for ever where the block fails, ``path`` is what it was. Text is UTF-8.
+    If the block raises, ``path`` stays as it was. Text is UTF-8.
 
     Args:
-        path: the file to replace or to make.
+        path: the file to replace or to create.
         mode: ``w`` or ``wb``.
 
     Raises:
         OSError: the file cannot be written.
     """
     partial = path.with_name(path.name + ".partial")
-    partial.unlink(missing_ok=True)  # of a process that was killed
+    partial.unlink(missing_ok=True)  # left by a killed process
     encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
     try:
         with partial.open(mode.replace("w", "x"), encoding=encoding, newline=newline) as file:
@@ -41,16 +41,16 @@ def replacing(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
 
 
 def flush_to_disk(file: IO[Any]) -> None:
-    """Wait until what was written would survive a loss of power."""
+    """Wait until the written data would survive a loss of power."""
     file.flush()
     os.fsync(file.fileno())
 
 
 def refuse_links(folder: Path) -> None:
-    """Refuse a folder that holds anything but plain files and folders, through which a write could end elsewhere.
+    """Refuse a folder with links, pipes or devices, through which a write could reach another place.
 
     Raises:
-        InputError: naming the link, pipe or device.
+        InputError: it names the link, pipe or device.
     """
     if not folder.is_dir():
         return
@@ -67,7 +67,7 @@ def refuse_links(folder: Path) -> None:
 
 
 def folder_name(name: str) -> str:
-    """A name that people gave, such as a variant's, as a folder's or a file's; ``unquote`` gives it back."""
+    """Return a name given by a user, such as that of a variant, as a file name; ``unquote`` reverses it."""
     return quote(name, safe=" +=,.-_~()")
 
 
@@ -95,7 +95,7 @@ def read_json(path: Path, most_bytes: int = 512_000_000) -> Any:
     """Read a JSON file of at most ``most_bytes``.
 
     Raises:
-        InputError: as :func:`read_text`, or the file is no JSON.
+        InputError: as :func:`read_text`, or the file is not JSON.
     """
     try:
         return json.loads(read_text(path, most_bytes))

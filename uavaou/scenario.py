@@ -1,7 +1,7 @@
 """A scenario: every quantity of the model with its unit, validated, read from and written to YAML.
 
-The field names carry the units a person writes (dBm, mW, metres, seconds); the properties ending in
-``_w`` and the :class:`Layout` give SI units, which is what the simulator reads.
+The names of the fields contain the units that people write (dBm, mW, metres, seconds). The properties ending in ``_w``
+and :class:`Layout` have the SI units that the simulator reads.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from uavaou.fields import (
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
-ZETA_TOLERANCE_S = 1e-6  # flight times are compared with this slack
+ZETA_TOLERANCE_S = 1e-6  # slack in comparisons of flight times
 _GRID_TOLERANCE = 1e-9
 _MAX_CELLS = 4_000_000
-_MAX_PAIRS = 1_000_000  # an array of them in 64 missions takes half a gigabyte
+_MAX_PAIRS = 1_000_000  # for 64 missions, an array over the pairs takes half a gigabyte
 
 
 class Range(BaseModel):
-    """Values drawn uniformly between two ends for each device: ``{low: 0.2, high: 1}``."""
+    """Values drawn uniformly between two ends, one for each device: ``{low: 0.2, high: 1}``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -52,28 +52,20 @@ class Range(BaseModel):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.low > self.high:
-            raise ValueError(f"low ({self.low:g}) must not exceed high ({self.high:g})")
+            raise ValueError(f"low ({self.low:.10g}) must not exceed high ({self.high:.10g})")
         return self
 
 
-class WholeRange(BaseModel):
+class WholeRange(Range):
     """Whole numbers drawn uniformly between two ends, both included: ``{low: 1, high: 5}``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     low: Period
     high: Period
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.low > self.high:
-            raise ValueError(f"low ({self.low}) must not exceed high ({self.high})")
-        return self
-
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the devices stand and what they are, in SI units."""
+    """The positions and properties of I devices, in SI units."""
 
     positions: NDArray[np.float64]  # (I, 2) m
     bandwidth: NDArray[np.float64]  # (I,) Hz, B_i
@@ -82,9 +74,9 @@ class Layout:
 
 
 class Scenario(BaseModel):
-    """One experiment: area, fleet, devices, channel and mission.
+    """Area, fleet, devices, channel and mission.
 
-    Load one with :meth:`load`, change it with :meth:`replace`; both validate and raise
+    :meth:`load` reads a scenario, :meth:`replace` changes it. Both validate and raise
     :class:`~uavaou.errors.InputError` with one readable line.
     """
 
@@ -121,11 +113,11 @@ class Scenario(BaseModel):
 
     @classmethod
     def load(cls, source: str | Path | Scenario) -> Scenario:
-        """Load a preset by name, or a YAML file by path; a :class:`Scenario` is returned as it is.
+        """Load a preset by name or a YAML file by path; return a :class:`Scenario` as it is.
 
-        A file may name a preset under ``base`` and give only what differs, and a CSV file of devices
-        under ``devices_csv`` (columns ``x_m, y_m`` and, optionally, ``bandwidth_hz``,
-        ``transmit_power_mw``, ``update_period_slots``), its path relative to the YAML file.
+        A file may name a preset under ``base`` and give only the fields that differ. It may name a CSV file of devices
+        under ``devices_csv`` (columns ``x_m, y_m`` and, optionally, ``bandwidth_hz``, ``transmit_power_mw``,
+        ``update_period_slots``); that path is relative to the YAML file.
 
         Raises:
             InputError: the name is unknown, or the file or a value in it cannot be used.
@@ -136,10 +128,8 @@ class Scenario(BaseModel):
         if name in zoo_names("scenarios"):
             return cls._read(zoo_path("scenarios", name))
         if isinstance(source, Path) or name.endswith((".yaml", ".yml")) or "/" in name:
-            path = Path(source)
-            if not _is_file(path):
-                raise InputError(f"scenario file '{name}' {_why_no_file(path)}")
-            return cls._read(path)
+            _check_file(name)
+            return cls._read(Path(name))
         names = zoo_names("scenarios")
         raise InputError(
             f"unknown scenario '{name}'{nearest(name, names)} (presets: {', '.join(names)}; or a path ending in .yaml)"
@@ -168,8 +158,8 @@ class Scenario(BaseModel):
         """Validate a mapping of field names to values.
 
         Raises:
-            InputError: naming the field, its value and what is allowed; an InfeasibleError where the values are fine
-                and no flight keeps the constraints.
+            InputError: it names the field, its value and what is allowed.
+            InfeasibleError: each value is allowed, but every flight breaks a constraint.
         """
         try:
             return cls.model_validate(fields)
@@ -189,7 +179,7 @@ class Scenario(BaseModel):
         return type(self).from_dict(fields | changes, source=f"scenario '{self.name}'")
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields as plain values, those left at None apart."""
+        """Return the fields as plain values, without those that are None."""
         return self.model_dump(mode="json", exclude_none=True)
 
     def to_yaml(self) -> str:
@@ -232,12 +222,12 @@ class Scenario(BaseModel):
         return np.rint(np.asarray(self.cds_m, dtype=np.float64) / self.grid_step_m).astype(np.int64)
 
     def draw_layout(self, rng: np.random.Generator | None = None) -> Layout:
-        """Draw the devices: from ``layout_seed``, or from ``rng`` (one mission of ``layout: resample``).
+        """Draw the devices from ``layout_seed``, or from ``rng`` for a mission of ``layout: resample``.
 
-        Quantities that the scenario states as values or lists are taken as they stand.
+        Quantities given as values or lists are not drawn.
         """
         if rng is None:
-            # A spawn key of its own: mission seeds and layout seeds never share a stream.
+            # With a spawn key, the streams of mission seeds and layout seeds differ.
             rng = np.random.default_rng(np.random.SeedSequence(self.layout_seed, spawn_key=(1,)))
         area = np.array([self.area_x_m, self.area_y_m])  # (2,)
         drawn = rng.random((self.devices, 2)) * area  # (I, 2) m
@@ -250,12 +240,12 @@ class Scenario(BaseModel):
         )
 
     def _per_device(self, spec: Any, rng: np.random.Generator) -> NDArray[np.float64]:
-        unit = rng.random(self.devices)  # always drawn, so that one field's form does not shift another's values
+        unit = rng.random(self.devices)  # always drawn: the form of one field must not shift others
         if isinstance(spec, WholeRange):
             span = spec.high - spec.low + 1
             return spec.low + np.minimum(np.floor(unit * span), span - 1)
         if isinstance(spec, Range):
-            return spec.high - unit * (spec.high - spec.low)  # (low, high]: a power of exactly 0 is never drawn
+            return spec.high - unit * (spec.high - spec.low)  # (low, high]: a power of 0 is never drawn
         return np.broadcast_to(np.asarray(spec, dtype=np.float64), (self.devices,)).copy()
 
     # -- validation ----------------------------------------------------------------------------------
@@ -296,8 +286,7 @@ class Scenario(BaseModel):
                 "device are supported"
             )
         for field, values in (("altitudes_m", self.altitudes_m), ("cds_m", self.cds_m)):
-            if len(values) != self.uavs:
-                raise ValueError(f"{field}: has {len(values)} entries, needs one for each of the {self.uavs} uavs")
+            _check_length(field, values, self.uavs, "uavs")
         if len(set(self.altitudes_m)) != self.uavs:
             raise ValueError(f"altitudes_m = {list(self.altitudes_m)}: must all differ, so that UAVs cannot collide")
         for u, (x, y) in enumerate(self.cds_m):
@@ -321,10 +310,8 @@ class Scenario(BaseModel):
     def _check_devices(self) -> None:
         for field in DEVICE_COLUMNS:
             values = getattr(self, field)
-            if isinstance(values, tuple) and len(values) != self.devices:
-                raise ValueError(
-                    f"{field}: has {len(values)} entries, needs one for each of the {self.devices} devices"
-                )
+            if isinstance(values, tuple):
+                _check_length(field, values, self.devices, "devices")
         if self.devices_m is None:
             return
         if len(self.devices_m) != self.devices:
@@ -340,25 +327,25 @@ class Scenario(BaseModel):
             first_at[x, y] = i
 
 
+def _check_length(field: str, values: tuple[Any, ...], number: int, kind: str) -> None:
+    if len(values) != number:
+        raise ValueError(f"{field}: has {len(values)} entries, needs one for each of the {number} {kind}")
+
+
 def _drop_superseded(fields: dict[str, Any], changes: dict[str, Any]) -> None:
-    """Of two ways to state the reference gain, the newer one given replaces the older."""
-    for given, other in (
-        ("carrier_frequency_hz", "reference_gain_db"),
-        ("reference_gain_db", "carrier_frequency_hz"),
-    ):
+    """Remove the inherited form of the reference gain if ``changes`` give the other form."""
+    forms = ("carrier_frequency_hz", "reference_gain_db")
+    for given, other in (forms, forms[::-1]):
         if changes.get(given) is not None and changes.get(other) is None:
             fields.pop(other, None)
 
 
-def _why_no_file(path: Path) -> str:
+def _check_file(name: str) -> None:
+    """Raise an InputError if there is no file of that name."""
     try:
-        return "is a folder" if path.is_dir() else "does not exist"
-    except (OSError, ValueError):
-        return "does not exist"
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name too long, or one that no file can have
-        return False
+        if Path(name).is_file():
+            return
+        reason = "is a folder" if Path(name).is_dir() else "does not exist"
+    except (OSError, ValueError):  # a name that no file can have
+        reason = "does not exist"
+    raise InputError(f"scenario file '{name}' {reason}")

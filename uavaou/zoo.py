@@ -1,4 +1,4 @@
-"""Where the shipped YAML configurations lie: beside the repository's packages, or inside the wheel."""
+"""The shipped YAML configurations, in the repository or inside the wheel, and reading and writing of YAML."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 def zoo_folder(kind: str) -> Path:
     """Return the folder of one kind of configuration (``scenarios``, ``algorithms``, ...)."""
-    installed = _PACKAGE / "zoo_configs"  # a wheel carries the zoo inside the package
+    installed = _PACKAGE / "zoo_configs"  # in a wheel, the zoo is inside the package
     root = installed if installed.is_dir() else _PACKAGE.parent / "zoo_configs"
     return root / kind
 
@@ -41,14 +41,14 @@ def zoo_path(kind: str, name: str) -> Path:
 
 
 class _PlainDumper(yaml.SafeDumper):
-    """Writes what stands in two places twice, instead of a reference from one to the other."""
+    """Write an object that occurs twice in full both times, without a YAML reference."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
 
 def to_yaml(content: Mapping[str, Any], **style: Any) -> str:
-    """The text of a YAML file: fields in their order, no references.
+    """Return the text of a YAML file: fields in their order, no references.
 
     Args:
         content: plain values.
@@ -59,7 +59,7 @@ def to_yaml(content: Mapping[str, Any], **style: Any) -> str:
 
 
 class _BoundedLoader(yaml.SafeLoader):
-    """PyYAML's safe loader, without what lets a small file fill the memory."""
+    """PyYAML's safe loader without aliases, with which a small file could fill the memory."""
 
     _nodes = 0
 
@@ -77,7 +77,7 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
     """Read a YAML file that must hold a mapping with string keys.
 
     Raises:
-        InputError: the file cannot be read, is not YAML, or holds something else.
+        InputError: the file cannot be read, is not YAML, or does not hold such a mapping.
     """
     text = read_text(path, _MOST_BYTES)
     try:

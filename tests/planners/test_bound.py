@@ -15,7 +15,7 @@ from uavaou.planners.decomposition import LagrangianDecomposition
 from uavaou.planners.stationary_duals import stationary_duals
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import coverage_probability
-from uavaou.world.flight import MOVES
+from uavaou.world.flight import STEP_OF_MOVE
 
 TINY = Scenario.load("tiny")
 
@@ -45,7 +45,7 @@ def optimum(scenario: Scenario, layout: Layout) -> float:
     def following(slot: int, cells: tuple[tuple[int, int], ...]) -> list[tuple[tuple[int, int], ...]]:
         if slot == scenario.slots:  # the last move has no effect
             return [cells]
-        each = [[(x + dx, y + dy) for dx, dy in MOVES.tolist()] for x, y in cells]
+        each = [[(x + dx, y + dy) for dx, dy in STEP_OF_MOVE.tolist()] for x, y in cells]
         size = (scenario.columns, scenario.rows)
         inside = [[(x, y) for x, y in there if 0 <= x < size[0] and 0 <= y < size[1]] for there in each]
         return list(itertools.product(*inside))

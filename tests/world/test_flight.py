@@ -11,7 +11,7 @@ from hypothesis import given, settings
 
 from tests.strategies import scenarios, seeds
 from uavaou.scenario import Scenario
-from uavaou.world.flight import DOWN, LEFT, MOVES, RIGHT, STAY, UP, Flight
+from uavaou.world.flight import DOWN, LEFT, RIGHT, STAY, STEP_OF_MOVE, UP, Flight, first_step
 from uavaou.world.world import World
 
 STEPS = {STAY: (0, 0), UP: (0, 1), DOWN: (0, -1), RIGHT: (1, 0), LEFT: (-1, 0)}
@@ -66,21 +66,21 @@ def test_homeward_is_always_allowed_before_slot_k(scenario: Scenario, seed: int)
     world = World(scenario, missions=5, seed=seed)
     rng = np.random.default_rng(seed)
     while not world.done:
-        home = world.flight.homeward(world.cells)  # (N, U)
+        home = first_step(world.flight.cds - world.cells)  # (N, U)
         allowed = np.take_along_axis(world.allowed_moves, home[..., None], axis=-1)
         assert allowed.all()
         world.step(rng.integers(0, 5, size=(5, scenario.uavs)))
 
 
 def test_moves_are_the_papers() -> None:
-    assert MOVES.tolist() == [[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]]
-    assert {move: tuple(MOVES[move].tolist()) for move in STEPS} == STEPS
+    assert STEP_OF_MOVE.tolist() == [[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]]
+    assert {move: tuple(STEP_OF_MOVE[move].tolist()) for move in STEPS} == STEPS
 
 
 def test_homeward_goes_along_x_first() -> None:
     flight = Flight(Scenario.load("quickstart"))  # CDS at cells (0, 0) and (4, 4)
     cells = np.array([[[2, 3], [2, 3]], [[0, 3], [4, 3]], [[0, 0], [4, 4]]])
-    assert flight.homeward(cells).tolist() == [[LEFT, RIGHT], [DOWN, UP], [STAY, STAY]]
+    assert first_step(flight.cds - cells).tolist() == [[LEFT, RIGHT], [DOWN, UP], [STAY, STAY]]
 
 
 def test_off_the_grid_means_stay_even_where_staying_is_allowed() -> None:

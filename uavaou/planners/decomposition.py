@@ -34,7 +34,7 @@ from uavaou.planners.subgradient import subgradient_ascent
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.coverage import cell_coverage
-from uavaou.world.flight import MOVES, Flight, neighbours
+from uavaou.world.flight import STEP_OF_MOVE, Flight, neighbours
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -65,10 +65,10 @@ class LagrangianDecomposition:
         self._homes = Flight(scenario).cds @ [scenario.rows, 1]  # (U,) cells
         self._gap_ages = [gap_ages(int(k), scenario.slots).astype(np.float64) for k in layout.update_period]
         uavs, cells, devices = self.probability.shape
-        self.short = scenario.slots * uavs * devices * cells * len(MOVES) <= _MOST_PRICES
+        self.short = scenario.slots * uavs * devices * cells * len(STEP_OF_MOVE) <= _MOST_PRICES
         # (K+1,) which of the B tables of prices holds in slot t
         self._table = np.arange(scenario.slots + 1) if self.short else np.zeros(scenario.slots + 1, dtype=np.int64)
-        self._shape = (int(self._table[-1]) + 1, uavs, devices, cells, len(MOVES))
+        self._shape = (int(self._table[-1]) + 1, uavs, devices, cells, len(STEP_OF_MOVE))
 
     def bound(self, charges: Floats, prices: Floats) -> tuple[float, Floats, Floats]:
         """Return the bound on the total age in slots squared, and its subgradient by charges and by prices.

@@ -30,7 +30,7 @@ from uavaou.planners.highs import LinearProgram, run_interruptibly
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import cell_coverage
-from uavaou.world.flight import MOVES, Flight, grid_cells, neighbours
+from uavaou.world.flight import STEP_OF_MOVE, Flight, grid_cells, neighbours
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -122,7 +122,7 @@ def flow(scenario: Scenario, uav: int) -> Flow:
     """Return the steps that some route from the CDS back to it contains, within the slots and the budget."""
     flight = Flight(scenario)
     away = np.abs(grid_cells(scenario) - flight.cds[uav]).sum(axis=1)  # (C,) grid steps
-    slot, here, move = (axis.ravel() for axis in np.indices((scenario.slots - 1, len(away), len(MOVES))))
+    slot, here, move = (axis.ravel() for axis in np.indices((scenario.slots - 1, len(away), len(STEP_OF_MOVE))))
     targets, on_grid = neighbours(scenario)  # (C, 5)
     slot, there = slot + 1, targets[here, move]  # (E,)
     in_time = (away[here] < slot) & (away[there] <= scenario.slots - slot - 1)
@@ -133,7 +133,7 @@ def flow(scenario: Scenario, uav: int) -> Flow:
 
 def program_size(scenario: Scenario, layout: Layout) -> int:
     """Return an upper bound on the number of variables, without building the program."""
-    steps = scenario.uavs * (scenario.slots - 1) * scenario.columns * scenario.rows * len(MOVES)
+    steps = scenario.uavs * (scenario.slots - 1) * scenario.columns * scenario.rows * len(STEP_OF_MOVE)
     return steps + scenario.devices * (scenario.slots + 1) * (scenario.slots + 2) // 2
 
 

@@ -16,12 +16,12 @@ from uavaou.files import read_json
 from uavaou.planners.base import Moves, Selections
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
-from uavaou.world.flight import MOVES, Flight
+from uavaou.world.flight import STEP_OF_MOVE, Flight
 
 Ints = NDArray[np.int64]
 
 _MOVE_OF_STEP = np.zeros((3, 3), dtype=np.int64)  # by columns and rows; index -1 is the last
-_MOVE_OF_STEP[MOVES[:, 0], MOVES[:, 1]] = np.arange(len(MOVES))
+_MOVE_OF_STEP[STEP_OF_MOVE[:, 0], STEP_OF_MOVE[:, 1]] = np.arange(len(STEP_OF_MOVE))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 
 from uavaou.planners.base import Moves, Selections, mission_rngs
 from uavaou.world import World
-from uavaou.world.flight import MOVES, STAY
+from uavaou.world.flight import STAY, STEP_OF_MOVE
 
 
 class Random:
@@ -18,7 +18,7 @@ class Random:
 
     def act(self, world: World) -> tuple[Moves, Selections | None]:
         """Draw the moves, (N, U); the World replaces those that are not allowed."""
-        return np.stack([rng.integers(len(MOVES), size=world.scenario.uavs) for rng in self._rngs]), None
+        return np.stack([rng.integers(len(STEP_OF_MOVE), size=world.scenario.uavs) for rng in self._rngs]), None
 
 
 class Stay:

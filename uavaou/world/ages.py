@@ -1,8 +1,7 @@
 """The age of updates, eq. (1) of the paper, as a ledger that needs no list of updates.
 
-All pending updates of a device age together and are delivered together, so two whole numbers a device
-say everything: how many updates are pending, and the sum of their ages in slots. Whole slots keep the
-ledger exact; seconds appear only where somebody reads it.
+All pending updates of a device age together and are delivered together. So two integers describe a device: the number
+of pending updates, and the sum of their ages in slots. Integers keep the ledger exact.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ Ints = NDArray[np.int64]
 class AgeLedger:
     """Pending updates and age sums of I devices in N missions.
 
-    Before slot 1 every device holds one update (n = 0, generated at slot 0) of age 0.
+    Before slot 1 every device holds one update (n = 0, generated in slot 0) of age 0.
     """
 
     def __init__(self, missions: int, devices: int) -> None:
@@ -27,20 +26,20 @@ class AgeLedger:
         self.age_slots: Ints = np.zeros((missions, devices), dtype=np.int64)  # (N, I)
 
     def reset(self) -> None:
-        """Go back to the moment before slot 1."""
+        """Return to the state before slot 1."""
         self.pending.fill(1)
         self.age_slots.fill(0)
 
     def advance(self, slot: int, update_period: Ints, collected: Bools) -> Bools:
-        """Play one slot: generate, age, deliver.
+        """Advance by one slot: generate, age, deliver.
 
         Args:
-            slot: t, from 1 on.
+            slot: t, counted from 1.
             update_period: k_i in slots, (N, I) or (1, I).
             collected: whether some UAV collects the device in this slot, (N, I).
 
         Returns:
-            Where a transfer carried at least one update, i.e. was a *communication*, (N, I).
+            Whether a transfer carried at least one update, i.e. was a *communication*, (N, I).
         """
         communications = np.empty(collected.shape, dtype=np.bool_)  # (N, I)
         _advance(slot % update_period == 0, collected, self.pending, self.age_slots, communications)
@@ -51,10 +50,10 @@ class AgeLedger:
 def _advance(generated: Bools, collected: Bools, pending: Ints, age_slots: Ints, communications: Bools) -> None:
     missions, devices = pending.shape
     for n in range(missions):
-        place = n if len(generated) > 1 else 0
+        row = n if len(generated) > 1 else 0
         for i in range(devices):
-            waiting = pending[n, i] + generated[place, i]
+            waiting = pending[n, i] + generated[row, i]
             communications[n, i] = collected[n, i] and waiting > 0
-            kept = 0 if collected[n, i] else 1
-            age_slots[n, i] = kept * (age_slots[n, i] + waiting)
-            pending[n, i] = kept * waiting
+            left = 0 if collected[n, i] else 1
+            age_slots[n, i] = left * (age_slots[n, i] + waiting)
+            pending[n, i] = left * waiting

@@ -1,4 +1,4 @@
-"""Who collects whom: constraints (Rate) and (Association) of the paper, held by construction."""
+"""Which UAV collects which device: constraints (Rate) and (Association) of the paper hold by construction."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ class Association:
 
 
 def associate(in_range: Bools, snr: Floats, selected: Bools | None) -> Association:
-    """Give each device to the candidate with the largest rate, the lowest u on a tie.
+    """Assign each device to the candidate with the largest rate; a tie goes to the lowest u.
 
-    A device's bandwidth is the same towards every UAV, so the largest SNR is the largest rate.
+    The bandwidth of a device is the same towards every UAV, so the largest SNR gives the largest rate.
 
     Args:
         in_range: R_iu >= R_min, (N, U, I).
-        snr: Gamma_iu, (N, U, I); read where in range.
+        snr: Gamma_iu, (N, U, I); read only in range.
         selected: the devices that each UAV selected, (N, U, I); None selects every device in range.
     """
     missions, _, devices = in_range.shape
     collected_by = np.full((missions, devices), -1, dtype=np.int64)  # (N, I)
     rejected_rate = np.zeros(missions, dtype=np.int64)  # (N,)
     rejected_association = np.zeros(missions, dtype=np.int64)  # (N,)
-    asked = in_range if selected is None else selected
-    _associate(in_range, snr, asked, collected_by, rejected_rate, rejected_association)
+    candidates = in_range if selected is None else selected
+    _associate(in_range, snr, candidates, collected_by, rejected_rate, rejected_association)
     return Association(collected_by, rejected_rate, rejected_association)
 
 
@@ -56,7 +56,7 @@ def _associate(
                 candidate = asked[n, u, i] and in_range[n, u, i]
                 offered += candidate
                 rejected_rate[n] += asked[n, u, i] and not candidate
-                wins = candidate and snr[n, u, i] > best[i]  # strictly: a tie stays with the lower u
+                wins = candidate and snr[n, u, i] > best[i]  # strictly: the lower u keeps a tie
                 best[i] = snr[n, u, i] if wins else best[i]
                 collected_by[n, i] = u if wins else collected_by[n, i]
         rejected_association[n] = offered

@@ -3,9 +3,9 @@
 h = sqrt(beta_0) / d * ( sqrt(Phi/(Phi+1)) xi_LoS + sqrt(1/(Phi+1)) xi_NLoS ),
 Gamma = P |h|^2 / sigma^2, R = B log2(1 + Gamma).
 
-A mission's fading is a table that nobody writes down: the entry of slot t, UAV u and device i is a function of the
-mission's key and of (t, u, i). So it depends on no action and on no other mission, and an entry that cannot bring a
-device into range need not be computed.
+The fading of slot t, UAV u and device i is a counter-based random number: a function of the key of the mission and of
+(t, u, i). So it depends on no action and on no other mission, and values that cannot bring a device into range need
+not be computed.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _RIGHT_11, _RIGHT_27, _RIGHT_30, _RIGHT_31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
 _UNIT = 2.0**-53
-_MARGIN = 1e-9  # of the amplitude |h|, far above rounding: nearer to R_min than this, a pair is computed
+_MARGIN = 1e-9  # of the amplitude |h|, far above rounding errors: a pair this close to R_min is computed
 
 
 def rate(bandwidth: Floats, snr: Floats) -> Floats:
-    """R = B log2(1 + Gamma) in bit/s, elementwise."""
+    """Return R = B log2(1 + Gamma) in bit/s, elementwise."""
     result: Floats = bandwidth * np.log2(1.0 + snr)
     return result
 
 
 @compiled
 def random_bits(key: np.uint64, index: int) -> np.uint64:
-    """Word ``index`` of the SplitMix64 stream that starts at ``key`` (Steele, Lea and Flood, OOPSLA 2014)."""
+    """Return word ``index`` of the SplitMix64 stream with seed ``key`` (Steele, Lea and Flood, OOPSLA 2014)."""
     bits = key + _GOLDEN * np.uint64(index + 1)
     bits = (bits ^ (bits >> _RIGHT_30)) * _MIX_1
     bits = (bits ^ (bits >> _RIGHT_27)) * _MIX_2
@@ -45,16 +45,16 @@ def random_bits(key: np.uint64, index: int) -> np.uint64:
 
 @compiled
 def uniform(bits: np.uint64) -> float:
-    """A number in (0, 1], one of 2^53 equally likely ones."""
+    """Return one of 2^53 equally likely numbers in (0, 1]."""
     return (np.int64(bits >> _RIGHT_11) + 1) * _UNIT
 
 
 @compiled
 def rician_power_gain(first: float, second: float, line_of_sight: float, scattered: float) -> float:
-    """|small-scale part of h|^2, of mean 1, from two independent uniforms.
+    """Return |small-scale part of h|^2, of mean 1, from two independent uniform numbers.
 
     sqrt(-2 ln first) and 2 pi second are modulus and phase of two standard normals (Box and Muller, 1958). The phase of
-    xi_LoS is taken as 0: xi_NLoS is circularly symmetric, so |h|^2 does not depend on it.
+    xi_LoS is set to 0: xi_NLoS is circularly symmetric, so |h|^2 does not depend on it.
 
     Args:
         first, second: in (0, 1].
@@ -69,10 +69,10 @@ def rician_power_gain(first: float, second: float, line_of_sight: float, scatter
 
 @compiled
 def _within_reach(first: float, needed: float, line_of_sight: float, scattered: float) -> bool:
-    """Whether ``first`` can give an amplitude |h| of ``needed``; in doubt, True.
+    """Return whether ``first`` can give an amplitude |h| of ``needed``; if in doubt, True.
 
-    |h| <= LoS + s sqrt(-2 ln first) reaches it only where first <= exp(-x), x = ((needed - LoS) / s)^2 / 2; and
-    exp(x) >= (1 + x/8)^8 saves the exponential.
+    |h| <= LoS + s sqrt(-2 ln first) reaches it only if first <= exp(-x), x = ((needed - LoS) / s)^2 / 2. The bound
+    exp(x) >= (1 + x/8)^8 avoids the exponential.
     """
     excess = max(needed - line_of_sight - _MARGIN, 0.0) / scattered
     bound = 1.0 + excess * excess / 16.0
@@ -87,17 +87,17 @@ def _mean_snr(
 ) -> None:
     missions, uavs, devices = snr.shape
     for n in range(missions):
-        place = n if len(device_x) > 1 else 0
+        row = n if len(device_x) > 1 else 0
         for u in range(uavs):
             for i in range(devices):
-                dx = positions[n, u, 0] - device_x[place, i]
-                dy = positions[n, u, 1] - device_y[place, i]
-                snr[n, u, i] = snr_at_1_m[place, i] / (dx * dx + dy * dy + altitude_squared[u])
+                dx = positions[n, u, 0] - device_x[row, i]
+                dy = positions[n, u, 1] - device_y[row, i]
+                snr[n, u, i] = snr_at_1_m[row, i] / (dx * dx + dy * dy + altitude_squared[u])
 
 
 @compiled
 def _fade(keys: Keys, slot: int, rician_factor: float, snr_min: Floats, all_pairs: bool, snr: Floats) -> None:
-    """Turn mean SNRs into those of a slot; 0 for those below the least, unless ``all_pairs`` are asked for."""
+    """Replace mean SNRs by those of a slot; SNRs below the minimum become 0 unless ``all_pairs`` is true."""
     missions, uavs, devices = snr.shape
     line_of_sight = math.sqrt(rician_factor / (rician_factor + 1.0))
     scattered = math.sqrt(0.5 / (rician_factor + 1.0))
@@ -108,8 +108,8 @@ def _fade(keys: Keys, slot: int, rician_factor: float, snr_min: Floats, all_pair
         least = snr_min[n if len(snr_min) > 1 else 0]  # (I,)
         for u in range(uavs):
             mean = snr[n, u].copy()  # (I,)
-            start = 2 * (slot * uavs + u) * devices  # where this UAV's words of the slot begin
-            # Three passes, because the first then runs in vectors and none guesses at branches.
+            start = 2 * (slot * uavs + u) * devices  # the first random word of this UAV in the slot
+            # Three passes: so the first is vectorised, and none depends on branch prediction.
             for i in range(devices):
                 first[i] = uniform(random_bits(keys[n], start + 2 * i))
                 needed = math.sqrt(least[i] / mean[i])
@@ -126,16 +126,16 @@ def _fade(keys: Keys, slot: int, rician_factor: float, snr_min: Floats, all_pair
 
 
 def minimum_snr(bandwidth: Floats, rate_min: float) -> Floats:
-    """The smallest float64 SNR whose computed rate reaches R_min, for each bandwidth.
+    """Return the smallest float64 SNR whose computed rate reaches R_min, for each bandwidth.
 
-    Comparing SNRs with it decides R >= R_min exactly as the rate formula would, without a logarithm a slot.
+    A comparison of SNRs with it decides R >= R_min exactly as the rate formula does, without a logarithm in each slot.
     """
     with np.errstate(over="ignore"):
-        high = np.exp2(rate_min / bandwidth)  # log2(1 + 2^x) >= x, but for rounding
+        high = np.exp2(rate_min / bandwidth)  # log2(1 + 2^x) >= x, except for rounding
     while np.any(short := rate(bandwidth, high) < rate_min):
         high = np.where(short, np.nextafter(high, np.inf), high)
     low = np.zeros_like(high)
-    # Bisection over float64 values, by their bit patterns, which order as the values do.
+    # Bisection over float64 values by their bit patterns, which have the same order.
     low_bits, high_bits = low.view(np.int64), high.view(np.int64)
     while np.any(high_bits - low_bits > 1):
         middle_bits = low_bits + (high_bits - low_bits) // 2
@@ -148,11 +148,11 @@ def minimum_snr(bandwidth: Floats, rate_min: float) -> Floats:
 class Channel:
     """The SNR of every device at every UAV, slot by slot, in N missions.
 
-    Each mission's key comes from the generator of its own lane, so that its fading does not depend on how
-    many missions are played beside it.
+    The key of each mission comes from the generator of that mission. So its fading does not depend on the rest of the
+    batch.
     """
 
-    keys: Keys  # (N,), of the missions' fading
+    keys: Keys  # (N,) of the fading of each mission
 
     def __init__(self, scenario: Scenario, missions: int) -> None:
         self._scenario = scenario
@@ -160,7 +160,7 @@ class Channel:
         self.keys = np.zeros(missions, dtype=np.uint64)
 
     def set_devices(self, positions: Floats, bandwidth: Floats, transmit_power: Floats) -> None:
-        """Place the devices: positions (L, I, 2) m, bandwidth (L, I) Hz, power (L, I) W; L is N, or 1 for all alike."""
+        """Set positions (L, I, 2) m, bandwidth (L, I) Hz and power (L, I) W; L is N, or 1 for a common layout."""
         self._device_x = np.ascontiguousarray(positions[..., 0])  # (L, I) m
         self._device_y = np.ascontiguousarray(positions[..., 1])  # (L, I) m
         self.bandwidth = bandwidth  # (L, I) Hz
@@ -169,21 +169,21 @@ class Channel:
         self._snr_at_1_m = transmit_power * self._scenario.reference_gain / self._scenario.noise_power_w  # (L, I)
 
     def start_missions(self, rngs: list[np.random.Generator]) -> None:
-        """Draw each mission's key from its lane's generator."""
+        """Draw the key of each mission from its generator."""
         self.keys = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs])  # (N,)
 
     def mean_snr(self, positions: Floats) -> Floats:
-        """The SNR without fading for UAVs at ``positions`` (N, U, 2) m; shape (N, U, I)."""
+        """Return the SNR without fading for UAVs at ``positions`` (N, U, 2) m; (N, U, I)."""
         snr: Floats = np.empty((*positions.shape[:2], self._device_x.shape[1]))  # (N, U, I)
         _mean_snr(positions, self._device_x, self._device_y, self._altitude_squared, self._snr_at_1_m, snr)
         return snr
 
     def snr(self, positions: Floats, slot: int) -> Floats:
-        """The SNR Gamma_iu of every pair in a slot, for UAVs at ``positions`` (N, U, 2) m; (N, U, I)."""
+        """Return the SNR Gamma_iu of every pair in a slot, for UAVs at ``positions`` (N, U, 2) m; (N, U, I)."""
         return self._faded(positions, slot, all_pairs=True)
 
     def snr_in_range(self, positions: Floats, slot: int) -> Floats:
-        """The same where R_iu >= R_min, and 0 elsewhere; (N, U, I). Pairs out of reach cost next to nothing."""
+        """Return the same if R_iu >= R_min, else 0; (N, U, I). Pairs out of reach cost almost nothing."""
         return self._faded(positions, slot, all_pairs=False)
 
     def _faded(self, positions: Floats, slot: int, all_pairs: bool) -> Floats:

@@ -1,7 +1,7 @@
-"""The link budget of a layout: how far a device reaches, and how likely R_iu >= R_min is from each cell.
+"""The link budget of a layout: the coverage radius of each device, and P(R_iu >= R_min) from each cell.
 
 With g the small-scale part of h, E|g|^2 = 1, and a mean SNR Gamma_0 = P beta_0 / (sigma^2 d^2),
-R >= R_min where |g|^2 >= q, q = Gamma_min / Gamma_0. 2 (Phi + 1) |g|^2 is noncentral chi-square with two
+R >= R_min if |g|^2 >= q, q = Gamma_min / Gamma_0. 2 (Phi + 1) |g|^2 is noncentral chi-square with two
 degrees of freedom and noncentrality 2 Phi, so that P(R >= R_min) = Q_1(sqrt(2 Phi), sqrt(2 (Phi + 1) q)),
 Q_1 being the Marcum Q function.
 """
@@ -17,19 +17,19 @@ from uavaou.world.channel import Channel, minimum_snr
 
 Floats = NDArray[np.float64]
 
-_TAIL = 9.0  # standard deviations of the Rice amplitude, beyond which there is less than 1e-17
-_BLOCK = 2_000_000  # probabilities held at a time
+_TAIL = 9.0  # standard deviations of the Rice amplitude; the probability beyond is below 1e-17
+_BLOCK = 2_000_000  # probabilities in memory at a time
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 
 
 def grid_positions(scenario: Scenario) -> Floats:
-    """The position of every grid cell in m, (X, Y, 2); column x, row y."""
+    """Return the position of every grid cell in m, (X, Y, 2); column x, row y."""
     cells = np.indices((scenario.columns, scenario.rows), dtype=np.float64)  # (2, X, Y)
     return np.moveaxis(cells, 0, -1) * scenario.grid_step_m  # (X, Y, 2) m
 
 
 def mean_snr(scenario: Scenario, layout: Layout, positions: Floats) -> Floats:
-    """The SNR Gamma_0 without fading with each UAV at each of the ground ``positions`` (..., 2) m; (U, ..., I)."""
+    """Return the SNR Gamma_0 without fading, with each UAV above each of ``positions`` (..., 2) m; (U, ..., I)."""
     channel = Channel(scenario, missions=1)
     channel.set_devices(layout.positions[None], layout.bandwidth[None], layout.transmit_power[None])
     spots = positions.reshape(-1, 1, 2)  # (C, 1, 2) m
@@ -38,10 +38,10 @@ def mean_snr(scenario: Scenario, layout: Layout, positions: Floats) -> Floats:
 
 
 def coverage_radius(scenario: Scenario, layout: Layout) -> Floats:
-    """The ground radius in m within which R_iu >= R_min without fading, (U, I).
+    """Return the ground radius in m within which R_iu >= R_min without fading, (U, I).
 
-    From d^2 = r^2 + H_u^2 and Gamma_0 = Gamma_min: r = H_u sqrt(Gamma_0(r = 0) / Gamma_min - 1). NaN where
-    even a UAV right above the device is too far: no distance compares as within it. 0 means right above alone.
+    From d^2 = r^2 + H_u^2 and Gamma_0 = Gamma_min: r = H_u sqrt(Gamma_0(r = 0) / Gamma_min - 1). NaN means
+    that even a UAV right above the device is too far (no distance compares as within NaN); 0 means right above only.
     """
     below = Layout(np.zeros_like(layout.positions), layout.bandwidth, layout.transmit_power, layout.update_period)
     snr_min = minimum_snr(layout.bandwidth, scenario.rate_min_bit_s)  # (I,)
@@ -52,7 +52,7 @@ def coverage_radius(scenario: Scenario, layout: Layout) -> Floats:
 
 
 def best_probability(scenario: Scenario, layout: Layout) -> Floats:
-    """The largest P(R_iu >= R_min) in a slot that any UAV has at any grid cell, (I,)."""
+    """Return the largest P(R_iu >= R_min) in a slot over all UAVs and grid cells, (I,)."""
     size = max(1, _BLOCK // (scenario.uavs * scenario.columns * scenario.rows))  # devices at a time
     parts = []
     for first in range(0, scenario.devices, size):
@@ -66,7 +66,7 @@ def best_probability(scenario: Scenario, layout: Layout) -> Floats:
 
 
 def coverage_probability(scenario: Scenario, layout: Layout) -> Floats:
-    """P(R_iu >= R_min) in a slot, for each UAV's altitude, grid cell and device, (U, X, Y, I).
+    """Return P(R_iu >= R_min) in a slot, for each UAV, grid cell and device, (U, X, Y, I).
 
     With ``fading: none`` it is 0 or 1. The result takes 8 U X Y I bytes.
     """
@@ -85,11 +85,11 @@ def cell_coverage(scenario: Scenario, layout: Layout) -> Floats:
 
 
 def rician_exceedance(power_gain: Floats, rician_factor: float) -> Floats:
-    """P(|g|^2 >= power_gain) for Rician fading of mean power 1; any shape, elementwise.
+    """Return P(|g|^2 >= power_gain) for Rician fading of mean power 1, elementwise.
 
-    Q_1(a, b) = int_b^oo x exp(-(x - a)^2 / 2) [exp(-a x) I_0(a x)] dx, by Gauss-Legendre quadrature over the
-    part of it within 9 of a. Exact to about 1e-14 from Phi = 0 (Rayleigh) up, where SciPy's ``ncx2.sf`` overflows
-    from Phi = 200 on.
+    Q_1(a, b) = int_b^oo x exp(-(x - a)^2 / 2) [exp(-a x) I_0(a x)] dx, by Gauss-Legendre quadrature over
+    |x - a| < 9. The error is about 1e-14 for every Phi >= 0 (0 is Rayleigh); SciPy's ``ncx2.sf`` overflows for
+    Phi >= 200.
 
     Args:
         power_gain: q, linear, >= 0.

@@ -1,8 +1,8 @@
-"""Grid moves, flight time and the way home: constraints (CDS) and (Time) of the paper.
+"""Grid moves, flight time and the return to the CDS: constraints (CDS) and (Time) of the paper.
 
-Cells are whole (column, row) pairs and ways are counted in whole grid steps, so the rules are exact.
-A move is allowed when from the cell that it leads to the UAV can still be at its CDS in slot K and stay
-within its flight-time budget; a move that is not allowed becomes a step towards the CDS.
+Cells are integer (column, row) pairs and distances are counted in grid steps, so the rules are exact. A move is allowed
+if the UAV can still be at its CDS in slot K and stay within its flight-time budget afterwards. A move that is not
+allowed becomes a step towards the CDS.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 STAY, UP, DOWN, RIGHT, LEFT = range(5)
-MOVES: Ints = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]])  # (5, 2) cells: stay, +y, -y, +x, -x
-_UNLIMITED = 10**12  # moves; more than any mission has, and far from overflow
+STEP_OF_MOVE: Ints = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]])  # (5, 2) cells: stay, +y, -y, +x, -x
+_UNLIMITED = 10**12  # moves; more than any mission has, without overflow
 
 
 class Flight:
-    """The rules of flight of one scenario; holds no state."""
+    """The rules of flight of one scenario, without state."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._last_cell: Ints = np.array([scenario.columns - 1, scenario.rows - 1])  # (2,)
@@ -33,21 +33,21 @@ class Flight:
         self.cds: Ints = scenario.cds_cells  # (U, 2)
         affordable = (scenario.flight_time_budget_s + ZETA_TOLERANCE_S) * self._speed - self._vertical
         moves = np.minimum(np.floor(affordable / self._step), _UNLIMITED).astype(np.int64)
-        # Without (Time), as many moves as there are slots: the budget never binds.
+        # Without (Time), the budget is the number of slots, so it never binds.
         self.budget: Ints = moves if scenario.flight_time == "enforce" else np.full_like(moves, scenario.slots)  # (U,)
 
     def flight_time(self, flown: Ints) -> NDArray[np.float64]:
-        """zeta_u in s after ``flown`` grid steps (..., U), take-off and landing included (eq. flighttime)."""
+        """Return zeta_u in s after ``flown`` grid steps (..., U), with take-off and landing (eq. flighttime)."""
         time: NDArray[np.float64] = (self._vertical + flown * self._step) / self._speed
         return time
 
     def steps_home(self, cells: Ints) -> Ints:
-        """Grid steps from ``cells`` (N, U, 2) to the own CDS, (N, U)."""
+        """Return the grid steps from ``cells`` (N, U, 2) to the CDS of each UAV, (N, U)."""
         steps: Ints = np.abs(cells - self.cds).sum(axis=-1)
         return steps
 
     def allowed(self, cells: Ints, flown: Ints, slot: int) -> tuple[Bools, Bools]:
-        """Which moves are allowed, and which stay on the grid.
+        """Return which moves are allowed, and which stay on the grid.
 
         Args:
             cells: (column, row) of each UAV in this slot, (N, U, 2).
@@ -55,21 +55,17 @@ class Flight:
             slot: t; in slot K the only allowed move is to stay.
 
         Returns:
-            Two (N, U, 5) arrays: on the grid and allowed by (CDS) and (Time); on the grid.
+            Two (N, U, 5) arrays: allowed (on the grid, and by (CDS) and (Time)); on the grid.
         """
-        allowed, on_grid = np.empty((2, *cells.shape[:2], len(MOVES)), dtype=np.bool_)  # (N, U, 5) each
+        allowed, on_grid = np.empty((2, *cells.shape[:2], len(STEP_OF_MOVE)), dtype=np.bool_)  # (N, U, 5) each
         _allowed(cells, flown, slot, self._slots, self._last_cell, self.cds, self.budget, allowed, on_grid)
         return allowed, on_grid
 
     def resolve(self, moves: Ints, cells: Ints, allowed: Bools, on_grid: Bools) -> Ints:
-        """The moves made, (N, U), of those asked for: off the grid means stay, not allowed means homewards."""
-        made = self.homeward(cells)  # (N, U)
+        """Return the moves made, (N, U), for the requested ones: off the grid gives a stay, not allowed a step home."""
+        made = first_step(self.cds - cells)  # (N, U) towards the CDS
         _keep_allowed(moves, allowed, on_grid, made)
         return made
-
-    def homeward(self, cells: Ints) -> Ints:
-        """The step towards the own CDS, (N, U)."""
-        return first_step(self.cds - cells)
 
 
 def grid_cells(scenario: Scenario) -> Ints:
@@ -81,14 +77,14 @@ def grid_cells(scenario: Scenario) -> Ints:
 def neighbours(scenario: Scenario) -> tuple[Ints, Bools]:
     """Return the cell that each move leads to, (C, 5), or the cell itself if that is off the grid; and whether not."""
     cells = grid_cells(scenario)
-    target = cells[:, None] + MOVES  # (C, 5, 2)
+    target = cells[:, None] + STEP_OF_MOVE  # (C, 5, 2)
     on_grid: Bools = ((target >= 0) & (target < [scenario.columns, scenario.rows])).all(axis=-1)
     own = np.arange(len(cells))[:, None]
     return np.where(on_grid, target[..., 0] * scenario.rows + target[..., 1], own), on_grid
 
 
 def first_step(way: Ints) -> Ints:
-    """The first move of a way of (columns, rows), (..., 2): along x first, then y; stay where there is none to go."""
+    """Return the first move of a way of (columns, rows), (..., 2): along x first, then y; stay if both are 0."""
     along_x = np.where(way[..., 0] > 0, RIGHT, LEFT)
     along_y = np.where(way[..., 1] > 0, UP, DOWN)
     step: Ints = np.where(way[..., 0] != 0, along_x, np.where(way[..., 1] != 0, along_y, STAY))
@@ -104,8 +100,8 @@ def _allowed(
     for n in range(missions):
         for u in range(uavs):
             for move in range(moves):
-                x = cells[n, u, 0] + MOVES[move, 0]
-                y = cells[n, u, 1] + MOVES[move, 1]
+                x = cells[n, u, 0] + STEP_OF_MOVE[move, 0]
+                y = cells[n, u, 1] + STEP_OF_MOVE[move, 1]
                 inside = 0 <= x <= last_cell[0] and 0 <= y <= last_cell[1]
                 on_grid[n, u, move] = inside
                 if slot >= slots:
@@ -113,16 +109,16 @@ def _allowed(
                     continue
                 home = abs(x - cds[u, 0]) + abs(y - cds[u, 1])  # grid steps
                 in_time = home <= slots - (slot + 1)
-                afford = home + (move != STAY) <= budget[u] - flown[n, u]
-                allowed[n, u, move] = inside and in_time and afford
+                affordable = home + (move != STAY) <= budget[u] - flown[n, u]
+                allowed[n, u, move] = inside and in_time and affordable
 
 
 @compiled
 def _keep_allowed(moves: Ints, allowed: Bools, on_grid: Bools, made: Ints) -> None:
-    """Write the moves asked for into ``made`` (N, U), which holds the steps home, where they may be made."""
+    """Write the requested moves that are allowed into ``made`` (N, U), which holds the steps home."""
     missions, uavs = made.shape
     for n in range(missions):
         for u in range(uavs):
-            asked = moves[n, u] if on_grid[n, u, moves[n, u]] else STAY
-            if allowed[n, u, asked]:
-                made[n, u] = asked
+            requested = moves[n, u] if on_grid[n, u, moves[n, u]] else STAY
+            if allowed[n, u, requested]:
+                made[n, u] = requested

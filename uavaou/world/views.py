@@ -1,7 +1,7 @@
-"""What each may see: the UAVs' local observations, their masks, and the global state of the critic.
+"""Observations: the local ones of the UAVs, with their masks, and the global state of the critic.
 
-A learner's row is ``[local | global]``. :class:`RowLayout` names the columns of both parts, so that a
-policy finds its masks in its own observation and needs no side channel.
+The row of a learner is ``[local | global]``. :class:`RowLayout` names the columns of both parts. So a policy finds its
+masks in its own observation.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from uavaou.errors import unknown
 from uavaou.scenario import Scenario, WholeRange
 from uavaou.world.compiled import compiled
+from uavaou.world.flight import STEP_OF_MOVE
 from uavaou.world.world import Bools, Floats, Ints, World
 
 Observation = Literal["location", "local", "shared"]
@@ -23,13 +24,13 @@ OBSERVATIONS: tuple[Observation, ...] = ("location", "local", "shared")
 COLLECTIONS: tuple[Collection, ...] = ("select", "auto")
 
 Rows = NDArray[np.float32]
-MOVES = 5
-_RECENT_SLOTS = 20.0  # waiting times are told apart best around this many slots
+MOVES = len(STEP_OF_MOVE)
+_RECENT_SLOTS = 20.0  # the scaled waiting time has its best resolution around this many slots
 
 
 @dataclass(frozen=True)
 class Columns:
-    """A named run of columns in a row."""
+    """Consecutive columns of a row, with a name."""
 
     name: str
     start: int
@@ -43,7 +44,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class RowLayout:
-    """Which columns of a row hold what; the global part begins at ``local_size``."""
+    """The named columns of a row; the global part begins at ``local_size``."""
 
     uavs: int
     devices: int
@@ -53,17 +54,17 @@ class RowLayout:
 
     @property
     def local_size(self) -> int:
-        """Columns of the local observation."""
+        """Number of columns of the local observation."""
         return self.local[-1].stop
 
     @property
     def global_size(self) -> int:
-        """Columns of the global state."""
+        """Number of columns of the global state."""
         return self.state[-1].stop
 
     @property
     def selects(self) -> bool:
-        """Whether the action holds a device selection beside the move."""
+        """Whether an action has a selection of devices beside the move."""
         return self.collection == "select"
 
     def fits(self, other: RowLayout, depends_on_sizes: bool = True) -> bool:
@@ -74,7 +75,7 @@ class RowLayout:
         return names[0] == names[1] and self.collection == other.collection
 
     def local_columns(self, name: str) -> slice | None:
-        """The columns of a local feature, or None where the observation does not have it."""
+        """Return the columns of a local feature, or None if the observation lacks it."""
         return next((columns.slice for columns in self.local if columns.name == name), None)
 
 
@@ -84,14 +85,14 @@ def _columns(*sizes: tuple[str, int]) -> tuple[Columns, ...]:
 
 
 class Views:
-    """Writes local observations and global states of a World, scaled to the order of 1, as float32.
+    """Write local observations and global states of a World, scaled to the order of 1, as float32.
 
     Args:
-        scenario: the scenario of the Worlds to look at.
-        observation: ``location`` (the paper's state: position, and an id that parameter sharing needs),
-            ``local`` (what a UAV can measure or be told before take-off) or ``shared`` (``local``, the
-            other UAVs' positions and every device's true age sum).
-        collection: ``select`` (the agent chooses the subset) or ``auto`` (every device in range).
+        scenario: the scenario of the Worlds.
+        observation: ``location`` (the state of the paper: position, and the id that parameter sharing needs),
+            ``local`` (what a UAV measures, or knows before take-off) or ``shared`` (``local``, the positions of the
+            other UAVs and the true age sum of every device).
+        collection: ``select`` (the agent chooses devices) or ``auto`` (it collects every device in range).
     """
 
     def __init__(self, scenario: Scenario, observation: str = "local", collection: str = "select") -> None:
@@ -129,12 +130,12 @@ class Views:
         self._area = np.array([scenario.area_x_m, scenario.area_y_m])  # (2,) m
         self._span = max(scenario.area_x_m, scenario.area_y_m)  # m
         slots = np.arange(scenario.slots + 1)
-        self._waiting: Rows = (slots / (slots + _RECENT_SLOTS)).astype(np.float32)  # (K + 1,), 0 just now, towards 1
+        self._waiting: Rows = (slots / (slots + _RECENT_SLOTS)).astype(np.float32)  # (K+1,) 0 for now, towards 1
         self._ids: Rows = np.eye(uavs, dtype=np.float32)  # (U, U)
         self._others = np.array([[v for v in range(uavs) if v != u] for u in range(uavs)], dtype=np.int64)  # (U, U-1)
 
     def rows(self, world: World) -> Rows:
-        """The rows ``[local | global]`` of every UAV in every mission, mission-major, (N * U, local + global)."""
+        """Return the rows ``[local | global]`` of all UAVs, mission-major, (N * U, local + global)."""
         layout, uavs = self.layout, self.scenario.uavs
         rows: Rows = np.empty((world.missions, uavs, layout.local_size + layout.global_size), dtype=np.float32)
         self.write_local(world, rows)
@@ -142,7 +143,7 @@ class Views:
         return rows.reshape(world.missions * uavs, -1)
 
     def local(self, world: World) -> Rows:
-        """The local observations, (N, U, local)."""
+        """Return the local observations, (N, U, local)."""
         out: Rows = np.empty((world.missions, self.scenario.uavs, self.layout.local_size), dtype=np.float32)
         self.write_local(world, out)
         return out
@@ -171,7 +172,7 @@ class Views:
             at["age_sum"][...] = self._age_sum(world)[:, None]
 
     def state(self, world: World) -> Rows:
-        """The global state, (N, global): positions, slots left, and each device's age sum, pending updates and wait."""
+        """Return the global state, (N, global): positions, slots left, and age sum, pending updates, wait by device."""
         out: Rows = np.empty((world.missions, self.layout.global_size), dtype=np.float32)
         at = {columns.name: out[:, columns.slice] for columns in self.layout.state}
         at["positions"][...] = (world.positions / self._area).reshape(world.missions, -1)
@@ -189,7 +190,7 @@ class Views:
         return since
 
     def _age_sum(self, world: World) -> NDArray[np.float64]:
-        # An age sum grows with the square of the wait: its root is linear in it.
+        # An age sum grows with the square of the waiting time; its root is linear.
         scaled: NDArray[np.float64] = np.sqrt(world.ages.age_slots) / _RECENT_SLOTS
         return scaled
 
@@ -203,9 +204,9 @@ def _write_devices(
     devices: Floats, uavs: Floats, span: float, period: Ints, longest: float, in_range: Bools, slot: int, last: Ints,
     waiting: Rows, to_x: Rows, to_y: Rows, periods: Rows, ranges: Rows, since: Rows,
 ) -> None:  # fmt: skip
-    """Write what the UAVs at ``uavs`` (N, U, 2) know of each device: columns (N, U, I), the last five arguments."""
+    """Write the columns (N, U, I) about devices, the last five arguments, for UAVs at ``uavs`` (N, U, 2)."""
     for n in range(len(uavs)):
-        layout = min(n, len(devices) - 1)  # one for all missions, or one each
+        layout = min(n, len(devices) - 1)  # a common one, or one for each mission
         for u in range(uavs.shape[1]):
             for i in range(devices.shape[1]):
                 to_x[n, u, i] = (devices[layout, i, 0] - uavs[n, u, 0]) / span

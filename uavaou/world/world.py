@@ -1,7 +1,7 @@
 """The simulator: N missions of one scenario, stepped together as arrays.
 
-There is no other implementation of the physics: the PettingZoo environment is a World of one mission,
-planners roll Worlds forward, evaluation runs Worlds.
+There is no other implementation of the physics: the PettingZoo environment is a World of one mission, and planners and
+evaluation step Worlds.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from uavaou.world.ages import AgeLedger
 from uavaou.world.association import Association, associate
 from uavaou.world.channel import Channel, rate
 from uavaou.world.compiled import compiled
-from uavaou.world.flight import MOVES, STAY, Flight
+from uavaou.world.flight import STAY, STEP_OF_MOVE, Flight
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -33,7 +33,7 @@ _WORD = (1 << 64) - 1
 
 
 def _pack_stream(rng: np.random.Generator) -> NDArray[np.uint64]:
-    """The state of a PCG64 generator as six 64-bit words."""
+    """Return the state of a PCG64 generator as six 64-bit words."""
     state = rng.bit_generator.state
     words = [state["state"]["state"], state["state"]["inc"]]
     halves = [half for word in words for half in (word >> 64, word & _WORD)]
@@ -52,18 +52,18 @@ def _unpack_stream(rng: np.random.Generator, packed: NDArray[np.uint64]) -> None
 
 @dataclass(frozen=True)
 class Stepped:
-    """What happened in the slot just stepped, in N missions."""
+    """The slot just stepped, in N missions."""
 
     slot: int
-    positions: Floats  # (N, U, 2) m, where the UAVs were in that slot
-    flown: Ints  # (N, U) grid steps up to those positions
-    snr: Floats  # (N, U, I) Gamma_iu where R_iu >= R_min, 0 elsewhere
+    positions: Floats  # (N, U, 2) m, in that slot
+    flown: Ints  # (N, U) grid steps up to that slot
+    snr: Floats  # (N, U, I) Gamma_iu if R_iu >= R_min, else 0
     association: Association
 
 
 @dataclass(frozen=True)
 class MissionMetrics:
-    """The figures of N missions, over the slots played so far."""
+    """Metrics of N missions over the slots played so far."""
 
     reward: Floats  # (N,) s, sum over slots of r[t]
     mean_aou_s: Floats  # (N,) s, mean over slots of sum_i sum_n A_i^n[t]
@@ -76,7 +76,7 @@ class MissionMetrics:
     device_mean_aou_s: Floats  # (N, I) s
 
     def of(self, mission: int) -> dict[str, Any]:
-        """One mission's figures as plain numbers and lists, the per-device ones apart."""
+        """Return the metrics of one mission as plain numbers and lists, without those by device."""
         return {
             "reward": float(self.reward[mission]),
             "mean_aou_s": float(self.mean_aou_s[mission]),
@@ -89,28 +89,28 @@ class MissionMetrics:
 
 
 class World:
-    """N missions of one scenario, in lockstep.
+    """N missions of one scenario, stepped together.
 
-    ``reset`` and ``step`` leave the world in front of slot ``world.slot``: its channel is known, and
-    ``in_range`` and ``allowed_moves`` say what the UAVs may do in it. After slot K, ``world.done``.
+    After ``reset`` and ``step``, the world is at the beginning of slot ``world.slot``: the channel of that slot is
+    known, and ``in_range`` and ``allowed_moves`` tell which actions are possible. After slot K, ``world.done`` is true.
 
-    Mission j draws from a stream of its own, seeded with ``seed + j``: it equals, bit for bit, the
-    mission of a World of one with that seed.
+    Mission j draws from its own stream, seeded with ``seed + j``. It equals, bit for bit, the mission of a World of one
+    with that seed.
 
     Args:
-        scenario: what is simulated; a preset's name or a YAML path will do.
+        scenario: a scenario, the name of a preset, or the path of a YAML file.
         missions: N.
-        seed: mission j is seeded with ``seed + j``.
+        seed: mission j has seed ``seed + j``.
 
     Example:
         >>> world = World("tiny", missions=2)
         >>> while not world.done:
-        ...     reward = world.step(np.zeros((2, 2), dtype=np.int64))  # everybody stays, all in range collected
+        ...     reward = world.step(np.zeros((2, 2), dtype=np.int64))  # all UAVs stay and collect all in range
         >>> world.metrics().devices_served.shape
         (2,)
     """
 
-    slot: int  # t, the slot to be played next
+    slot: int  # t, the next slot to play
     cells: Ints  # (N, U, 2) column and row of each UAV in that slot
     positions: Floats  # (N, U, 2) m
     flown: Ints  # (N, U) grid steps so far
@@ -118,7 +118,7 @@ class World:
     allowed_moves: Bools  # (N, U, 5)
     last_collection: Ints  # (N, I) slot, 0 for never
     last_collection_by: Ints  # (N, U, I) slot, 0 for never
-    device_positions: Floats  # (L, I, 2) m; L is N, or 1 where all missions share a layout
+    device_positions: Floats  # (L, I, 2) m; L is N, or 1 if all missions share a layout
     update_period: Ints  # (L, I) slots, k_i
     stepped: Stepped | None  # the slot just played
 
@@ -135,40 +135,40 @@ class World:
         self.reset(seed)
 
     def reset(self, seed: int | None = None) -> None:
-        """Start the next mission in every lane; with a seed, restart the lanes' streams from it."""
+        """Start the next N missions; with a seed, restart their random streams from it."""
         if seed is not None:
-            self._rngs = [np.random.default_rng(seed + lane) for lane in range(self.missions)]
+            self._rngs = [np.random.default_rng(seed + mission) for mission in range(self.missions)]
             if self._fixed_layout:
                 self._place_devices()
         if not self._fixed_layout:
             self._place_devices()
-        lanes, uavs, devices = self.missions, self.scenario.uavs, self.scenario.devices
+        missions, uavs, devices = self.missions, self.scenario.uavs, self.scenario.devices
         self.slot = 1
-        self.cells = np.broadcast_to(self.flight.cds, (lanes, uavs, 2)).copy()
-        self.flown = np.zeros((lanes, uavs), dtype=np.int64)
+        self.cells = np.broadcast_to(self.flight.cds, (missions, uavs, 2)).copy()
+        self.flown = np.zeros((missions, uavs), dtype=np.int64)
         self.ages.reset()
-        self.last_collection = np.zeros((lanes, devices), dtype=np.int64)
-        self.last_collection_by = np.zeros((lanes, uavs, devices), dtype=np.int64)
-        self._age_total: Ints = np.zeros((lanes, devices), dtype=np.int64)  # (N, I) slots, over the slots played
-        self._communications: Ints = np.zeros((lanes, devices), dtype=np.int64)  # (N, I)
-        self._rejected_rate: Ints = np.zeros(lanes, dtype=np.int64)  # (N,)
-        self._rejected_association: Ints = np.zeros(lanes, dtype=np.int64)  # (N,)
+        self.last_collection = np.zeros((missions, devices), dtype=np.int64)
+        self.last_collection_by = np.zeros((missions, uavs, devices), dtype=np.int64)
+        self._age_total: Ints = np.zeros((missions, devices), dtype=np.int64)  # (N, I) slots, over the slots played
+        self._communications: Ints = np.zeros((missions, devices), dtype=np.int64)  # (N, I)
+        self._rejected_rate: Ints = np.zeros(missions, dtype=np.int64)  # (N,)
+        self._rejected_association: Ints = np.zeros(missions, dtype=np.int64)  # (N,)
         self.stepped = None
         self.channel.start_missions(self._rngs)
         self._open_slot()
 
     def step(self, moves: Ints, selections: Bools | None = None) -> Floats:
-        """Play the slot: collect at the present position, age, reward, then move.
+        """Play the slot: collect at the present positions, age, reward, then move.
 
         Args:
-            moves: 0 stay, 1 up (+y), 2 down (-y), 3 right (+x), 4 left (-x); whole numbers, (N, U).
+            moves: 0 stay, 1 up (+y), 2 down (-y), 3 right (+x), 4 left (-x); integers, (N, U).
             selections: the devices that each UAV selects, (N, U, I); None selects every device in range.
 
         Returns:
             r[t] = -sum_i sum_n A_i^n[t] in s, (N,) (eq. indiv_reward).
 
         Raises:
-            ValueError: an array has another shape, type or range; nothing has been played then.
+            ValueError: an array has a wrong shape, type or range; the slot is then not played.
             RuntimeError: the mission is over.
         """
         if self.done:
@@ -182,7 +182,7 @@ class World:
         self._age_total += self.ages.age_slots
         self._rejected_rate += association.rejected_rate
         self._rejected_association += association.rejected_association
-        _remember(association.collected_by, self.slot, self.last_collection, self.last_collection_by)
+        _record_collections(association.collected_by, self.slot, self.last_collection, self.last_collection_by)
         self.stepped = Stepped(self.slot, self.positions, self.flown, self._snr_in_range, association)
         reward: Floats = -self.scenario.slot_length_s * self.ages.age_slots.sum(axis=1)
         self._move(moves)
@@ -194,11 +194,9 @@ class World:
     def _check_actions(self, moves: Ints, selections: Bools | None) -> None:
         pairs = (self.missions, self.scenario.uavs)
         if moves.shape != pairs or moves.dtype.kind not in "iu":
-            raise ValueError(
-                f"moves: expected whole numbers of shape {pairs}, got {moves.dtype} of shape {moves.shape}"
-            )
-        if moves.min() < 0 or moves.max() >= len(MOVES):
-            raise ValueError(f"moves: {moves.min()} to {moves.max()} given, 0 to {len(MOVES) - 1} allowed")
+            raise ValueError(f"moves: expected integers of shape {pairs}, got {moves.dtype} of shape {moves.shape}")
+        if moves.min() < 0 or moves.max() >= len(STEP_OF_MOVE):
+            raise ValueError(f"moves: {moves.min()} to {moves.max()} given, 0 to {len(STEP_OF_MOVE) - 1} allowed")
         if selections is not None and (selections.dtype != bool or selections.shape != (*pairs, self.scenario.devices)):
             raise ValueError(
                 f"selections: expected booleans of shape {(*pairs, self.scenario.devices)}, "
@@ -226,7 +224,7 @@ class World:
         return np.multiply(self.ages.age_slots, self.scenario.slot_length_s, dtype=np.float64)
 
     def metrics(self) -> MissionMetrics:
-        """The figures of the missions so far; of whole missions once ``done``."""
+        """Return the metrics of the missions so far; once ``done``, of whole missions."""
         played = max(self.slot - 1, 1)
         tau = self.scenario.slot_length_s
         total = self._age_total.sum(axis=1)  # (N,) slots
@@ -243,10 +241,10 @@ class World:
         )
 
     def snapshot(self, mission: int = 0) -> dict[str, Any]:
-        """Describe the slot just stepped in one mission (slot 0: nothing stepped yet).
+        """Describe the slot just stepped in one mission; slot 0 means that no slot was stepped yet.
 
         Returns:
-            ``slot`` int; ``positions`` (U, 2) m, where the UAVs were in that slot; ``altitudes`` (U,) m;
+            ``slot`` int; ``positions`` (U, 2) m in that slot; ``altitudes`` (U,) m;
             ``devices`` (I, 2) m; ``age_sum`` (I,) s; ``pending`` (I,); ``update_period`` (I,) slots;
             ``collected_by`` (I,), -1 for none; ``rate`` (U, I) bit/s; ``flight_time`` (U,) s, zeta_u up to
             those positions; ``rejected_rate``, ``rejected_association`` int; ``bandwidth`` (I,) Hz;
@@ -273,9 +271,9 @@ class World:
         }
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """Everything that the rest of the mission depends on, random streams included; lanes along axis 0.
+        """Return all state that the rest of the missions depends on, with the random streams; axis 0 is the mission.
 
-        ``stepped`` is not part of it: a snapshot taken right after :meth:`load_state_dict` is that of slot 0.
+        ``stepped`` is not part of it: right after :meth:`load_state_dict`, a snapshot is that of slot 0.
         """
         arrays = {name: getattr(self, name).copy() for name in _STATE}
         arrays["slot"] = np.full(self.missions, self.slot)
@@ -288,7 +286,7 @@ class World:
         return arrays
 
     def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Go on exactly where :meth:`state_dict` was taken, in a World of the same scenario and size."""
+        """Continue exactly from a :meth:`state_dict`, in a World of the same scenario and size."""
         for name in _STATE:
             setattr(self, name, arrays[name].copy())
         self.slot = int(arrays["slot"][0])
@@ -303,7 +301,7 @@ class World:
         self._open_slot()
 
     def layout(self, mission: int = 0) -> Layout:
-        """The devices of one mission."""
+        """Return the devices of one mission."""
         return Layout(
             positions=self._of_mission(self.device_positions, mission),
             bandwidth=self._of_mission(self.channel.bandwidth, mission),
@@ -316,7 +314,7 @@ class World:
         return own
 
     def _place_devices(self) -> None:
-        # A fixed layout is held once, (1, I), and broadcast; a resampled one is drawn from each lane's stream.
+        # A fixed layout is stored once, (1, I), and broadcast; a resampled one comes from the stream of each mission.
         if self._fixed_layout:
             layouts = [self.scenario.draw_layout()]
         else:
@@ -330,7 +328,7 @@ class World:
         )
 
     def _open_slot(self) -> None:
-        """Find what the UAVs may do in the slot: its channel, its allowed moves."""
+        """Compute the channel and the allowed moves of the slot."""
         self.positions = self._cell_positions()
         self._snr_in_range = self.channel.snr_in_range(self.positions, self.slot)  # (N, U, I)
         self.in_range = self._snr_in_range > 0
@@ -343,12 +341,12 @@ class World:
         if self.slot == self.scenario.slots:
             return  # the move of slot K has no effect
         made = self.flight.resolve(moves, self.cells, self.allowed_moves, self._on_grid)  # (N, U)
-        self.cells = self.cells + MOVES[made]
+        self.cells = self.cells + STEP_OF_MOVE[made]
         self.flown = self.flown + (made != STAY)
 
 
 @compiled
-def _remember(collected_by: Ints, slot: int, last_collection: Ints, last_collection_by: Ints) -> None:
+def _record_collections(collected_by: Ints, slot: int, last_collection: Ints, last_collection_by: Ints) -> None:
     missions, uavs, devices = last_collection_by.shape
     for n in range(missions):
         for i in range(devices):
