@@ -12,10 +12,10 @@ from gymnasium import spaces
 
 from tests.two_step_game import TwoStepGame, play_greedily
 from uavaou import IQL, QMIX, VDN, InputError, Scenario, flatten
+from uavaou.algorithms.qlearning.branches import UtilityNetwork
 from uavaou.algorithms.qlearning.learner import JointQLearning
-from uavaou.algorithms.qlearning.mixers import MIXERS, MonotonicMixer, SumMixer, make_mixer
+from uavaou.algorithms.qlearning.mixers import MIXERS, MonotonicMixer, NoMixer, SumMixer
 from uavaou.algorithms.qlearning.replay import JointReplay
-from uavaou.algorithms.qlearning.utility import UtilityNetwork
 from uavaou.world.views import Columns, RowLayout
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -34,8 +34,10 @@ def small_model(learner: type[JointQLearning] = VDN, collection: str = "select",
 
 def test_vdn_sums_and_iql_does_not_mix() -> None:
     utilities, states = th.randn(8, 3), th.randn(8, 4)
-    th.testing.assert_close(SumMixer(3)(utilities, states)[:, 0], utilities[:, 0] + utilities[:, 1] + utilities[:, 2])
-    th.testing.assert_close(make_mixer("none", 3, 4)(utilities, states), utilities)
+    th.testing.assert_close(
+        SumMixer(3, 4)(utilities, states)[:, 0], utilities[:, 0] + utilities[:, 1] + utilities[:, 2]
+    )
+    th.testing.assert_close(NoMixer(3, 4)(utilities, states), utilities)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -51,10 +53,10 @@ def test_qmix_is_monotone_in_every_utility_everywhere(seed: int) -> None:
 
 def test_an_unknown_mixer_is_refused_with_the_nearest_name() -> None:
     with pytest.raises(InputError, match="'monotonic'"):
-        make_mixer("monotone", 2, 3)
+        small_model(policy_kwargs={"mixer": "monotone"})
 
 
-@pytest.mark.parametrize("mixer", MIXERS)
+@pytest.mark.parametrize("mixer", sorted(MIXERS))
 def test_moving_the_statistics_moves_no_prediction(mixer: str) -> None:
     policy = small_model({"sum": VDN, "monotonic": QMIX, "none": IQL}[mixer]).policy
     rows = th.randn(6 * 2, policy.row_layout.local_size).abs()  # all allowed

@@ -11,7 +11,7 @@ import torch as th
 from uavaou import VDN, AlgorithmConfig, InputError, Scenario, flatten, register_algorithm
 from uavaou.algorithms import registry
 from uavaou.algorithms.qlearning import JointQPolicy
-from uavaou.algorithms.qlearning.utility import UtilityNetwork
+from uavaou.algorithms.qlearning.branches import UtilityNetwork
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.policy import load_run
 from uavaou.runs.train import train

@@ -1,7 +1,7 @@
-"""Arrays and text in a safetensors file with a checksum; reading one runs nothing and takes bounded memory.
+"""Arrays and text in a safetensors file with a checksum; reading one runs no code and takes bounded memory.
 
-The format is safetensors', so that any reader of it reads these files too. They are written here because a replay
-of a gigabyte must go to the disk without being copied, and a full disk must be an ``OSError``.
+Any reader of safetensors reads these files. This module writes them itself: it writes a replay of a gigabyte
+without a copy in memory, and raises an ``OSError`` when the disk is full.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from uavaou.errors import InputError
 from uavaou.files import replacing
 
 CHECKSUM = "checksum"
-POLICY = "policy."  # what the names of a policy's arrays begin with
-_UNSET = "0" * hashlib.sha256().digest_size * 2  # stands in the checksum's place while it is computed
+POLICY = "policy."  # prefix of the names of a policy's arrays
+_UNSET = "0" * hashlib.sha256().digest_size * 2  # in the checksum's place while it is computed
 _MOST_HEADER = 4_000_000  # bytes; a checkpoint's header has some thousand
 _CHUNK = 1 << 24  # bytes
 _TYPES = {
@@ -32,12 +32,12 @@ _TYPES = {
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], text: Mapping[str, str]) -> None:
-    """Replace ``path`` by a file of ``arrays`` and ``text``; complete, or what was there before.
+    """Replace ``path`` by a file of ``arrays`` and ``text``, as a whole or not at all.
 
     Raises:
         OSError: the file cannot be written.
     """
-    # Widest types first, as safetensors does it: every array then begins at a multiple of its own width.
+    # Widest types first, as in safetensors: every array then begins at a multiple of its own width.
     ordered = sorted(arrays.items(), key=lambda item: (-item[1].dtype.itemsize, item[0]))
     header: dict[str, Any] = {"__metadata__": {**text, CHECKSUM: _UNSET}}
     end = 0
@@ -59,13 +59,13 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], text: Mapping[s
 
 
 class ArrayFile:
-    """A safetensors file opened for reading, its checksum verified where it states one.
+    """A safetensors file opened for reading, after a check of its checksum if it has one.
 
     Args:
         path: of the file.
 
     Raises:
-        InputError: the file is missing, damaged, or no safetensors file.
+        InputError: the file is missing, damaged, or not a safetensors file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -84,14 +84,14 @@ class ArrayFile:
 
     @property
     def elements(self) -> int:
-        """Numbers that the file holds; no more than its size allows, whatever shapes it states."""
+        """How many numbers the file holds."""
         return sum(int(np.prod(shape)) for shape in self.shapes.values())
 
     def read(self, name: str) -> NDArray[Any]:
         """One array.
 
         Raises:
-            InputError: the file does not hold it, or holds it in a type that is not used here.
+            InputError: the file does not hold it, or in a type that NumPy does not have.
         """
         try:
             array: NDArray[Any] = self._file.get_tensor(name)
@@ -136,11 +136,11 @@ def _verify(path: Path) -> None:
         try:
             stated = json.loads(content)["__metadata__"][CHECKSUM]
         except (ValueError, KeyError, TypeError, RecursionError):
-            return  # written before checksums were: safetensors checks the sizes, the caller the schema
+            return  # a file without checksum: safetensors checks the sizes, the caller the schema
         if not isinstance(stated, str) or len(stated) != len(_UNSET):
-            raise InputError(f"{path}: damaged: its checksum is no checksum")
+            raise InputError(f"{path}: damaged: its checksum is not a checksum")
         digest = hashlib.sha256(content.replace(stated.encode(), _UNSET.encode(), 1))
         while chunk := file.read(_CHUNK):
             digest.update(chunk)
     if digest.hexdigest() != stated:
-        raise InputError(f"{path}: damaged: its content does not have the checksum that it states")
+        raise InputError(f"{path}: damaged: its content does not have the stated checksum")

@@ -1,4 +1,4 @@
-"""A learner's weights and optimizer as named arrays, and back, with every shape checked."""
+"""A learner's weights and optimizer as named arrays; loading checks every shape."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def policy_arrays(model: BaseAlgorithm) -> dict[str, NDArray[Any]]:
 
 
 def optimizer_arrays(model: BaseAlgorithm) -> dict[str, NDArray[Any]]:
-    """What the optimizer keeps of each parameter."""
+    """The optimizer's state of each parameter."""
     state = model.policy.optimizer.state_dict()["state"]
     return {
         f"{_OPTIMIZER}{index}.{name}": value.detach().cpu().numpy()
@@ -52,7 +52,7 @@ def load_optimizer_arrays(file: ArrayFile, model: BaseAlgorithm) -> None:
     """Load :func:`optimizer_arrays` from a file.
 
     Raises:
-        InputError: an array is of no parameter, or has another shape than its parameter.
+        InputError: an array belongs to no parameter, or has another shape than its parameter.
     """
     optimizer = model.policy.optimizer
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
@@ -61,7 +61,7 @@ def load_optimizer_arrays(file: ArrayFile, model: BaseAlgorithm) -> None:
     for key in (name for name in file.shapes if name.startswith(_OPTIMIZER)):
         index, _, name = key.removeprefix(_OPTIMIZER).partition(".")
         if not (index.isdecimal() and int(index) < len(parameters)):
-            raise InputError(f"{file.path}: {key} is of no parameter")
+            raise InputError(f"{file.path}: {key} belongs to no parameter")
         if file.shapes[key] not in ((), tuple(parameters[int(index)].shape)):
             raise InputError(f"{file.path}: {key} has shape {file.shapes[key]}, which is not its parameter's")
         content["state"].setdefault(int(index), {})[name] = th.from_numpy(file.read(key))

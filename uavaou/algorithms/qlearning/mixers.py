@@ -9,35 +9,20 @@ from torch import nn
 from torch.nn import functional
 
 from uavaou.algorithms.nets.mlp import Linear, rescale_linear
-from uavaou.algorithms.qlearning.utility import UtilityNetwork
-from uavaou.errors import unknown
-
-MIXERS = ("none", "sum", "monotonic")
-
-
-def make_mixer(name: str, agents: int, state_size: int, width: int = 32, hypernet_width: int = 64) -> Mixer:
-    """The mixer of IQL (``none``), VDN (``sum``) or QMIX (``monotonic``).
-
-    Args:
-        name: one of :data:`MIXERS`.
-        agents: U.
-        state_size: of the global state.
-        width, hypernet_width: of :class:`MonotonicMixer`.
-
-    Raises:
-        InputError: the name is not one of these.
-    """
-    if name not in MIXERS:
-        raise unknown("mixer", name, MIXERS)
-    if name == "monotonic":
-        return MonotonicMixer(agents, state_size, width, hypernet_width)
-    return SumMixer(agents) if name == "sum" else NoMixer(agents)
+from uavaou.algorithms.qlearning.branches import UtilityNetwork
 
 
 class Mixer(nn.Module, ABC):
-    """Mixes utilities (B, U) in states (B, state) to team values (B, V)."""
+    """Mixes utilities (B, U) in states (B, state) to team values (B, V).
 
-    def __init__(self, agents: int) -> None:
+    Args:
+        agents: U.
+        state_size: of the global state.
+        width: units of the hidden layer of QMIX's mixing network.
+        hypernet_width: units of the hidden layer of the networks that give its weights.
+    """
+
+    def __init__(self, agents: int, state_size: int, width: int = 32, hypernet_width: int = 64) -> None:
         super().__init__()
         self.agents = agents
 
@@ -75,17 +60,10 @@ class SumMixer(Mixer):
 
 
 class MonotonicMixer(Mixer):
-    """QMIX's mixing network, whose weights >= 0 come from the state (Rashid et al. 2018, arXiv 1803.11485).
-
-    Args:
-        agents: U.
-        state_size: of the global state.
-        width: units of the mixing network's hidden layer.
-        hypernet_width: units of the hidden layer of the networks that give its weights.
-    """
+    """QMIX's mixing network, whose weights >= 0 come from the state (Rashid et al. 2018, arXiv 1803.11485)."""
 
     def __init__(self, agents: int, state_size: int, width: int = 32, hypernet_width: int = 64) -> None:
-        super().__init__(agents)
+        super().__init__(agents, state_size)
         self.width = width
         self.first_weights = _Hypernet(state_size, hypernet_width, agents * width)
         self.first_bias = Linear(state_size, width)
@@ -119,3 +97,6 @@ class _Hypernet(nn.Module):
     def forward(self, states: th.Tensor) -> th.Tensor:
         weights: th.Tensor = self.outer(functional.relu(self.inner(states)))
         return weights
+
+
+MIXERS: dict[str, type[Mixer]] = {"none": NoMixer, "sum": SumMixer, "monotonic": MonotonicMixer}  # IQL, VDN, QMIX

@@ -14,9 +14,8 @@ from torch import nn
 from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.mlp import ACTIVATIONS
 from uavaou.algorithms.nets.value_norm import ReturnStatistics
-from uavaou.algorithms.qlearning.branches import Branches
-from uavaou.algorithms.qlearning.mixers import make_mixer
-from uavaou.algorithms.qlearning.utility import UtilityNetwork
+from uavaou.algorithms.qlearning.branches import Branches, UtilityNetwork
+from uavaou.algorithms.qlearning.mixers import MIXERS
 from uavaou.errors import unknown
 from uavaou.world.views import MOVES, RowLayout
 
@@ -56,8 +55,9 @@ class JointQPolicy(LocalPolicy):
         optimizer_class: type[th.optim.Optimizer] = th.optim.Adam,
         optimizer_kwargs: dict[str, Any] | None = None,
     ) -> None:
-        if activation not in ACTIVATIONS:
-            raise unknown("activation", activation, ACTIVATIONS)
+        for name, value, known in (("activation", activation, ACTIVATIONS), ("mixer", mixer, MIXERS)):
+            if value not in known:
+                raise unknown(name, value, known)
         super().__init__(
             observation_space, action_space, optimizer_class=optimizer_class, optimizer_kwargs=optimizer_kwargs
         )
@@ -68,8 +68,7 @@ class JointQPolicy(LocalPolicy):
         self.selection_bias = selection_bias
         self.masks = masks
         self.utilities = self.make_utilities()
-        self._mixer = {"mixer": mixer, "mixer_width": mixer_width, "hypernet_width": hypernet_width}
-        self.mixer = make_mixer(mixer, row_layout.uavs, row_layout.global_size, mixer_width, hypernet_width)
+        self.mixer = MIXERS[mixer](row_layout.uavs, row_layout.global_size, mixer_width, hypernet_width)
         self.target_utilities = deepcopy(self.utilities).requires_grad_(False)
         self.target_mixer = deepcopy(self.mixer).requires_grad_(False)
         self.returns = ReturnStatistics(decay=0.9)
@@ -159,11 +158,3 @@ class JointQPolicy(LocalPolicy):
     def forward(self, obs: th.Tensor, deterministic: bool = False) -> th.Tensor:
         """Actions of rows."""
         return self._predict(obs, deterministic)
-
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        data = super()._get_constructor_parameters()
-        data.update(
-            row_layout=self.row_layout, net_arch=self._hidden, activation=self._activation,
-            selection_bias=self.selection_bias, masks=self.masks, **self._mixer,
-        )  # fmt: skip
-        return data
