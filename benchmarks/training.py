@@ -19,12 +19,10 @@ from torch import nn
 from benchmarks.measure import Measurement, Stopwatch, exactly, seconds_of, side_by_side
 from uavaou import MAPPO, Scenario, flatten
 from uavaou.algorithms.config import AlgorithmConfig, MappoConfig
-from uavaou.algorithms.fast import gradients
-from uavaou.algorithms.fast.adam import ClippedAdam
-from uavaou.algorithms.fast.workers import Partner
-from uavaou.algorithms.mappo import collecting
+from uavaou.algorithms.fast import loss
+from uavaou.algorithms.fast.update import ClippedAdam, GradientWorker
 from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
-from uavaou.algorithms.nets.mlp import Layers, Linear
+from uavaou.algorithms.nets.mlp import FullyConnected, Linear
 from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
@@ -72,17 +70,17 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
         "rollout: World, rewards, rows": (model.env, "step"),
         "rollout: actor": (model.policy, "action_distribution"),
         "rollout: sampling": (MoveSelectionDistribution, "sample"),
-        "rollout: critic and log-probabilities": (collecting, "write_values"),
+        "rollout: critic and log-probabilities": (model, "evaluate_rollout"),
         "rollout: advantages": (model.rollout_buffer, "compute_returns_and_advantage"),
         "update": (model, "train"),
     }
     update = {
-        "update: networks forward": (Layers, "forward"),
-        "update: networks backward": (Layers, "backward"),
-        "update: loss of the actor": (gradients, "clipped_surrogate"),
-        "update: loss of the critic": (gradients, "squared_error"),
+        "update: networks forward": (FullyConnected, "forward"),
+        "update: networks backward": (FullyConnected, "backward"),
+        "update: loss of the actor": (loss, "clipped_surrogate"),
+        "update: loss of the critic": (loss, "squared_error"),
         "update: clipping and Adam": (ClippedAdam, "step"),
-        "update: waiting for other processes": (Partner, "answer"),
+        "update: waiting for other processes": (GradientWorker, "result"),
     }
     learning, seconds = _split(learn, rollout, repeats, rollouts=ROLLOUTS)
     updating, in_update = _split(model.train, update, repeats)

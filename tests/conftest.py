@@ -21,7 +21,9 @@ settings.load_profile("uavaou")
 @pytest.fixture
 def one_thread() -> Iterator[None]:
     """Torch computes with one thread."""
-    from uavaou.algorithms import threads  # torch only where a test asks for it
+    import torch as th  # only where a test asks for it
 
-    with threads.one_thread():
-        yield
+    before = th.get_num_threads()
+    th.set_num_threads(1)
+    yield
+    th.set_num_threads(before)

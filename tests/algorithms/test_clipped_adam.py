@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 import torch as th
 
-from uavaou.algorithms.fast.adam import ClippedAdam
-from uavaou.algorithms.fast.memory import Flat, share_parameters
+from uavaou.algorithms.fast.update import ClippedAdam, FlatTensors, _share_parameters
 
 SHAPES = [[(24, 37), (24,), (31, 24), (31,)], [(16, 5), (16,), (1, 16), (1,)]]  # two groups, some of odd sizes
 
@@ -33,10 +32,10 @@ def torch_step(optimizer: th.optim.Adam, gradients: list[th.Tensor]) -> None:
 def test_steps_are_torchs_bit_for_bit_whoever_takes_them() -> None:
     expected, torchs = parameters_and_adam()
     parameters, optimizer = parameters_and_adam()
-    share_parameters(parameters)
+    _share_parameters(parameters)
     generator = th.Generator().manual_seed(1)
     for first in (True, False):  # that begins, and that goes on from torch's step below
-        flat = Flat(parameters)
+        flat = FlatTensors(parameters)
         for parameter, part in zip(parameters, flat.parts, strict=True):
             parameter.grad = part
         adam = ClippedAdam(optimizer, 5.0)
@@ -56,7 +55,7 @@ def test_steps_are_torchs_bit_for_bit_whoever_takes_them() -> None:
 
 
 def test_parts_are_views_that_begin_at_cache_lines() -> None:
-    flat = Flat([th.zeros(3, 5), th.zeros(()), th.zeros(16)])
+    flat = FlatTensors([th.zeros(3, 5), th.zeros(()), th.zeros(16)])
     assert [part.shape for part in flat.parts] == [(3, 5), (), (16,)]
     assert all(part.data_ptr() % 64 == 0 for part in flat.parts)
     flat.whole += 1.0
@@ -75,6 +74,7 @@ def test_parts_are_views_that_begin_at_cache_lines() -> None:
 )
 def test_other_optimizers_are_left_to_torch(optimizer: object) -> None:
     parameters, adam = parameters_and_adam()
-    assert ClippedAdam.serves(adam)
+    assert ClippedAdam.supports(adam, parameters)
+    assert not ClippedAdam.supports(adam, parameters[::-1])
     assert callable(optimizer)
-    assert not ClippedAdam.serves(optimizer(parameters))
+    assert not ClippedAdam.supports(optimizer(parameters), parameters)

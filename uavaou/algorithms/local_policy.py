@@ -1,9 +1,8 @@
-"""What the policies of all learners share: they fly on the local part of a row."""
+"""What the policies of all learners share: they act on the local part of a row."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaou.algorithms.io.save_load import NoPickledPolicy
 from uavaou.world.views import RowLayout
@@ -21,15 +20,8 @@ class LocalPolicy(NoPickledPolicy):
         episode_start: np.ndarray | None = None,
         deterministic: bool = False,
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
-        """As SB3's; also takes the local observation alone, which is all that a flying UAV has."""
-        if isinstance(observation, np.ndarray):
-            observation = _with_state(observation, self.row_layout)
+        """As SB3's; also takes local observations alone, which is all that a flying UAV has."""
+        if isinstance(observation, np.ndarray) and observation.shape[-1] == self.row_layout.local_size:
+            unseen = np.zeros((*observation.shape[:-1], self.row_layout.global_size), dtype=np.float32)
+            observation = np.concatenate([observation, unseen], axis=-1)
         return super().predict(observation, state, episode_start, deterministic)
-
-
-def _with_state(observation: NDArray[np.float32], layout: RowLayout) -> NDArray[np.float32]:
-    """Rows for a policy that was given local observations alone: an unseen state of zeros is appended."""
-    if observation.shape[-1] != layout.local_size:
-        return observation
-    unseen = np.zeros((*observation.shape[:-1], layout.global_size), dtype=np.float32)
-    return np.concatenate([observation, unseen], axis=-1)

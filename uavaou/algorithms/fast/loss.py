@@ -1,91 +1,231 @@
-"""PPO's loss and its gradient by what the networks give, written down and compiled: one pass over a minibatch's rows.
+"""PPO's loss and its gradient on slots of a rollout, compiled: one pass over the rows, without intermediate arrays.
 
-:class:`~uavaou.algorithms.nets.action_head.MoveSelectionDistribution` says the same in tensors, for any device and
-for autograd. Here a row costs what it needs: devices out of range are passed over, and nothing in between is stored.
+:meth:`uavaou.algorithms.mappo.mappo.MAPPO.loss` is the definition, in tensors for every device; tests hold both to the
+same numbers.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
+import torch as th
 from numpy.typing import NDArray
 
+from uavaou.algorithms.mappo.buffer import SlotRolloutBuffer
+from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
+from uavaou.algorithms.nets.mlp import FullyConnected, fully_connected, is_exactly
+from uavaou.algorithms.nets.value_norm import PopArt
 from uavaou.world.compiled import compiled
 from uavaou.world.views import MOVES
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
-Ints = NDArray[np.int64]
+Indices = NDArray[np.int64]
 
-_MOVES = MOVES  # a global of this file is a constant to Numba
+_MOVES = MOVES  # Numba takes a global of this file as a constant
+
+
+class LossCoefficients(NamedTuple):
+    """The numbers in the loss that do not come from the rows of a minibatch."""
+
+    advantage_mean: float  # the loss takes (advantage - advantage_mean) * advantage_scale
+    advantage_scale: float
+    clip_range: float
+    entropy_coef: float
+    value_coef: float
+    return_mean: float  # the statistics that normalise values
+    return_std: float
+
+
+class GradientShard:
+    """The gradient of a minibatch's loss, as far as it comes from some of the minibatch's slots.
+
+    Args:
+        policy: the policy to differentiate.
+        buffer: the rollout; its arrays are read anew for each minibatch.
+    """
+
+    def __init__(self, policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> None:
+        self._mask_columns = policy.mask_columns
+        actor: tuple[th.nn.Module, ...] = ()
+        critic: tuple[th.nn.Module, ...] = ()
+        if inherits(policy, CentralizedValuePolicy, "logits"):
+            actor = (policy.actor_body, policy.action_net)
+        if inherits(policy, CentralizedValuePolicy, "normalised_values") and is_exactly(policy.value_net, PopArt):
+            critic = (policy.critic_body, policy.value_net.linear)
+        self._actor = _network(actor, policy.logits, policy.actor_parameters())
+        self._critic = _network(
+            critic, lambda rows: policy.normalised_values(rows)[:, None], policy.critic_parameters()
+        )
+        arrays = (buffer.actions, buffer.log_probs, buffer.advantages, buffer.returns)
+        self._actions, self._log_probs, self._advantages, self._returns = map(_by_slot, arrays)
+        self._local = th.from_numpy(_by_slot(buffer.local))  # (slots, U, local)
+        critic_rows = th.from_numpy(_by_slot(buffer.critic_rows))
+        self._critic_rows = critic_rows[:, None] if buffer.shared_critic else critic_rows  # (slots, V, global or local)
+
+    @property
+    def uses_autograd(self) -> bool:
+        """Whether autograd differentiates one of the networks."""
+        return isinstance(self._actor, _AutogradNetwork) or isinstance(self._critic, _AutogradNetwork)
+
+    def advantage_moments(self, indices: Indices) -> tuple[float, float]:
+        """Mean and standard deviation of the slots' advantages."""
+        return _moments(self._advantages, indices)
+
+    @th.no_grad()
+    def gradient(
+        self, actor_indices: Indices, critic_indices: Indices, slots_in_batch: int, coefficients: LossCoefficients
+    ) -> tuple[list[th.Tensor], Doubles]:
+        """The gradient by the actor's and the critic's parameters, in order, and the loss statistics.
+
+        Gradients and statistics of a minibatch's shards add up to those of the minibatch.
+
+        Args:
+            actor_indices: (B,) of this shard's slots in the rollout, for the actor's loss.
+            critic_indices: the same for the critic's loss; where empty, the critic's gradient is left out.
+            slots_in_batch: of all shards together.
+            coefficients: of the loss.
+
+        Returns:
+            The gradients, and (6,) the statistics in the order of
+            :class:`~uavaou.algorithms.mappo.mappo.LossStatistics`.
+        """
+        rows = self._local.index_select(0, th.from_numpy(actor_indices)).flatten(0, 1)  # (B * U, local)
+        logits = self._actor.forward(rows)  # (B * U, 5 + I)
+        grad_logits = th.empty_like(logits)
+        objective, entropy, kl, clipped = clipped_surrogate(
+            logits.numpy(), rows.numpy(), *self._mask_columns, actor_indices, self._actions, self._log_probs,
+            self._advantages, *coefficients[:4], len(actor_indices) / slots_in_batch, grad_logits.numpy(),
+        )  # fmt: skip
+        gradients, value_loss = self._actor.backward(grad_logits), 0.0
+        if len(critic_indices):
+            rows = self._critic_rows.index_select(0, th.from_numpy(critic_indices)).flatten(0, -2)  # (B * V, ...)
+            values = self._critic.forward(rows)  # (B * V, 1)
+            grad_values = th.empty_like(values)
+            value_loss = squared_error(
+                values.numpy(), critic_indices, self._returns, *coefficients[4:], len(critic_indices) / slots_in_batch,
+                grad_values.numpy(),
+            )  # fmt: skip
+            gradients += self._critic.backward(grad_values)
+        loss = -objective - coefficients.entropy_coef * entropy + coefficients.value_coef * value_loss
+        return gradients, np.array([-objective, value_loss, entropy, loss, kl, clipped])
+
+
+def _by_slot(array: Floats) -> Floats:
+    """An array (T, N, ...) of the buffer as (slots, ...)."""
+    return array.reshape(-1, *array.shape[2:])
+
+
+class _WrittenNetwork:
+    """Fully connected layers, differentiated by their written gradient."""
+
+    def __init__(self, layers: FullyConnected) -> None:
+        self._layers = layers
+
+    def forward(self, rows: th.Tensor) -> th.Tensor:
+        self._activations = self._layers.forward(rows)
+        return self._activations[-1]
+
+    def backward(self, grad_outputs: th.Tensor) -> list[th.Tensor]:
+        return self._layers.backward(self._activations, grad_outputs)
+
+
+class _AutogradNetwork:
+    """Any other network, differentiated by autograd."""
+
+    def __init__(self, network: Callable[[th.Tensor], th.Tensor], parameters: list[th.nn.Parameter]) -> None:
+        self._network, self._parameters = network, parameters
+
+    def forward(self, rows: th.Tensor) -> th.Tensor:
+        with th.enable_grad():
+            self._outputs = self._network(rows)
+        return self._outputs.detach().contiguous()
+
+    def backward(self, grad_outputs: th.Tensor) -> list[th.Tensor]:
+        return list(th.autograd.grad(self._outputs, self._parameters, grad_outputs, materialize_grads=True))
+
+
+def _network(
+    modules: tuple[th.nn.Module, ...],
+    network: Callable[[th.Tensor], th.Tensor],
+    parameters: list[th.nn.Parameter],
+) -> _WrittenNetwork | _AutogradNetwork:
+    """The written gradient of ``modules`` where they are known layers with just these parameters, else autograd."""
+    layers = fully_connected(*modules)
+    known = [] if layers is None else [id(tensor) for layer in layers.layers for tensor in (layer.weight, layer.bias)]
+    if layers is not None and known == list(map(id, parameters)):
+        return _WrittenNetwork(layers)
+    return _AutogradNetwork(network, parameters)
 
 
 @compiled
 def clipped_surrogate(
-    logits: Floats, local: Floats, moves_at: int, range_at: int, slots: Ints, actions: Floats, old_log_prob: Floats,
-    advantages: Floats, mean: float, scale: float, clip_range: float, entropy_weight: float, part: float,
-    gradient: Floats,
+    logits: Floats, local: Floats, moves_column: int, range_column: int, indices: Indices, actions: Floats,
+    old_log_prob: Floats, advantages: Floats, mean: float, scale: float, clip_range: float, entropy_coef: float,
+    part: float, gradient: Floats,
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """Write the gradient of ``-mean(min(A r, A clip(r))) - entropy_weight * mean(H)`` by the logits.
+    """Write the gradient of ``-mean(min(A r, A clip(r))) - entropy_coef * mean(H)`` by the logits.
 
     Args:
-        logits: (B * U, 5 + I) of the UAVs of B slots.
-        local: (B * U, local), where the masks are.
-        moves_at, range_at: first column of the allowed moves and of the devices in range; -1 where all may be chosen.
-        slots: (B,) which slots of the rollout these are.
+        logits: (B * U, 5 + I) of the UAVs in B slots.
+        local: (B * U, local), with the masks.
+        moves_column, range_column: first column of the allowed moves and of the devices in range; -1 without a mask.
+        indices: (B,) of the slots in the rollout.
         actions: (slots, U, 1 + I) of the whole rollout, the move first.
         old_log_prob: (slots, U).
-        advantages: (slots, 1) or (slots, U); ``A = (advantage - mean) * scale`` is taken.
+        advantages: (slots, 1) or (slots, U); ``A = (advantage - mean) * scale``.
         clip_range: of the ratio ``r = exp(log_prob - old_log_prob)``.
-        part: of the minibatch that these rows are; means are over the minibatch, and those of its parts add up.
+        part: share of these rows in the minibatch; means are over the minibatch, and those of its parts add up.
         gradient: (B * U, 5 + I), written.
 
     Returns:
         Means: the objective, the entropy in nats, the KL divergence from the old policy (estimated as
-        r - 1 - log r), and the share of rows where the ratio is out of its range.
+        r - 1 - log r), and the share of rows with a clipped ratio.
     """
     rows, uavs = len(logits), actions.shape[1]
-    each = part / max(rows, 1)  # of a row in the means
-    by_entropy = -entropy_weight * each
+    weight = part / max(rows, 1)  # of a row in the means
+    grad_entropy = -entropy_coef * weight
     log_probs, probs = np.empty(_MOVES), np.empty(_MOVES)
-    objectives, entropies, divergence, outside = 0.0, 0.0, 0.0, 0
+    objectives, entropies, divergence, clipped = 0.0, 0.0, 0.0, 0
     for row in range(rows):
-        slot, uav = slots[row // uavs], row % uavs
+        slot, uav = indices[row // uavs], row % uavs
         action = actions[slot, uav]
-        move_entropy = _softmax(logits[row], local[row], moves_at, log_probs, probs)
+        move_entropy = _softmax(logits[row], local[row], moves_column, log_probs, probs)
         log_prob, entropy = _add_selection(
-            logits[row], local[row], range_at, action, log_probs[int(action[0])], move_entropy, gradient[row]
+            logits[row], local[row], range_column, action, log_probs[int(action[0])], move_entropy, gradient[row]
         )
         log_ratio = log_prob - old_log_prob[slot, uav]
         ratio = math.exp(log_ratio)
         bounded = min(max(ratio, 1 - clip_range), 1 + clip_range)
         advantage = (advantages[slot, uav % advantages.shape[1]] - mean) * scale
-        follows = ratio == bounded or advantage * ratio < advantage * bounded
-        by_log_prob = -advantage * ratio * each if follows else 0.0
+        has_gradient = ratio == bounded or advantage * ratio < advantage * bounded
+        grad_log_prob = -advantage * ratio * weight if has_gradient else 0.0
         objectives += min(advantage * ratio, advantage * bounded)
         entropies += entropy
         divergence += ratio - 1 - log_ratio
-        outside += abs(ratio - 1) > clip_range
+        clipped += abs(ratio - 1) > clip_range
         for k in range(_MOVES):
             gradient[row, k] = 0.0
             if probs[k] > 0:
-                gradient[row, k] = -probs[k] * (by_log_prob + by_entropy * (log_probs[k] + move_entropy))
-        gradient[row, int(action[0])] += by_log_prob
-        _selection_gradient(logits[row], local[row], range_at, action, by_log_prob, by_entropy, gradient[row])
-    return objectives * each, entropies * each, divergence * each, outside * each
+                gradient[row, k] = -probs[k] * (grad_log_prob + grad_entropy * (log_probs[k] + move_entropy))
+        gradient[row, int(action[0])] += grad_log_prob
+        _selection_gradient(logits[row], local[row], range_column, action, grad_log_prob, grad_entropy, gradient[row])
+    return objectives * weight, entropies * weight, divergence * weight, clipped * weight
 
 
 @compiled
-def _softmax(logits: Floats, local: Floats, moves_at: int, log_probs: Doubles, probs: Doubles) -> float:
+def _softmax(logits: Floats, local: Floats, moves_column: int, log_probs: Doubles, probs: Doubles) -> float:
     """Write the moves' log-probabilities and probabilities; return their entropy."""
     highest, total, entropy = -np.inf, 0.0, 0.0
     for k in range(_MOVES):
-        if moves_at < 0 or local[moves_at + k] > 0.5:
+        if moves_column < 0 or local[moves_column + k] > 0.5:
             highest = max(highest, logits[k])
     for k in range(_MOVES):
         probs[k] = 0.0
-        if moves_at < 0 or local[moves_at + k] > 0.5:
+        if moves_column < 0 or local[moves_column + k] > 0.5:
             probs[k] = math.exp(logits[k] - highest)
             total += probs[k]
     log_total = math.log(total)
@@ -99,54 +239,50 @@ def _softmax(logits: Floats, local: Floats, moves_at: int, log_probs: Doubles, p
 
 @compiled
 def _add_selection(
-    logits: Floats, local: Floats, range_at: int, action: Floats, log_prob: float, entropy: float, selected: Floats
+    logits: Floats, local: Floats, range_column: int, action: Floats, log_prob: float, entropy: float, probs: Floats
 ) -> tuple[float, float]:
-    """Add what selecting devices adds to log-probability and entropy; writes each one's probability q to ``selected``.
+    """Add the selected devices to log-probability and entropy; write each device's probability q to ``probs``.
 
-    With z the logit, log q = -softplus(-z), and the entropy is z (1 - q) - log q.
+    With the logit z, log q = -softplus(-z), and the entropy is z (1 - q) - log q.
     """
     for i in range(len(action) - 1):
-        if range_at < 0 or local[range_at + i] > 0.5:
+        if range_column < 0 or local[range_column + i] > 0.5:
             z = float(logits[_MOVES + i])
             tail = math.exp(-abs(z))
             q = 1 / (1 + tail) if z >= 0 else tail / (1 + tail)
             log_q = min(z, 0.0) - math.log1p(tail)
             log_prob += log_q - z * (1 - action[1 + i])
             entropy += z * (1 - q) - log_q
-            selected[_MOVES + i] = q
+            probs[_MOVES + i] = q
     return log_prob, entropy
 
 
 @compiled
 def _selection_gradient(
-    logits: Floats,
-    local: Floats,
-    range_at: int,
-    action: Floats,
-    by_log_prob: float,
-    by_entropy: float,
+    logits: Floats, local: Floats, range_column: int, action: Floats, grad_log_prob: float, grad_entropy: float,
     gradient: Floats,
-) -> None:
-    """Write the gradient by the devices' logits over their probabilities."""
+) -> None:  # fmt: skip
+    """Write the gradient by the devices' logits, in place of their probabilities."""
     for i in range(len(action) - 1):
-        if range_at < 0 or local[range_at + i] > 0.5:
+        if range_column < 0 or local[range_column + i] > 0.5:
             z, q = float(logits[_MOVES + i]), float(gradient[_MOVES + i])
-            gradient[_MOVES + i] = by_log_prob * (action[1 + i] - q) - by_entropy * z * q * (1 - q)
+            gradient[_MOVES + i] = grad_log_prob * (action[1 + i] - q) - grad_entropy * z * q * (1 - q)
         else:
             gradient[_MOVES + i] = 0.0
 
 
 @compiled
 def squared_error(
-    values: Floats, slots: Ints, returns: Floats, mean: float, std: float, weight: float, part: float, gradient: Floats
-) -> float:
+    values: Floats, indices: Indices, returns: Floats, weight: float, mean: float, std: float, part: float,
+    gradient: Floats,
+) -> float:  # fmt: skip
     """Write the gradient of ``weight * mean((value - (return - mean) / std) ** 2)`` by the values.
 
     Args:
         values: (B * V, 1), normalised.
-        slots: (B,) which slots of the rollout these are.
+        indices: (B,) of the slots in the rollout.
         returns: (slots, V) of the whole rollout.
-        part: of the minibatch that these rows are.
+        part: share of these rows in the minibatch.
         gradient: (B * V, 1), written.
 
     Returns:
@@ -154,22 +290,22 @@ def squared_error(
     """
     total, critics, each = 0.0, returns.shape[1], part / max(len(values), 1)
     for row in range(len(values)):
-        error = values[row, 0] - (returns[slots[row // critics], row % critics] - mean) / std
+        error = values[row, 0] - (returns[indices[row // critics], row % critics] - mean) / std
         total += error * error
         gradient[row, 0] = 2 * weight * error * each
     return total * each
 
 
 @compiled
-def moments(advantages: Floats, slots: Ints) -> tuple[float, float]:
+def _moments(advantages: Floats, indices: Indices) -> tuple[float, float]:
     """Mean and standard deviation of the advantages (slots, V) of some slots."""
     total, squares, critics = 0.0, 0.0, advantages.shape[1]
-    count = len(slots) * critics
-    for slot in slots:
+    count = len(indices) * critics
+    for slot in indices:
         for v in range(critics):
             total += advantages[slot, v]
     mean = total / count
-    for slot in slots:
+    for slot in indices:
         for v in range(critics):
             squares += (advantages[slot, v] - mean) ** 2
     return mean, math.sqrt(squares / count)

@@ -10,9 +10,14 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.type_aliases import RolloutBufferSamples
+from stable_baselines3.common.vec_env import VecNormalize
 
-from uavaou.algorithms.fast.memory import shared_zeros
 from uavaou.world.views import RowLayout
+
+ARRAYS = (
+    "local", "state", "actions", "log_probs", "values", "rewards", "episode_starts", "advantages", "returns",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -33,30 +38,29 @@ class SlotRolloutBuffer(RolloutBuffer):
     SB3's buffer stores the global state, the value, the reward and the advantage of a slot U times.
     """
 
+    local: NDArray[np.float32]  # (T, N, U, local)
+    state: NDArray[np.float32]  # (T, N, global)
+
     def __init__(self, *args: Any, row_layout: RowLayout, shared_critic: bool, **kwargs: Any) -> None:
         self.row_layout = row_layout
         self.shared_critic = shared_critic
         super().__init__(*args, **kwargs)
 
     def reset(self) -> None:
-        """Forget the rollout; the memory is taken once."""
+        """Forget the rollout; the memory is allocated once."""
         self.pos = 0
         self.full = False
         if hasattr(self, "local"):
             return
-        layout, steps = self.row_layout, self.buffer_size
-        missions, uavs = self.n_envs // layout.uavs, layout.uavs
+        layout, uavs = self.row_layout, self.row_layout.uavs
         critics = 1 if self.shared_critic else uavs
         bits = layout.devices if layout.selects else 0
-        self.local = shared_zeros((steps, missions, uavs, layout.local_size))
-        self.state = shared_zeros((steps, missions, layout.global_size))
-        self.actions = shared_zeros((steps, missions, uavs, 1 + bits))
-        self.log_probs = shared_zeros((steps, missions, uavs))
-        self.values = shared_zeros((steps, missions, critics))
-        self.rewards = shared_zeros((steps, missions, 1))
-        self.episode_starts = shared_zeros((steps, missions, 1))
-        self.advantages = shared_zeros((steps, missions, critics))
-        self.returns = shared_zeros((steps, missions, critics))
+        shapes = (
+            (uavs, layout.local_size), (layout.global_size,), (uavs, 1 + bits), (uavs,), (critics,), (critics,), (1,),
+            (critics,), (critics,),
+        )  # fmt: skip
+        for name, shape in zip(ARRAYS, shapes, strict=True):
+            setattr(self, name, np.zeros((self.buffer_size, self.n_envs // uavs, *shape), dtype=np.float32))
 
     def add(
         self,
@@ -74,7 +78,7 @@ class SlotRolloutBuffer(RolloutBuffer):
         self.add_step(action, reward, episode_start)
 
     def add_rows(self, obs: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The first part of :meth:`add`, in front of the slot; returns what the UAVs see, (N * U, local)."""
+        """Store the rows of a slot before it is played; returns what the UAVs observe, (N * U, local)."""
         uavs, local_size = self.row_layout.uavs, self.row_layout.local_size
         rows = obs.reshape(-1, uavs, obs.shape[-1])  # (N, U, local + global)
         local: NDArray[np.float32] = self.local[self.pos]  # (N, U, local)
@@ -83,11 +87,10 @@ class SlotRolloutBuffer(RolloutBuffer):
         return local.reshape(-1, local_size)
 
     def add_step(self, action: NDArray[Any], reward: NDArray[np.float32], episode_start: NDArray[Any]) -> None:
-        """The second part, after the slot; values and log-probabilities may be written when the rollout is full."""
-        uavs, at = self.row_layout.uavs, self.pos
-        self.actions[at] = action.reshape(self.actions.shape[1:])
-        self.rewards[at, :, 0] = reward.reshape(-1, uavs)[:, 0]
-        self.episode_starts[at, :, 0] = episode_start.reshape(-1, uavs)[:, 0]
+        """Store the rest of a slot after it is played; values and log-probabilities may follow later."""
+        self.actions[self.pos] = action.reshape(self.actions.shape[1:])
+        self.rewards[self.pos] = self._per_critic(reward)
+        self.episode_starts[self.pos, :, 0] = episode_start.reshape(-1, self.row_layout.uavs)[:, 0]
         self.pos += 1
         self.full = self.pos == self.buffer_size
 
@@ -95,38 +98,70 @@ class SlotRolloutBuffer(RolloutBuffer):
         per_uav = per_row.reshape(-1, self.row_layout.uavs)  # (N, U)
         return per_uav[:, :1] if self.shared_critic else per_uav
 
+    @property
+    def critic_rows(self) -> NDArray[np.float32]:
+        """The critic's inputs: (T, N, global) with a shared critic, else (T, N, U, local)."""
+        return self.state if self.shared_critic else self.local
+
     def compute_returns_and_advantage(self, last_values: th.Tensor, dones: NDArray[Any]) -> None:
         """GAE(lambda) (Schulman et al. 2016), for each mission and critic."""
-        following = self._per_critic(last_values.cpu().numpy())  # (N, V)
-        goes_on = 1.0 - dones.reshape(-1, self.row_layout.uavs)[:, :1].astype(np.float32)  # (N, 1)
-        running = np.zeros_like(following)
+        next_values = self._per_critic(last_values.cpu().numpy())  # (N, V)
+        not_done = 1.0 - dones.reshape(-1, self.row_layout.uavs)[:, :1].astype(np.float32)  # (N, 1)
+        advantage = np.zeros_like(next_values)
         for step in reversed(range(self.buffer_size)):
-            delta = self.rewards[step] + self.gamma * following * goes_on - self.values[step]
-            running = delta + self.gamma * self.gae_lambda * goes_on * running
-            self.advantages[step] = running
-            following = self.values[step]
-            goes_on = 1.0 - self.episode_starts[step]
+            delta = self.rewards[step] + self.gamma * next_values * not_done - self.values[step]
+            advantage = delta + self.gamma * self.gae_lambda * not_done * advantage
+            self.advantages[step] = advantage
+            next_values = self.values[step]
+            not_done = 1.0 - self.episode_starts[step]
         np.add(self.advantages, self.values, out=self.returns)
 
     def shuffled_slots(self, slots_in_batch: int) -> Iterator[NDArray[np.int64]]:
-        """Yield the T * N slots in minibatches (B,), in random order; the last one may be smaller."""
+        """Yield the indices of the T * N slots in minibatches (B,), in random order; the last may be smaller."""
         order = np.random.permutation(self.buffer_size * self.state.shape[1])
         for start in range(0, len(order), slots_in_batch):
             yield order[start : start + slots_in_batch]
 
-    def batch(self, slots: NDArray[np.int64]) -> SlotBatch:
-        """The minibatch of some ``slots`` (B,), numbered from 0 to T * N - 1, on the learner's device."""
-        index, uavs = th.from_numpy(slots).to(self.device), self.row_layout.uavs
-
-        def pick(array: NDArray[np.float32]) -> th.Tensor:  # (B, ...)
-            return th.from_numpy(array.reshape(-1, *array.shape[2:])).to(self.device).index_select(0, index)
-
-        critic_rows = pick(self.state if self.shared_critic else self.local)
+    def batch(self, indices: NDArray[np.int64]) -> SlotBatch:
+        """The minibatch of the slots with ``indices`` (B,) from 0 to T * N - 1, on the learner's device."""
+        critic_rows = self._pick(self.critic_rows, indices)
         return SlotBatch(
-            local=pick(self.local).flatten(0, 1),
+            local=self._pick(self.local, indices).flatten(0, 1),
             critic_rows=critic_rows.reshape(-1, critic_rows.shape[-1]),
-            actions=pick(self.actions).flatten(0, 1),
-            old_log_prob=pick(self.log_probs).flatten(),
-            advantages=pick(self.advantages).expand(-1, uavs).flatten(),
-            returns=pick(self.returns).flatten(),
+            actions=self._pick(self.actions, indices).flatten(0, 1),
+            old_log_prob=self._pick(self.log_probs, indices).flatten(),
+            advantages=self._per_uav(self.advantages, indices),
+            returns=self._pick(self.returns, indices).flatten(),
         )
+
+    def get(self, batch_size: int | None = None) -> Iterator[RolloutBufferSamples]:  # type: ignore[override]
+        """Yield the rollout in random order as SB3's buffer does, in minibatches of rows ``[local | global]``.
+
+        Args:
+            batch_size: rows in a minibatch, rounded down to whole slots; None: all.
+        """
+        assert self.full, "the rollout is not complete"
+        rows = self.buffer_size * self.n_envs if batch_size is None else batch_size
+        for indices in self.shuffled_slots(max(rows // self.row_layout.uavs, 1)):
+            yield self._get_samples(indices)
+
+    def _get_samples(self, batch_inds: NDArray[np.int64], env: VecNormalize | None = None) -> RolloutBufferSamples:
+        local = self._pick(self.local, batch_inds)  # (B, U, local)
+        state = self._pick(self.state, batch_inds)[:, None].expand(-1, local.shape[1], -1)  # (B, U, global)
+        return RolloutBufferSamples(
+            observations=th.cat([local, state], dim=2).flatten(0, 1),
+            actions=self._pick(self.actions, batch_inds).flatten(0, 1),
+            old_values=self._per_uav(self.values, batch_inds),
+            old_log_prob=self._pick(self.log_probs, batch_inds).flatten(),
+            advantages=self._per_uav(self.advantages, batch_inds),
+            returns=self._per_uav(self.returns, batch_inds),
+        )
+
+    def _pick(self, array: NDArray[np.float32], indices: NDArray[np.int64]) -> th.Tensor:
+        """The entries (B, ...) of an array (T, N, ...) at some slots."""
+        index = th.from_numpy(indices).to(self.device)
+        return th.from_numpy(array.reshape(-1, *array.shape[2:])).to(self.device).index_select(0, index)
+
+    def _per_uav(self, array: NDArray[np.float32], indices: NDArray[np.int64]) -> th.Tensor:
+        """The entries (B * U,) of an array (T, N, V)."""
+        return self._pick(array, indices).expand(-1, self.row_layout.uavs).flatten()

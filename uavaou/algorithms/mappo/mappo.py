@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import torch as th
@@ -17,29 +17,60 @@ from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
-from uavaou.algorithms.fast.adam import ClippedAdam
-from uavaou.algorithms.fast.gradients import Slots, WrittenGradients
-from uavaou.algorithms.fast.memory import keep_freed_memory
-from uavaou.algorithms.fast.workers import Partner, share_out
 from uavaou.algorithms.io.save_load import SafeSaveLoad
 from uavaou.algorithms.mappo.buffer import SlotBatch, SlotRolloutBuffer
-from uavaou.algorithms.mappo.collecting import collect
-from uavaou.algorithms.mappo.policy import CentralizedValuePolicy
-from uavaou.algorithms.threads import one_thread
+from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
 from uavaou.errors import InputError, unknown
 
+try:
+    from uavaou.algorithms.fast.loss import LossCoefficients
+    from uavaou.algorithms.fast.update import FastUpdate
+
+    HAS_FAST = True
+except ModuleNotFoundError as error:  # the folder may be deleted: autograd then takes every gradient, more slowly
+    if not (error.name or "").startswith("uavaou.algorithms.fast"):
+        raise
+    HAS_FAST = False
+
 ADVANTAGES = ("none", "rollout", "batch")
+_MOST_ROWS = 1 << 14  # evaluated at once when a rollout is complete
+
+
+class LossStatistics(NamedTuple):
+    """PPO's loss on a minibatch and the statistics to log, scalars each."""
+
+    policy_loss: th.Tensor
+    value_loss: th.Tensor
+    entropy: th.Tensor
+    loss: th.Tensor  # the sum whose gradient is taken
+    approx_kl: th.Tensor  # estimated divergence from the policy of the rollout
+    clip_fraction: th.Tensor  # of rows
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let torch compute with one thread in the block.
+
+    A slot's rows are too few to divide: a second thread costs as much as it gains, and on a busy machine the threads
+    wait for each other in every operation, which takes ten times as long.
+    """
+    before = th.get_num_threads()
+    th.set_num_threads(1)
+    try:
+        yield
+    finally:
+        th.set_num_threads(before)
 
 
 class MAPPO(SafeSaveLoad, PPO):
     """Multi-agent PPO with parameters shared by all UAVs (Yu et al. 2022, arXiv 2103.01955).
 
-    The actor reads a UAV's local observation, the critic the global state, once a slot. Arguments not
-    listed are SB3's PPO's.
+    The actor reads a UAV's local observation, the critic the global state, once a slot. Arguments not listed are those
+    of SB3's PPO. A subclass may override :meth:`loss`, :meth:`backward` and :meth:`step`.
 
     Args:
-        policy: ``"CentralizedValuePolicy"``.
-        env: what :func:`uavaou.flatten` returns.
+        policy: ``"CentralizedValuePolicy"``, or a subclass of it.
+        env: the ``VecEnv`` of :func:`uavaou.flatten`.
         n_steps: slots a mission in one rollout.
         batch_size: rows (agent steps) in a minibatch; whole slots, all UAVs of a slot together.
         advantage_normalization: over the ``batch``, over the whole ``rollout``, or ``none``.
@@ -91,45 +122,101 @@ class MAPPO(SafeSaveLoad, PPO):
         kwargs.setdefault("rollout_buffer_kwargs", buffer_kwargs)
         rows_in_rollout = n_steps * (1 if env is None else env.num_envs)
         super().__init__(
-            # SB3 warns of minibatches that do not divide the rollout and normalises advantages in its own train():
-            # here the last minibatch is whole slots all the same, and advantage_normalization says what is done.
+            # SB3 would warn of a smaller last minibatch, and normalise advantages in its own train(): here minibatches
+            # are whole slots, and advantage_normalization decides.
             policy, env, learning_rate=learning_rate, n_steps=n_steps, batch_size=rows_in_rollout, n_epochs=n_epochs,
             gamma=gamma, gae_lambda=gae_lambda, clip_range=clip_range, ent_coef=ent_coef, vf_coef=vf_coef,
             max_grad_norm=max_grad_norm, normalize_advantage=False, policy_kwargs=policy_kwargs, **kwargs,
         )  # fmt: skip
         self.batch_size = batch_size
-        self._partners: list[Partner] | None = None  # None: not started
-
-    def _setup_model(self) -> None:
-        keep_freed_memory()
-        super()._setup_model()
+        self._fast: FastUpdate | None = None  # for the duration of learn()
 
     def learn(self, *args: Any, **kwargs: Any) -> Self:
-        """As SB3's; the update is shared out among as many processes as torch has threads."""
+        """As SB3's; as many processes as torch has threads share each update."""
         try:
             return super().learn(*args, **kwargs)
         finally:
-            for partner in self._partners or ():
-                partner.close()
-            self._partners = None
+            self._close_fast()
+
+    def _close_fast(self) -> None:
+        if self._fast is not None:
+            self._fast.close()
+        self._fast = None
+
+    # -- the rollout ---------------------------------------------------------------------------------
 
     def collect_rollouts(
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
     ) -> bool:
-        """As SB3's, with one thread, and without values and log-probabilities until the end: nobody needs them before.
+        """As SB3's, with one thread, and with values and log-probabilities computed once, when the rollout is complete.
 
-        A policy of one's own is asked for them in every slot, by SB3's loop.
+        SB3's loop computes them in every slot, some hundred rows at a time; a whole rollout costs a fraction of that.
+        Callbacks find in ``locals`` what SB3's loop offers (``infos``, ``dones``, ``rewards``, ``actions``, ...).
+        SB3's loop runs for a policy that overrides one of the methods that it would call.
         """
+        known = ("forward", "get_distribution", "action_distribution", "distribution_of", "predict_values")
         with one_thread():
-            if type(self.policy) is not CentralizedValuePolicy:
+            if not inherits(self.policy, CentralizedValuePolicy, *known):
                 return super().collect_rollouts(env, callback, rollout_buffer, n_rollout_steps)
             assert isinstance(rollout_buffer, SlotRolloutBuffer)
-            return collect(self, env, callback, rollout_buffer, n_rollout_steps)
+            return self._collect(env, callback, rollout_buffer, n_rollout_steps)
+
+    @th.no_grad()
+    def _collect(self, env: VecEnv, callback: BaseCallback, buffer: SlotRolloutBuffer, slots: int) -> bool:
+        """Fill ``buffer`` with ``slots`` slots of each mission; False where ``callback`` ends the training."""
+        assert self._last_episode_starts is not None
+        self.policy.set_training_mode(False)
+        buffer.reset()
+        callback.on_rollout_start()
+        logits: list[th.Tensor] = []  # (N * U, 5 + I) for each slot
+        for _ in range(slots):
+            assert isinstance(self._last_obs, np.ndarray)
+            local = th.from_numpy(buffer.add_rows(self._last_obs)).to(self.device)  # (N * U, local)
+            distribution = self.policy.action_distribution(local)
+            actions = distribution.sample().cpu().numpy()
+            logits.append(distribution.logits)
+            new_obs, rewards, dones, infos = env.step(actions)
+            self.num_timesteps += env.num_envs
+            callback.update_locals(locals() | {"rollout_buffer": buffer, "n_rollout_steps": slots})
+            if not callback.on_step():
+                return False
+            self._update_info_buffer(infos, dones)
+            self._bootstrap_truncated(rewards, dones, infos)
+            buffer.add_step(actions, rewards, self._last_episode_starts)
+            self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
+        self.evaluate_rollout(buffer, logits)
+        last_values = self.policy.predict_values(th.from_numpy(new_obs).to(self.device))
+        buffer.compute_returns_and_advantage(last_values=last_values, dones=dones)
+        callback.update_locals(locals())
+        callback.on_rollout_end()
+        return True
 
     def _update_info_buffer(self, infos: list[dict[str, Any]], dones: NDArray[np.bool_] | None = None) -> None:
-        # SB3 looks through all infos in every slot for what stands in those of a mission's last slot alone.
+        # SB3 searches all infos of every slot for entries that only those of a mission's last slot have.
         if dones is None or dones.any():
             super()._update_info_buffer(infos, dones)
+
+    def _bootstrap_truncated(self, rewards: NDArray[Any], dones: NDArray[Any], infos: list[dict[str, Any]]) -> None:
+        """Add the discounted value of the last observation to the rewards (N * U,) of truncated missions."""
+        rows = [row for row in np.flatnonzero(dones) if infos[row].get("TimeLimit.truncated", False)]
+        if rows:
+            last = th.from_numpy(np.stack([infos[row]["terminal_observation"] for row in rows])).to(self.device)
+            rewards[rows] += self.gamma * self.policy.predict_values(last)[:, 0].cpu().numpy()
+
+    def evaluate_rollout(self, buffer: SlotRolloutBuffer, logits: list[th.Tensor]) -> None:
+        """Write the rollout's values and log-probabilities, given the ``logits`` (N * U, 5 + I) of each slot."""
+        slots_at_once = max(_MOST_ROWS // len(logits[0]), 1)
+        for start in range(0, len(logits), slots_at_once):
+            part = slice(start, start + slots_at_once)
+            local, actions, critic_rows = (
+                th.from_numpy(array[part].reshape(-1, array.shape[-1])).to(self.device)
+                for array in (buffer.local, buffer.actions, buffer.critic_rows)
+            )
+            distribution = self.policy.distribution_of(th.cat(logits[part]), local)
+            buffer.log_probs[part].reshape(-1)[:] = distribution.log_prob(actions).cpu().numpy()
+            buffer.values[part].reshape(-1)[:] = self.policy.critic_values(critic_rows).cpu().numpy()
+
+    # -- the update ----------------------------------------------------------------------------------
 
     def train(self) -> None:
         """Update actor and critic from the rollout just collected."""
@@ -139,58 +226,71 @@ class MAPPO(SafeSaveLoad, PPO):
         buffer = self.rollout_buffer
         explained = explained_variance(buffer.values.flatten(), buffer.returns.flatten())
         self.policy.value_net.update(th.from_numpy(buffer.returns).to(self.device))
-        mean, std = self._advantage_statistics(buffer.advantages)
-        slots_in_batch = max(self.batch_size // buffer.row_layout.uavs, 1)
-        figures: list[th.Tensor] = []  # (6,) each
-        with self._updates(clip_range, mean, std) as update:
-            for _ in range(self.n_epochs):
-                for slots in buffer.shuffled_slots(slots_in_batch):
-                    figures.append(update(slots))
-                self._n_updates += 1
-                if self.target_kl is not None and float(figures[-1][4]) > 1.5 * self.target_kl:
-                    break
-        self._log_training(th.stack(figures).mean(dim=0), explained, clip_range)
+        gradient, step = self._gradient_and_step(clip_range, *self._advantage_moments(buffer.advantages))
+        with one_thread() if self._fast and self._fast.workers else nullcontext():  # each process with one thread
+            statistics = self._run_epochs(gradient, step)
+        self._log_training(statistics, explained, clip_range)
+
+    def _run_epochs(
+        self, gradient: Callable[[NDArray[np.int64]], LossStatistics], step: Callable[[], None]
+    ) -> list[LossStatistics]:
+        """Take a step on each minibatch; as SB3's, stop before the step where the policy has moved too far."""
+        statistics: list[LossStatistics] = []
+        slots_in_batch = max(self.batch_size // self.rollout_buffer.row_layout.uavs, 1)
+        for epoch in range(self.n_epochs):
+            self._n_updates += 1
+            for indices in self.rollout_buffer.shuffled_slots(slots_in_batch):
+                statistics.append(gradient(indices))
+                if self.target_kl is not None and float(statistics[-1].approx_kl) > 1.5 * self.target_kl:
+                    if self.verbose >= 1:
+                        print(f"Early stopping at step {epoch} due to reaching max kl: {statistics[-1].approx_kl:.2f}")
+                    return statistics
+                step()
+        return statistics
+
+    def _gradient_and_step(
+        self, clip_range: float, mean: float, std: float
+    ) -> tuple[Callable[[NDArray[np.int64]], LossStatistics], Callable[[], None]]:
+        """Two functions: set the parameters' gradient of the loss on some slots; clip the gradient and step."""
+        if not self.uses_fast:
+            self._close_fast()
+            return lambda indices: self.backward(
+                self.loss(self.rollout_buffer.batch(indices), clip_range, mean, std)
+            ), self.step
+        if self._fast is None or not self._fast.is_current:
+            self._close_fast()
+            self._fast = FastUpdate(self.policy, self.rollout_buffer, self.batch_size)
+        fast, value_net = self._fast, self.policy.value_net
+        coefficients = LossCoefficients(
+            mean, 1 / std, clip_range, self.ent_coef, self.vf_coef, float(value_net.mean), float(value_net.std)
+        )
+        fast.begin_rollout(coefficients, self.advantage_normalization == "batch", self.max_grad_norm)
+        step = fast.adam.step if fast.adam and inherits(self, MAPPO, "step") else self.step
+        return lambda indices: LossStatistics(*th.tensor(fast.gradient(indices).tolist())), step
 
     @property
-    def writes_gradient(self) -> bool:
-        """Whether the gradient is that of ``gradients.py``; by autograd for a loss or policy of one's own, or a GPU."""
-        own = type(self.policy) is CentralizedValuePolicy and type(self).loss is MAPPO.loss
-        return own and self.device.type == "cpu"
+    def uses_fast(self) -> bool:
+        """Whether ``algorithms/fast`` computes the gradient: on a CPU, with the loss and distribution defined here."""
+        own = inherits(self, MAPPO, "loss", "backward")
+        return HAS_FAST and own and FastUpdate.supports(self.policy, self.rollout_buffer)
 
-    @contextmanager
-    def _updates(self, clip_range: float, mean: float, std: float) -> Iterator[Callable[[Slots], th.Tensor]]:
-        """What takes a step on some slots of the rollout, and gives the figures of their loss."""
-        if not self.writes_gradient:
-            yield _update(
-                lambda slots: self.backward(self.loss(self.rollout_buffer.batch(slots), clip_range, mean, std)),
-                self._step,
-            )
-            return
-        if self._partners is None:
-            self._partners = share_out(self)
-        written = WrittenGradients(self, clip_range, mean, std, self._partners)
-        with one_thread() if self._partners else nullcontext():  # each process with one
-            served = ClippedAdam.serves(self.policy.optimizer)
-            step = ClippedAdam(self.policy.optimizer, self.max_grad_norm).step if served else self._step
-            yield _update(written, step)
+    def loss(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> LossStatistics:
+        """PPO's loss on a minibatch.
 
-    def loss(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> th.Tensor:
-        """PPO's loss on a minibatch with advantages ``(A - mean) / std``, where they are not normalised in it.
-
-        Returns:
-            The figures to log, (6,): policy loss, value loss, entropy, the whole loss (of which the gradient is
-            taken), estimated KL divergence, and share of rows where the ratio is clipped.
+        Args:
+            batch: of whole slots.
+            clip_range: of the probability ratio.
+            mean, std: advantages are ``(A - mean) / std``, unless they are normalised in each minibatch.
         """
         policy = self.policy
         distribution = policy.action_distribution(batch.local)
-        log_prob, entropies = distribution.log_prob_and_entropy(batch.actions)
-        entropy = entropies.mean()
+        entropy = distribution.entropy().mean()
         advantages = batch.advantages
         if self.advantage_normalization == "batch":
             advantages = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
         else:
             advantages = (advantages - mean) / std
-        log_ratio = log_prob - batch.old_log_prob
+        log_ratio = distribution.log_prob(batch.actions) - batch.old_log_prob
         ratio = th.exp(log_ratio)
         clipped = th.clamp(ratio, 1 - clip_range, 1 + clip_range)
         policy_loss = -th.min(advantages * ratio, advantages * clipped).mean()
@@ -199,27 +299,27 @@ class MAPPO(SafeSaveLoad, PPO):
         )
         loss = policy_loss - self.ent_coef * entropy + self.vf_coef * value_loss
         with th.no_grad():
-            kl = (ratio - 1 - log_ratio).mean()
-            outside = ((ratio - 1).abs() > clip_range).float().mean()
-        return th.stack([policy_loss, value_loss, entropy, loss, kl, outside])
+            approx_kl = (ratio - 1 - log_ratio).mean()
+            clip_fraction = ((ratio - 1).abs() > clip_range).float().mean()
+        return LossStatistics(policy_loss, value_loss, entropy, loss, approx_kl, clip_fraction)
 
-    def backward(self, figures: th.Tensor) -> th.Tensor:
-        """Set the parameters' gradient of the loss, figure 3; returns the figures without their graph."""
+    def backward(self, statistics: LossStatistics) -> LossStatistics:
+        """Set the parameters' gradient of ``statistics.loss``; returns the statistics without their graph."""
         self.policy.optimizer.zero_grad()
-        figures[3].backward()  # type: ignore[no-untyped-call]
-        return figures.detach()
+        statistics.loss.backward()  # type: ignore[no-untyped-call]
+        return LossStatistics(*(value.detach() for value in statistics))
 
-    def _step(self) -> None:
-        """Clip and step as :class:`ClippedAdam` does, with torch's own operations."""
+    def step(self) -> None:
+        """Clip the gradients and step."""
         # Separately: the critic's gradient, large at first, must not shrink the actor's.
         for parameters in (self.policy.actor_parameters(), self.policy.critic_parameters()):
             th.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm, foreach=True)
         self.policy.optimizer.step()
 
-    def _advantage_statistics(self, advantages: NDArray[np.float32]) -> tuple[float, float]:
+    def _advantage_moments(self, advantages: NDArray[np.float32]) -> tuple[float, float]:
         if self.advantage_normalization == "rollout":
             return float(advantages.mean()), float(advantages.std()) + 1e-8
-        # "none": in units of the normalised value, without which its scale would be the reward's.
+        # "none": in units of the normalised value; in units of the reward their scale would be arbitrary.
         return 0.0, float(self.policy.value_net.std)
 
     def _set_learning_rates(self) -> None:
@@ -228,24 +328,13 @@ class MAPPO(SafeSaveLoad, PPO):
         actor, critic = self.policy.optimizer.param_groups
         actor["lr"], critic["lr"] = rate, rate * self.critic_learning_rate
 
-    def _log_training(self, figures: th.Tensor, explained: float, clip_range: float) -> None:
-        names = ("policy_gradient_loss", "value_loss", "entropy", "loss", "approx_kl", "clip_fraction")
-        for name, value in zip(names, figures.tolist(), strict=True):
-            self.logger.record(f"train/{name}", float(value))
+    def _log_training(self, statistics: list[LossStatistics], explained: float, clip_range: float) -> None:
+        mean = LossStatistics(*th.stack([th.stack(minibatch) for minibatch in statistics]).mean(dim=0))
+        for name, value in mean._asdict().items():
+            self.logger.record(f"train/{'policy_gradient_loss' if name == 'policy_loss' else name}", float(value))
         self.logger.record("train/explained_variance", float(explained))
         self.logger.record("train/clip_range", clip_range)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-
-
-def _update(gradient: Callable[[Slots], th.Tensor], step: Callable[[], None]) -> Callable[[Slots], th.Tensor]:
-    """Set the gradient, step, and give the gradient's figures."""
-
-    def update(slots: Slots) -> th.Tensor:
-        figures = gradient(slots)
-        step()
-        return figures
-
-    return update
 
 
 class IPPO(MAPPO):

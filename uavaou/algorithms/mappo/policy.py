@@ -20,20 +20,28 @@ from uavaou.world.views import RowLayout
 CRITIC_INPUTS = ("global", "local")
 
 
+def inherits(instance: object, base: type, *methods: str) -> bool:
+    """Whether the instance has these methods of ``base``, replaced by no subclass and no assignment."""
+    return all(getattr(getattr(instance, name), "__func__", None) is getattr(base, name) for name in methods)
+
+
 class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     """A decentralised actor and a centralised critic over rows ``[local | global]``.
 
-    All UAVs share the parameters. Masks are read from the row where the observation has them.
+    All UAVs share the parameters. The masks are columns of the row, where the observation has them.
+
+    A policy of your own overrides :meth:`logits` and :meth:`normalised_values`, or replaces ``actor_body``,
+    ``action_net`` or ``critic_body``; training takes the gradient of whatever these compute.
 
     Args:
         observation_space, action_space, lr_schedule: as SB3 passes them.
-        row_layout: which columns of a row hold what; :class:`~uavaou.MAPPO` fills it in from the VecEnv.
+        row_layout: names the columns of a row; :class:`~uavaou.MAPPO` takes it from the VecEnv.
         critic_input: ``global`` (MAPPO) or ``local`` (IPPO).
         net_arch: hidden layer sizes of actor and critic.
         activation: ``relu`` or ``tanh``.
         selection_bias: initial logit of selecting a device in range; collecting costs nothing in this model.
-        masks: whether moves that are not allowed and devices out of range have probability 0, in training and in
-            flight; without, the policy may choose them and the World rejects them. What it observes is the same.
+        masks: whether forbidden moves and devices out of range have probability 0, in training and in flight.
+            Without masks the policy may choose them, and the World rejects them; the observation is the same.
     """
 
     action_dist: MoveSelectionDistribution
@@ -100,30 +108,35 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         return [*self.critic_body.parameters(), *self.value_net.parameters()]
 
     def actor_and_critic_parameters(self) -> list[nn.Parameter]:
-        """Those of both, the actor's first."""
+        """Parameters of both, the actor's first."""
         return [*self.actor_parameters(), *self.critic_parameters()]
 
     @property
     def mask_columns(self) -> tuple[int, int]:
-        """First local column of the allowed moves and of the devices in range; -1 where the action has no such mask."""
+        """First local column of the allowed moves and of the devices in range; -1 without such a mask."""
         first = [-1 if columns is None else int(columns.start) for columns in (self._allowed_moves, self._in_range)]
         return first[0], first[1]
 
     # -- the two networks ----------------------------------------------------------------------------
 
     def action_distribution(self, local: th.Tensor) -> MoveSelectionDistribution:
-        """The policy of UAVs that see ``local`` (B, local)."""
-        return self.distribution_of(self.action_net(self.actor_body(local)), local)
+        """The policy of UAVs that observe ``local`` (B, local)."""
+        return self.distribution_of(self.logits(local), local)
+
+    def logits(self, local: th.Tensor) -> th.Tensor:
+        """Logits (B, 5 + I) of UAVs that observe ``local`` (B, local)."""
+        logits: th.Tensor = self.action_net(self.actor_body(local))
+        return logits
 
     def distribution_of(self, logits: th.Tensor, local: th.Tensor) -> MoveSelectionDistribution:
-        """The policy that ``logits`` (B, 5 + I) mean to UAVs that see ``local`` (B, local)."""
+        """The policy with ``logits`` (B, 5 + I) and the masks in ``local`` (B, local)."""
         allowed = None if self._allowed_moves is None else local[:, self._allowed_moves]
         in_range = None if self._in_range is None else local[:, self._in_range]
         return MoveSelectionDistribution(self.action_dist.devices).proba_distribution(logits, allowed, in_range)
 
     @th.no_grad()
     def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
-        """Actions (B, 1 + I) for ``local`` (B, local): the likeliest, or drawn from ``uniforms`` (B, 5 + I)."""
+        """Actions (B, 1 + I) for ``local`` (B, local): the most probable, or drawn from ``uniforms`` (B, 5 + I)."""
         distribution = self.action_distribution(local)
         return distribution.mode() if uniforms is None else distribution.sample(uniforms)
 
@@ -145,18 +158,18 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         return actions, self.predict_values(obs), distribution.log_prob(actions)
 
     def get_distribution(self, obs: th.Tensor) -> MoveSelectionDistribution:  # type: ignore[override]
-        """The policy for rows; reads their local part alone."""
+        """The policy for rows; reads only their local part."""
         return self.action_distribution(obs[:, : self.row_layout.local_size])
 
     def predict_values(self, obs: th.Tensor) -> th.Tensor:  # type: ignore[override]
-        """Values of rows, (B, 1); where the rows are whole slots, each slot's state goes through the critic once."""
+        """Values of rows, (B, 1); the critic evaluates each slot's state once where the rows are whole slots."""
         local_size, uavs = self.row_layout.local_size, self.row_layout.uavs
         if self.critic_input == "local":
             return self.critic_values(obs[:, :local_size])[:, None]
         states = obs[:, local_size:]
         if len(states) % uavs == 0:
             slots = states.view(-1, uavs, states.shape[1])  # (slots, U, global)
-            if th.equal(slots, slots[:, :1].expand_as(slots)):  # whole slots: one value serves all their rows
+            if th.equal(slots, slots[:, :1].expand_as(slots)):  # whole slots share one value
                 return self.critic_values(slots[:, 0]).repeat_interleave(uavs)[:, None]
         return self.critic_values(states)[:, None]
 

@@ -1,9 +1,9 @@
-"""The networks that the algorithms share."""
+"""Fully connected networks, shared by all algorithms."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch as th
 from torch import nn
@@ -11,137 +11,41 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
+_NAMES = {module: name for name, module in ACTIVATIONS.items()}
+_HOOKS = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
 _HAS_ONEDNN = bool(th.backends.mkldnn.is_available())  # type: ignore[no-untyped-call]
 
 
 class Linear(nn.Linear):
-    """``torch.nn.Linear``; a float32 product on the CPU is left to oneDNN, which ships with torch.
+    """``torch.nn.Linear`` that computes float32 products on a CPU with oneDNN, which ships with torch.
 
-    The BLAS that torch takes by itself (MKL) uses half of the vector width on AMD's processors: oneDNN is twice
-    as fast there.
+    torch's default BLAS (MKL) uses half of the vector width on AMD processors, where oneDNN is twice as fast.
     """
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """x W^T + b for features x (..., inputs)."""
-        if not _takes_onednn(features):
+        if not _uses_onednn(features):
             return functional.linear(features, self.weight, self.bias)
-        # Columns of wider rows are copied: oneDNN takes 500 times as long for the gradient of strided features.
-        rows = features.reshape(-1, self.in_features).contiguous()
-        if not th.is_grad_enabled():
-            product = _product(rows, self.weight, self.bias)
-        else:
-            product = _OneDnnLinear.apply(rows, self.weight, self.bias)  # type: ignore[no-untyped-call]
-        return product.view(*features.shape[:-1], self.out_features)
-
-
-def _takes_onednn(features: th.Tensor) -> bool:
-    if features.device.type != "cpu" or features.dtype != th.float32:
-        return False
-    # Where a graph is recorded, standard operators are wanted.
-    recorded = th.jit.is_tracing() or th.compiler.is_compiling()  # type: ignore[attr-defined, no-untyped-call]
-    return _HAS_ONEDNN and not recorded
-
-
-class _OneDnnLinear(th.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, features: th.Tensor, weight: th.Tensor, bias: th.Tensor) -> th.Tensor:
-        ctx.save_for_backward(features, weight)
-        return _product(features, weight, bias)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, gradient: th.Tensor) -> tuple[th.Tensor | None, ...]:
-        features, weight = ctx.saved_tensors  # (B, inputs), (outputs, inputs)
-        to_features, to_weight, to_bias = ctx.needs_input_grad
-        return (
-            _product(gradient, weight.t()) if to_features else None,
-            _product(gradient.t(), features.t()) if to_weight else None,
-            gradient.sum(dim=0) if to_bias else None,
-        )
-
-
-def _product(left: th.Tensor, right: th.Tensor, bias: th.Tensor | None = None, activation: str = "none") -> th.Tensor:
-    """``activation(left @ right.T + bias)``; the operator that torch's own compiler calls for a layer on the CPU."""
-    product: th.Tensor = th.ops.mkldnn._linear_pointwise(left, right, bias, activation, [], "")
-    return product
-
-
-class Layers:
-    """Fully connected layers with their gradient written down, for where recording a graph costs more than the work.
-
-    To be called where no graph is recorded.
-
-    Args:
-        body: what :func:`mlp` made.
-        head: the last layer, without an activation.
-    """
-
-    def __init__(self, body: Mlp, head: nn.Module) -> None:
-        layers = [layer for layer in (*body, head) if isinstance(layer, nn.Linear)]
-        self._layers = [(layer.weight, layer.bias, _onednn_serves(layer)) for layer in layers]
-        self._activation = _activation_name(body[1])
-
-    def forward(self, rows: th.Tensor) -> list[th.Tensor]:
-        """What goes into each layer, (B, inputs), and what the last gives, (B, outputs), of ``rows`` (B, inputs)."""
-        kept = [rows]
-        for weight, bias, onednn in self._layers[:-1]:
-            kept.append(_layer(kept[-1], weight, bias, self._activation, onednn))
-        weight, bias, onednn = self._layers[-1]
-        return [*kept, _layer(kept[-1], weight, bias, "none", onednn)]
-
-    def backward(self, kept: list[th.Tensor], gradient: th.Tensor) -> list[th.Tensor]:
-        """The gradient by weight and bias of each layer, in order, from that by the output, (B, outputs)."""
-        by_parameter: list[th.Tensor] = []
-        for number in reversed(range(len(self._layers))):
-            inputs, (weight, _, onednn) = kept[number], self._layers[number]
-            product = _product(gradient.t(), inputs.t()) if onednn else gradient.t() @ inputs
-            by_parameter += [gradient.sum(dim=0), product]
-            if number:
-                gradient = _product(gradient, weight.t()) if onednn else gradient @ weight
-                if self._activation == "relu":
-                    th.ops.aten.threshold_backward.grad_input(gradient, inputs, 0, grad_input=gradient)
-                else:
-                    th.ops.aten.tanh_backward.grad_input(gradient, inputs, grad_input=gradient)
-        return by_parameter[::-1]
-
-
-def _onednn_serves(layer: nn.Linear) -> bool:
-    return _takes_onednn(layer.weight) and layer.out_features > 1  # MKL is the faster one for a single output
-
-
-def _layer(rows: th.Tensor, weight: th.Tensor, bias: th.Tensor, activation: str, onednn: bool) -> th.Tensor:
-    """``activation(rows @ weight.T + bias)``."""
-    if onednn:
-        return _product(rows, weight, bias, activation)
-    product = functional.linear(rows, weight, bias)
-    return product if activation == "none" else getattr(th, f"{activation}_")(product)
+        layers = FullyConnected([Layer(self.weight, self.bias, "none", onednn=True)])
+        return layers(features.reshape(-1, self.in_features)).view(*features.shape[:-1], self.out_features)
 
 
 class Mlp(nn.Sequential):
-    """Fully connected layers, an activation after each; where no graph is recorded, oneDNN applies it on the way."""
+    """Fully connected layers with an activation after each."""
 
     def forward(self, rows: th.Tensor) -> th.Tensor:
         """Features (..., outputs) of rows (..., inputs)."""
-        if th.is_grad_enabled() or not _takes_onednn(rows) or rows.dim() != 2:
-            features: th.Tensor = super().forward(rows)  # type: ignore[no-untyped-call]
-            return features
-        for layer, activation in zip(list(self)[::2], list(self)[1::2], strict=True):
-            assert isinstance(layer, nn.Linear)
-            rows = _layer(rows, layer.weight, layer.bias, _activation_name(activation), layer.out_features > 1)
-        return rows
-
-
-def _activation_name(activation: nn.Module) -> str:
-    return next(name for name, kind in ACTIVATIONS.items() if isinstance(activation, kind))
+        layers = fully_connected(self) if rows.dim() == 2 and _uses_onednn(rows) else None
+        features: th.Tensor = super().forward(rows) if layers is None else layers(rows)  # type: ignore[no-untyped-call]
+        return features
 
 
 def mlp(inputs: int, hidden: list[int], activation: str) -> Mlp:
-    """Fully connected layers with an activation after each, orthogonal weights."""
+    """Fully connected layers of ``hidden`` sizes with an ``activation`` after each, and orthogonal weights."""
     layers: list[nn.Module] = []
-    gain = math.sqrt(2)
     for outputs in hidden:
         linear = Linear(inputs, outputs)
-        nn.init.orthogonal_(linear.weight, gain=gain)
+        nn.init.orthogonal_(linear.weight, gain=math.sqrt(2))
         nn.init.zeros_(linear.bias)
         layers += [linear, ACTIVATIONS[activation]()]
         inputs = outputs
@@ -150,6 +54,131 @@ def mlp(inputs: int, hidden: list[int], activation: str) -> Mlp:
 
 @th.no_grad()
 def rescale_linear(layer: nn.Linear, ratio: th.Tensor) -> None:
-    """From now on give ``outputs * ratio``."""
+    """Multiply the layer's outputs by ``ratio`` from now on."""
     layer.weight.mul_(ratio)
     layer.bias.mul_(ratio)
+
+
+class Layer(NamedTuple):
+    """``activation(x W^T + b)``."""
+
+    weight: th.Tensor  # (outputs, inputs)
+    bias: th.Tensor  # (outputs,)
+    activation: str  # a name in ACTIVATIONS, or "none"
+    onednn: bool
+
+
+class FullyConnected:
+    """The forward pass of fully connected layers and its gradient, with few operations.
+
+    oneDNN applies the activation inside of the product. :meth:`backward` needs no autograd graph, and recording one
+    costs a tenth of an update.
+
+    Args:
+        layers: from the first to the last.
+    """
+
+    def __init__(self, layers: list[Layer]) -> None:
+        self.layers = layers
+
+    def __call__(self, rows: th.Tensor) -> th.Tensor:
+        """Outputs (B, outputs) of ``rows`` (B, inputs); autograd records them where it is enabled."""
+        rows = rows.contiguous()  # oneDNN takes 500 times as long for the gradient of strided rows
+        if not th.is_grad_enabled():
+            return self.forward(rows)[-1]
+        parameters = [tensor for layer in self.layers for tensor in (layer.weight, layer.bias)]
+        outputs: th.Tensor = _Recorded.apply(self, rows, *parameters)  # type: ignore[no-untyped-call]
+        return outputs
+
+    def forward(self, rows: th.Tensor) -> list[th.Tensor]:
+        """The input (B, inputs) of the first layer, then the output of each layer, (B, outputs)."""
+        activations = [rows]
+        for weight, bias, activation, onednn in self.layers:
+            if onednn:
+                activations.append(_product(activations[-1], weight, bias, activation))
+                continue
+            product = functional.linear(activations[-1], weight, bias)
+            activations.append(product if activation == "none" else getattr(th, f"{activation}_")(product))
+        return activations
+
+    def backward(self, activations: list[th.Tensor], grad: th.Tensor) -> list[th.Tensor]:
+        """The gradient by weight and bias of each layer, in order.
+
+        Args:
+            activations: what :meth:`forward` returned.
+            grad: by the last layer's output, (B, outputs).
+        """
+        return self._backward(activations, grad, to_rows=False)[1:]  # type: ignore[return-value]
+
+    def _backward(self, activations: list[th.Tensor], grad: th.Tensor | None, to_rows: bool) -> list[th.Tensor | None]:
+        """The gradient by the rows (None unless ``to_rows``), then :meth:`backward`'s."""
+        gradients: list[th.Tensor | None] = []  # the last layer first
+        for number in reversed(range(len(self.layers))):
+            assert grad is not None
+            weight, _, activation, onednn = self.layers[number]
+            inputs, outputs = activations[number : number + 2]
+            if activation != "none":
+                grad = _activation_backward(activation, grad, outputs, in_place=number + 1 < len(self.layers))
+            gradients += [grad.sum(dim=0), _product(grad.t(), inputs.t()) if onednn else grad.t() @ inputs]
+            grad = (_product(grad, weight.t()) if onednn else grad @ weight) if number or to_rows else None
+        return [grad, *reversed(gradients)]
+
+
+def is_exactly(module: nn.Module, *types: type[nn.Module]) -> bool:
+    """Whether the module computes what its type says: one of ``types``, no subclass, without hooks or a new forward."""
+    own = vars(module)
+    return type(module) in types and "forward" not in own and not any(own[hooks] for hooks in _HOOKS)
+
+
+def fully_connected(*modules: nn.Module) -> FullyConnected | None:
+    """The layers of modules that follow each other; None where one is not exactly a known layer or has a hook."""
+    layers: list[Layer] = []
+    for part in (part for module in modules for part in ((module, *module) if type(module) is Mlp else (module,))):
+        if is_exactly(part, Linear, nn.Linear) and part.bias is not None:
+            layers.append(Layer(part.weight, part.bias, "none", type(part) is Linear and _uses_onednn(part.weight)))
+        elif is_exactly(part, *_NAMES) and layers and layers[-1].activation == "none":
+            layers[-1] = layers[-1]._replace(activation=_NAMES[type(part)])
+        elif not is_exactly(part, Mlp):
+            return None
+    return FullyConnected(layers) if layers else None
+
+
+class _Recorded(th.autograd.Function):
+    """:class:`FullyConnected` as one node of autograd's graph."""
+
+    @staticmethod
+    def forward(ctx: Any, layers: FullyConnected, rows: th.Tensor, *parameters: th.Tensor) -> th.Tensor:
+        activations = layers.forward(rows)
+        ctx.layers = layers
+        ctx.save_for_backward(*activations, *parameters)  # the parameters: torch refuses those changed in between
+        return activations[-1]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: th.Tensor) -> tuple[th.Tensor | None, ...]:
+        activations = list(ctx.saved_tensors[: len(ctx.layers.layers) + 1])
+        gradients = (None, *ctx.layers._backward(activations, grad.contiguous(), to_rows=ctx.needs_input_grad[1]))
+        needed = ctx.needs_input_grad  # not by a bias that is None
+        return tuple(gradient if need else None for gradient, need in zip(gradients, needed, strict=True))
+
+
+def _uses_onednn(tensor: th.Tensor) -> bool:
+    if not _HAS_ONEDNN or tensor.device.type != "cpu" or tensor.dtype != th.float32:
+        return False
+    # An export records a graph, which should hold standard operators alone.
+    return not (th.jit.is_tracing() or th.compiler.is_compiling())  # type: ignore[attr-defined, no-untyped-call]
+
+
+def _product(left: th.Tensor, right: th.Tensor, bias: th.Tensor | None = None, activation: str = "none") -> th.Tensor:
+    """``activation(left @ right.T + bias)``, by the operator that torch's compiler calls for a layer on a CPU."""
+    product: th.Tensor = th.ops.mkldnn._linear_pointwise(left, right, bias, activation, [], "")
+    return product
+
+
+def _activation_backward(activation: str, grad: th.Tensor, outputs: th.Tensor, in_place: bool) -> th.Tensor:
+    to = grad if in_place else th.empty_like(grad)
+    if activation == "relu":
+        th.ops.aten.threshold_backward.grad_input(grad, outputs, 0, grad_input=to)
+    else:
+        th.ops.aten.tanh_backward.grad_input(grad, outputs, grad_input=to)
+    return to

@@ -7,7 +7,11 @@ from torch import nn
 
 
 class ReturnStatistics(nn.Module):
-    """Running mean and variance of returns, which values are normalised by."""
+    """Running mean and variance of returns, by which values are normalised.
+
+    Args:
+        decay: weight of the old statistics in an update.
+    """
 
     mean: th.Tensor
     mean_square: th.Tensor
@@ -15,14 +19,14 @@ class ReturnStatistics(nn.Module):
 
     def __init__(self, decay: float) -> None:
         super().__init__()
-        self.decay = decay  # of the running statistics, an update
+        self.decay = decay
         self.register_buffer("mean", th.zeros(()))
         self.register_buffer("mean_square", th.ones(()))
         self.register_buffer("seen", th.zeros(()))
 
     @property
     def std(self) -> th.Tensor:
-        """Standard deviation of the returns seen."""
+        """Standard deviation of the returns."""
         return (self.mean_square - self.mean**2).clamp_min(1e-8).sqrt()
 
     def denormalise(self, normalised: th.Tensor) -> th.Tensor:
@@ -30,12 +34,16 @@ class ReturnStatistics(nn.Module):
         return normalised * self.std + self.mean
 
     def normalise(self, returns: th.Tensor) -> th.Tensor:
-        """Targets of the loss."""
+        """Targets of the value loss."""
         return (returns - self.mean) / self.std
 
     @th.no_grad()
     def update(self, returns: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
-        """Take in returns; gives the ratio and shift that keep normalised values what they meant, v * ratio + shift."""
+        """Take in returns.
+
+        Returns:
+            ``ratio`` and ``shift``: ``v * ratio + shift`` means what the normalised value ``v`` meant before.
+        """
         old_mean, old_std = self.mean.clone(), self.std.clone()
         decay = self.decay if self.seen > 0 else 0.0
         self.mean.mul_(decay).add_((1 - decay) * returns.mean())
@@ -45,9 +53,9 @@ class ReturnStatistics(nn.Module):
 
 
 class PopArt(ReturnStatistics):
-    """A linear value head whose targets are normalised by running statistics.
+    """A linear value head with targets normalised by running statistics.
 
-    When the statistics move, weights and bias are rescaled so that the values predicted do not.
+    An update rescales weights and bias, so that the predicted values stay the same.
     """
 
     def __init__(self, features: int, decay: float = 0.9) -> None:
@@ -61,7 +69,7 @@ class PopArt(ReturnStatistics):
 
     @th.no_grad()
     def update(self, returns: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
-        """Take in a rollout's returns and keep the values predicted as they were."""
+        """Take in the returns of a rollout."""
         ratio, shift = super().update(returns)
         self.linear.weight.mul_(ratio)
         self.linear.bias.mul_(ratio).add_(shift)

@@ -1,0 +1,85 @@
+"""The networks that algorithms share: fully connected layers and value normalisation."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+import torch as th
+
+from uavaou.algorithms.nets.mlp import Linear, fully_connected, mlp
+from uavaou.algorithms.nets.value_norm import PopArt
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.mark.parametrize("batch", [(1,), (7,), (300,), (40, 3), ()], ids=str)
+def test_the_linear_layer_is_torchs(batch: tuple[int, ...]) -> None:
+    th.manual_seed(0)
+    layer, features = Linear(37, 19), th.randn(*batch, 37, requires_grad=True)
+    weights = th.randn(*batch, 19)
+    results = []
+    for output in (layer(features), th.nn.functional.linear(features, layer.weight, layer.bias)):
+        wanted = (features, layer.weight, layer.bias)
+        results.append((output, *th.autograd.grad((weights * output).sum(), wanted)))
+    for one, other in zip(*results, strict=True):
+        th.testing.assert_close(one, other, rtol=1e-4, atol=1e-4)
+    with th.no_grad():
+        th.testing.assert_close(layer(features), results[0][0])
+
+
+def test_value_normalisation_keeps_what_was_predicted() -> None:
+    th.manual_seed(0)
+    value_net, features = PopArt(8), th.randn(50, 8)
+    value_net.update(th.randn(100) * 7 - 300)
+    before = value_net.denormalise(value_net(features))
+    value_net.update(th.randn(100) * 2 - 40)
+    th.testing.assert_close(value_net.denormalise(value_net(features)), before, rtol=1e-4, atol=1e-3)
+    returns = th.randn(1000) * 2 - 40
+    for _ in range(400):  # the memory of the old returns fades
+        value_net.update(returns)
+    assert abs(float(value_net.normalise(returns).mean())) < 0.05
+    assert abs(float(value_net.normalise(returns).std()) - 1) < 0.05
+
+
+@pytest.mark.parametrize("activation", ["relu", "tanh"])
+def test_an_mlp_and_its_written_gradient_are_torchs(activation: str) -> None:
+    th.manual_seed(0)
+    body, rows = mlp(11, [24, 16], activation), th.randn(50, 11, requires_grad=True)
+    expected = rows
+    for number, module in enumerate(body):
+        expected = (
+            getattr(th, activation)(expected) if number % 2 else th.addmm(module.bias, expected, module.weight.t())
+        )
+    weights = th.randn(50, 16)
+    wanted = (rows, *body.parameters())
+    results = [(output, *th.autograd.grad((weights * output).sum(), wanted)) for output in (body(rows), expected)]
+    for own, torchs in zip(*results, strict=True):
+        th.testing.assert_close(own, torchs, rtol=1e-4, atol=1e-4)
+    layers = fully_connected(body)
+    assert layers is not None
+    with th.no_grad():
+        th.testing.assert_close(body(rows), expected)
+        gradients = layers.backward(layers.forward(rows), weights)
+    th.testing.assert_close(gradients, list(results[1][2:]), rtol=1e-4, atol=1e-4)
+
+
+def test_a_skip_connection_around_an_mlp_has_torchs_gradient() -> None:
+    """The gradient that arrives is also that of the skipped path: nothing may write into it."""
+    body, rows = mlp(8, [8], "relu"), th.randn(20, 8, requires_grad=True)
+    gradient = th.autograd.grad((rows + body(rows)).square().sum(), rows)[0]
+    plain = th.relu(rows @ body[0].weight.t() + body[0].bias)
+    th.testing.assert_close(gradient, th.autograd.grad((rows + plain).square().sum(), rows)[0], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("network", [Linear(53, 128), mlp(53, [128], "relu")], ids=["linear", "mlp"])
+def test_gradients_of_strided_rows_cost_no_more_than_those_of_whole_rows(network: th.nn.Module) -> None:
+    rows = th.randn(1000, 85)
+
+    def seconds(features: th.Tensor) -> float:
+        started = time.perf_counter()
+        network(features).sum().backward()
+        return time.perf_counter() - started
+
+    whole, strided = (min(seconds(features) for _ in range(3)) for features in (rows[:, :53].clone(), rows[:, :53]))
+    assert strided < 50 * whole  # oneDNN took 700 times as long
