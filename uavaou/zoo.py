@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from uavaou.errors import InputError, unknown
+from uavaou.errors import InputError, nearest, unknown
 from uavaou.files import read_text
 
 _MOST_BYTES = 32_000_000
@@ -38,6 +39,24 @@ def zoo_path(kind: str, name: str) -> Path:
     if name not in zoo_names(kind):
         raise unknown(kind.rstrip("s"), name, zoo_names(kind))
     return path
+
+
+def zoo_or_file(kind: str, source: str | Path) -> Path:
+    """Return the path of a shipped configuration by name, or of a YAML file by path.
+
+    Raises:
+        InputError: no configuration has the name, or there is no such file.
+    """
+    name, names = str(source), zoo_names(kind)
+    singular = "study" if kind == "studies" else kind.removesuffix("s")
+    if name in names:
+        return zoo_path(kind, name)
+    if not name.endswith((".yaml", ".yml")) and "/" not in name:
+        known = f"{', '.join(names)}; or a path ending in .yaml"
+        raise InputError(f"unknown {singular} '{name[:40]}'{nearest(name, names)} ({kind}: {known})")
+    if not os.path.lexists(name):
+        raise InputError(f"{singular} file '{name}' does not exist{nearest(Path(name).stem, names)}")
+    return Path(name)
 
 
 class _PlainDumper(yaml.SafeDumper):

@@ -31,7 +31,7 @@ from uavaou.studies.fields import (
     validated_entry,
 )
 from uavaou.studies.parts import ANNEALED, BOUND, PartKey
-from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_names, zoo_path
+from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_or_file
 
 SCHEMA = 1  # of study.yaml
 _PLAN_AHEAD = {*ROUTE_PLANNERS, *ANNEALED}
@@ -55,33 +55,20 @@ class Study(StudySettings):
 
     @classmethod
     def load(cls, source: str | Path) -> Study:
-        """Load a study by its name or path.
+        """Load a shipped study by name, or a YAML file by path; scenario files are found beside it.
 
         Raises:
-            InputError: there is none, or naming the field, its value and what is allowed.
+            InputError: there is none, or a field cannot be used; the message names it, its value and what is allowed.
         """
-        name = str(source)
-        if name in zoo_names("studies"):
-            return cls.from_file(zoo_path("studies", name))
-        path = Path(source)
-        if path.suffix not in (".yaml", ".yml"):
-            names = zoo_names("studies")
-            known = f"(studies: {', '.join(names)}; or a path ending in .yaml)"
-            raise InputError(f"unknown study '{name[:40]}'{nearest(name, names)} {known}")
-        return cls.from_file(path)
-
-    @classmethod
-    def from_file(cls, path: Path) -> Study:
-        """Load a study from a YAML file; scenario files are found beside it."""
+        path = zoo_or_file("studies", source)
         file = validated(StudyFile, read_yaml_mapping(path), str(path))
         pairs = [_scenario(entry, f"{path}: scenarios[{k}]", path) for k, entry in enumerate(file.scenarios)]
         _check_distinct([name for name, _ in pairs], f"{path}: scenarios")
         variants, against = {}, {}
         for name, content in file.variants.items():
-            source = f"{path}: variants.{short(name)}"
-            stated = {} if content is None else content
-            entry = validated_entry(VariantEntry, stated, source, "settings of the algorithm")
-            variants[name] = _variant(name, entry, file.slots, source)
+            where, stated = f"{path}: variants.{short(name)}", {} if content is None else content
+            entry = validated_entry(VariantEntry, stated, where, "settings of the algorithm")
+            variants[name] = _variant(name, entry, file.slots, where)
             if entry.against is not None:
                 against[name] = entry.against
         values: dict[str, Any] = {name: getattr(file, name) for name in StudySettings.model_fields}

@@ -6,20 +6,18 @@ A suite is YAML: ``zoo_configs/suites/``, or a file of your own. Its points chan
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, field_validator, model_validator
 
-from uavaou.errors import InfeasibleError, InputError, nearest, unknown
+from uavaou.errors import InfeasibleError, InputError, nearest
 from uavaou.fields import Number, short, validated
 from uavaou.scenario import Scenario
 from uavaou.world.coverage import best_probability
-from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
+from uavaou.zoo import read_yaml_mapping, zoo_or_file
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Scale = Literal["linear", "log", "category"]
@@ -105,15 +103,7 @@ class Suite(BaseModel):
         Raises:
             InputError: there is none of that name, or a field cannot be used; the message names it.
         """
-        if source in zoo_names("suites"):
-            path = zoo_path("suites", source)
-        elif source.endswith((".yaml", ".yml")) or "/" in source:
-            path = Path(source)
-            if not os.path.lexists(path):
-                raise InputError(f"suite file '{source}' does not exist{nearest(path.stem, zoo_names('suites'))}")
-        else:
-            error = unknown("suite", source, zoo_names("suites"))
-            raise InputError(f"{str(error).removesuffix(')')}; or a path ending in .yaml)")
+        path = zoo_or_file("suites", source)
         return cls.from_dict(read_yaml_mapping(path), path.stem, str(path))
 
     @classmethod
