@@ -17,7 +17,7 @@ import atheris
 with atheris.instrument_imports(include=["uavaou"]):
     import numpy as np
 
-    from uavaou.algorithms.io.save_load import _about
+    from uavaou.algorithms.io import save_load
     from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
     from uavaou.algorithms.registry import load_config
     from uavaou.devices_csv import read_devices_csv
@@ -43,7 +43,7 @@ def _checkpoint(content: bytes) -> None:
 def _learner(content: bytes) -> None:
     path = PLACE / "model.safetensors"
     path.write_bytes(content)
-    _about(ArrayFile(path), "MAPPO")
+    save_load.read_header(ArrayFile(path))
 
 
 def _scenario(content: bytes) -> None:

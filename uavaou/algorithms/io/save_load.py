@@ -9,12 +9,12 @@ from __future__ import annotations
 import inspect
 import json
 from collections.abc import Callable
-from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import torch as th
+from pydantic import BaseModel, ConfigDict, Field, StrictInt, ValidationError, model_validator
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 
@@ -22,12 +22,38 @@ from uavaou.algorithms.io.tensor_file import CHECKSUM, ArrayFile, write_arrays
 from uavaou.algorithms.io.weights import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
 from uavaou.envs.spaces import action_space, row_space
 from uavaou.errors import InputError
-from uavaou.world.views import MOVES, Columns, RowLayout
+from uavaou.fields import explain_validation
+from uavaou.world.views import MOVES, RowLayout
 
 SCHEMA = 1
 _KIND = "uavaou learner"
 _NOT_SAVED = ("self", "policy", "env", "device", "tensorboard_log", "verbose", "_init_setup_model")
 _UNUSABLE = (TypeError, ValueError, KeyError, IndexError, AttributeError, AssertionError, RuntimeError, MemoryError)
+
+
+class LearnerHeader(BaseModel):
+    """What a learner's file states beside its arrays."""
+
+    model_config = ConfigDict(extra="forbid", populate_by_name=True, ser_json_inf_nan="constants")
+
+    learner: str = Field(alias="class")
+    policy: str | None = None  # class of the policy; files of earlier versions do not state it
+    arguments: dict[str, Any]
+    layout: RowLayout
+    rows: StrictInt
+    num_timesteps: StrictInt
+    n_updates: StrictInt
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> Self:
+        for part in (self.layout.local, self.layout.state):
+            ends = [0, *(columns.stop for columns in part)]
+            if not part or [columns.start for columns in part] != ends[:-1] or ends != sorted(ends):
+                raise ValueError("layout: expected runs of columns that follow each other")
+        uavs, most = self.layout.uavs, 65_536 * self.layout.uavs
+        if not 1 <= uavs <= self.rows <= most or self.rows % uavs:
+            raise ValueError(f"rows = {self.rows}: expected a multiple of uavs = {uavs} up to {most}")
+        return self
 
 
 class SafeSaveLoad(BaseAlgorithm):
@@ -59,17 +85,17 @@ class SafeSaveLoad(BaseAlgorithm):
         if exclude or include:
             raise InputError("exclude, include: arguments of save_sb3; save writes what load needs")
         layout: Any = self.policy.row_layout
-        about = {
-            "class": type(self).__name__,
-            "policy": type(self.policy).__name__,
-            "arguments": self._plain_arguments(),
-            "layout": asdict(layout),
-            "rows": self.n_envs,
-            "num_timesteps": self.num_timesteps,
-            "n_updates": getattr(self, "_n_updates", 0),
-        }
-        arrays = policy_arrays(self) | optimizer_arrays(self)
-        write_arrays(_with_suffix(path), arrays, {"kind": _KIND, "schema": str(SCHEMA), "about": json.dumps(about)})
+        header = LearnerHeader(
+            learner=type(self).__name__,
+            policy=type(self.policy).__name__,
+            arguments=self._plain_arguments(),
+            layout=layout,
+            rows=self.n_envs,
+            num_timesteps=self.num_timesteps,
+            n_updates=getattr(self, "_n_updates", 0),
+        )
+        text = {"kind": _KIND, "schema": str(SCHEMA), "about": header.model_dump_json(by_alias=True)}
+        write_arrays(_with_suffix(path), policy_arrays(self) | optimizer_arrays(self), text)
 
     @classmethod
     def load(  # type: ignore[override]
@@ -95,24 +121,25 @@ class SafeSaveLoad(BaseAlgorithm):
         """
         file = ArrayFile(_with_suffix(path))
         kind: Any = policy or next(iter(cls.policy_aliases.values()))
-        about = _about(file, cls.__name__, kind)
+        header = read_header(file)
+        for stated, wanted in ((header.learner, cls.__name__), (header.policy, kind.__name__)):
+            if stated not in (wanted, None):
+                raise InputError(f"{file.path}: holds a {stated!r:.40}, not a {wanted}")
+        layout, sized = header.layout if env is None else env.row_layout, kind.depends_on_sizes
+        if not header.layout.fits(layout, sized):
+            raise InputError("env: its rows are not those that the learner was saved with")
         try:
-            saved = _layout(about["layout"])
-            layout = saved if env is None else env.row_layout
-            sized = kind.depends_on_sizes
-            if not saved.fits(layout, sized):
-                raise InputError("env: its rows are not those that the learner was saved with")
-            arguments = about["arguments"] | changes
+            arguments = header.arguments | changes
             policy_kwargs = dict(arguments.pop("policy_kwargs", None) or {})
             _check_size(file, layout if sized else None, policy_kwargs.get("net_arch") or (1,))
             arguments |= {"device": device, "policy_kwargs": policy_kwargs | {"row_layout": layout}}
             if env is None:
-                learner = cls._without_env(kind, arguments, layout, int(about["rows"]))
+                learner = cls._without_env(kind, arguments, layout, header.rows)
             else:
                 learner = cls(kind, env, **arguments)
             load_policy_arrays(file, learner)
             load_optimizer_arrays(file, learner)
-            learner.num_timesteps, learner._n_updates = int(about["num_timesteps"]), int(about["n_updates"])
+            learner.num_timesteps, learner._n_updates = header.num_timesteps, header.n_updates
         except _UNUSABLE as error:
             if isinstance(error, InputError):
                 raise
@@ -122,8 +149,6 @@ class SafeSaveLoad(BaseAlgorithm):
     @classmethod
     def _without_env(cls, policy: type[Any], arguments: dict[str, Any], layout: RowLayout, rows: int) -> Self:
         learner = cls(policy, None, _init_setup_model=False, **arguments)
-        if not 1 <= rows <= 65_536 * layout.uavs or rows % layout.uavs:
-            raise ValueError(f"rows = {rows}")
         learner.n_envs = rows
         learner.observation_space, learner.action_space = row_space(layout), action_space(layout)
         learner._setup_model()
@@ -185,32 +210,20 @@ def _with_suffix(path: str | Path) -> Path:
     return path if path.suffix else path.with_suffix(".safetensors")
 
 
-def _about(file: ArrayFile, name: str, policy: type[Any]) -> dict[str, Any]:
+def read_header(file: ArrayFile) -> LearnerHeader:
+    """Read what a learner's file states.
+
+    Raises:
+        InputError: it is not the file of a learner of this software.
+    """
     if file.text.get("kind") != _KIND or CHECKSUM not in file.text:
         raise InputError(f"{file.path}: not a learner saved by this software")
     if file.text.get("schema") != str(SCHEMA):
         raise InputError(f"{file.path}: schema {file.text.get('schema')!r:.20}: this version reads schema {SCHEMA}")
-    about = file.json("about")
-    if not isinstance(about, dict) or not isinstance(about.get("arguments"), dict):
-        raise InputError(f"{file.path}: not a learner saved by this software")
-    if about.get("class") != name:
-        raise InputError(f"{file.path}: holds a {about.get('class')!r:.40}, not a {name}")
-    if about.get("policy", policy.__name__) != policy.__name__:
-        raise InputError(
-            f"{file.path}: holds a {about['policy']!r:.40}, not a {policy.__name__}: pass load(..., policy=...)"
-        )
-    return about
-
-
-def _layout(stated: dict[str, Any]) -> RowLayout:
-    parts = {part: tuple(Columns(**columns) for columns in stated[part]) for part in ("local", "state")}
-    for part in parts.values():
-        end = 0
-        for columns in part:  # runs of columns are adjacent
-            if columns.start != end or not isinstance(columns.stop, int) or columns.stop < end:
-                raise ValueError(f"columns {columns}")
-            end = columns.stop
-    return RowLayout(int(stated["uavs"]), int(stated["devices"]), str(stated["collection"]), **parts)
+    try:
+        return LearnerHeader.model_validate(file.json("about"))
+    except ValidationError as error:
+        raise InputError(f"{file.path}: {explain_validation(error, list(LearnerHeader.model_fields))}") from None
 
 
 def _check_size(file: ArrayFile, layout: RowLayout | None, hidden: Any) -> None:
