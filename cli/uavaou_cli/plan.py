@@ -16,7 +16,7 @@ from uavaou_cli.evaluate import evaluation_lines
 from uavaou_cli.options import Episodes, MissionSeed, Quiet, ScenarioArgument, SetScenario, number, seconds
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import EvaluationDisplay, PlanningDisplay
-from uavaou_cli.tables import aligned, duration, figure, show, wrapped
+from uavaou_cli.tables import duration, figure, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
     from uavaou.planners.bound import Bound
@@ -139,14 +139,16 @@ def _gap_lines(comparison: Comparison, bound: Bound) -> list[str]:
     episodes, seed = comparison.episodes, comparison.seed
     tau, least = scenario.slot_length_s, bound.mean_aou_s
     best = min(result.mean_aou_s for result in results.values())
-    rows = [("policy", "mean AoU (slots)", "(s)", "over bound", "over best", "")]
-    rows.append(("lower bound", figure(least / tau), figure(least), "1.00", _ratio(least, best), bound.method))
-    for name, result in sorted(results.items(), key=lambda item: item[1].mean_aou_s):
-        mean = result.mean_aou_s
-        rows.append((name, figure(mean / tau), figure(mean), _ratio(mean, least), _ratio(mean, best), ""))
+    means = {f"lower bound ({bound.method})": least}
+    means |= dict(sorted(((name, result.mean_aou_s) for name, result in results.items()), key=lambda item: item[1]))
+    heads = [("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("over", "bound"), ("over", "best")]
+    rows = [
+        (name, [(cell, "") for cell in (figure(mean / tau), figure(mean), _ratio(mean, least), _ratio(mean, best))])
+        for name, mean in means.items()
+    ]
     head = f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}"
     note = "the expected mean AoU of every policy that does not foresee the channel is at least the bound"
-    return [head, "", *aligned(rows), "", *wrapped(note)]
+    return [head, "", *two_line_table(heads, rows), "", *wrapped(note)]
 
 
 def _ratio(value: float, base: float) -> str:

@@ -61,11 +61,16 @@ class Display:
         elif not self.quiet:
             print(text, file=sys.stderr, flush=True)
 
-    def measure_from(self, done: float) -> None:
-        """Measure the rate from now on, with ``done`` of the work behind."""
+    def measure_from(self, done: float, name: str = "") -> None:
+        """Measure the rate from now on, with ``done`` of the work behind; ``name`` is at work."""
         now = time.monotonic()
         self._marks = deque([(now, done)], maxlen=_MARKS)
         self._next = now + (_LINE_EVERY_S if self._bar is None else _BAR_EVERY_S)
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], completed=self._share(done), description=name, text="")
+
+    def _share(self, done: float) -> float:
+        return min(done / self.total, 1.0) if self.total else 1.0
 
     @property
     def due(self) -> bool:
@@ -90,7 +95,7 @@ class Display:
         parts = [self._speed(rate) if rate > 0 else "", figure]
         if rate > 0:
             parts.append(f"{duration(max(self.total - done, 0) / rate)} left")
-        share, text = min(done / self.total, 1.0) if self.total else 1.0, ", ".join(filter(None, parts))
+        share, text = self._share(done), ", ".join(filter(None, parts))
         if self._bar is not None:
             self._next = now + _BAR_EVERY_S
             self._bar.note = note
@@ -144,7 +149,7 @@ class TrainingDisplay(Display):
     def start(self, total: int, done: int, uavs: int) -> None:
         """Begin at ``done`` of ``total`` slots, with ``uavs`` agent steps a slot."""
         self.total, self._uavs = total, uavs
-        self.measure_from(done)
+        self.measure_from(done, "training")
 
     def update(self, slots: int, mean_aou_s: float | None) -> None:
         """``slots`` are done; the mean AoU of recent missions is ``mean_aou_s``, None before the first."""
@@ -177,7 +182,7 @@ class EvaluationDisplay(Display):
         """The next policy begins."""
         self._before = self._slots * self._names.index(name)
         self._name = name if len(name) <= _NAME_WIDTH else "..." + name[3 - _NAME_WIDTH :]
-        self.measure_from(self._before)
+        self.measure_from(self._before, self._name)
 
     def after_slot(self, slots: int, world: World) -> None:
         """``slots`` of the policy's are done; for :func:`uavaou.evaluation.evaluate.evaluate`."""
