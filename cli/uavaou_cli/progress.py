@@ -261,32 +261,32 @@ class StudyDisplay(Display):
     def __init__(self, quiet: bool) -> None:
         super().__init__(quiet, 1.0)
 
-    def show(self, standing: StudyState) -> None:
+    def show(self, state: StudyState) -> None:
         """The study as it stands."""
-        news, standing.news = standing.news, []
+        news, state.news = state.news, []
         for line in news:
-            self.message(f"{standing.done}/{standing.total}  {line}")
-        if not self.due or (self._bar is None and not standing.running):
+            self.message(f"{state.done}/{state.total}  {line}")
+        if not self.due or (self._bar is None and not state.running):
             return
-        failed = f", {len(standing.failed)} failed" if standing.failed else ""
-        name = f"{standing.done}/{standing.total} done{failed}"
-        trained = standing.slots + standing.left  # 0 where planners and bounds are left, whose progress is unknown
-        self.total = trained or standing.total
-        rate = standing.rate if standing.left else 0.0
-        self.advance(standing.slots if trained else standing.done, "", name, _running(standing), rate)
+        failed = f", {len(state.failed)} failed" if state.failed else ""
+        name = f"{state.done}/{state.total} done{failed}"
+        trained = state.slots + state.left  # 0 where planners and bounds are left, whose progress is unknown
+        self.total = trained or state.total
+        rate = state.rate if state.left else 0.0
+        self.advance(state.slots if trained else state.done, "", name, _running(state), rate)
 
 
-def _running(standing: StudyState) -> str:
+def _running(state: StudyState) -> str:
     """The mean AoU of the variants that train, in slots, and what else is at work."""
     means: dict[str, list[float]] = {}
     others = []
-    for key, report in standing.running.items():
+    for key, report in state.running.items():
         if key.seed is None:
             others.append(f"{'annealing a plan' if key.variant == 'plan' else key.variant} for {key.scenario}")
-        elif report is not None and report.mean_aou_s is not None:
-            means.setdefault(key.variant, []).append(report.mean_aou_s / standing.tau_s[key.scenario])
         else:
-            means.setdefault(key.variant, [])
+            values = means.setdefault(key.variant, [])
+            if report is not None and report.mean_aou_slots is not None:
+                values.append(report.mean_aou_slots)
     parts = [f"{name} {sum(values) / len(values):,.2f}" if values else f"{name} -" for name, values in means.items()]
     learning = ["mean AoU in slots: " + ", ".join(parts[:_MOST_VARIANTS])] if parts else []
     return "; ".join([*learning, *(["at work: " + ", ".join(others[:_MOST_VARIANTS])] if others else [])])

@@ -1,8 +1,8 @@
-"""The jobs of a study on a Ray cluster, one CPU each, their checkpoints sent back as they are written.
+"""The engine that performs a study's jobs on a Ray cluster, one CPU each.
 
-A training works in a folder of its own on whichever machine it is, and no file system is shared: a keeper beside the
-study's own process writes what workers send into the run folders, and holds their locks. Where a worker dies, Ray
-starts its job again elsewhere, from the last checkpoint that was sent.
+Machines need not share a file system. A training works in a temporary folder of its machine and sends its checkpoints
+to the keeper, an actor beside the study's own process, which writes them into the run folders and holds their locks.
+When a worker dies, Ray starts its job again elsewhere, from the last checkpoint that was sent.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Cluster:
         jobs: tasks at a time; None: as many as the cluster has CPUs.
         address: of a cluster that this machine belongs to, such as ``auto``; None starts one here, for as long as the
             engine is entered.
-        plugins: what registers algorithms that are not this package's; a file must be there on every machine.
+        plugins: modules or files that register algorithms of the user's; files must exist on every machine.
 
     Raises:
         InputError: the cluster cannot be reached.
@@ -77,7 +77,7 @@ class Cluster:
     def events(self, take: TakeJob, stopping: Callable[[], bool]) -> Events:
         """See :class:`~uavaou.studies.jobs.Engine`."""
         running: dict[Any, Job] = {}
-        # A worker that is killed is no failure of the job: it is done again, without end.
+        # A killed worker is no failure of the job: it is started again, without limit.
         perform = ray.remote(num_cpus=1, max_retries=-1, max_calls=1)(_perform)
         asked = False
         try:
@@ -91,7 +91,9 @@ class Cluster:
                     if problem is not None:
                         yield problem
                         continue
-                    running[perform.remote(job_sent(job), self._keeper, self._plugins)] = job
+                    # The worker chooses a folder of its own.
+                    sent = replace(job, path=Path()) if isinstance(job, Training) else job
+                    running[perform.remote(sent, self._keeper, self._plugins)] = job
                 if not running:
                     return
                 done, _ = ray.wait(list(running), timeout=_LOOK_EVERY_S)
@@ -108,16 +110,16 @@ class Cluster:
         return max(present if self._jobs is None else min(self._jobs, present), 1)
 
     def _stop(self, running: dict[Any, Job]) -> None:
-        """Ask trainings for their last checkpoint; what else runs, and what waits for a CPU, is given up."""
+        """Ask trainings for their last checkpoint; give up other jobs, and trainings that wait for a CPU."""
         ray.get(self._keeper.stop.remote())
         for reference, job in running.items():
-            # A training that has not reported has nothing to save, and may wait for a CPU without end.
+            # A training that has not reported has nothing to save, and may wait for a CPU for ever.
             if not isinstance(job, Training) or job.key not in self._begun:
                 self._given_up.add(reference)
                 ray.cancel(reference, force=True)
 
     def _open(self, job: Job) -> Ended | None:
-        """Let the keeper hold a training's folder; returns how it ended where that cannot be."""
+        """Let the keeper lock a training's folder; returns the failure where it cannot."""
         if not isinstance(job, Training):
             return None
         problem: str | None = ray.get(self._keeper.open.remote(job.key, str(job.path.resolve())))
@@ -144,9 +146,9 @@ class Cluster:
 
 @contextmanager
 def _as_workers_need_it() -> Iterator[None]:
-    """The environment that a cluster started here inherits; and Ray's handler of SIGTERM, which saves nothing, undone.
+    """Give workers of a local cluster this import path; undo the SIGTERM handler of Ray, which saves nothing.
 
-    What this process can import, its workers can; on the machines of another cluster, uavaou is installed.
+    The machines of another cluster have uavaou installed.
     """
     before, terminated = dict(os.environ), signal.getsignal(signal.SIGTERM)
     os.environ["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
@@ -160,13 +162,8 @@ def _as_workers_need_it() -> Iterator[None]:
             signal.signal(signal.SIGTERM, terminated)
 
 
-def job_sent(job: Job) -> Job:
-    """A job as it travels: a training's folder is the worker's affair."""
-    return replace(job, path=Path()) if isinstance(job, Training) else job
-
-
 class Keeper:
-    """Writes what workers send into the run folders; an actor on the machine of the study's own process."""
+    """An actor on the machine of the study's own process: writes the files that workers send into the run folders."""
 
     def __init__(self) -> None:
         self._open: dict[PartKey, tuple[RunFolder, ExitStack]] = {}
@@ -174,7 +171,7 @@ class Keeper:
         self._stopping = False
 
     def open(self, key: PartKey, path: str) -> str | None:
-        """Hold a run folder; returns why it cannot be."""
+        """Lock a run folder; returns the reason where it cannot."""
         folder, stack = RunFolder(Path(path)), ExitStack()
         try:
             refuse_links(folder.path)
@@ -185,17 +182,17 @@ class Keeper:
         return None
 
     def close(self, key: PartKey) -> None:
-        """Let go of a run folder."""
+        """Unlock a run folder."""
         _, stack = self._open.pop(PartKey(*key))
         stack.close()
 
     def fetch(self, key: PartKey) -> Files:
-        """What a run folder holds; a worker goes on from it."""
+        """The files of a run folder, from which a worker resumes."""
         folder, _ = self._open[PartKey(*key)]
         return files_of(folder.path)
 
     def store(self, key: PartKey, files: Files) -> None:
-        """Write files of a run, those that a checkpoint counts on before the checkpoint."""
+        """Write files of a run, checkpoints last: they refer to the others."""
         folder, _ = self._open[PartKey(*key)]
         for name in sorted(files, key=lambda name: name.startswith("checkpoints/")):
             path = folder.path / name
@@ -204,22 +201,22 @@ class Keeper:
                 file.write(files[name])
 
     def tell(self, key: PartKey, report: TrainingReport) -> bool:
-        """Note how far a training is; returns whether it is to stop."""
+        """Note a training's report; returns whether the training is to stop."""
         self._reports[PartKey(*key)] = TrainingReport(*report)
         return self._stopping
 
     def news(self) -> dict[PartKey, TrainingReport]:
-        """What was told since the last call."""
+        """The reports since the last call."""
         reports, self._reports = self._reports, {}
         return reports
 
     def stop(self) -> None:
-        """From now on, whoever tells how far it is is told to stop."""
+        """Answer every further report with the request to stop."""
         self._stopping = True
 
 
 def files_of(folder: Path, unless: dict[str, tuple[int, int]] | None = None) -> Files:
-    """The files below a run folder that differ from the states in ``unless``, which is brought up to date."""
+    """The files below a run folder whose state differs from that in ``unless``, which is updated."""
     files: Files = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -235,7 +232,7 @@ def files_of(folder: Path, unless: dict[str, tuple[int, int]] | None = None) -> 
 
 
 def _perform(job: Job, keeper: Any, plugins: Sequence[str]) -> Ended:
-    """What a worker runs."""
+    """The main function of a worker."""
     prepare(plugins)
     if not isinstance(job, Training):
         return outcome(job, lambda report: None)
@@ -248,17 +245,17 @@ def _perform(job: Job, keeper: Any, plugins: Sequence[str]) -> Ended:
 
 
 class _Sender:
-    """Keeps the study's own folder of a run up to date with the worker's."""
+    """Copies a worker's run folder to the study's own."""
 
     def __init__(self, job: Training, keeper: Any) -> None:
         self.job = job
         self._keeper = keeper
         self._sent: dict[str, tuple[int, int]] = {}
-        self._checkpoint = 0  # when the last one that was sent had been written, ns
+        self._checkpoint = 0  # time of writing of the last one sent, ns
         self._next = 0.0
 
     def receive(self) -> None:
-        """Fetch what was sent before."""
+        """Fetch the files sent earlier."""
         files: Files = ray.get(self._keeper.fetch.remote(self.job.key))
         for name, content in files.items():
             path = self.job.path / name
@@ -267,11 +264,11 @@ class _Sender:
         files_of(self.job.path, self._sent)
 
     def send(self) -> None:
-        """Send what has changed."""
+        """Send the files that have changed."""
         ray.get(self._keeper.store.remote(self.job.key, files_of(self.job.path, self._sent)))
 
     def tell(self, report: TrainingReport) -> None:
-        """Say how far the training is, send a new checkpoint, and stop where that is wanted."""
+        """Send a new checkpoint and the report, and stop where the study asks for it."""
         last = RunFolder(self.job.path).last
         written = last.stat().st_mtime_ns if last.is_file() else 0
         if written != self._checkpoint:
@@ -281,4 +278,4 @@ class _Sender:
             return
         self._next = time.monotonic() + _TELL_EVERY_S
         if ray.get(self._keeper.tell.remote(self.job.key, report)):
-            signal.raise_signal(signal.SIGTERM)  # the training notes it, and makes its last checkpoint
+            signal.raise_signal(signal.SIGTERM)  # the training writes its last checkpoint

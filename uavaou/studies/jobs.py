@@ -22,7 +22,7 @@ class TrainingReport(NamedTuple):
     """How far a training is."""
 
     slots: int
-    mean_aou_s: float | None  # of recent training missions
+    mean_aou_slots: float | None  # of recent training missions
     by: str  # the process, as in "process 12 on host"
 
 
@@ -149,7 +149,8 @@ def _train(job: Training, tell: Callable[[TrainingReport], None]) -> None:
     by = f"process {os.getpid()} on {platform.node()}"
 
     def report(status: TrainingStatus) -> None:
-        tell(TrainingReport(status.slots, status.mean_aou_s, by))
+        aou = None if status.mean_aou_s is None else status.mean_aou_s / job.config.scenario.slot_length_s
+        tell(TrainingReport(status.slots, aou, by))
 
     every_s = CHECKPOINT_EVERY_S if job.checkpoint_every_s is None else job.checkpoint_every_s
     folder = RunFolder(job.path)

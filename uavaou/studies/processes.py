@@ -1,4 +1,4 @@
-"""The jobs of a study in processes of this machine, one core each."""
+"""The engine that performs a study's jobs in processes of this machine, one core each."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LOOK_EVERY_S = 0.5
 
 @dataclass
 class _Worker:
-    """A process and what it said last."""
+    """A process, and the last event that it sent."""
 
     job: Job
     process: Any
@@ -43,11 +43,11 @@ class _Worker:
 
 
 class Processes:
-    """Performs jobs in child processes, each in one of its own with one torch thread.
+    """Performs each job in a child process of its own, with one torch thread.
 
     Args:
         jobs: processes at a time.
-        plugins: what registers algorithms that are not this package's.
+        plugins: modules or files that register algorithms of the user's.
     """
 
     def __init__(self, jobs: int, plugins: Sequence[str] = ()) -> None:
@@ -71,7 +71,7 @@ class Processes:
                 for worker in list(workers):
                     yield from _heard(worker)
                     if not worker.process.is_alive():
-                        yield from _heard(worker)  # what it said with its last breath
+                        yield from _heard(worker)  # sent just before it ended
                         yield _ended(worker)
                         workers.remove(worker)
                 yield None
@@ -87,7 +87,7 @@ class Processes:
         terminal = signal.getsignal(signal.SIGINT)
         in_main = threading.current_thread() is threading.main_thread()
         if in_main:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is for this process to pass on
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: this process passes Ctrl-C on
         try:
             process.start()
         finally:
@@ -105,20 +105,20 @@ def _ask_to_stop(workers: Sequence[_Worker]) -> None:
 
 
 def _heard(worker: _Worker) -> Iterator[Event]:
-    """What a worker has said since."""
+    """The reports that a worker has sent since; its end is kept in ``last``."""
     try:
         while worker.pipe.poll():
-            said = worker.pipe.recv()
-            if isinstance(said, TrainingReport):
-                yield Advanced(worker.job.key, said)
+            sent = worker.pipe.recv()
+            if isinstance(sent, TrainingReport):
+                yield Advanced(worker.job.key, sent)
             else:
-                worker.last = said
+                worker.last = sent
     except (EOFError, OSError):
         return
 
 
 def _ended(worker: _Worker) -> Ended:
-    """How a job ended whose process has."""
+    """How the job of an ended process has ended."""
     worker.process.join()
     worker.pipe.close()
     if worker.last is not None:
@@ -134,22 +134,22 @@ def _ended(worker: _Worker) -> Ended:
 
 
 def _work(job: Job, pipe: Connection, plugins: Sequence[str]) -> None:
-    """What a child process runs."""
+    """The main function of a child process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_follow_parent, daemon=True).start()
 
-    def say(said: TrainingReport | Ended) -> None:
-        with suppress(OSError):  # nobody listens: the study's own process is dead, and _follow_parent says what to do
-            pipe.send(said)
+    def send(event: TrainingReport | Ended) -> None:
+        with suppress(OSError):  # the study's own process is dead: _follow_parent ends this one
+            pipe.send(event)
 
     try:
         prepare(plugins)
-        say(outcome(job, say))
+        send(outcome(job, send))
     except KeyboardInterrupt:
-        say(Ended(job.key, None))
+        send(Ended(job.key, None))
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it may yet come, and there is nothing left to stop
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # nothing is left to stop
         pipe.close()
 
 
@@ -167,7 +167,7 @@ def _follow_parent() -> None:
 
 
 def prepare(plugins: Sequence[str]) -> None:
-    """Make this process ready for jobs: one thread, whose sums are the same whatever runs beside it."""
+    """Make this process ready for jobs, with one thread, so that sums do not depend on what runs beside it."""
     import torch as th
 
     from uavaou.algorithms.registry import load_plugin
@@ -180,16 +180,16 @@ def prepare(plugins: Sequence[str]) -> None:
 
 
 def outcome(job: Job, tell: Callable[[TrainingReport], None]) -> Ended:
-    """Perform a job; what goes wrong with it is its own affair, and no other's."""
+    """Perform a job; a failure ends this job alone."""
     try:
         return Ended(job.key, perform(job, tell))
     except StoppedEarlyError:
         return Ended(job.key, None)
     except InputError as problem:
         return Ended(job.key, None, str(problem))
-    except Exception as error:  # a bug keeps its traceback, and stops no other run
+    except Exception as error:  # a bug keeps its traceback, and stops no other job
         if isinstance(error, SystemError) and was_interrupt(error):
             return Ended(job.key, None)
         traceback.print_exc(file=sys.stderr)
-        said = f"{type(error).__name__}: {error}".split("\n")[0]
-        return Ended(job.key, None, f"an error of the program, whose traceback was printed: {said[:300]}")
+        line = f"{type(error).__name__}: {error}".split("\n")[0]
+        return Ended(job.key, None, f"an error of the program, whose traceback was printed: {line[:300]}")

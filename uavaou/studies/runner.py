@@ -1,4 +1,4 @@
-"""Runs a study: what is left to do, in order, and the condensed results after each part of it."""
+"""Runs a study: does what is left, in order, and updates the condensed results after each part."""
 
 from __future__ import annotations
 
@@ -37,40 +37,25 @@ from uavaou.studies.study import Study
 
 @dataclass
 class StudyState:
-    """How far a study is, for the display.
+    """How far a study is, for the display."""
 
-    Attributes:
-        total: trainings, planners and bounds of the study.
-        done: those that have results.
-        failed: why others have failed.
-        running: the last report of each job in progress; None before a training's first, and for other jobs.
-        budget: slots of each training.
-        slots: trained by this command.
-        left: slots still to be trained.
-        busy_s: how long trainings have been running.
-        tau_s: slot length of each scenario.
-        news: a line for each part that has ended since the display last looked.
-    """
-
-    total: int
-    budget: dict[PartKey, int]
-    tau_s: dict[str, float]
-    done: int = 0
-    failed: dict[PartKey, str] = field(default_factory=dict)
-    running: dict[PartKey, TrainingReport | None] = field(default_factory=dict)
-    slots: int = 0
-    left: int = 0
-    busy_s: float = 0.0
-    news: list[str] = field(default_factory=list)
+    total: int  # trainings, planners and bounds
+    done: int  # those that have results
+    failed: dict[PartKey, str] = field(default_factory=dict)  # and why
+    running: dict[PartKey, TrainingReport | None] = field(default_factory=dict)  # the last report of a training
+    slots: int = 0  # trained by this command
+    left: int = 0  # slots still to be trained
+    busy_s: float = 0.0  # how long trainings have been running
+    news: list[str] = field(default_factory=list)  # a line for each part that has ended since the display last looked
     _looked: float = field(default_factory=time.monotonic)
 
     @property
     def rate(self) -> float:
-        """Slots a second, of all runs together."""
+        """Slots a second of all trainings together."""
         return self.slots / max(self.busy_s, 1e-9)
 
     def tick(self) -> None:
-        """Time has passed."""
+        """Count the time since the last call."""
         now = time.monotonic()
         if any(key.seed is not None for key in self.running):
             self.busy_s += now - self._looked
@@ -140,16 +125,16 @@ class _Work:
         self._plans: dict[str, RoutePlan | None] = {}  # by scenario; None: being made
         order = study.work_order()
         self._todo = todo = [key for key in order if key not in self._results.parts]
-        budget = {key: run.config.algorithm.slots for key, run in self._runs.items()}
-        tau_s = {name: scenario.slot_length_s for name, scenario in study.scenarios.items()}
-        self.state = StudyState(len(order), budget, tau_s, len(order) - len(todo))
         self._trained = {key: trained_slots(study.folder(out, self._runs[key])) for key in todo if key in self._runs}
-        self.state.left = sum(max(budget[key] - slots, 0) for key, slots in self._trained.items())
+        self.state = StudyState(len(order), len(order) - len(todo), left=sum(map(self._slots_left, self._trained)))
         self._results.folder.write_failures({})
         self._note_working()  # none yet: a note that is there is of a killed command
 
+    def _slots_left(self, key: PartKey) -> int:
+        return max(self._runs[key].config.algorithm.slots - self._trained[key], 0)
+
     def take(self) -> Job | None:
-        """The next job whose plan, where it needs one, is there."""
+        """The next job that can start: one that needs no plan, or whose plan is made."""
         for key in list(self._todo):
             try:
                 job = self._job(key)
@@ -213,7 +198,7 @@ class _Work:
         self.state.left = max(self.state.left - step, 0)
 
     def end(self, event: Ended) -> None:
-        """A job has ended: keep what came of it, before anything else."""
+        """A job has ended: keep its result before anything else is started."""
         key = event.key
         self.state.running.pop(key, None)
         if key.seed is None:
@@ -231,7 +216,8 @@ class _Work:
             self._fail(key, str(problem))
             return
         self.state.done += 1
-        self.state.news.append(f"{key}: {self._figure(key)}")
+        mean, low, high = self._results.mean(key)
+        self.state.news.append(f"{key}: mean AoU {mean} slots" + (f" ({low} to {high})" if low else ""))
 
     def _end_plan(self, event: Ended) -> None:
         waiting = [key for key in self._todo if key.scenario == event.key.scenario and key.variant in ANNEALED]
@@ -253,15 +239,15 @@ class _Work:
     def _fail(self, key: PartKey, reason: str) -> None:
         self.state.failed[key] = reason
         if key in self._runs:
-            self.state.left -= max(self.state.budget[key] - self._trained[key], 0)
+            self.state.left -= self._slots_left(key)
         self.state.news.append(f"{key} failed: {reason}")
         try:
             self._results.folder.write_failures(self.state.failed)
-        except InputError as problem:  # a full disk: what else runs may yet find room
+        except InputError as problem:  # a full disk: others may still find room
             self.state.news.append(str(problem))
 
     def _note_working(self) -> None:
-        """For ``uavaou study status``, which can do without."""
+        """Note what is in progress for ``uavaou study status``; failing to is no error."""
         with suppress(InputError):
             self._results.folder.write_working(key for key in self.state.running if key.seed is None)
 
@@ -277,7 +263,3 @@ class _Work:
         self._results.write(self._study)
         if key in self._runs:
             keep_best(self._results, self._study, self._out)
-
-    def _figure(self, key: PartKey) -> str:
-        mean, low, high = self._results.mean(key)
-        return f"mean AoU {mean} slots" + (f" ({low} to {high})" if low else "")
