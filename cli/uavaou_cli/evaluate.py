@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from uavaou.runs.comparison import Comparison
     from uavaou.scenario import Scenario
 
-# In the help, which must not import the planners; a test holds it to the registry.
+# For the help, which must not import the planners; a test compares it with the registry.
 _PLANNER_NAMES = "random, stay, greedy, best-first, tour, partition-tour, anneal, rolling or exact"
 
 
@@ -39,13 +39,15 @@ def evaluate(
     episodes: Episodes = 100,
     seed: MissionSeed = EVALUATION_SEED,
     action: Annotated[
-        str | None, choice("Of trained policies. [default: what was better in validation]", "greedy", "sample")
+        str | None, choice("Action of trained policies. [default: the better one in validation]", "greedy", "sample")
     ] = None,
     suite: Annotated[
         str | None, typer.Option(metavar="NAME", help="Play every point of a suite; see docs/suites.md.")
     ] = None,
-    time_limit: Annotated[float | None, seconds("Seconds that planners which plan ahead may take.")] = None,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures of every mission.")] = None,
+    time_limit: Annotated[float | None, seconds("Time limit of planners that plan ahead, in seconds.")] = None,
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the metrics of every mission as JSON.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write the table of a suite.")] = None,
     set_: SetScenario = None,
     quiet: Quiet = False,
@@ -53,12 +55,13 @@ def evaluate(
     """Evaluate trained runs and planners, all on the same missions.
 
     A run evaluated on its own scenario also gets RUN/eval/default.json, which `uavaou plot figures` draws; with
-    --suite, one that flew a point gets RUN/eval/SUITE.json. A suite without RUN and --policy says what it needs.
+    --suite, one that flew a point gets RUN/eval/SUITE.json. Without RUN and --policy,
+    --suite lists its points and the trainings that they need.
     """
     overrides = parse_overrides(set_ or [])
     folders, planners = list(dict.fromkeys(run or [])), list(dict.fromkeys(policy or []))
     if suite is None and out is not None:
-        raise InputError("--out: is for the table of a --suite; --json writes the figures of every mission")
+        raise InputError("--out writes the table of a --suite; without a suite, use --json")
     _check_names(folders, planners, suite)
     made = _make_planners(planners, time_limit)  # a misspelled one fails before torch is imported
     from uavaou.runs.comparison import common_scenario, compare, load_runs, read_runs

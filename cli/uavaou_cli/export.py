@@ -14,15 +14,15 @@ from uavaou_cli.options import choice
 
 def export(
     run: Annotated[str, typer.Argument(metavar="RUN", help="The folder of a training run.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="What to write.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The file to write.")],
     format: Annotated[
         str, choice("safetensors: for LEARNER.load; sb3: Stable-Baselines3's zip.", "safetensors", "sb3")
     ] = "safetensors",
 ) -> None:
     """Write the best policy of a run as one file.
 
-    The zip of Stable-Baselines3 is made of pickles: whoever loads such a file runs what is in it, so load none that
-    a stranger gave you. uavaou itself reads none.
+    The zip of Stable-Baselines3 contains pickles. Loading a pickle runs the code in it, so load only files that you
+    trust. uavaou itself reads none.
     """
     if format == "sb3" and out.suffix != ".zip":
         raise InputError(f"--out {out}: a file for Stable-Baselines3 ends in .zip")

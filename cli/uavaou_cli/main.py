@@ -1,6 +1,6 @@
-"""The command ``uavaou``: its subcommands, and how what goes wrong reaches the user.
+"""The command ``uavaou``: its subcommands, and one line on stderr for every user error.
 
-Nothing heavy is imported here or at the top of a command's module: ``uavaou --help`` must answer at once.
+No heavy module is imported here or at the top of a command's module, so that ``uavaou --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from uavaou_cli import audit, evaluate, export, plan, plot, scenarios, study, tr
 BAD_INPUT = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
-# Typer exports one usage error; what that derives from is all of them, wherever this Typer keeps its Click.
+# Typer exports one usage error; its base class covers all of them, wherever this Typer keeps its Click.
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
 
 
 class _Commands(TyperGroup):
-    """Names the nearest command where there is none of that name, whatever the version of Typer."""
+    """Suggests the nearest command for an unknown one, whatever the version of Typer."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
@@ -44,14 +44,14 @@ app.command("train", short_help="Train a policy.")(train.train)
 app.command("tune", short_help="Search for better settings of an algorithm.")(tune.tune)
 app.command("eval", short_help="Play trained runs and planners on the same missions.")(evaluate.evaluate)
 app.command("plan", short_help="Plan a fleet's routes before take-off.")(plan.plan)
-app.command("gap", short_help="Planners and runs between the lower bound and random.")(plan.gap)
+app.command("gap", short_help="Compare planners and runs with the lower bound.")(plan.gap)
 plots = typer.Typer(**_STYLE, help="Draw the figures of studies and training runs, or one mission.")
 plots.command("figures", short_help="Draw the figures of studies or training runs.")(plot.figures)
 plots.command("suite", short_help="Draw the tables of evaluation suites.")(plot.suite)
 plots.command("trajectories", short_help="Draw one mission of a run.")(plot.trajectories)
 app.add_typer(plots, name="plot")
 studies = typer.Typer(**_STYLE, help="Many runs: algorithms, seeds and scenarios, resumable, with condensed results.")
-studies.command("run", short_help="Do what is left of a study.")(study.run)
+studies.command("run", short_help="Run what is left of a study.")(study.run)
 studies.command("status", short_help="Show how its runs stand.")(study.status)
 studies.command("report", short_help="Rewrite its condensed results and print the table.")(study.report)
 app.add_typer(studies, name="study")
@@ -76,7 +76,7 @@ def _root(
     ] = False,
     plugin: Annotated[
         list[str] | None,
-        typer.Option(metavar="FILE.py|MODULE", help="Import it first: it registers algorithms. Repeatable."),
+        typer.Option(metavar="FILE.py|MODULE", help="Import this first; it registers algorithms. Repeatable."),
     ] = None,
 ) -> None:
     """Train, evaluate and explain teams of UAVs that keep IoT data fresh.
@@ -99,7 +99,7 @@ def _help_when_alone(ctx: typer.Context) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 0, 2 for bad input, 130 when interrupted, 1 when nobody reads on.
+    """Run one command and return its exit code: 0, 2 for bad input, 130 after an interrupt, 1 when stdout is closed.
 
     Bad input is one line on stderr. Any other exception is a bug and keeps its traceback.
     """
@@ -136,7 +136,7 @@ def _complain(message: str, code: int) -> int:
 
 
 def _misread_number(error: Any) -> str | None:
-    """An option that is to be a number and is none: Typer gives pydantic's words, which leave out the value."""
+    """The message for an option that is not a number; Typer's own, from pydantic, leaves out the value."""
     from pydantic import ValidationError
 
     from uavaou.fields import short
@@ -150,7 +150,7 @@ def _misread_number(error: Any) -> str | None:
 
 
 def _explain_usage(error: Any) -> str:
-    """A usage error of Typer's as one line, with the nearest option and where to read on."""
+    """One line for a usage error of Typer's, with the nearest option and the help to read."""
     ctx = getattr(error, "ctx", None)
     if getattr(error, "option_name", None) == "--plugin":
         message = "--plugin stands before the command: uavaou --plugin FILE.py train ..."

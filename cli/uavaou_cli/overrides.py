@@ -17,7 +17,7 @@ PARTS = ("scenario", "algorithm")
 
 @dataclass(frozen=True)
 class Overrides:
-    """What ``--set`` gave: dotted keys without their prefix, values as typed."""
+    """The values of ``--set``: dotted keys without their prefix -> text as typed."""
 
     scenario: dict[str, str]
     algorithm: dict[str, str]

@@ -34,7 +34,8 @@ def plan(
     episodes: Annotated[int, number("Missions that the plan is flown in.", 1, MOST_EPISODES)] = 64,
     seed: MissionSeed = EVALUATION_SEED,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where it goes. [default: results/<scenario>/plan/<planner>]")
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the plan. [default: results/<scenario>/plan/<planner>]"),
     ] = None,
     set_: SetScenario = None,
     quiet: Quiet = False,
@@ -66,7 +67,7 @@ def gap(
     set_: SetScenario = None,
     quiet: Quiet = False,
 ) -> None:
-    """Show every planner, and trained runs, between what nobody can beat and random moves."""
+    """Compare planners and trained runs with the lower bound and with random moves."""
     chosen = _scenario(scenario, parse_overrides(set_ or []))
     if chosen.layout == "resample":
         raise InputError("uavaou gap: the bound is that of one layout; set scenario.layout=fixed")
@@ -120,7 +121,7 @@ def _plan_and_report(
 
 
 def _plan_lines(scenario: Scenario, plan: RoutePlan, took_s: float, path: Path) -> list[str]:
-    """What a planning found, and where it is kept."""
+    """The result of a planning, and its file."""
     tau = scenario.slot_length_s
     ended = "interrupted after" if plan.interrupted else "in"
     lines = [

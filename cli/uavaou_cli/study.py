@@ -33,20 +33,20 @@ def run(
     jobs: Annotated[int | None, number("Runs at a time, of one core each. [default: all cores]", 1, MOST_JOBS)] = None,
     engine: Annotated[str, choice("Processes of this machine, or tasks of a Ray cluster.", "local", "ray")] = "local",
     address: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Of the Ray cluster. [default: one is started here]")
+        str | None, typer.Option(metavar="ADDRESS", help="Address of the Ray cluster. [default: one is started here]")
     ] = None,
     out: Results = Path("results"),
     checkpoint_every: Annotated[
-        float, number("Between the checkpoints of a run.", 0, 86_400, metavar="SECONDS")
+        float, number("Seconds between the checkpoints of a run.", 0, 86_400, metavar="SECONDS")
     ] = 30.0,
     quiet: Quiet = False,
 ) -> None:
-    """Do what is left of a study: finished runs are skipped, broken ones go on from their checkpoints.
+    """Run what is left of a study: skip finished runs, resume interrupted ones from their checkpoints.
 
     Writes the run folders that `uavaou train` would, and DIR/studies/<name>/, the condensed results.
     """
     if address is not None and (engine != "ray" or not address.strip()):
-        raise InputError(f"--address {address!r}: is that of a Ray cluster, for --engine ray")
+        raise InputError(f"--address {address!r}: expected the address of a Ray cluster, with --engine ray")
     chosen, folder = _study(study, out)
     writable_folder(folder)
     from uavaou.studies.runner import run_study

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from uavaou.runs.folder import RunConfig, RunFolder
     from uavaou.runs.train import Outcome
 
-_ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # in the help, without the registry; tested
+_ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # for the help, which must not import the registry; tested
 
 
 def train(
@@ -35,20 +35,23 @@ def train(
         typer.Option(metavar="NAME", help=f"What learns: {_ALGORITHMS}, or one of your own. [default: mappo]"),
     ] = None,
     seed: Annotated[
-        int | None, number("Of the training; two seeds never share a mission. [default: 0]", 0, LARGEST_SEED)
+        int | None, number("Seed of the training; two seeds never share a mission. [default: 0]", 0, LARGEST_SEED)
     ] = None,
     slots: Annotated[int | None, number("Budget, in slots of all missions. [default: as published]", 1)] = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The config.yaml of a run, trained again as it was.")
+        Path | None, typer.Option(metavar="FILE", help="Train the config.yaml of a run again as it was.")
     ] = None,
     out: Results = Path("results"),
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")] = False,
     checkpoint_every: Annotated[
-        float, number("Between checkpoints; they never take more than 2.5 % of the time.", 1, 86_400, metavar="SECONDS")
+        float,
+        number(
+            "Seconds between checkpoints; they never take more than 2.5 % of the time.", 1, 86_400, metavar="SECONDS"
+        ),
     ] = 30.0,
     device: Annotated[str, choice("Where the networks run.", "auto", "cpu", "cuda")] = "auto",
     backend: Annotated[
-        str, choice("What steps the missions; same rows, the first is faster.", "batched", "supersuit")
+        str, choice("How missions are stepped; both give the same rows, batched is faster.", "batched", "supersuit")
     ] = "batched",
     set_: Annotated[
         list[str] | None,
@@ -81,7 +84,8 @@ def train(
         say_how_to_go_on(_resuming(again, folder))
         raise typer.Exit(130) from None
     if outcome.stopped_by is not None:
-        say_how_to_go_on(_resuming(again, folder), f" after {outcome.progress.slots:,} slots, which are kept")
+        slots = outcome.progress.slots
+        say_how_to_go_on(_resuming(again, folder), f" after {slots:,} slots, which are saved" if slots else "")
         raise typer.Exit(128 + outcome.stopped_by)
     show(_lines(outcome, plan, ctx.obj["plugins"]))
 
@@ -89,7 +93,7 @@ def train(
 def _plan(
     scenario: str, algorithm: str, seed: int, slots: int | None, out: Path, items: list[str]
 ) -> tuple[RunConfig, RunFolder]:
-    """What to train, and the folder that is its own."""
+    """The training that the options describe, and its folder."""
     from uavaou.runs.folder import RunConfig, run_folder
     from uavaou.scenario import Scenario
 
@@ -104,7 +108,7 @@ def _plan(
 
 
 def _again(path: Path, out: Path, given: Mapping[str, object]) -> tuple[RunConfig, RunFolder]:
-    """The training of a ``config.yaml``, which nothing is added to, and its folder."""
+    """The training of a ``config.yaml``, unchanged, and its folder."""
     from uavaou.runs.folder import config_folder, read_config
 
     for option, value in given.items():
@@ -119,7 +123,7 @@ def _resuming(arguments: list[str], folder: RunFolder) -> list[str]:
 
 
 def _lines(outcome: Outcome, config: RunConfig, plugins: Sequence[str]) -> list[str]:
-    """How a training ended, and what to type next, with the ``plugins`` that this command was given."""
+    """The result of a training, and the command to type next, with the same ``plugins``."""
     progress, folder = outcome.progress, outcome.folder.path
     lines = [
         f"trained {config.algorithm.name} on {config.scenario.name}: "

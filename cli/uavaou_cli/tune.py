@@ -35,24 +35,24 @@ def tune(
         str, typer.Option(metavar="NAME", help="A preset (see `uavaou scenarios`) or a YAML file.")
     ] = "quickstart",
     algorithm: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Whose settings. [default: mappo, or that of --from]")
+        str | None, typer.Option(metavar="NAME", help="The algorithm to tune. [default: mappo, or that of --from]")
     ] = None,
     seconds: Annotated[float | None, seconds_option("Each trial's budget, in CPU seconds of one core.")] = None,
     slots: Annotated[int | None, number("Each trial's budget, in slots, instead.", 1, 10**12)] = None,
     trials: Annotated[
-        int | None, number(f"In all, earlier ones included. [default: {DEFAULT_TRIALS}]", 1, MOST_TRIALS)
+        int | None, number(f"Number of trials, earlier ones included. [default: {DEFAULT_TRIALS}]", 1, MOST_TRIALS)
     ] = None,
     from_: Annotated[
-        Path | None, typer.Option("--from", metavar="DIR", help="Run only the best trials of that search.")
+        Path | None, typer.Option("--from", metavar="DIR", help="Train only the best trials of this search again.")
     ] = None,
     top: Annotated[
-        int | None, number(f"How many of them. [default: {DEFAULT_TOP}]", 1, MOST_TRIALS, metavar="K")
+        int | None, number(f"How many of the best trials. [default: {DEFAULT_TOP}]", 1, MOST_TRIALS, metavar="K")
     ] = None,
     space: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="What is varied, as YAML. [default: what is shipped]")
+        Path | None, typer.Option(metavar="FILE", help="The search space, as YAML. [default: the shipped one]")
     ] = None,
-    jobs: Annotated[int, number("Processes, of one core each.", 1, MOST_JOBS)] = 1,
-    seed: Annotated[int, number("Of the sampler and of every training.", 0, LARGEST_SEED)] = 0,
+    jobs: Annotated[int, number("Number of processes, of one core each.", 1, MOST_JOBS)] = 1,
+    seed: Annotated[int, number("Seed of the sampler and of every training.", 0, LARGEST_SEED)] = 0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder of all searches.")] = Path("results/tune"),
     set_: Annotated[
         list[str] | None,
@@ -70,7 +70,7 @@ def tune(
     overrides = parse_overrides(set_ or [])
     if from_ is None:
         if top is not None:
-            raise InputError("--top: of which search? add --from DIR")
+            raise InputError("--top needs a search to take trials from: add --from DIR")
         settings, varied, first = _start(algorithm or "mappo", space, overrides)
     else:
         for option, given in (("--trials", trials), ("--space", space)):

@@ -145,7 +145,7 @@ def test_a_damaged_run_is_found_before_anything_is_played(capsys: pytest.Capture
         ),
         ("eval run --suite own.yaml --out a.csv --json ./a.csv", "--out and --json are both 'a.csv'"),
         ("eval run --suite fading --set algorithm.gamma=1", "only scenario.* can be set"),
-        ("eval run --out x.csv", "--out: is for the table of a --suite"),
+        ("eval run --out x.csv", "--out writes the table of a --suite"),
         ("eval run --suite fading --out .", "is a folder"),
         ("eval run --suite fading --time-limit 5", "needs a --policy that plans ahead"),
         ("eval run --suite fading --policy anneal --time-limit nan", "must be a positive number"),
