@@ -13,10 +13,9 @@ from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import RecordedMission, read_mission, record_mission, write_mission
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.files import folder_name, replacing
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.folder import RunFolder
 from uavaou.runs.meta import RunMeta
-from uavaou.runs.results import PolicyResult, find_evaluation, own_evaluation, write_evaluation
-from uavaou.studies.parts import PartKey
+from uavaou.runs.results import find_evaluation, own_evaluation, write_evaluation
 from uavaou.studies.results import StudyResults
 from uavaou.studies.study import Study, StudyRun
 from uavaou.zoo import read_yaml_mapping
@@ -45,14 +44,8 @@ def keep_best(results: StudyResults, study: Study, out: Path) -> None:
 
 def _keep(results: StudyResults, study: Study, out: Path, run: StudyRun) -> None:
     kept = RunFolder(results.folder.best(run.key))
-    source = study.folder(out, run)
-    found = _read(source, run.config, study.episodes)
     try:
-        if found is not None:
-            entry, meta = found
-            _copy(source, kept, run.config, study.episodes, entry)
-            with replacing(kept.path / "README.md") as file:
-                file.write("\n".join(card_lines(results, study, run.key, meta)) + "\n")
+        _copy(results, study.folder(out, run), kept, run, study.episodes)
         if kept.best.is_file():
             for other in kept.path.parent.glob("seed-*"):
                 if other != kept.path:
@@ -61,65 +54,64 @@ def _keep(results: StudyResults, study: Study, out: Path, run: StudyRun) -> None
         raise InputError(f"cannot write to '{kept.path}': {error.strerror or error}") from error
 
 
-def _read(source: RunFolder, config: RunConfig, episodes: int) -> tuple[PolicyResult, RunMeta] | None:
-    """The evaluation and ``meta.json`` of a run; None where it is missing or damaged, which condensing it has told."""
+def _copy(results: StudyResults, source: RunFolder, kept: RunFolder, run: StudyRun, episodes: int) -> None:
+    """Copy what ``uavaou eval`` and ``uavaou plot trajectories`` read, where the run is at hand and undamaged."""
     try:
-        if not (source.best.is_file() and source.exists() and source.read_config() == config):
-            return None
-        entry = find_evaluation(source, config.algorithm.name, episodes)
-        return None if entry is None else (entry, source.read_meta())
-    except InputError:
-        return None
-
-
-def _copy(source: RunFolder, kept: RunFolder, config: RunConfig, episodes: int, evaluation: PolicyResult) -> None:
-    """Copy what ``uavaou eval`` and ``uavaou plot trajectories`` read."""
+        if not (source.best.is_file() and source.exists() and source.read_config() == run.config):
+            return
+        evaluation, meta = find_evaluation(source, run.config.algorithm.name, episodes), source.read_meta()
+    except InputError:  # condense_run has told why
+        return
+    if evaluation is None:
+        return
     kept.best.parent.mkdir(parents=True, exist_ok=True)
     for path, there in ((source.best, kept.best), (source.meta, kept.meta), (source.config, kept.config)):
         with replacing(there, "wb") as file:
             file.write(path.read_bytes())
-    content = own_evaluation(config, evaluation, episodes, EVALUATION_SEED)
-    write_evaluation(kept.evaluation(), content, _DIGITS)
+    write_evaluation(kept.evaluation(), own_evaluation(run.config, evaluation, episodes, EVALUATION_SEED), _DIGITS)
+    with replacing(kept.path / "README.md") as file:
+        file.write(model_card(results, run, episodes, meta))
 
 
-def card_lines(results: StudyResults, study: Study, key: PartKey, meta: RunMeta) -> list[str]:
-    """The model card of a kept run, in Markdown."""
-    scenario, algorithm = study.scenarios[key.scenario], study.variants[key.variant]
-    row = {name: results.cell(key, name) for name in ("slots", "agent_steps", "best_slots", "mean_aou_slots")}
-    low, high, violations = (results.cell(key, name) for name in ("low", "high", "violations"))
+def model_card(results: StudyResults, run: StudyRun, episodes: int, meta: RunMeta) -> str:
+    """The model card of a kept run, in Markdown; ``episodes`` are those of its final evaluation."""
+    key, scenario, algorithm = run.key, run.config.scenario, run.config.algorithm
+    slots, agent_steps, best, mean, low, high, violations = (
+        results.cell(key, name)
+        for name in ("slots", "agent_steps", "best_slots", "mean_aou_slots", "low", "high", "violations")
+    )
     between = f" (95 % interval over the missions: {low} to {high})" if low else ""
-    packages = ", ".join(f"{name} {v}" for name, v in meta.versions.items() if v) or "-"
-    others = sum(key[:2] == other[:2] for other in results.parts)
-    task = f"{scenario.uavs} UAVs, {scenario.devices} devices, {scenario.slots} slots"
-    return [
-        f"# {key.variant} on {key.scenario}, seed {key.seed}",
-        "",
-        f"A policy of {algorithm.name}, shared by all UAVs of the fleet, from the study `{study.name}`: the best of "
-        f"{others} seeds by their validation missions. Its test figures below chose nothing.",
-        "",
-        f"- **Trained on**: {key.scenario} ({task}; `config.yaml` has every quantity), {int(row['slots']):,} slots = "
-        f"{int(row['agent_steps']):,} agent steps, seed {key.seed}.",
-        f"- **Sees and does**: observation `{algorithm.observation}`, collection `{algorithm.collection}` "
-        f"(docs/model.md says what they hold); {meta.best_action} actions.",
-        f"- **Validation**: mean AoU {row['best_slots']} slots.",
-        f"- **Evaluation**: mean AoU {row['mean_aou_slots']} slots{between} on {study.episodes} missions, seeds "
-        f"{EVALUATION_SEED} to {EVALUATION_SEED + study.episodes - 1}, which no training and no choice has seen; "
-        f"{violations} constraint violations. This is one seed: the spread over seeds is in `runs.csv`.",
-        "- **Meant for**: reproducing and comparing figures on this scenario, and as a rival to other policies.",
-        "- **Limits**: made for this number of UAVs and devices and, with a fixed layout, for this layout; on another "
-        "one it flies, and how well nobody has measured. Trained and tested in simulation alone: it has met no wind, "
-        "no obstacles and no failing radio, and is no flight controller.",
-        f"- **Made with**: {packages}; Python {meta.python or '-'}, commit {meta.commit or 'unknown'}.",
-        "",
-        "AoU is in units of the slot length, summed over devices and averaged over slots. To play it, in this folder:",
-        "",
-        "```",
-        "uavaou eval . --policy greedy",
-        "OMP_NUM_THREADS=1 uavaou train --config config.yaml --out again",
-        "```",
-        "",
-        "The second command trains it anew.",
-    ]
+    packages = ", ".join(f"{name} {version}" for name, version in meta.versions.items() if version) or "-"
+    seeds = sum(key[:2] == other[:2] for other in results.parts)
+    return f"""\
+# {key}
+
+A policy of {algorithm.name}, shared by all UAVs of the fleet, from the study `{results.name}`: the best of {seeds} \
+seeds by their validation missions. Its test figures below chose nothing.
+
+- **Trained on**: {key.scenario} ({scenario.uavs} UAVs, {scenario.devices} devices, {scenario.slots} slots; \
+`config.yaml` has every quantity), {int(slots):,} slots = {int(agent_steps):,} agent steps, seed {key.seed}.
+- **Sees and does**: observation `{algorithm.observation}`, collection `{algorithm.collection}` (docs/model.md says \
+what they hold); {meta.best_action} actions.
+- **Validation**: mean AoU {best} slots.
+- **Evaluation**: mean AoU {mean} slots{between} on {episodes} missions, seeds {EVALUATION_SEED} to \
+{EVALUATION_SEED + episodes - 1}, which no training and no choice has seen; {violations} constraint violations. This \
+is one seed: the spread over seeds is in `runs.csv`.
+- **Meant for**: reproducing and comparing figures on this scenario, and as a rival to other policies.
+- **Limits**: made for this number of UAVs and devices and, with a fixed layout, for this layout; on another one it \
+flies, and how well nobody has measured. Trained and tested in simulation alone: it has met no wind, no obstacles and \
+no failing radio, and is no flight controller.
+- **Made with**: {packages}; Python {meta.python or "-"}, commit {meta.commit or "unknown"}.
+
+AoU is in units of the slot length, summed over devices and averaged over slots. To play it, in this folder:
+
+```
+uavaou eval . --policy greedy
+OMP_NUM_THREADS=1 uavaou train --config config.yaml --out again
+```
+
+The second command trains it anew.
+"""
 
 
 def record_missions(study: Path) -> list[Path]:
