@@ -76,13 +76,13 @@ def test_planners_have_no_seed_and_stand_beside_a_bound(finished: tuple[Path, In
 
 
 def test_long_curves_are_averaged_in_200_equal_groups(tmp_path: Path) -> None:
-    from uavaou.studies.condense import _curve_rows
+    from uavaou.studies.condense import curve_rows
 
     rows = [f"{k},{10 * k},{k / 2},{-k},{k * 2.0},{k % 7},{3}" for k in range(1, 1001)]
     header = "mission,slots,wall_s,reward_s,mean_aou_s,communications,devices_served"
     (tmp_path / "episodes.csv").write_text("\n".join([header, *rows]) + "\n")
     scenario = Scenario.load("tiny").replace(slot_length_s=4)
-    table = _curve_rows(PartKey("a", "b", 0), scenario, tmp_path / "episodes.csv")
+    table = curve_rows(PartKey("a", "b", 0), scenario, tmp_path / "episodes.csv")
     assert len(table) == 200
     assert table[0] == ["a", "b", "0", "50", "2.5", "-3", number(3 * 2 / 4), number((1 + 2 + 3 + 4 + 5) / 5), "3"]
     assert table[-1][3:5] == ["10000", "500"]
