@@ -19,7 +19,7 @@ from uavaou_cli.progress import StudyDisplay, say_how_to_go_on
 from uavaou_cli.tables import WIDTH, aligned, duration, interval_figures, show, wrapped
 
 if TYPE_CHECKING:
-    from uavaou.reports.standings import Standing
+    from uavaou.reports.scores import PolicyScores
     from uavaou.studies.jobs import Engine
     from uavaou.studies.status import PartStatus
     from uavaou.studies.study import Study
@@ -117,14 +117,14 @@ def _engine(stack: ExitStack, name: str, jobs: int | None, address: str | None, 
 
 def _result_lines(folder: Path) -> list[str]:
     """The results of a study: for each scenario the mean AoU of every variant and planner, the best first."""
-    from uavaou.reports.standings import standings
+    from uavaou.reports.scores import study_scores
     from uavaou.studies.results import read_study
 
     results = read_study(folder)
     lines = [f"study {results.settings['name']}: mean AoU in slots, {results.settings['episodes']} missions a run"]
     if not results.evaluated:
         return [*lines, "", "nothing has been evaluated yet", f"results: {folder}"]
-    for scenario, found in standings(results).items():
+    for scenario, found in study_scores(results).items():
         head = (scenario, "seeds", "mean AoU", "95 % interval", "violations")
         lines += ["", *aligned([head, *map(_cells, found)])]
     note = (
@@ -134,7 +134,7 @@ def _result_lines(folder: Path) -> list[str]:
     return [*lines, "", *wrapped(note), f"results: {folder}"]
 
 
-def _cells(one: Standing) -> tuple[str, ...]:
+def _cells(one: PolicyScores) -> tuple[str, ...]:
     violations = "-" if one.violations is None else f"{one.violations:,}"
     return one.policy, str(one.seeds or "-"), *interval_figures(one.mean), violations
 

@@ -14,8 +14,8 @@ from tests.synthetic_study import BUDGET, DEFAULT, MAPPO, PLANNERS, QMIX, VDN, V
 from uavaou.errors import InputError
 from uavaou.reports.claims import judge
 from uavaou.reports.claims_table import END, begin_marker, claims_markdown, write_claims
-from uavaou.reports.convergence import converged, reached, smooth
-from uavaou.reports.verdicts import Claim, direction_verdict, size_verdict
+from uavaou.reports.training_claims import converged, reached, smooth
+from uavaou.reports.verdicts import Claim, Decide, higher, lower, reduced_to
 from uavaou.statistics import Interval, ratio_of_trainings
 from uavaou.studies.results import read_study
 
@@ -141,20 +141,20 @@ def test_a_correlation_is_never_beyond_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("estimate", "lower", "expected"),
+    ("estimate", "decide", "expected"),
     [
-        (Interval(0.8, 0.7, 0.9), True, "supported"),
-        (Interval(0.8, 0.7, 1.1), True, "partly supported"),
-        (Interval(1.2, 0.9, 1.5), True, "not supported"),
-        (Interval(1.0, 1.0, 1.0), True, "not supported"),
-        (Interval(0.8, np.nan, np.nan), True, "partly supported"),
-        (Interval(1.2, 1.1, 1.3), False, "supported"),
-        (Interval(1.2, 0.9, 1.3), False, "partly supported"),
-        (Interval(1.0, 1.0, 1.0), False, "not supported"),
+        (Interval(0.8, 0.7, 0.9), lower, "supported"),
+        (Interval(0.8, 0.7, 1.1), lower, "partly supported"),
+        (Interval(1.2, 0.9, 1.5), lower, "not supported"),
+        (Interval(1.0, 1.0, 1.0), lower, "not supported"),
+        (Interval(0.8, np.nan, np.nan), lower, "partly supported"),
+        (Interval(1.2, 1.1, 1.3), higher, "supported"),
+        (Interval(1.2, 0.9, 1.3), higher, "partly supported"),
+        (Interval(1.0, 1.0, 1.0), higher, "not supported"),
     ],
 )
-def test_direction(estimate: Interval, lower: bool, expected: str) -> None:
-    assert direction_verdict(estimate, 1, lower=lower) == expected
+def test_direction(estimate: Interval, decide: Decide, expected: str) -> None:
+    assert decide(estimate) == expected
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_direction(estimate: Interval, lower: bool, expected: str) -> None:
     ],
 )
 def test_size(estimate: Interval, expected: str) -> None:
-    assert size_verdict(estimate, 0.5) == expected
+    assert reduced_to(0.5)(estimate) == expected
 
 
 # -- convergence ---------------------------------------------------------------------------------------
@@ -228,7 +228,7 @@ def test_times_to_a_level_are_those_of_every_training(tmp_path: Path) -> None:
     validated_at(folder, "mappo", [[9, 9, 9, 9, 9], [90, 9, 9, 9, 9]], [slots, slots])
     claim = of(judge(read_study(folder)), "level of VDN")
     assert claim.estimate == ratio_of_trainings({"": [100, 400]}, {"": [500, 1000]})
-    assert "(16.5 τ): MAPPO 250 slots, VDN 750 slots (1 of 2 trainings never: the budget counts)" in claim.measured
+    assert "(16.5 slots): MAPPO 250 slots, VDN 750 slots (1 of 2 trainings never: the budget counts)" in claim.measured
     assert claim.estimate is not None
     assert claim.estimate.low < 1 < claim.estimate.high
     assert claim.verdict == "partly supported"

@@ -12,7 +12,7 @@ import yaml
 from tests.synthetic_study import MAPPO, VDN, Variant, write_study
 from uavaou import InputError
 from uavaou.reports.claims_table import begin_marker
-from uavaou.reports.standings import standings
+from uavaou.reports.scores import study_scores
 from uavaou.reports.study_report import write_report
 from uavaou.statistics import interval_over_missions
 from uavaou.studies.results import read_study
@@ -127,7 +127,7 @@ def test_a_study_that_is_not_finished_has_a_page(tmp_path: Path) -> None:
 
 def test_one_seed_and_planners_have_intervals_over_missions(tmp_path: Path) -> None:
     results = read_study(write_study(tmp_path / "one", seeds=1, missions=9))
-    found = {one.policy: one for one in standings(results)["paper"]}
+    found = {one.policy: one for one in study_scores(results)["paper"]}
     for name in ("mappo", "greedy"):
         scores = results.table("missions", name)["mean_aou_slots"]
         assert found[name].mean.value == pytest.approx(scores.mean())
@@ -163,7 +163,7 @@ def test_the_claims_are_about_three_variants(tmp_path: Path) -> None:
         ("mapo", "reference: mappo", r"variants.'vdn': against: no variant 'mapo'; did you mean 'mappo'\?"),
         ("vdn", "reference: mappo", r"variants.'vdn': against = 'vdn': expected another variant"),
         ("qmix", "", r"variants.'vdn': against = 'qmix': needs the study to name a reference"),
-        ("qmix", "reference: vdn", r"against = 'qmix': the reference is what the others are held against"),
+        ("qmix", "reference: vdn", r"against = 'qmix': the others are compared with the reference"),
         ("3", "reference: mappo", r"variants.'vdn': against = 3"),
     ],
 )

@@ -1,8 +1,8 @@
-"""The table of an ablation study: each variant against the published settings, with a sentence that is computed.
+"""The table of an ablation study: each variant against the published settings, with a computed finding.
 
-What is compared is one mean AoU a training seed, over that seed's missions. The ratio of two variants and its interval
-are those of :mod:`uavaou.statistics.trainings`. A variant that changes more than one thing names the variant without
-the one in question; the sentence then speaks of that ratio.
+Each training seed counts with the mean AoU of its missions. The ratio of two variants and its interval are those of
+:mod:`uavaou.statistics.trainings`. A variant that changes more than one thing may name another variant to compare with;
+the finding is then about that ratio.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class Ablation:
         seeds: trainings, n.
         aou: mean AoU in slots over the seeds.
         ratio: to the published settings, with its 95 % interval; None for these themselves.
-        finding: what follows, in a sentence.
-        against: the other variant that it is held against; None where it is the published settings.
+        finding: what follows, in words.
+        against: the other variant to compare with; None where it is the published settings.
         other_ratio: to that variant; None where there is none, or it has no trainings.
     """
 
@@ -53,7 +53,7 @@ def ablations(
     Args:
         means: scenario -> variant -> (n,) mean AoU in slots of each training seed, over its missions.
         published: the variant to compare with.
-        against: variant -> another to hold it against as well.
+        against: variant -> another to compare it with as well.
 
     Raises:
         InputError: there is no such variant on a scenario.
@@ -73,13 +73,13 @@ def _ablation(
     own = means[variant]
     aou = float(own.mean())
     if variant == published:
-        return Ablation(variant, scenario, len(own), aou, None, "what the others are held against")
+        return Ablation(variant, scenario, len(own), aou, None, "the reference")
     ratio = _ratio(own, means[published])
     if against in (None, published):
         finding = _finding(variant, ratio, min(len(own), len(means[published])))
         return Ablation(variant, scenario, len(own), aou, ratio, finding)
     if against not in means:
-        finding = f"none yet: to be held against {against}, which has no trainings here"
+        finding = f"none yet: {against} has no trainings here"
         return Ablation(variant, scenario, len(own), aou, ratio, finding, against)
     other = _ratio(own, means[against])
     finding = _finding(variant, other, min(len(own), len(means[against])), against)
@@ -91,14 +91,14 @@ def _ratio(own: Floats, reference: Floats) -> Interval:
 
 
 def _finding(variant: str, ratio: Interval, fewest: int, against: str | None = None) -> str:
-    """What a ratio says; ``fewest`` trainings on one of its sides, ``against`` names what is not the published one."""
+    """What a ratio says in words; ``fewest`` is the smaller number of trainings, ``against`` the other variant."""
     if math.isnan(ratio.value):
         return "no ratio: an AoU of 0"
     than = f" than with {against}" if against else ""
     if math.isnan(ratio.low):
-        return f"×{rounded(ratio.value)}{f' against {against}' if against else ''}, of which one seed says nothing"
+        return f"×{rounded(ratio.value)}{f' of {against}' if against else ''}; one seed has no interval"
     if ratio.low <= 1 <= ratio.high:
-        return f"no difference{f' from {against}' if against else ''} that {fewest} seeds can show"
+        return f"no significant difference{f' from {against}' if against else ''} with {fewest} seeds"
     word = "worse" if ratio.value > 1 else "better"
     return f"×{with_interval(*ratio)}: {word} with {variant}{than}"
 

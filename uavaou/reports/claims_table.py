@@ -11,8 +11,8 @@ import numpy as np
 
 from uavaou.errors import InputError
 from uavaou.files import read_text, replacing
-from uavaou.reports.convergence import SMOOTHED, WITHIN
 from uavaou.reports.markdown import rounded, table
+from uavaou.reports.training_claims import SMOOTHED, WITHIN
 from uavaou.reports.verdicts import Claim
 
 END = "<!-- claims:end -->"
@@ -24,15 +24,17 @@ Verdicts are computed. On a direction: *supported* where the whole 95 % interval
 supported* where the estimate alone does, else *not supported*. On a reduction to a share: *supported* where the whole
 interval is at or below the share; *partly supported* where the estimate alone is, or where there is a reduction (the
 whole interval is below 1) that does not reach the share; else *not supported*. One training of an algorithm has no
-interval and supports a claim partly at best, and so does MAPPO where some of its trainings never get where the claim
-has them; where none does, the claim is *not supported*. *A figure* is claimed by nobody and has no verdict.
+interval and supports a claim partly at best. Where some of MAPPO's trainings never converge or never reach the level, a
+claim about that is *partly supported* at best; where none of them does, it is *not supported*. *A figure* is an
+estimate that nobody made a claim about.
 
 Ratios are those of geometric means over trainings, with Welch's interval on the logarithms; against a planner or the
-bound, one number, Student's. The correlation's interval is Student's over seeds. Trainings are the sample: missions of
-one training count with their mean. A training has converged at the first evaluation from which on its validation AoU,
-averaged over {SMOOTHED} evaluations, stays within {WITHIN:.0%} of its own best. The level of an algorithm's trainings
-is {WITHIN:.0%} above the mean of the best such AoU that each of them reaches; a training gets there at its first
-evaluation at or below it. One that never converges or gets there counts with its whole budget."""
+bound, which is one number, with Student's. The correlation's interval is Student's over seeds. The sample is that of
+trainings: each counts with the mean of its missions. A training has converged at the first evaluation from which on its
+validation AoU, averaged over {SMOOTHED} evaluations, stays within {WITHIN:.0%} of its own best. The level of an
+algorithm's trainings is {WITHIN:.0%} above the mean of the best such AoU of each of them; a training reaches it at its
+first evaluation at or below it. A training that never converges or never reaches the level counts with its whole
+budget."""
 _HEAD = ("claim", "the paper's words", "measured", "estimate", "95 % interval", "verdict")
 
 

@@ -18,7 +18,7 @@ from uavaou.reports.claims import judge
 from uavaou.reports.claims_table import claims_markdown, write_claims
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.references import below_bound
-from uavaou.reports.standings import Standing, standings
+from uavaou.reports.scores import PolicyScores, study_scores
 from uavaou.runs.lock import HeldError, only_writer
 from uavaou.studies.condense import gather, refuse_another, update_results
 from uavaou.studies.folder import StudyFolder
@@ -45,7 +45,7 @@ def report_study(study: Study, out: Path, remark: Callable[[str], None]) -> None
     Args:
         study: what is reported.
         out: the folder of all results.
-        remark: takes what whoever asked for the report should know, a line each.
+        remark: called with each line that the user should know.
 
     Raises:
         InputError: nothing has been evaluated, the results are another study's or damaged, or a file cannot be written.
@@ -85,7 +85,7 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
         results_page: gets the verdicts between its markers, where the study judges the paper's claims.
 
     Returns:
-        What whoever asked for the report should know: a bound that is broken, a page that is another study's.
+        Lines that the user should know: a policy below the bound, a page that belongs to another study.
 
     Raises:
         InputError: the condensed results are missing or damaged, or a file cannot be written.
@@ -126,7 +126,7 @@ def _unfinished(results: StudyResults) -> str:
     done = wanted & results.parts.keys()
     lines = []
     if done != wanted:
-        lines.append(f"**Not finished: {len(done):,} of {len(wanted):,} trainings are done.** All below is of these.")
+        lines.append(f"**Not finished: {len(done):,} of {len(wanted):,} trainings are done.** This page covers these.")
     failures = results.folder.read_failures()
     failed = {key: reason for key, reason in failures.items() if key not in done}
     if failed:
@@ -140,11 +140,11 @@ def _unfinished(results: StudyResults) -> str:
 def _results(results: StudyResults) -> Iterator[str]:
     """A table for each scenario, the best first."""
     yield _NOTE
-    for scenario, found in standings(results).items():
+    for scenario, found in study_scores(results).items():
         yield f"## {scenario}\n\n" + table(_HEAD, map(_cells, found))
 
 
-def _cells(one: Standing) -> tuple[str, ...]:
+def _cells(one: PolicyScores) -> tuple[str, ...]:
     alone = one.scores.size == 1 and not one.seeds  # the bound
     return (
         one.policy if alone else f"`{one.policy}`",

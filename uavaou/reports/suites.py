@@ -157,7 +157,8 @@ def _draw_policy(
         if not found:
             continue
         aou = means[label]
-        reach = np.nan_to_num(np.array([[aou.value - aou.low], [aou.high - aou.value]]))  # (2, 1)
+        low = np.maximum(aou.low, 1e-9 * aou.value)  # a logarithmic axis shows no 0
+        reach = np.nan_to_num(np.array([[aou.value - low], [aou.high - aou.value]]))  # (2, 1)
         axes.errorbar(
             places[label] + shift, aou.value, yerr=reach, color=look.colour, marker=look.marker, markersize=4,
             markerfacecolor="white" if found[0].how == "zero-shot" else look.colour,
@@ -182,7 +183,10 @@ def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
     if table.scale == "category":
         axes.set_xlim(-0.6, len(places) - 0.4)
         axes.grid(axis="x", visible=False)
-    if not style.log_scale_if_wide(axes, [row.aou.value for row in table.rows]):
+    values = [row.aou.value for row in table.rows]
+    if style.log_scale_if_wide(axes, values):
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], min(value for value in values if value > 0) / 2))
+    else:
         axes.set_ylim(bottom=0)
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.compact(value)))
 

@@ -1,53 +1,83 @@
 """Claims on training: how soon it converges, when it reaches what others reach, what reward it ends with.
 
-Every training of both sides counts with its own time; one that never gets there counts with its whole budget. MAPPO's
-that never do flatter it, and so cost the claim its verdict; the other's that never do are to MAPPO's disadvantage.
+A run's validation AoU is smoothed by the mean of ``SMOOTHED`` evaluations, the present one and those before it. The
+run **has converged** at the first evaluation from which on every smoothed value stays within ``WITHIN`` of the run's
+lowest smoothed value. It **reaches** a level at the first evaluation whose smoothed value is at or below it. A run that
+does neither counts with its whole budget. That flatters MAPPO, whose claim is then weakened, and not the others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from uavaou.reports.convergence import WITHIN, Moment, converged, reached, smooth
 from uavaou.reports.markdown import rounded, with_interval
 from uavaou.reports.verdicts import (
     OWN,
     Claim,
-    Floats,
     Trainings,
     Verdict,
     at_best,
-    by_training,
     common_scenarios,
-    direction_verdict,
+    lower,
     mean,
     means,
-    not_measured,
-    positive,
+    ratio_claim,
 )
-from uavaou.statistics import ratio_of_trainings
+from uavaou.statistics import Interval, ratio_of_trainings
 from uavaou.studies.results import StudyResults, Table
 
+Floats = NDArray[np.float64]
+
+SMOOTHED = 3  # evaluations
+WITHIN = 0.10
 FEWER_ITERATIONS = "requires fewer iterations to achieve convergence compared to conventional Value-based RL algorithms"
 HIGHER_REWARDS = "MAPPO-AoU converges faster and achieves higher rewards than the benchmarks"
 LAST_PART = 0.1  # of a training, whose reward is what it ends with
 
 
+class Moment(NamedTuple):
+    """An evaluation of a training."""
+
+    place: int  # among the evaluations, from 0
+    happened: bool  # False: never, and the place is the last evaluation's
+
+
+def smooth(aou: Floats) -> Floats:
+    """The mean of each value and the ``SMOOTHED - 1`` before it, as far as there are that many, (E,)."""
+    total = np.concatenate([[0.0], np.cumsum(aou)])  # (E + 1,)
+    end = np.arange(1, len(aou) + 1)
+    start = np.maximum(end - SMOOTHED, 0)
+    smoothed: Floats = (total[end] - total[start]) / (end - start)
+    return smoothed
+
+
+def converged(aou: Floats) -> Moment:
+    """When a training with the validation AoU (E,) has converged."""
+    smoothed = smooth(aou)
+    outside = np.flatnonzero(smoothed > (1 + WITHIN) * smoothed.min())
+    first = int(outside[-1]) + 1 if len(outside) else 0
+    return Moment(min(first, len(aou) - 1), first < len(aou))
+
+
+def reached(aou: Floats, level: float) -> Moment:
+    """When a training with the validation AoU (E,) reaches a level."""
+    below = np.flatnonzero(smooth(aou) <= level)
+    return Moment(int(below[0]), True) if len(below) else Moment(len(aou) - 1, False)
+
+
 def convergence(study: StudyResults, other: str) -> Claim:
     """Training slots until convergence."""
     text = f"MAPPO converges in fewer training slots than {other.upper()}"
-    scenarios = common_scenarios(study, "validation", OWN, other)
-    (own, never), (theirs, theirs_never) = (
-        _moments(study, name, scenarios, lambda _, aou: converged(aou), "slots") for name in (OWN, other)
-    )
-    if not positive(own, theirs):
-        return not_measured(text, FEWER_ITERATIONS, f"validation of both '{OWN}' and '{other}'")
-    ratio = ratio_of_trainings(own, theirs)
-    told = _both(own, never, theirs, theirs_never, other, "not converged")
-    verdict = at_best(direction_verdict(ratio, 1, lower=True), _most(never, own))
-    return Claim(text, FEWER_ITERATIONS, verdict, f"slots until convergence: {told}; ratio", ratio)
+    own, theirs = (_Times(study, name, other, lambda _, aou: converged(aou)) for name in (OWN, other))
+
+    def measured() -> str:
+        return f"slots until convergence: {own.told('not converged')}, {theirs.told('not converged')}; ratio"
+
+    return ratio_claim(text, FEWER_ITERATIONS, own.slots, theirs.slots, own.decide, measured, _missing(other))
 
 
 def time_to_level(study: StudyResults, other: str) -> Claim:
@@ -55,21 +85,19 @@ def time_to_level(study: StudyResults, other: str) -> Claim:
     text = f"MAPPO reaches the level of {other.upper()}'s trainings sooner than these do"
     scenarios = common_scenarios(study, "validation", OWN, other)
     levels = {name: _level(study.runs("validation", other, name)) for name in scenarios}
-    found = {}
-    for column in ("wall_s", "slots"):
-        (own, never), (theirs, theirs_never) = (
-            _moments(study, variant, scenarios, lambda name, aou: reached(aou, levels[name]), column)
-            for variant in (OWN, other)
-        )
-        if not positive(own, theirs):
-            return not_measured(text, FEWER_ITERATIONS, f"validation of both '{OWN}' and '{other}'")
-        found[column] = ratio_of_trainings(own, theirs)
-    slots, wall = found["slots"], found["wall_s"]
-    level = f" ({rounded(levels[scenarios[0]])} τ)" if len(scenarios) == 1 else ""
-    told = _both(own, never, theirs, theirs_never, other, "never")
-    measured = f"slots until there{level}: {told}; wall-clock ratio {with_interval(*wall)}; ratio in slots"
-    verdict = at_best(direction_verdict(slots, 1, lower=True), _most(never, own))
-    return Claim(text, FEWER_ITERATIONS, verdict, measured, slots)
+    own, theirs = (_Times(study, name, other, lambda name, aou: reached(aou, levels[name])) for name in (OWN, other))
+
+    def measured() -> str:
+        level = f" ({rounded(levels[scenarios[0]])} slots)" if len(scenarios) == 1 else ""
+        wall = with_interval(*ratio_of_trainings(own.wall_s, theirs.wall_s))
+        told = f"{own.told('never')}, {theirs.told('never')}"
+        return f"training slots until that AoU{level}: {told}; wall-clock ratio {wall}; ratio in slots"
+
+    return ratio_claim(text, FEWER_ITERATIONS, own.slots, theirs.slots, own.decide, measured, _missing(other))
+
+
+def _missing(other: str) -> str:
+    return f"validation of both '{OWN}' and '{other}'"
 
 
 def _level(runs: Sequence[Table]) -> float:
@@ -77,57 +105,55 @@ def _level(runs: Sequence[Table]) -> float:
     return (1 + WITHIN) * float(np.mean([smooth(run["mean_aou_slots"]).min() for run in runs]))
 
 
+class _Times:
+    """When each training of a variant comes to a moment, in the scenarios where the other has trainings too.
+
+    Attributes:
+        slots, wall_s: scenario -> (S,), the training slots and the seconds of each training.
+        never: how many trainings never come to it.
+    """
+
+    def __init__(self, study: StudyResults, variant: str, other: str, when: Callable[[str, Floats], Moment]) -> None:
+        self._name, self.never = variant.upper(), 0
+        self.slots: Trainings = {}
+        self.wall_s: Trainings = {}
+        for scenario in common_scenarios(study, "validation", OWN, other):
+            runs = study.runs("validation", variant, scenario)
+            moments = [when(scenario, run["mean_aou_slots"]) for run in runs]
+            self.never += sum(not moment.happened for moment in moments)
+            pairs = list(zip(runs, moments, strict=True))
+            self.slots |= {scenario: np.array([float(run["slots"][moment.place]) for run, moment in pairs])}
+            self.wall_s |= {scenario: np.array([run["wall_s"][moment.place] for run, moment in pairs])}
+        self._trainings = sum(len(group) for group in self.slots.values())
+
+    def told(self, what: str) -> str:
+        """The mean in slots, and how many trainings never came to it."""
+        never = f" ({self.never} of {self._trainings} trainings {what}: the budget counts)" if self.never else ""
+        return f"{self._name} {mean(self.slots):,.0f} slots{never}"
+
+    def decide(self, ratio: Interval) -> Verdict:
+        """The verdict on fewer slots, weakened where trainings never came to it and count with their budget."""
+        most: Verdict = "partly supported" if self.never < self._trainings else "not supported"
+        return at_best(lower(ratio), most if self.never else "supported")
+
+
 def last_reward(study: StudyResults, other: str) -> Claim:
     """The reward of the training missions at the end of training; rewards are negative, so that smaller is more."""
     text = f"MAPPO ends training with higher rewards than {other.upper()}"
     scenarios = common_scenarios(study, "curves", OWN, other)
     own, theirs = (
-        by_training({name: [-_last_reward(run) for run in study.runs("curves", variant, name)] for name in scenarios})
+        {name: np.array([-_last_reward(run) for run in study.runs("curves", variant, name)]) for name in scenarios}
         for variant in (OWN, other)
     )
-    if not positive(own, theirs):
-        return not_measured(text, HIGHER_REWARDS, f"rewards below 0 of both '{OWN}' and '{other}'")
-    ratio = ratio_of_trainings(own, theirs)
-    signed = [{name: -group for name, group in values.items()} for values in (own, theirs)]
-    told = means(signed[0], signed[1], other.upper(), " s")
-    measured = f"reward of the training missions in the last {LAST_PART:.0%} of training: {told}; ratio of sizes"
-    return Claim(text, HIGHER_REWARDS, direction_verdict(ratio, 1, lower=True), measured, ratio)
+
+    def measured() -> str:
+        told = means(own, theirs, other.upper(), " s", sign=-1)
+        return f"reward of the training missions in the last {LAST_PART:.0%} of training: {told}; ratio of sizes"
+
+    missing = f"rewards below 0 of both '{OWN}' and '{other}'"
+    return ratio_claim(text, HIGHER_REWARDS, own, theirs, lower, measured, missing)
 
 
 def _last_reward(run: Table) -> float:
     late = run["slots"] > (1 - LAST_PART) * run["slots"][-1]
     return float(run["reward_s"][late].mean())
-
-
-def _moments(
-    study: StudyResults, variant: str, scenarios: Iterable[str], when: Callable[[str, Floats], Moment], column: str
-) -> tuple[Trainings, int]:
-    """The slots (or seconds) of each run at a moment, (S,) a scenario, and in how many runs it never came."""
-    found, never = {}, 0
-    for scenario in scenarios:
-        runs = study.runs("validation", variant, scenario)
-        moments = [when(scenario, run["mean_aou_slots"]) for run in runs]
-        never += sum(not moment.happened for moment in moments)
-        found[scenario] = [run[column][moment.place] for run, moment in zip(runs, moments, strict=True)]
-    return by_training(found), never
-
-
-def _both(own: Trainings, never: int, theirs: Trainings, theirs_never: int, other: str, what: str) -> str:
-    """Both means in slots, and how many trainings of which never got there."""
-    return ", ".join(
-        f"{name} {mean(slots):,.0f} slots{_not_all(count, slots, what)}"
-        for name, slots, count in ((OWN.upper(), own, never), (other.upper(), theirs, theirs_never))
-    )
-
-
-def _runs(values: Trainings) -> int:
-    return sum(len(group) for group in values.values())
-
-
-def _most(never: int, own: Trainings) -> Verdict:
-    """What can be said at best of runs some of which never got there: the budget, which they count with, flatters."""
-    return "supported" if not never else "not supported" if never == _runs(own) else "partly supported"
-
-
-def _not_all(count: int, values: Trainings, what: str) -> str:
-    return f" ({count} of {_runs(values)} trainings {what}: the budget counts)" if count else ""

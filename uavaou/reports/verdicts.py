@@ -3,15 +3,15 @@
 On a **direction** (fewer, lower, more): supported where the whole 95 % interval lies on the claimed side; partly
 supported where the estimate alone does; otherwise not supported. On a **size** (reduced to a share s): supported where
 the whole interval is at or below s; partly supported where the estimate alone is, or where there is a reduction, the
-whole interval below 1, that does not reach s; otherwise not supported. One training of an algorithm has no interval,
-and so supports a claim partly at best.
+whole interval below 1, that does not reach s; otherwise not supported. One training of an algorithm has no interval
+and supports a claim partly at best.
 
-An estimate that nobody claimed anything of is **a figure**: it has no verdict.
+An estimate that nobody made a claim about is **a figure**: it has no verdict.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,20 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.reports.markdown import rounded
-from uavaou.statistics import Interval
+from uavaou.statistics import Interval, ratio_of_trainings
 from uavaou.studies.fields import JUDGED
 from uavaou.studies.results import StudyResults
 
-Floats = NDArray[np.float64]
-Trainings = Mapping[str, Floats]  # scenario -> (S,), one value a training; (), a number, of what is not trained
+Trainings = Mapping[str, NDArray[np.float64]]  # scenario -> (S,), one value a training; () for an untrained policy
 Verdict = Literal["supported", "partly supported", "not supported", "not measured", "a figure"]
+Decide = Callable[[Interval], Verdict]
 
 OWN, *BASELINES = JUDGED
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim and what a study says of it."""
+    """One claim and what a study says about it."""
 
     claim: str
     quote: str  # the paper's words; empty for a claim of this project
@@ -42,20 +42,29 @@ class Claim:
     command: str = ""  # that made the study
 
 
-def direction_verdict(estimate: Interval, threshold: float, *, lower: bool) -> Verdict:
-    """The verdict on a claim that something lies below the threshold, or above it."""
-    sign = 1.0 if lower else -1.0
-    worst = estimate.high if lower else estimate.low
-    if sign * worst < sign * threshold:  # nan, an interval that is not known, supports nothing
+def lower(estimate: Interval, threshold: float = 1) -> Verdict:
+    """The verdict on a claim that something is below the threshold."""
+    if estimate.high < threshold:  # nan, an unknown interval, supports nothing
         return "supported"
-    return "partly supported" if sign * estimate.value < sign * threshold else "not supported"
+    return "partly supported" if estimate.value < threshold else "not supported"
 
 
-def size_verdict(ratio: Interval, share: float) -> Verdict:
+def higher(estimate: Interval) -> Verdict:
+    """The verdict on a claim that a ratio is above 1."""
+    if estimate.low > 1:
+        return "supported"
+    return "partly supported" if estimate.value > 1 else "not supported"
+
+
+def reduced_to(share: float) -> Decide:
     """The verdict on a claim that a ratio is at most ``share``, a number below 1."""
-    if ratio.high <= share:  # nan, an interval that is not known, supports nothing
-        return "supported"
-    return "partly supported" if ratio.value <= share or ratio.high < 1 else "not supported"
+
+    def decide(ratio: Interval) -> Verdict:
+        if ratio.high <= share:
+            return "supported"
+        return "partly supported" if ratio.value <= share or ratio.high < 1 else "not supported"
+
+    return decide
 
 
 def at_best(verdict: Verdict, most: Verdict) -> Verdict:
@@ -64,8 +73,26 @@ def at_best(verdict: Verdict, most: Verdict) -> Verdict:
     return order[min(order.index(verdict), order.index(most))]
 
 
+def ratio_claim(
+    claim: str, quote: str, own: Trainings, theirs: Trainings, decide: Decide, measured: Callable[[], str], missing: str
+) -> Claim:
+    """A claim on the ratio of MAPPO's values to others', or that the study has nothing to judge it by.
+
+    Args:
+        claim, quote: as :class:`Claim` has them.
+        own, theirs: the values; a ratio needs all of them above 0.
+        decide: the verdict on the ratio.
+        measured: makes the words that say what was measured.
+        missing: what the study lacks where there are no such values.
+    """
+    if not all(values and min(group.min() for group in values.values()) > 0 for values in (own, theirs)):
+        return not_measured(claim, quote, missing)
+    ratio = ratio_of_trainings(own, theirs)
+    return Claim(claim, quote, decide(ratio), measured(), ratio)
+
+
 def not_measured(claim: str, quote: str, missing: str) -> Claim:
-    """A claim that the study has no figures for."""
+    """A claim that the study has no values for."""
     return Claim(claim, quote, "not measured", f"the study has no {missing}")
 
 
@@ -74,29 +101,12 @@ def common_scenarios(study: StudyResults, table: str, *variants: str) -> list[st
     return [name for name in study.scenarios if all(study.runs(table, variant, name) for variant in variants)]
 
 
-def positive(*policies: Trainings) -> bool:
-    """Whether a ratio of these policies can be taken: each training's value in every scenario is above 0."""
-    return all(values and min(group.min() for group in values.values()) > 0 for values in policies)
-
-
 def mean(values: Trainings) -> float:
     """The mean over scenarios of the mean over trainings."""
     return float(np.mean([group.mean() for group in values.values()]))
 
 
-def means(own: Trainings, other: Trainings, name: str, unit: str = "", digits: int = 4) -> str:
+def means(own: Trainings, other: Trainings, name: str, unit: str = "", digits: int = 4, sign: int = 1) -> str:
     """Both means in words."""
-    ours, theirs = (f"{rounded(mean(values), digits)}{unit}" for values in (own, other))
+    ours, theirs = (f"{rounded(sign * mean(values), digits)}{unit}" for values in (own, other))
     return f"MAPPO {ours}, {name} {theirs}"
-
-
-def by_training(values: Mapping[str, Iterable[float]]) -> dict[str, Floats]:
-    """One value of each training, scenario -> (S,)."""
-    return {name: np.array(list(column), dtype=np.float64) for name, column in values.items()}
-
-
-def of_missions(study: StudyResults, variant: str, column: str, scenarios: Iterable[str]) -> dict[str, Floats]:
-    """The mean over its missions of each training's figure, scenario -> (S,); of a planner, which is none, ()."""
-    found = study.missions(variant, column, scenarios)
-    trained = variant in study.algorithms
-    return {name: np.asarray(table.mean(axis=1 if trained else None)) for name, table in found.items()}

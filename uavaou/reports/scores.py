@@ -1,4 +1,4 @@
-"""How the policies of a study stand on each scenario: what its page and ``uavaou study`` show."""
+"""The scores of the policies of a study on each scenario, as its page and ``uavaou study`` show them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Standing:
+class PolicyScores:
     """One policy, or the bound, on one scenario.
 
     Attributes:
@@ -45,7 +45,7 @@ class Standing:
         return interquartile_mean({"": self.scores})
 
 
-def standings(results: StudyResults) -> dict[str, list[Standing]]:
+def study_scores(results: StudyResults) -> dict[str, list[PolicyScores]]:
     """Of each scenario the policies and the bound, the best first.
 
     Raises:
@@ -57,7 +57,7 @@ def standings(results: StudyResults) -> dict[str, list[Standing]]:
     }
 
 
-def _of_scenario(results: StudyResults, scenario: str) -> list[Standing]:
+def _of_scenario(results: StudyResults, scenario: str) -> list[PolicyScores]:
     found = []
     for variant in (*results.algorithms, *results.planners):
         scores = results.stack("missions", variant, scenario, "mean_aou_slots")
@@ -66,9 +66,9 @@ def _of_scenario(results: StudyResults, scenario: str) -> list[Standing]:
         runs = results.table("runs", variant, scenario)
         if len(runs["seed"]):
             wall_s, violations = float(runs["wall_s"].mean()), int(runs["violations"].sum())
-            found.append(Standing(variant, len(scores), scores, wall_s, violations))
+            found.append(PolicyScores(variant, len(scores), scores, wall_s, violations))
         else:
-            found.append(Standing(variant, 0, scores))
+            found.append(PolicyScores(variant, 0, scores))
     if scenario in results.bounds:
-        found.append(Standing("lower bound", 0, np.array([[results.bounds[scenario]]])))
+        found.append(PolicyScores("lower bound", 0, np.array([[results.bounds[scenario]]])))
     return found
