@@ -11,7 +11,9 @@ import reprlib
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, Field, ValidationError
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PlainSerializer, ValidationError
 
 from uavaou.errors import InputError, nearest
 
@@ -42,6 +44,27 @@ Whole = Annotated[int, BeforeValidator(_plain_number)]
 PositiveWhole = Annotated[Whole, Field(ge=1, le=10**12)]
 Period = Annotated[Whole, Field(ge=1, le=10**6)]  # slots
 Point = tuple[Coordinate, Coordinate]
+
+
+def _numbers(value: Any) -> NDArray[Any]:
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        array = np.empty(0, dtype=object)
+    if array.dtype.kind not in "iuf" or array.size == 0 or not np.isfinite(array).all():
+        raise ValueError("expected finite numbers, in lists of the same length")
+    return array
+
+
+def _whole_numbers(array: NDArray[Any]) -> NDArray[Any]:
+    if array.dtype.kind == "f":
+        raise ValueError("expected whole numbers")
+    return array
+
+
+# Lists of numbers, of any depth, as arrays; for models with arbitrary_types_allowed.
+Numbers = Annotated[NDArray[Any], BeforeValidator(_numbers), PlainSerializer(lambda array: array.tolist())]
+WholeNumbers = Annotated[Numbers, AfterValidator(_whole_numbers)]
 
 
 def reads_schema(version: int) -> Callable[[Any], int]:

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from uavaou.errors import InputError
+from uavaou.fields import Numbers, Whole, WholeNumbers, reads_schema, validated
 from uavaou.files import read_json, replacing
 from uavaou.planners.base import Planner
 from uavaou.scenario import Layout, Scenario
@@ -29,6 +31,7 @@ _LAYOUT = {
     "transmit_power_w": "transmit_power",
     "update_period_slots": "update_period",
 }
+_LAYOUT_TYPES = (np.float64, np.float64, np.float64, np.int64)
 
 
 @dataclass(frozen=True)
@@ -121,60 +124,56 @@ def _lines(part: Any) -> str:
     return json.dumps(part)
 
 
+class _LayoutContent(BaseModel):
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    devices_m: Numbers  # (I, 2)
+    bandwidth_hz: Numbers  # (I,)
+    transmit_power_w: Numbers  # (I,)
+    update_period_slots: WholeNumbers  # (I,)
+
+
+class _Content(BaseModel):
+    """The content of a recorded mission's file."""
+
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    schema_: Annotated[int, BeforeValidator(reads_schema(SCHEMA))] = Field(alias="schema")
+    policy: str
+    training_seed: Whole | None = None
+    mission_seed: Whole
+    scenario: dict[str, Any]
+    layout: _LayoutContent
+    positions_m: Numbers  # (K, U, 2)
+    collected_by: WholeNumbers  # (K, I)
+    age_sum_slots: Numbers  # (K, I)
+
+
 def read_mission(path: Path) -> RecordedMission:
     """Read what :func:`write_mission` wrote.
 
     Raises:
         InputError: the file cannot be read, or a field is missing or of another shape.
     """
-    content = read_json(path, _MOST_BYTES)
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise InputError(f"{path}: not a recorded mission of schema {SCHEMA}")
-    if not isinstance(content.get("scenario"), dict):
-        raise InputError(f"{path}: field 'scenario' is missing or not a mapping")
-    scenario = Scenario.from_dict(content["scenario"], source=f"{path}: scenario")
+    content = validated(_Content, read_json(path, _MOST_BYTES), str(path))
+    scenario, layout = Scenario.from_dict(content.scenario, source=f"{path}: scenario"), content.layout
     slots, uavs, devices = scenario.slots, scenario.uavs, scenario.devices
-    layout = content.get("layout")
-    if not isinstance(layout, dict):
-        raise InputError(f"{path}: field 'layout' is missing or not a mapping")
-    recording = Recording(
-        positions=_array(path, content, "positions_m", (slots, uavs, 2)),
-        collected_by=_whole(path, content, "collected_by", (slots, devices)),
-        age_sum=_array(path, content, "age_sum_slots", (slots, devices)) * scenario.slot_length_s,
-        layout=Layout(
-            _array(path, layout, "devices_m", (devices, 2)),
-            _array(path, layout, "bandwidth_hz", (devices,)),
-            _array(path, layout, "transmit_power_w", (devices,)),
-            _whole(path, layout, "update_period_slots", (devices,)),
-        ),
-    )
-    if not -1 <= recording.collected_by.min() <= recording.collected_by.max() < uavs:
-        raise InputError(f"{path}: field 'collected_by' names UAVs outside 0 to {uavs - 1}")
-    if recording.layout.update_period.min() < 1:
-        raise InputError(f"{path}: field 'update_period_slots' has a period below 1")
-    seed = content.get("training_seed")
-    return RecordedMission(
-        scenario,
-        str(content.get("policy", path.stem)),
-        seed if isinstance(seed, int) else None,
-        int(_array(path, content, "mission_seed", ())),
-        recording,
-    )
-
-
-def _array(path: Path, content: dict[str, Any], field: str, shape: tuple[int, ...]) -> Floats:
-    try:
-        values = np.asarray(content.get(field), dtype=np.float64)
-    except (ValueError, TypeError):
-        values = np.full(1, np.nan)
-    if values.shape != shape or not np.isfinite(values).all():
-        raise InputError(f"{path}: field '{field}' is missing or not an array of numbers of shape {shape}")
-    return values
-
-
-def _whole(path: Path, content: dict[str, Any], field: str, shape: tuple[int, ...]) -> Ints:
-    values = _array(path, content, field, shape)
-    whole = np.rint(values).astype(np.int64)
-    if (whole != values).any():
-        raise InputError(f"{path}: field '{field}' holds numbers that are not whole")
-    return whole
+    for place, field, shape in (
+        (content, "positions_m", (slots, uavs, 2)),
+        (content, "collected_by", (slots, devices)),
+        (content, "age_sum_slots", (slots, devices)),
+        (layout, "devices_m", (devices, 2)),
+        (layout, "bandwidth_hz", (devices,)),
+        (layout, "transmit_power_w", (devices,)),
+        (layout, "update_period_slots", (devices,)),
+    ):
+        if getattr(place, field).shape != shape:
+            raise InputError(f"{path}: {field}: expected an array of shape {shape}, not {getattr(place, field).shape}")
+    if not -1 <= content.collected_by.min() <= content.collected_by.max() < uavs:
+        raise InputError(f"{path}: collected_by: names UAVs outside 0 to {uavs - 1}")
+    if layout.update_period_slots.min() < 1:
+        raise InputError(f"{path}: update_period_slots: has a period below 1")
+    ages = content.age_sum_slots * scenario.slot_length_s  # (K, I) s
+    flown = Layout(*(getattr(layout, name).astype(kind) for name, kind in zip(_LAYOUT, _LAYOUT_TYPES, strict=True)))
+    recording = Recording(content.positions_m.astype(np.float64), content.collected_by, ages, flown)
+    return RecordedMission(scenario, content.policy, content.training_seed, content.mission_seed, recording)

@@ -12,15 +12,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, PlainSerializer, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, model_validator
 
 from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
 from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import Evaluation
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou.fields import Whole, validated
+from uavaou.fields import Numbers, Whole, validated
 from uavaou.files import read_json, write_json
 from uavaou.planners.base import Planner
 from uavaou.runs.checkpoint_header import read_header
@@ -29,16 +28,6 @@ from uavaou.scenario import Scenario
 from uavaou.statistics import band_over_missions
 
 _PART = re.compile(r"first-\d+")  # the name of an evaluation whose missions are part of default.json's
-
-
-def _array(value: Any) -> NDArray[Any]:
-    try:
-        array = np.asarray(value)
-    except ValueError:  # rows of different lengths
-        array = np.empty(0, dtype=object)
-    if array.dtype.kind not in "iuf" or array.size == 0 or not np.isfinite(array).all():
-        raise ValueError("expected finite numbers in lists of the same length")
-    return array
 
 
 def _of_dimensions(dimensions: int, name: str) -> AfterValidator:
@@ -50,9 +39,8 @@ def _of_dimensions(dimensions: int, name: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-_Numbers = Annotated[NDArray[Any], BeforeValidator(_array), PlainSerializer(lambda array: array.tolist())]
-Values = Annotated[_Numbers, _of_dimensions(1, "list")]
-Table = Annotated[_Numbers, _of_dimensions(2, "table")]
+Values = Annotated[Numbers, _of_dimensions(1, "list")]
+Table = Annotated[Numbers, _of_dimensions(2, "table")]
 
 
 class _Model(BaseModel):
