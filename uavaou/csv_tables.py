@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from uavaou.errors import InputError
 from uavaou.fields import short
-from uavaou.files import read_text, replacing
+from uavaou.files import read_text, replacing, writing
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -164,7 +164,7 @@ def write_csv(
     Raises:
         InputError: the file cannot be written.
     """
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as file:
             writer = csv.writer(file, lineterminator="\n")
@@ -172,8 +172,6 @@ def write_csv(
             for row in rows:
                 values = [row[name] for name in columns] if isinstance(row, Mapping) else row
                 writer.writerow([_cell(value, digits) for value in values])
-    except OSError as error:
-        raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
 def _cell(value: Any, digits: int) -> Any:

@@ -14,6 +14,17 @@ from urllib.parse import quote
 from uavaou.errors import InputError
 
 
+class PathIn:
+    """A path below the ``path`` of the object that has it: ``config = PathIn("config.yaml")``."""
+
+    def __init__(self, *parts: str) -> None:
+        self._parts = parts
+
+    def __get__(self, folder: Any, kind: type) -> Path:
+        path: Path = folder.path.joinpath(*self._parts)
+        return path
+
+
 @contextmanager
 def replacing(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
     """Open a file that replaces ``path`` atomically, after it has reached the disk, if the block ends without error.
@@ -38,6 +49,15 @@ def replacing(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
         partial.unlink(missing_ok=True)
         raise
     partial.replace(path)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn a failure to write ``path``, a file or a folder, into an :class:`InputError`."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
 def flush_to_disk(file: IO[Any]) -> None:
@@ -109,8 +129,9 @@ def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
     """Replace a JSON file, and make its folder; without ``indent`` on one line.
 
     Raises:
-        OSError: the file cannot be written.
+        InputError: the file cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as file:
-        file.write(json.dumps(content, indent=indent, separators=None if indent else (",", ":")) + "\n")
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as file:
+            file.write(json.dumps(content, indent=indent, separators=None if indent else (",", ":")) + "\n")

@@ -191,7 +191,7 @@ def test_a_limit_on_files_stops_the_training_in_words(
 ) -> None:
     before = files(stopped)
     request.getfixturevalue("_largest_file")
-    with pytest.raises(InputError, match=r"cannot write to .*: File too large; last good checkpoint: .* at slot 144$"):
+    with pytest.raises(InputError, match=r"cannot write .*: File too large; last good checkpoint: .* at slot 144$"):
         every_update(small(), stopped, resume=True)
     assert files(stopped) == before
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
@@ -216,7 +216,7 @@ def test_a_disk_that_fails_stops_the_training_in_words(
             patch.setattr("uavaou.runs.checkpoint.write_arrays", fail)
         else:
             patch.setattr("uavaou.runs.records.EpisodesCsv.flush", fail)
-        with pytest.raises(InputError, match=f"cannot write to .*: {says}"):
+        with pytest.raises(InputError, match=f"cannot write .*: {says}"):
             every_update(small(), stopped, resume=True)
     assert files(stopped) == before
     every_update(small(), stopped, resume=True)

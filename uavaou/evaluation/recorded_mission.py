@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from uavaou.errors import InputError
 from uavaou.fields import Numbers, Whole, WholeNumbers, reads_schema, validated
-from uavaou.files import read_json, replacing
+from uavaou.files import read_json, replacing, writing
 from uavaou.planners.base import Planner
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
@@ -97,7 +97,7 @@ def write_mission(path: Path, mission: RecordedMission) -> None:
     """Write a mission as JSON, a line for each slot and table: ages in whole slots, positions in m.
 
     Raises:
-        OSError: the file cannot be written.
+        InputError: the file cannot be written.
     """
     recording = mission.recording
     ages = np.rint(recording.age_sum / mission.scenario.slot_length_s).astype(np.int64)  # (K, I) whole slots
@@ -113,7 +113,7 @@ def write_mission(path: Path, mission: RecordedMission) -> None:
         "age_sum_slots": ages.tolist(),
     }
     parts = [f"{json.dumps(name)}: {_lines(part)}" for name, part in content.items()]
-    with replacing(path) as file:
+    with writing(path), replacing(path) as file:
         file.write("{\n" + ",\n".join(parts) + "\n}\n")
 
 

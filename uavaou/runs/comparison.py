@@ -35,7 +35,7 @@ def read_runs(folders: Iterable[str]) -> dict[str, RunConfig]:
     spellings: dict[Path, str] = {}
     for name in folders:
         spellings.setdefault(Path(name).resolve(), name)
-    return {name: RunFolder(Path(name)).read_config() for name in spellings.values()}
+    return {name: RunFolder.at(name).read_config() for name in spellings.values()}
 
 
 def common_scenario(runs: Mapping[str, RunConfig]) -> Scenario:
@@ -57,7 +57,7 @@ def load_runs(folders: Iterable[str], scenario: Scenario, action: str | None = N
     """The best policies of runs by folder; see :func:`uavaou.runs.policy.load_run`."""
     from uavaou.runs.policy import load_run  # imports torch, which planners do without
 
-    return {name: load_run(RunFolder(Path(name)), scenario, action) for name in folders}
+    return {name: load_run(RunFolder.at(name), scenario, action) for name in folders}
 
 
 @dataclass(frozen=True)
@@ -75,22 +75,20 @@ class Comparison:
         """``greedy`` or ``sample`` of each trained policy; None of planners."""
         return {name: getattr(policy, "action", None) for name, policy in self.policies.items()}
 
-    def _content(self) -> dict[str, PolicyResult]:
+    def contents(self) -> dict[str, PolicyResult]:
+        """Each policy's part of an evaluation file."""
         return {
             name: PolicyResult.of(result, self.scenario, self.policies[name]) for name, result in self.results.items()
         }
 
     def keep(self, runs: Mapping[str, RunConfig]) -> list[str]:
         """Write ``eval/default.json`` of each run, with the planners beside its policy; returns a note on each."""
-        content = self._content()
-        planners = {name: result for name, result in content.items() if result.action is None}
-        return [
-            keep_evaluation(
-                RunFolder(Path(name)).evaluation(),
-                own_evaluation(config, content[name], self.episodes, self.seed, beside=planners),
-            )
-            for name, config in runs.items()
-        ]
+        contents, notes = self.contents(), []
+        planners = {name: result for name, result in contents.items() if result.action is None}
+        for name, config in runs.items():
+            content = own_evaluation(config, contents[name], self.episodes, self.seed, beside=planners)
+            notes.append(keep_evaluation(RunFolder.at(name).evaluation(), content))
+        return notes
 
     def write(self, path: Path) -> None:
         """Write the figures of every policy and mission into one file.
@@ -98,13 +96,12 @@ class Comparison:
         Raises:
             InputError: the file cannot be written.
         """
-        content = EvaluationFile(
-            scenario=self.scenario.name, episodes=self.episodes, seed=self.seed, policies=self._content()
+        write_evaluation(
+            path,
+            EvaluationFile(
+                scenario=self.scenario.name, episodes=self.episodes, seed=self.seed, policies=self.contents()
+            ),
         )
-        try:
-            write_evaluation(path, content)
-        except OSError as error:
-            raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
 def compare(

@@ -20,7 +20,7 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
 from uavaou.fields import Whole, reads_schema, validated
-from uavaou.files import refuse_links
+from uavaou.files import PathIn, read_json, refuse_links
 from uavaou.runs.meta import RunMeta
 from uavaou.scenario import Scenario
 from uavaou.world import Views
@@ -83,35 +83,14 @@ class RunFolder:
         """The run folder at a path."""
         return place if isinstance(place, RunFolder) else cls(Path(place))
 
-    @property
-    def config(self) -> Path:
-        """Everything resolved: running it again gives the same run."""
-        return self.path / "config.yaml"
-
-    @property
-    def meta(self) -> Path:
-        """Versions, machine, budgets, wall-clock."""
-        return self.path / "meta.json"
-
-    @property
-    def episodes(self) -> Path:
-        """A row for each training mission."""
-        return self.path / "episodes.csv"
-
-    @property
-    def last(self) -> Path:
-        """What resuming needs."""
-        return self.path / "checkpoints" / "last.safetensors"
-
-    @property
-    def previous(self) -> Path:
-        """The ``last`` before the last: taken where that one is damaged."""
-        return self.path / "checkpoints" / "previous.safetensors"
-
-    @property
-    def best(self) -> Path:
-        """The policy that did best on the validation missions."""
-        return self.path / "checkpoints" / "best.safetensors"
+    config = PathIn("config.yaml")  # everything resolved: running it again gives the same run
+    meta = PathIn("meta.json")  # see RunMeta
+    episodes = PathIn("episodes.csv")  # a row for each training mission
+    progress = PathIn("progress.csv")  # what the learner logs
+    last = PathIn("checkpoints", "last.safetensors")  # what resuming needs
+    previous = PathIn("checkpoints", "previous.safetensors")  # the ``last`` before: taken where that one is damaged
+    best = PathIn("checkpoints", "best.safetensors")  # the policy that did best on the validation missions
+    lock = PathIn(".lock")  # held by the process that writes the run
 
     @property
     def policy(self) -> Path:
@@ -122,18 +101,13 @@ class RunFolder:
         """An evaluation's file; see :mod:`uavaou.runs.results`."""
         return self.path / "eval" / f"{name}.json"
 
-    @property
-    def lock(self) -> Path:
-        """Held by the process that writes the run."""
-        return self.path / ".lock"
-
     def read_meta(self) -> RunMeta:
         """Read ``meta.json``.
 
         Raises:
             InputError: it cannot be read, or a field of it is missing or cannot be used.
         """
-        return RunMeta.read(self.meta)
+        return validated(RunMeta, read_json(self.meta), str(self.meta))
 
     @property
     def finished(self) -> bool:
@@ -261,26 +235,24 @@ def train_command(
     command = ["uavaou", *(word for place in plugins for word in ("--plugin", place)), "train"]
     command += ["--scenario", source, "--algorithm", algorithm.name]
     published = load_config(algorithm.name).model_dump(mode="json")
-    parts = {
-        "scenario": (Scenario.load(source).to_dict(), scenario.to_dict()),
-        "algorithm": (published, algorithm.model_dump(mode="json")),
+    changes = {
+        "scenario": _differences(Scenario.load(source).to_dict(), scenario.to_dict()),
+        "algorithm": _differences(published, algorithm.model_dump(mode="json")),
     }
-    for part, (base, wanted) in parts.items():
-        for field, value in wanted.items():
-            if value != base.get(field) and field not in ("name", "description"):
-                typed = json.dumps(value) if isinstance(value, list | dict | bool) else str(value)
-                command += ["--set", f"{part}.{field}={typed}"]
+    for part, fields in changes.items():
+        for name, value in fields.items():
+            if name not in ("name", "description"):
+                command += ["--set", f"{part}.{name}={value}"]
     return command
 
 
 def _differences(base: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str, str]:
     """The fields that differ from ``base``, as one would type them after ``--set``."""
     changed = {name: value for name, value in fields.items() if name not in base or base[name] != value}
-    return {name: value if isinstance(value, str) else _typed(value) for name, value in changed.items()}
-
-
-def _typed(value: Any) -> str:
-    return json.dumps(value, separators=(",", ":"))
+    return {
+        name: value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+        for name, value in changed.items()
+    }
 
 
 def _folder_name(base: str, overrides: Mapping[str, str]) -> str:

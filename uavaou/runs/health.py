@@ -10,7 +10,6 @@ import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from uavaou.errors import InputError
-from uavaou.runs.folder import RunFolder
 
 
 class BadNumberError(InputError):
@@ -26,7 +25,7 @@ def check_rewards(rewards: Any, slots: int, kept: str) -> None:
     Args:
         rewards: of all rows.
         slots: of all missions, when they were given.
-        kept: :func:`last_good`.
+        kept: where the last good checkpoint is.
 
     Raises:
         BadNumberError: naming the first of them.
@@ -50,8 +49,3 @@ def check_learner(model: BaseAlgorithm, slots: int, kept: str) -> None:
         if not bool(th.isfinite(tensor).all()):
             bad = tensor[~th.isfinite(tensor)][0].item()
             raise BadNumberError(slots, f"the weights hold {bad} in {name}", kept)
-
-
-def last_good(folder: RunFolder, slots: int) -> str:
-    """Where the last checkpoint is."""
-    return f"last good checkpoint: {folder.last}, at slot {slots:,}" if slots else "no checkpoint yet"

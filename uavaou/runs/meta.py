@@ -11,8 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from uavaou.fields import Number, Whole, validated
-from uavaou.files import read_json
+from uavaou.fields import Number, Whole
 
 _PACKAGES = ("uavaou", "torch", "stable-baselines3", "supersuit", "pettingzoo", "gymnasium", "numpy")
 
@@ -44,15 +43,6 @@ class RunMeta(BaseModel):
     row_slots: Whole | None = None
     budget_left: Number | None = None
     cpu_s: Number | None = None
-
-    @classmethod
-    def read(cls, path: Path) -> RunMeta:
-        """Read a run's ``meta.json``.
-
-        Raises:
-            InputError: it cannot be read, or a field of it is missing or cannot be used.
-        """
-        return validated(cls, read_json(path), str(path))
 
 
 def describe_machine() -> dict[str, Any]:

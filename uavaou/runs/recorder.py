@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -18,11 +19,11 @@ from uavaou.files import write_json
 from uavaou.runs.checkpoint import save_policy, save_training
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.health import check_learner, check_rewards, last_good
+from uavaou.runs.health import check_learner, check_rewards
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.meta import RunMeta, describe_machine
 from uavaou.runs.policy import TrainedPolicy
-from uavaou.runs.records import EpisodesCsv, ProgressCsv, Recent, plain
+from uavaou.runs.records import EpisodesCsv, ProgressCsv, plain
 
 CHECKPOINT_EVERY_S = 30.0
 MOST_SHARE = 0.025  # of the wall-clock, for checkpoints: a large replay is written less often
@@ -82,7 +83,7 @@ class Recorder(BaseCallback):
     ) -> None:  # fmt: skip
         super().__init__()
         self.progress = progress
-        self.progress_csv = ProgressCsv(folder.path / "progress.csv", progress.rows)
+        self.progress_csv = ProgressCsv(folder.progress, progress.rows)
         self.stopped_by: signal.Signals | None = None
         self._config = config
         self._folder = folder
@@ -91,7 +92,7 @@ class Recorder(BaseCallback):
         self._interrupts = interrupts
         self._every_s = checkpoint_every_s
         self._uavs = config.scenario.uavs
-        self._recent = Recent(config.algorithm.missions)
+        self._recent: deque[float] = deque(maxlen=config.algorithm.missions)  # s, mean AoU of the last missions
         self._episodes = EpisodesCsv(folder.episodes, progress.missions)
         self._machine = describe_machine()
         self._saved = progress.slots  # slots at the last checkpoint
@@ -115,7 +116,13 @@ class Recorder(BaseCallback):
     @property
     def kept(self) -> str:
         """Where the last good checkpoint is."""
-        return last_good(self._folder, self._saved)
+        if not self._saved:
+            return "no checkpoint yet"
+        return f"last good checkpoint: {self._folder.last}, at slot {self._saved:,}"
+
+    @property
+    def _mean_aou_s(self) -> float | None:
+        return float(np.mean(self._recent)) if self._recent else None
 
     def _advance(self, **changes: Any) -> None:
         self.progress = self.progress.model_copy(update=changes)
@@ -131,9 +138,9 @@ class Recorder(BaseCallback):
             infos = self.locals["infos"][:: self._uavs]
             missions = [info["mission"] for info in infos if "mission" in info]
             self._episodes.write(missions, self._slots, self._wall_s)
-            self._recent.add(missions)
+            self._recent.extend(mission["mean_aou_s"] for mission in missions)
             self._advance(missions=self.progress.missions + len(missions))
-            self.logger.record("rollout/mean_aou_s", self._recent.mean)
+            self.logger.record("rollout/mean_aou_s", self._mean_aou_s)
         return True
 
     def _on_rollout_start(self) -> None:
@@ -151,7 +158,7 @@ class Recorder(BaseCallback):
         self._cpu_s = time.process_time() - self._cpu_before
         check_learner(self.model, self._slots, self.kept)
         if self._display is not None:
-            self._display.update(self._slots, self._recent.mean)
+            self._display.update(self._slots, self._mean_aou_s)
         scores: dict[str, float] = {}
         if finished or self._slots >= self.progress.next_evaluation:
             scores = {action: self._score(action) for action in ("greedy", "sample")}
@@ -169,7 +176,7 @@ class Recorder(BaseCallback):
 
     def _status(self, evaluated: bool) -> TrainingStatus:
         updates, best = getattr(self.model, "_n_updates", 0), (self.progress.best_score, self.progress.best_action)
-        return TrainingStatus(self._slots, updates, self._cpu_s, evaluated, *best, self._recent.mean)
+        return TrainingStatus(self._slots, updates, self._cpu_s, evaluated, *best, self._mean_aou_s)
 
     def _stop(self) -> None:
         self.stopped_by = self._interrupts.received

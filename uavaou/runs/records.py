@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-from collections import deque
 from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
@@ -128,19 +127,3 @@ class ProgressCsv(KVWriter):
 def plain(value: Any) -> Any:
     """A figure as Python's own number, which is written the same after it has been read."""
     return value.item() if isinstance(value, np.generic | th.Tensor) else value
-
-
-class Recent:
-    """The mean AoU of the last missions, the figure that matters while training."""
-
-    def __init__(self, missions: int) -> None:
-        self._values: deque[float] = deque(maxlen=missions)
-
-    def add(self, missions: Iterable[dict[str, Any]]) -> None:
-        """Take in finished missions."""
-        self._values.extend(mission["mean_aou_s"] for mission in missions)
-
-    @property
-    def mean(self) -> float | None:
-        """Mean over the missions held, s; None before the first."""
-        return float(np.mean(self._values)) if self._values else None

@@ -210,7 +210,7 @@ def write_evaluation(path: Path, content: EvaluationFile | SuiteEvaluationFile, 
         digits: significant digits to keep of every number, in a file of one line; None for all.
 
     Raises:
-        OSError: it cannot be written.
+        InputError: it cannot be written.
     """
     if digits is not None:
         write_json(path, _rounded(content.to_dict(), digits), indent=None)
@@ -236,8 +236,8 @@ def keep_evaluation(path: Path, content: EvaluationFile | SuiteEvaluationFile) -
         return f"kept {path}: it is of more missions"
     try:
         write_evaluation(path, content)
-    except OSError as error:
-        return f"not written: {path}: {error.strerror or error}"
+    except InputError as error:
+        return str(error)
     return f"wrote {path}"
 
 
@@ -249,22 +249,20 @@ def _missions_in(path: Path) -> int:
         return 0
 
 
-def write_own_evaluation(
-    folder: RunFolder, config: RunConfig, result: PolicyResult, episodes: int, seed: int = EVALUATION_SEED
-) -> None:
+def write_own_evaluation(folder: RunFolder, config: RunConfig, result: PolicyResult, episodes: int) -> None:
     """Write the evaluation of a run on its own scenario; a ``default.json`` of more missions is kept beside it.
 
     Raises:
-        OSError: it cannot be written.
+        InputError: it cannot be written.
     """
     name = f"first-{episodes}" if _missions_in(folder.evaluation()) > episodes else "default"
-    content = own_evaluation(config, result, episodes, seed)
-    write_evaluation(folder.evaluation(name), content)
+    write_evaluation(folder.evaluation(name), own_evaluation(config, result, episodes))
 
 
 def own_evaluation(
-    config: RunConfig, result: PolicyResult, episodes: int, seed: int, beside: Mapping[str, PolicyResult] | None = None
-) -> EvaluationFile:
+    config: RunConfig, result: PolicyResult, episodes: int, seed: int = EVALUATION_SEED,
+    beside: Mapping[str, PolicyResult] | None = None,
+) -> EvaluationFile:  # fmt: skip
     """The content of a run's ``default.json``.
 
     Args:

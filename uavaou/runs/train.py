@@ -16,7 +16,7 @@ from uavaou.envs.flatten import flatten
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import training_seeds
-from uavaou.files import refuse_links, replacing
+from uavaou.files import refuse_links, replacing, writing
 from uavaou.runs.checkpoint import load_training
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
@@ -127,12 +127,10 @@ def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
 
 def _claim(folder: RunFolder, config: RunConfig) -> None:
     """Make the folder this run's own."""
-    try:
+    with writing(folder.path):
         folder.last.parent.mkdir(parents=True, exist_ok=True)
         with replacing(folder.config) as file:
             file.write(config.to_yaml())
-    except OSError as error:
-        raise InputError(f"cannot write to '{folder.path}': {error.strerror}") from error
 
 
 def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> TrainingProgress:
@@ -174,9 +172,9 @@ def _learn(
         except (EOFError, ConnectionError) as error:
             raise InputError(f"a worker process has ended (out of memory?); {recorder.kept}") from error
         except OSError as error:
-            raise InputError(f"cannot write to '{folder.path}': {error.strerror or error}; {recorder.kept}") from error
+            raise InputError(f"cannot write '{folder.path}': {error.strerror or error}; {recorder.kept}") from error
         finally:
             for end in (recorder.close, model.logger.close, recorder.write_meta):
-                with suppress(OSError):  # a full disk was told of above
+                with suppress(OSError, InputError):  # a full disk was told of above
                     end()
     return Outcome(folder, recorder.progress, model.num_timesteps, recorder.stopped_by)

@@ -68,7 +68,7 @@ def _copy(results: StudyResults, source: RunFolder, kept: RunFolder, run: StudyR
     for path, there in ((source.best, kept.best), (source.meta, kept.meta), (source.config, kept.config)):
         with replacing(there, "wb") as file:
             file.write(path.read_bytes())
-    write_evaluation(kept.evaluation(), own_evaluation(run.config, evaluation, episodes, EVALUATION_SEED), _DIGITS)
+    write_evaluation(kept.evaluation(), own_evaluation(run.config, evaluation, episodes), _DIGITS)
     with replacing(kept.path / "README.md") as file:
         file.write(model_card(results, run, episodes, meta))
 
@@ -145,10 +145,7 @@ def _record_mission(study: Path, run: RunFolder) -> Path:
     config, variant = run.read_config(), run.path.parent.name
     recording = record_mission(config.scenario, load_run(run), EVALUATION_SEED)
     path = study / f"mission-{variant}.json"
-    try:
-        write_mission(path, RecordedMission(config.scenario, unquote(variant), config.seed, EVALUATION_SEED, recording))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    write_mission(path, RecordedMission(config.scenario, unquote(variant), config.seed, EVALUATION_SEED, recording))
     return path
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from uavaou.csv_tables import read_csv, write_csv
 from uavaou.errors import InputError
-from uavaou.files import folder_name
+from uavaou.files import PathIn, folder_name
 from uavaou.runs.lock import holder
 from uavaou.studies.parts import PartKey, part_keys
 
@@ -27,25 +27,10 @@ class StudyFolder:
         """The folder of a study below ``out``, the folder of all results."""
         return cls(out / "studies" / name)
 
-    @property
-    def study(self) -> Path:
-        """The study as resolved."""
-        return self.path / "study.yaml"
-
-    @property
-    def lock(self) -> Path:
-        """Held by the process that runs the study."""
-        return self.path / ".lock"
-
-    @property
-    def failures(self) -> Path:
-        """Why parts failed; exists only while some have."""
-        return self.path / "failures.csv"
-
-    @property
-    def working(self) -> Path:
-        """The plans, planners and bounds in progress, which lock no folder of theirs; valid only under the lock."""
-        return self.path / ".working.csv"
+    study = PathIn("study.yaml")  # the study as resolved
+    lock = PathIn(".lock")  # held by the process that runs the study
+    failures = PathIn("failures.csv")  # why parts failed; exists only while some have
+    working = PathIn(".working.csv")  # plans, planners and bounds in progress, which have no lock; valid under ``lock``
 
     def table(self, name: str) -> Path:
         """A table of :data:`~uavaou.studies.results.COLUMNS`."""

@@ -229,8 +229,6 @@ class _Work:
                 self._plans[event.key.scenario], _ = RoutePlan.load(path)
             except InputError as problem:
                 reason = str(problem)
-            except OSError as error:
-                reason = f"cannot write '{path}': {error.strerror or error}"
         if reason:
             for key in waiting:
                 self._todo.remove(key)

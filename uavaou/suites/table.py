@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from uavaou.csv_tables import write_csv
-from uavaou.errors import InputError
 from uavaou.runs.results import SuiteEvaluationFile, SuitePoint, keep_evaluation, write_evaluation
 from uavaou.suites.assignment import SuiteRun
 from uavaou.suites.play import PointResult, SuitePlan
@@ -44,10 +43,7 @@ def write_suite(
         if content.points:
             notes.append(keep_evaluation(run.folder.evaluation(plan.name), content))
     if json is not None:
-        try:
-            write_evaluation(json, suite_evaluation(plan, results, episodes, seed))
-        except OSError as error:
-            raise InputError(f"cannot write '{json}': {error.strerror or error}") from error
+        write_evaluation(json, suite_evaluation(plan, results, episodes, seed))
         notes.append(f"wrote {json}")
     if table is not None:
         write_csv(table, CSV_COLUMNS, [_row(plan, result) for result in results if not result.refusal])

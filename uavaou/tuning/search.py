@@ -17,7 +17,7 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.csv_tables import write_csv
 from uavaou.errors import InputError
 from uavaou.fields import Positive, PositiveWhole, validated
-from uavaou.files import replacing
+from uavaou.files import PathIn, replacing, writing
 from uavaou.runs.folder import ConfigFile, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.tuning.search_space import SearchSpace
@@ -110,30 +110,11 @@ class SearchFolder:
 
     path: Path
 
-    @property
-    def config(self) -> Path:
-        """What is searched."""
-        return self.path / "search.yaml"
-
-    @property
-    def journal(self) -> Path:
-        """Optuna's journal."""
-        return self.path / "journal.log"
-
-    @property
-    def lock(self) -> Path:
-        """Held by a process for as long as it chooses a trial or writes the tables."""
-        return self.path / "search.lock"
-
-    @property
-    def table(self) -> Path:
-        """A row for each trial."""
-        return self.path / "tune.csv"
-
-    @property
-    def best(self) -> Path:
-        """The best trial's settings, in the form of ``zoo_configs/algorithms/*.yaml``."""
-        return self.path / "best.yaml"
+    config = PathIn("search.yaml")  # what is searched
+    journal = PathIn("journal.log")  # Optuna's
+    lock = PathIn("search.lock")  # held by a process for as long as it chooses a trial or writes the tables
+    table = PathIn("tune.csv")  # a row for each trial
+    best = PathIn("best.yaml")  # the best trial's settings, in the form of zoo_configs/algorithms/*.yaml
 
     def trial(self, number: int) -> RunFolder:
         """The run folder of a trial."""
@@ -173,12 +154,10 @@ class SearchFolder:
             if self.read() != search:
                 raise InputError(f"'{self.path}' holds another search (see its search.yaml): choose another --out")
             return
-        try:
+        with writing(self.path):
             self.trial(0).path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(self.config) as file:
                 file.write(search.to_yaml())
-        except OSError as error:
-            raise InputError(f"cannot write to '{self.path}': {error.strerror}") from error
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.errors import InputError, nearest, unknown
-from uavaou.fields import Positive, Whole, explain_validation, short
+from uavaou.fields import Positive, Whole, short, validated
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 if TYPE_CHECKING:
@@ -45,21 +45,28 @@ class Dimension(BaseModel):
         return value
 
     def restored(self, stored: Any) -> Any:
-        """The value that Optuna keeps so."""
+        """The value that Optuna keeps as ``stored``."""
         return stored
 
 
-class LogUniform(Dimension):
+class _Range(Dimension):
+    kind: Any
+    low: Any
+    high: Any
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.low >= self.high:
+            raise ValueError(f"low = {self.low}: must be below high = {self.high}")
+        return self
+
+
+class LogUniform(_Range):
     """A number between two bounds, its logarithm uniform."""
 
     kind: Literal["log-uniform"]
     low: Positive
     high: Positive
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        _check_ordered(self.low, self.high)
-        return self
 
     def suggest(self, trial: Trial, field: str) -> float:  # noqa: D102
         return trial.suggest_float(field, self.low, self.high, log=True)
@@ -68,17 +75,12 @@ class LogUniform(Dimension):
         return isinstance(value, int | float) and self.low <= value <= self.high
 
 
-class Integer(Dimension):
+class Integer(_Range):
     """A whole number between two bounds, both included."""
 
     kind: Literal["integer"]
     low: Whole
     high: Whole
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        _check_ordered(self.low, self.high)
-        return self
 
     def suggest(self, trial: Trial, field: str) -> int:  # noqa: D102
         return trial.suggest_int(field, self.low, self.high)
@@ -101,8 +103,7 @@ class Categorical(Dimension):
         return self
 
     def suggest(self, trial: Trial, field: str) -> Any:  # noqa: D102
-        stored = [self.stored(choice) for choice in self.choices]
-        return self.restored(trial.suggest_categorical(field, stored))
+        return self.restored(trial.suggest_categorical(field, list(map(self.stored, self.choices))))
 
     def holds(self, value: Any) -> bool:  # noqa: D102
         return value in self.choices
@@ -113,11 +114,6 @@ class Categorical(Dimension):
 
     def restored(self, stored: Any) -> Any:  # noqa: D102
         return next(choice for choice in self.choices if self.stored(choice) == stored)
-
-
-def _check_ordered(low: float, high: float) -> None:
-    if low >= high:
-        raise ValueError(f"low = {low}: must be below high = {high}")
 
 
 KINDS: dict[str, type[Dimension]] = {"log-uniform": LogUniform, "integer": Integer, "categorical": Categorical}
@@ -207,7 +203,4 @@ def _dimension(content: Any, source: str) -> Dimension:
     kind = content["kind"]
     if kind not in KINDS:
         raise InputError(f"{source}: {unknown('kind', str(kind), KINDS)}")
-    try:
-        return KINDS[kind].model_validate(content)
-    except ValidationError as error:
-        raise InputError(f"{source}: {explain_validation(error, list(KINDS[kind].model_fields))}") from None
+    return validated(KINDS[kind], content, source)
