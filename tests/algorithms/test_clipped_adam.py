@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch as th
 
-from uavaou.algorithms.fast.update import ClippedAdam, FlatTensors, _share_parameters
+from uavaou.algorithms.fast.update import ClippedAdam, share_parameters, shared_tensors
 
 SHAPES = [[(24, 37), (24,), (31, 24), (31,)], [(16, 5), (16,), (1, 16), (1,)]]  # two groups, some of odd sizes
 
@@ -32,16 +32,16 @@ def torch_step(optimizer: th.optim.Adam, gradients: list[th.Tensor]) -> None:
 def test_steps_are_torchs_bit_for_bit_whoever_takes_them() -> None:
     expected, torchs = parameters_and_adam()
     parameters, optimizer = parameters_and_adam()
-    _share_parameters(parameters)
+    share_parameters(parameters)
     generator = th.Generator().manual_seed(1)
     for first in (True, False):  # that begins, and that goes on from torch's step below
-        flat = FlatTensors(parameters)
-        for parameter, part in zip(parameters, flat.parts, strict=True):
-            parameter.grad = part
+        gradients = shared_tensors(parameters)
+        for parameter, gradient in zip(parameters, gradients, strict=True):
+            parameter.grad = gradient
         adam = ClippedAdam(optimizer, 5.0)
         for scale in (1.0, 0.01, 3.0):  # clipped, not clipped, clipped
             step = [th.randn(parameter.shape, generator=generator) * scale for parameter in parameters]
-            th._foreach_copy_(flat.parts, step)
+            th._foreach_copy_(gradients, step)
             torch_step(torchs, step)
             adam.step()
             assert all(map(th.equal, parameters, expected))
@@ -54,12 +54,11 @@ def test_steps_are_torchs_bit_for_bit_whoever_takes_them() -> None:
         }
 
 
-def test_parts_are_views_that_begin_at_cache_lines() -> None:
-    flat = FlatTensors([th.zeros(3, 5), th.zeros(()), th.zeros(16)])
-    assert [part.shape for part in flat.parts] == [(3, 5), (), (16,)]
-    assert all(part.data_ptr() % 64 == 0 for part in flat.parts)
-    flat.whole += 1.0
-    assert all(bool((part == 1.0).all()) for part in flat.parts)
+def test_shared_tensors_begin_at_cache_lines() -> None:
+    tensors = shared_tensors([th.zeros(3, 5), th.zeros(()), th.zeros(16)])
+    assert [tensor.shape for tensor in tensors] == [(3, 5), (), (16,)]
+    assert all(tensor.data_ptr() % 64 == 0 for tensor in tensors)
+    assert not any(tensor.any() for tensor in tensors)
 
 
 @pytest.mark.parametrize(

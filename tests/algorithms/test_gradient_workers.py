@@ -72,7 +72,7 @@ def test_shards_of_a_gradient_add_up_and_the_worker_ends_with_the_training(criti
     statistics_2 = workers[0].result()
     workers[0].close()
     np.testing.assert_allclose(statistics, statistics_1 + statistics_2, rtol=1e-6)
-    for sum_of, one, two in zip(whole, first, workers[0].gradients.parts, strict=True):
+    for sum_of, one, two in zip(whole, first, workers[0].gradients, strict=True):
         th.testing.assert_close(sum_of, one + two, rtol=1e-4, atol=1e-6)
 
 

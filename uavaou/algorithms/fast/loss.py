@@ -50,13 +50,11 @@ class GradientShard:
 
     def __init__(self, policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> None:
         self._mask_columns = policy.mask_columns
-        actor: tuple[th.nn.Module, ...] = ()
-        critic: tuple[th.nn.Module, ...] = ()
-        if inherits(policy, CentralizedValuePolicy, "logits"):
-            actor = (policy.actor_body, policy.action_net)
-        if inherits(policy, CentralizedValuePolicy, "normalised_values") and is_exactly(policy.value_net, PopArt):
-            critic = (policy.critic_body, policy.value_net.linear)
+        known = inherits(policy, CentralizedValuePolicy, "logits")
+        actor = (policy.actor_body, policy.action_net) if known else ()
         self._actor = _network(actor, policy.logits, policy.actor_parameters())
+        known = inherits(policy, CentralizedValuePolicy, "normalised_values") and is_exactly(policy.value_net, PopArt)
+        critic = (policy.critic_body, policy.value_net.linear) if known else ()
         self._critic = _network(
             critic, lambda rows: policy.normalised_values(rows)[:, None], policy.critic_parameters()
         )
@@ -69,7 +67,7 @@ class GradientShard:
     @property
     def uses_autograd(self) -> bool:
         """Whether autograd differentiates one of the networks."""
-        return isinstance(self._actor, _AutogradNetwork) or isinstance(self._critic, _AutogradNetwork)
+        return not (isinstance(self._actor, FullyConnected) and isinstance(self._critic, FullyConnected))
 
     def advantage_moments(self, indices: Indices) -> tuple[float, float]:
         """Mean and standard deviation of the slots' advantages."""
@@ -94,22 +92,24 @@ class GradientShard:
             :class:`~uavaou.algorithms.mappo.mappo.LossStatistics`.
         """
         rows = self._local.index_select(0, th.from_numpy(actor_indices)).flatten(0, 1)  # (B * U, local)
-        logits = self._actor.forward(rows)  # (B * U, 5 + I)
+        activations = self._actor.forward(rows)
+        logits = activations[-1]  # (B * U, 5 + I)
         grad_logits = th.empty_like(logits)
         objective, entropy, kl, clipped = clipped_surrogate(
             logits.numpy(), rows.numpy(), *self._mask_columns, actor_indices, self._actions, self._log_probs,
             self._advantages, *coefficients[:4], len(actor_indices) / slots_in_batch, grad_logits.numpy(),
         )  # fmt: skip
-        gradients, value_loss = self._actor.backward(grad_logits), 0.0
+        gradients, value_loss = self._actor.backward(activations, grad_logits), 0.0
         if len(critic_indices):
             rows = self._critic_rows.index_select(0, th.from_numpy(critic_indices)).flatten(0, -2)  # (B * V, ...)
-            values = self._critic.forward(rows)  # (B * V, 1)
+            activations = self._critic.forward(rows)
+            values = activations[-1]  # (B * V, 1)
             grad_values = th.empty_like(values)
             value_loss = squared_error(
                 values.numpy(), critic_indices, self._returns, *coefficients[4:], len(critic_indices) / slots_in_batch,
                 grad_values.numpy(),
             )  # fmt: skip
-            gradients += self._critic.backward(grad_values)
+            gradients += self._critic.backward(activations, grad_values)
         loss = -objective - coefficients.entropy_coef * entropy + coefficients.value_coef * value_loss
         return gradients, np.array([-objective, value_loss, entropy, loss, kl, clipped])
 
@@ -119,45 +119,28 @@ def _by_slot(array: Floats) -> Floats:
     return array.reshape(-1, *array.shape[2:])
 
 
-class _WrittenNetwork:
-    """Fully connected layers, differentiated by their written gradient."""
-
-    def __init__(self, layers: FullyConnected) -> None:
-        self._layers = layers
-
-    def forward(self, rows: th.Tensor) -> th.Tensor:
-        self._activations = self._layers.forward(rows)
-        return self._activations[-1]
-
-    def backward(self, grad_outputs: th.Tensor) -> list[th.Tensor]:
-        return self._layers.backward(self._activations, grad_outputs)
-
-
 class _AutogradNetwork:
-    """Any other network, differentiated by autograd."""
+    """Any other network, differentiated by autograd; the methods are those of :class:`FullyConnected`."""
 
     def __init__(self, network: Callable[[th.Tensor], th.Tensor], parameters: list[th.nn.Parameter]) -> None:
         self._network, self._parameters = network, parameters
 
-    def forward(self, rows: th.Tensor) -> th.Tensor:
+    def forward(self, rows: th.Tensor) -> list[th.Tensor]:
         with th.enable_grad():
-            self._outputs = self._network(rows)
-        return self._outputs.detach().contiguous()
+            outputs = self._network(rows)
+        return [outputs, outputs.detach().contiguous()]
 
-    def backward(self, grad_outputs: th.Tensor) -> list[th.Tensor]:
-        return list(th.autograd.grad(self._outputs, self._parameters, grad_outputs, materialize_grads=True))
+    def backward(self, activations: list[th.Tensor], grad: th.Tensor) -> list[th.Tensor]:
+        return list(th.autograd.grad(activations[0], self._parameters, grad, materialize_grads=True))
 
 
 def _network(
-    modules: tuple[th.nn.Module, ...],
-    network: Callable[[th.Tensor], th.Tensor],
-    parameters: list[th.nn.Parameter],
-) -> _WrittenNetwork | _AutogradNetwork:
-    """The written gradient of ``modules`` where they are known layers with just these parameters, else autograd."""
+    modules: tuple[th.nn.Module, ...], network: Callable[[th.Tensor], th.Tensor], parameters: list[th.nn.Parameter]
+) -> FullyConnected | _AutogradNetwork:
+    """The written gradient where ``modules`` are known layers with just these parameters, else autograd's."""
     layers = fully_connected(*modules)
-    known = [] if layers is None else [id(tensor) for layer in layers.layers for tensor in (layer.weight, layer.bias)]
-    if layers is not None and known == list(map(id, parameters)):
-        return _WrittenNetwork(layers)
+    if layers is not None and list(map(id, layers.parameters)) == list(map(id, parameters)):
+        return layers
     return _AutogradNetwork(network, parameters)
 
 

@@ -56,7 +56,7 @@ class FastUpdate:
         self._policy, self._buffer = policy, buffer
         self.workers = start_workers(policy, buffer, batch_size)
         self._parameters = policy.actor_and_critic_parameters()
-        self._gradients = self.workers[0].gradients if self.workers else FlatTensors(self._parameters)
+        self._gradients = self.workers[0].gradients if self.workers else shared_tensors(self._parameters)
 
     @staticmethod
     def supports(policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> bool:
@@ -81,7 +81,7 @@ class FastUpdate:
         """
         self._coefficients, self._normalises_batches = coefficients, normalises_batches
         self._shard = GradientShard(self._policy, self._buffer)
-        for parameter, gradient in zip(self._parameters, self._gradients.parts, strict=True):
+        for parameter, gradient in zip(self._parameters, self._gradients, strict=True):
             parameter.grad = gradient
         optimizer = self._policy.optimizer
         supported = ClippedAdam.supports(optimizer, self._parameters)
@@ -105,13 +105,13 @@ class FastUpdate:
             worker.request(*shard, len(indices), coefficients)
         gradients, statistics = self._shard.gradient(*own, len(indices), coefficients)
         if not workers:
-            th._foreach_copy_(self._gradients.parts, gradients)
+            th._foreach_copy_(self._gradients, gradients)
         for number, worker in enumerate(workers):
             statistics += worker.result()
             if number:
-                self._gradients.whole.add_(worker.gradients.whole)
+                th._foreach_add_(self._gradients, worker.gradients)
             else:  # the first worker writes its gradient where the sum belongs
-                th._foreach_add_(self._gradients.parts, gradients)
+                th._foreach_add_(self._gradients, gradients)
         return statistics
 
     def _critic_work(self) -> float:
@@ -161,7 +161,7 @@ def start_workers(policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer, bat
         mixes = any(isinstance(module, (_NormBase, _DropoutNd)) for module in policy.modules())
         if mixes or th.cuda.is_available():
             return []
-    _share_parameters(policy.actor_and_critic_parameters())
+    share_parameters(policy.actor_and_critic_parameters())
     for name in ARRAYS:
         array = getattr(buffer, name)
         shared = shared_zeros(array.shape)
@@ -188,7 +188,7 @@ class GradientWorker:
         self._indices: Indices = np.frombuffer(mmap.mmap(-1, 16 * slots), np.int64)  # the actor's, then the critic's
         self._numbers = np.frombuffer(mmap.mmap(-1, 8 * (3 + len(LossCoefficients._fields))), np.float64)
         self._statistics: Doubles = np.frombuffer(mmap.mmap(-1, 8 * STATISTICS), np.float64)
-        self.gradients = FlatTensors(policy.actor_and_critic_parameters())
+        self.gradients = shared_tensors(policy.actor_and_critic_parameters())
         self._process = context.Process(target=self._work, args=(policy, buffer), daemon=True)
         with warnings.catch_warnings():
             # Python 3.12 warns of other threads, whose locks the child might wait for: it takes none of theirs.
@@ -233,8 +233,8 @@ class GradientWorker:
             gradients, self._statistics[:] = shard.gradient(
                 self._indices[:count], self._indices[count:both], slots_in_batch, coefficients
             )
-            th._foreach_copy_(self.gradients.parts[: len(gradients)], gradients)
-            for part in self.gradients.parts[len(gradients) :]:
+            th._foreach_copy_(self.gradients[: len(gradients)], gradients)
+            for part in self.gradients[len(gradients) :]:
                 part.zero_()
             self._finished.release()
         os._exit(0)  # a normal exit flushes streams, and might wait for a thread that was not forked
@@ -302,33 +302,18 @@ class ClippedAdam:
             )  # fmt: skip
 
 
-class FlatTensors:
-    """Tensors that lie one after another in memory that processes forked later share.
-
-    Args:
-        like: float32 tensors of the shapes wanted.
-
-    Attributes:
-        whole: all of them, (elements,), with zeros between them.
-        parts: one for each of ``like``, in its shape; views of ``whole``.
-    """
-
-    def __init__(self, like: Sequence[th.Tensor]) -> None:
-        sizes = [-(-tensor.numel() // _ALIGNMENT) * _ALIGNMENT for tensor in like]
-        self.whole = th.from_numpy(shared_zeros((sum(sizes),)))
-        self.parts = [
-            piece[: tensor.numel()].view(tensor.shape)
-            for piece, tensor in zip(th.split(self.whole, sizes), like, strict=True)
-        ]
+def shared_tensors(like: Sequence[th.Tensor]) -> list[th.Tensor]:
+    """Float32 tensors of zeros in the shapes of ``like``, in memory that processes forked later share."""
+    sizes = [-(-tensor.numel() // _ALIGNMENT) * _ALIGNMENT for tensor in like]
+    pieces = th.split(th.from_numpy(shared_zeros((sum(sizes),))), sizes)
+    return [piece[: tensor.numel()].view(tensor.shape) for piece, tensor in zip(pieces, like, strict=True)]
 
 
 @th.no_grad()
-def _share_parameters(parameters: Sequence[th.nn.Parameter]) -> None:
+def share_parameters(parameters: Sequence[th.nn.Parameter]) -> None:
     """Move the parameters' data to memory that processes forked later share."""
-    flat = FlatTensors(parameters)
-    th._foreach_copy_(flat.parts, list(parameters))
-    for parameter, part in zip(parameters, flat.parts, strict=True):
-        parameter.data = part
+    for parameter, shared in zip(parameters, shared_tensors(parameters), strict=True):
+        parameter.data = shared.copy_(parameter)
 
 
 def shared_zeros(shape: tuple[int, ...]) -> NDArray[np.float32]:

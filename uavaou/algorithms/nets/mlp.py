@@ -72,7 +72,7 @@ class FullyConnected:
     """The forward pass of fully connected layers and its gradient, with few operations.
 
     oneDNN applies the activation inside of the product. :meth:`backward` needs no autograd graph, and recording one
-    costs a tenth of an update.
+    costs up to a tenth of an update.
 
     Args:
         layers: from the first to the last.
@@ -80,14 +80,14 @@ class FullyConnected:
 
     def __init__(self, layers: list[Layer]) -> None:
         self.layers = layers
+        self.parameters = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
 
     def __call__(self, rows: th.Tensor) -> th.Tensor:
         """Outputs (B, outputs) of ``rows`` (B, inputs); autograd records them where it is enabled."""
         rows = rows.contiguous()  # oneDNN takes 500 times as long for the gradient of strided rows
         if not th.is_grad_enabled():
             return self.forward(rows)[-1]
-        parameters = [tensor for layer in self.layers for tensor in (layer.weight, layer.bias)]
-        outputs: th.Tensor = _Recorded.apply(self, rows, *parameters)  # type: ignore[no-untyped-call]
+        outputs: th.Tensor = _Recorded.apply(self, rows, *self.parameters)  # type: ignore[no-untyped-call]
         return outputs
 
     def forward(self, rows: th.Tensor) -> list[th.Tensor]:
@@ -101,27 +101,30 @@ class FullyConnected:
             activations.append(product if activation == "none" else getattr(th, f"{activation}_")(product))
         return activations
 
-    def backward(self, activations: list[th.Tensor], grad: th.Tensor) -> list[th.Tensor]:
+    def backward(self, activations: list[th.Tensor], grad: th.Tensor, to_rows: bool = False) -> list[th.Tensor]:
         """The gradient by weight and bias of each layer, in order.
 
         Args:
             activations: what :meth:`forward` returned.
             grad: by the last layer's output, (B, outputs).
+            to_rows: also return, as the first, the gradient by the rows.
         """
-        return self._backward(activations, grad, to_rows=False)[1:]  # type: ignore[return-value]
-
-    def _backward(self, activations: list[th.Tensor], grad: th.Tensor | None, to_rows: bool) -> list[th.Tensor | None]:
-        """The gradient by the rows (None unless ``to_rows``), then :meth:`backward`'s."""
-        gradients: list[th.Tensor | None] = []  # the last layer first
+        gradients: list[th.Tensor] = []  # the last layer first
         for number in reversed(range(len(self.layers))):
-            assert grad is not None
             weight, _, activation, onednn = self.layers[number]
             inputs, outputs = activations[number : number + 2]
             if activation != "none":
-                grad = _activation_backward(activation, grad, outputs, in_place=number + 1 < len(self.layers))
+                # Into the gradient itself only where it was made here: the last one belongs to the caller.
+                to = th.empty_like(grad) if outputs is activations[-1] else grad
+                if activation == "relu":
+                    th.ops.aten.threshold_backward.grad_input(grad, outputs, 0, grad_input=to)
+                else:
+                    th.ops.aten.tanh_backward.grad_input(grad, outputs, grad_input=to)
+                grad = to
             gradients += [grad.sum(dim=0), _product(grad.t(), inputs.t()) if onednn else grad.t() @ inputs]
-            grad = (_product(grad, weight.t()) if onednn else grad @ weight) if number or to_rows else None
-        return [grad, *reversed(gradients)]
+            if number or to_rows:
+                grad = _product(grad, weight.t()) if onednn else grad @ weight
+        return [grad, *reversed(gradients)] if to_rows else gradients[::-1]
 
 
 def is_exactly(module: nn.Module, *types: type[nn.Module]) -> bool:
@@ -156,10 +159,10 @@ class _Recorded(th.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: th.Tensor) -> tuple[th.Tensor | None, ...]:
-        activations = list(ctx.saved_tensors[: len(ctx.layers.layers) + 1])
-        gradients = (None, *ctx.layers._backward(activations, grad.contiguous(), to_rows=ctx.needs_input_grad[1]))
-        needed = ctx.needs_input_grad  # not by a bias that is None
-        return tuple(gradient if need else None for gradient, need in zip(gradients, needed, strict=True))
+        activations, needed = list(ctx.saved_tensors[: len(ctx.layers.layers) + 1]), ctx.needs_input_grad
+        gradients = ctx.layers.backward(activations, grad.contiguous(), to_rows=needed[1])
+        padded = (None, *gradients) if needed[1] else (None, None, *gradients)
+        return tuple(gradient if need else None for gradient, need in zip(padded, needed, strict=True))
 
 
 def _uses_onednn(tensor: th.Tensor) -> bool:
@@ -173,12 +176,3 @@ def _product(left: th.Tensor, right: th.Tensor, bias: th.Tensor | None = None, a
     """``activation(left @ right.T + bias)``, by the operator that torch's compiler calls for a layer on a CPU."""
     product: th.Tensor = th.ops.mkldnn._linear_pointwise(left, right, bias, activation, [], "")
     return product
-
-
-def _activation_backward(activation: str, grad: th.Tensor, outputs: th.Tensor, in_place: bool) -> th.Tensor:
-    to = grad if in_place else th.empty_like(grad)
-    if activation == "relu":
-        th.ops.aten.threshold_backward.grad_input(grad, outputs, 0, grad_input=to)
-    else:
-        th.ops.aten.tanh_backward.grad_input(grad, outputs, grad_input=to)
-    return to
