@@ -21,7 +21,7 @@ SIZES = st.lists(st.integers(1, 3), min_size=1, max_size=3)
 def some_masks(branches: Branches, agents: int, generator: th.Generator) -> th.Tensor:
     """Masks (U, sum(n_b)) that leave one option or more in each branch."""
     allowed = th.rand((agents, branches.total), generator=generator) < 0.5
-    for run in branches.runs:
+    for run in branches.groups:
         options = allowed[:, run.columns].view(agents, run.count, run.size)
         keep = th.randint(run.size, (agents, run.count, 1), generator=generator)
         options.scatter_(2, keep, True)

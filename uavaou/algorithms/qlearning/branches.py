@@ -25,7 +25,7 @@ from uavaou.errors import InputError
 
 
 @dataclass(frozen=True)
-class Run:
+class BranchGroup:
     """Neighbouring branches of one size, which are computed together."""
 
     branches: slice
@@ -47,7 +47,7 @@ class Branches:
             raise InputError(f"sizes = {self.sizes}: expected one branch or more, each with one option or more")
         self.count = len(self.sizes)
         self.total = sum(self.sizes)
-        self.runs = tuple(self._runs())
+        self.groups = tuple(self._groups())
 
     @classmethod
     def of_space(cls, space: spaces.Space[Any]) -> Branches:
@@ -62,16 +62,19 @@ class Branches:
             return cls(space.nvec.tolist())
         raise InputError(f"action space {space}: expected Discrete(n) or MultiDiscrete([n, ...]), counted from 0")
 
-    def _runs(self) -> Iterator[Run]:
+    def _groups(self) -> Iterator[BranchGroup]:
         branch = column = 0
-        for size, group in groupby(self.sizes):
-            count = len(list(group))
-            yield Run(slice(branch, branch + count), slice(column, column + count * size), count, size)
+        for size, equal in groupby(self.sizes):
+            count = len(list(equal))
+            yield BranchGroup(slice(branch, branch + count), slice(column, column + count * size), count, size)
             branch, column = branch + count, column + count * size
 
-    def _split(self, values: th.Tensor) -> Iterator[tuple[Run, th.Tensor]]:
-        for run in self.runs:
-            yield run, values[:, run.columns].reshape(len(values), run.count, run.size)  # (B, branches, options)
+    def _split(self, values: th.Tensor) -> Iterator[tuple[BranchGroup, th.Tensor]]:
+        for group in self.groups:
+            yield (
+                group,
+                values[:, group.columns].reshape(len(values), group.count, group.size),
+            )  # (B, branches, options)
 
     def greedy(self, values: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
         """The best allowed choice, (B, M); the first of equal options.
@@ -83,16 +86,16 @@ class Branches:
         if allowed is not None:
             values = values.masked_fill(~allowed, -th.inf)
         best = [
-            (options[..., 1] > options[..., 0]).long() if run.size == 2 else options.argmax(dim=2)
-            for run, options in self._split(values)
+            (options[..., 1] > options[..., 0]).long() if group.size == 2 else options.argmax(dim=2)
+            for group, options in self._split(values)
         ]
         return th.cat(best, dim=1)
 
     def mean(self, values: th.Tensor, actions: th.Tensor) -> th.Tensor:
         """Q(s, a), the mean over branches of the values of ``actions`` (B, M); (B,)."""
         total = values.new_zeros(len(values))
-        for run, options in self._split(values):
-            total = total + options.gather(2, actions[:, run.branches, None])[..., 0].sum(dim=1)
+        for group, options in self._split(values):
+            total = total + options.gather(2, actions[:, group.branches, None])[..., 0].sum(dim=1)
         return total / self.count
 
     def uniform(self, uniforms: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
@@ -105,19 +108,19 @@ class Branches:
         if allowed is None:
             allowed = th.ones((len(uniforms), self.total), dtype=th.bool, device=uniforms.device)
         drawn = []
-        for run, options in self._split(allowed):
+        for group, options in self._split(allowed):
             ordinal = options.cumsum(dim=2)  # of each allowed option, from 1
-            rank = (uniforms[:, run.branches, None] * ordinal[..., -1:]).long()  # allowed options to skip
-            drawn.append((ordinal <= rank).sum(dim=2).clamp_max(run.size - 1))
+            rank = (uniforms[:, group.branches, None] * ordinal[..., -1:]).long()  # allowed options to skip
+            drawn.append((ordinal <= rank).sum(dim=2).clamp_max(group.size - 1))
         return th.cat(drawn, dim=1)
 
     def centre(self, values: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
         """Advantages: values less their mean over the allowed options of their branch, (B, sum(n_b))."""
         weights = th.ones_like(values) if allowed is None else allowed.to(values.dtype)
         centred = []
-        for (run, options), (_, weight) in zip(self._split(values), self._split(weights), strict=True):
+        for (group, options), (_, weight) in zip(self._split(values), self._split(weights), strict=True):
             mean = (options * weight).sum(dim=2, keepdim=True) / weight.sum(dim=2, keepdim=True).clamp_min(1.0)
-            centred.append((options - mean).reshape(len(values), run.count * run.size))
+            centred.append((options - mean).reshape(len(values), group.count * group.size))
         return th.cat(centred, dim=1)
 
 
