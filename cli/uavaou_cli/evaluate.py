@@ -140,12 +140,7 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
 def _cells(scenario: Scenario, result: Evaluation, action: str | None) -> list[tuple[str, str]]:
     from uavaou.statistics import interval_over_missions
 
-    aou = result.values("mean_aou_s")
-    return [
-        (action or "-", ""),
-        interval_figures(interval_over_missions(aou / scenario.slot_length_s)),
-        interval_figures(interval_over_missions(aou)),
-        interval_figures(interval_over_missions(result.values("communications"))),
-        interval_figures(interval_over_missions(result.values("devices_served"))),
-        (f"{sum(result.violations.values()):,}", ""),
-    ]
+    aou = result.values("mean_aou_s")  # (N,) s
+    columns = aou / scenario.slot_length_s, aou, result.values("communications"), result.values("devices_served")
+    figures = [interval_figures(interval_over_missions(values)) for values in columns]
+    return [(action or "-", ""), *figures, (f"{sum(result.violations.values()):,}", "")]

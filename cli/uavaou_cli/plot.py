@@ -40,7 +40,11 @@ def figures(
     if runs:
         _draw_runs(runs, out if out is not None else runs[0] / "figures")
     for study in studies:
-        _draw_study(study, _place(study, studies, out))
+        from uavaou.reports.figures import plot_study
+
+        place = _place(study, studies, out)
+        writable_folder(place)
+        show(plot_study(study, place))
 
 
 def _draw_all(studies: list[Path], out: Path | None) -> None:
@@ -79,13 +83,6 @@ def _draw_runs(runs: list[Path], target: Path) -> None:
     show(plot_runs(runs, target))
     if not any(folder.glob("eval/*.json") for folder in runs):
         print(f"figures 7 and 8 need an evaluation first: uavaou eval {runs[0]}", file=sys.stderr)
-
-
-def _draw_study(study: Path, target: Path) -> None:
-    writable_folder(target)
-    from uavaou.reports.figures import plot_study
-
-    show(plot_study(study, target))
 
 
 def suite(

@@ -1,4 +1,4 @@
-"""What a long job shows while it runs: a bar on a terminal, a line now and then elsewhere, nothing with ``--quiet``."""
+"""The progress of long jobs: a bar on a terminal, a line every ten seconds elsewhere, nothing with ``--quiet``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import shlex
 import sys
 import time
 from collections import deque
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from uavaou_cli.tables import duration
@@ -19,14 +18,14 @@ if TYPE_CHECKING:
 
 _BAR_EVERY_S = 0.5
 _LINE_EVERY_S = 10.0
-_MARKS = 60  # shown values that the rate is measured over
+_MARKS = 60  # steps forward that the rate is measured over
 _WIDE = 110  # columns of a terminal that has room for agent steps
 _NAME_WIDTH = 20
 _MOST_VARIANTS = 6
 
 
 class Display:
-    """Shows how far a job is, its rate, the time left, and the figure that matters; all on stderr.
+    """Shows the progress of a job on stderr: its rate, the time left, and the figure that matters.
 
     Args:
         quiet: show nothing.
@@ -38,16 +37,21 @@ class Display:
         self.quiet = quiet
         self.total = total
         self._unit = unit
-        self._bar: Any = None if quiet or not sys.stderr.isatty() else _start_bar()
+        self._bar: Any = None
         self.measure_from(0)
 
     def __enter__(self) -> Self:
+        self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
+
+    def open(self) -> None:
+        """Start the bar where there is a terminal."""
+        if not self.quiet and sys.stderr.isatty() and self._bar is None:
+            self._bar = _start_bar()
+            self.measure_from(0)
 
     def close(self) -> None:
         """Take the bar away."""
@@ -62,7 +66,7 @@ class Display:
             print(text, file=sys.stderr, flush=True)
 
     def measure_from(self, done: float, name: str = "") -> None:
-        """Measure the rate from now on, with ``done`` of the work behind; ``name`` is at work."""
+        """Measure the rate from now on, when ``done`` of the total is done and the part ``name`` begins."""
         now = time.monotonic()
         self._marks = deque([(now, done)], maxlen=_MARKS)
         self._next = now + (_LINE_EVERY_S if self._bar is None else _BAR_EVERY_S)
@@ -78,20 +82,21 @@ class Display:
         return not self.quiet and time.monotonic() >= self._next
 
     def advance(self, done: float, figure: str, name: str = "", note: str = "", rate: float | None = None) -> None:
-        """Show that ``done`` of the total is behind.
+        """Show that ``done`` of the total is done.
 
         Args:
             done: of the total.
             figure: the one that matters, with its unit.
-            name: of what is at work.
-            note: what else there is to say; below the bar.
+            name: of the part in progress.
+            note: a second line, below the bar.
             rate: units a second; None: as measured from what was shown, 0: unknown.
         """
         now = time.monotonic()
         if rate is None:
             since, before = self._marks[0]
             rate = (done - before) / max(now - since, 1e-9)
-        self._marks.append((now, done))
+        if done > self._marks[-1][1]:  # a job that stands still for long keeps its rate, which falls slowly
+            self._marks.append((now, done))
         parts = [self._speed(rate) if rate > 0 else "", figure]
         if rate > 0:
             parts.append(f"{duration(max(self.total - done, 0) / rate)} left")
@@ -149,6 +154,7 @@ class TrainingDisplay(Display):
     def start(self, total: int, done: int, uavs: int) -> None:
         """Begin at ``done`` of ``total`` slots, with ``uavs`` agent steps a slot."""
         self.total, self._uavs = total, uavs
+        self.open()
         self.measure_from(done, "training")
 
     def update(self, slots: int, mean_aou_s: float | None) -> None:
@@ -163,7 +169,7 @@ class TrainingDisplay(Display):
 
 
 class EvaluationDisplay(Display):
-    """Shows how far the missions of several policies are.
+    """Shows the missions of several policies: the slots played, and the mean AoU of the present policy.
 
     Args:
         quiet: show nothing.
@@ -206,7 +212,7 @@ class PlanningDisplay(Display):
         self._bound_s = bound_s
 
     def show(self, progress: PlanningStatus) -> None:
-        """Show how far the planning is; for :meth:`uavaou.planners.plan.RoutePlanner.plan`."""
+        """Show the best routes so far; for :meth:`uavaou.planners.plan.RoutePlanner.plan`."""
         if not self.due and progress.share < 1.0:
             return
         figure = f"mean AoU {progress.incumbent_s / self._slot_length_s:,.2f} slots"
@@ -218,7 +224,7 @@ class PlanningDisplay(Display):
 
 
 class TuningDisplay(Display):
-    """Shows how the trials of a search stand: a bar on a terminal, a line for each that ends elsewhere.
+    """Shows the trials of a search: a bar on a terminal, a line for each finished trial elsewhere.
 
     Args:
         quiet: show nothing.
@@ -252,7 +258,7 @@ class TuningDisplay(Display):
 
 
 class StudyDisplay(Display):
-    """Shows how many runs are done, the rate of all together, the time left, and how each running variant does.
+    """Shows a study: the parts done, the rate of all trainings together, and the mean AoU of each running variant.
 
     Args:
         quiet: show nothing.
@@ -277,12 +283,14 @@ class StudyDisplay(Display):
 
 
 def _running(state: StudyState) -> str:
-    """The mean AoU of the variants that train, in slots, and what else is at work."""
+    """The mean AoU of each variant in training, in slots, and the planners and bounds in progress."""
+    from uavaou.studies.parts import PLAN
+
     means: dict[str, list[float]] = {}
     others = []
     for key, report in state.running.items():
         if key.seed is None:
-            others.append(f"{'annealing a plan' if key.variant == 'plan' else key.variant} for {key.scenario}")
+            others.append(f"{'annealing a plan' if key.variant == PLAN else key.variant} for {key.scenario}")
         else:
             values = means.setdefault(key.variant, [])
             if report is not None and report.mean_aou_slots is not None:

@@ -78,3 +78,16 @@ def test_planning_shows_the_gap_to_the_bound(capsys: pytest.CaptureFixture[str])
     with PlanningDisplay(False, slot_length_s=2.0, bound_s=18.0) as display:
         display.show(SimpleNamespace(share=1.0, incumbent_s=20.0, bound_s=None))  # type: ignore[arg-type]
     assert "mean AoU 10.00 slots, bound 9.00, gap 10.0%" in capsys.readouterr().err
+
+
+def test_a_job_that_stands_still_keeps_a_time_left(capsys: pytest.CaptureFixture[str], clock: SimpleNamespace) -> None:
+    display = Display(False, 4, unit="")
+    for done in (1, *[1] * 100):
+        clock.s += 1
+        display.advance(done, "")
+    assert capsys.readouterr().err.splitlines()[-1] == " 25%  5 min 3 s left"
+
+
+def test_a_training_that_is_refused_leaves_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    assert TrainingDisplay(slot_length_s=2.0)._bar is None
