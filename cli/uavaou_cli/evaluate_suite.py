@@ -111,7 +111,7 @@ def _rows(plan: SuitePlan, results: Sequence[PointResult]) -> list[tuple[str, ..
     rows: list[tuple[str, ...]] = []
     seeds = {result.flown.run.config.seed for result in results if result.flown.run is not None}
     for point in plan.points:
-        label = point.point.label
+        label = point.label
         if point.scenario is None:
             rows.append((label, "-", "infeasible", "-", "", "", ""))
             continue
@@ -142,7 +142,7 @@ def _budgets(results: Sequence[PointResult]) -> list[str]:
     from uavaou.suites.assignment import budget_lines
 
     runs = [(one.flown, one.flown.run) for one in results]
-    flown = [(one.policy, one.point.point.label, run.slots) for one, run in runs if run is not None]
+    flown = [(one.policy, one.point.label, run.slots) for one, run in runs if run is not None]
     lines = [part for line in budget_lines(flown) for part in wrapped(line)]
     return ["", *lines] if lines else []
 
@@ -153,7 +153,7 @@ def _reasons(points: Sequence[ResolvedPoint]) -> list[str]:
     for point in points:
         if point.problem or point.remark:
             reason = f"infeasible: {point.problem}" if point.problem else point.remark
-            labels.setdefault(reason, []).append(point.point.label)
+            labels.setdefault(reason, []).append(point.label)
     return _paragraphs(f"{', '.join(found)}: {reason}" for reason, found in labels.items())
 
 

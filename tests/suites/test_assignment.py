@@ -34,7 +34,7 @@ def assigned(suite: Suite, *stated: dict[str, Any]) -> dict[tuple[str, str], tup
     base = Scenario.load("tiny")
     assignments = assign(resolve_points(suite, base), name_runs(configs(*stated), suite), base)
     return {
-        (one.point.point.label, one.policy): (one.kind, [run.folder.path.name for run in one.runs])
+        (one.point.label, one.policy): (one.kind, [run.folder.path.name for run in one.runs])
         for one in assignments
     }
 

@@ -18,8 +18,8 @@ from uavaou.zoo import zoo_names
 @pytest.mark.parametrize("name", zoo_names("suites"))
 def test_shipped_suites_can_be_flown(name: str) -> None:
     suite = Suite.load(name)
-    places = resolve_points(suite, Scenario.load(suite.scenario))
-    assert all(place.scenario is not None for place in places)
+    resolved = resolve_points(suite, Scenario.load(suite.scenario))
+    assert all(point.scenario is not None for point in resolved)
     assert [point.x for point in suite.points] == sorted({point.x for point in suite.points})
 
 
@@ -41,8 +41,8 @@ def test_fading_is_in_decibels() -> None:
 def test_the_papers_fleet_is_among_the_fleets_and_the_layouts_are_new() -> None:
     paper = Scenario.load("paper")
     for name, label in (("uavs", "3"), ("devices", "25"), ("fading", "10"), ("rate", "150")):
-        places = {place.point.label: place.scenario for place in resolve_points(Suite.load(name), paper)}
-        assert places[label] == paper
+        scenarios = {point.label: point.scenario for point in resolve_points(Suite.load(name), paper)}
+        assert scenarios[label] == paper
     seeds = {place.scenario.layout_seed for place in resolve_points(Suite.load("layouts"), paper) if place.scenario}
     assert len(seeds) == 10
     assert min(seeds) > 9

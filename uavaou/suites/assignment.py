@@ -138,7 +138,7 @@ def _candidates(
 
 def _fits(run: SuiteRun, point: ResolvedPoint) -> bool:
     assert point.scenario is not None
-    wanted = point.point.observation
+    wanted = point.stated.observation
     return wanted in (None, run.config.algorithm.observation) and run.config.fits(point.scenario)
 
 
@@ -216,7 +216,7 @@ def missing_trainings(
     for one in assignments:
         if one.kind is None:
             command = _training_command(one.point, _settings(one.policy, assignments, runs), source, base)
-            wanted.setdefault((one.policy, command), []).append(one.point.point.label)
+            wanted.setdefault((one.policy, command), []).append(one.point.label)
     return [MissingTraining(policy, tuple(labels), command) for (policy, command), labels in wanted.items()]
 
 
@@ -230,7 +230,7 @@ def _settings(policy: str, assignments: Sequence[Assignment], runs: Sequence[Sui
 
 def _training_command(point: ResolvedPoint, algorithm: AlgorithmConfig, source: str, base: Scenario) -> tuple[str, ...]:
     assert point.scenario is not None
-    observation, scenario = point.point.observation, point.scenario
+    observation, scenario = point.stated.observation, point.scenario
     if observation is None and (scenario.uavs, scenario.devices) == (base.uavs, base.devices):
         far = base.layout == "fixed" and not _same_layout(base, scenario)
         scenario = base.replace(layout="resample") if far else base

@@ -40,7 +40,7 @@ class PolicyAtPoint:
     def name(self) -> str:
         """Its name in displays, unique within the suite."""
         seed = "" if self.run is None else f" seed {self.run.config.seed}"
-        return f"{self.point.point.label}: {self.policy}{seed}"
+        return f"{self.point.label}: {self.policy}{seed}"
 
     @property
     def scenario(self) -> Scenario:

@@ -134,10 +134,15 @@ class Suite(BaseModel):
 class ResolvedPoint:
     """A point on a base scenario."""
 
-    point: Point
+    stated: Point
     scenario: Scenario | None  # None: it is infeasible
     problem: str = ""  # why it is infeasible, naming the constraint
     remark: str = ""  # why some devices cannot be served at a feasible point
+
+    @property
+    def label(self) -> str:
+        """The point's label."""
+        return self.stated.label
 
 
 def resolve_points(suite: Suite, base: Scenario) -> list[ResolvedPoint]:

@@ -69,7 +69,7 @@ def suite_evaluation(
         shown = {_policy_key(result, run): result for result in [*own, *planners]}
         points.append(
             SuitePoint(
-                **point.point.model_dump(exclude={"joined"}),
+                **point.stated.model_dump(exclude={"joined"}),
                 how={name: result.flown.kind for name, result in shown.items()},
                 policies={name: result.played for name, result in shown.items()},
             )
@@ -88,7 +88,7 @@ def _policy_key(result: PointResult, own: SuiteRun | None) -> str:
 
 
 def _row(plan: SuitePlan, result: PointResult) -> dict[str, Any]:
-    flown, point, axis = result.flown, result.flown.point.point, plan.suite.axis
+    flown, point, axis = result.flown, result.flown.point.stated, plan.suite.axis
     mean, low, high = result.mean_aou_slots
     return {
         "suite": plan.name,
