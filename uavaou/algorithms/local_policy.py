@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any, ClassVar, Self
 
-from uavaou.algorithms.io.save_load import NoPickledPolicy
+import numpy as np
+from stable_baselines3.common.policies import BasePolicy
+
+from uavaou.errors import InputError
 from uavaou.world.views import RowLayout
 
 
-class LocalPolicy(NoPickledPolicy):
-    """An SB3 policy over rows ``[local | global]`` that acts on ``local``; comes before SB3's class among the bases."""
+class LocalPolicy(BasePolicy):
+    """An SB3 policy over rows ``[local | global]`` that acts on ``local``; comes before SB3's class among the bases.
+
+    Attributes:
+        row_layout: which columns of a row hold what.
+        depends_on_sizes: whether the weights fit only the numbers of UAVs and devices that they were trained with.
+            The file of a policy that says False is loaded for other numbers too.
+    """
 
     row_layout: RowLayout
+    depends_on_sizes: ClassVar[bool] = True
 
     def predict(
         self,
@@ -25,3 +35,12 @@ class LocalPolicy(NoPickledPolicy):
             unseen = np.zeros((*observation.shape[:-1], self.row_layout.global_size), dtype=np.float32)
             observation = np.concatenate([observation, unseen], axis=-1)
         return super().predict(observation, state, episode_start, deterministic)
+
+    def save(self, path: str) -> None:
+        """Refused, since it could not be loaded."""
+        raise InputError("a policy is saved with its learner: use the learner's save")
+
+    @classmethod
+    def load(cls, path: str, device: Any = "auto") -> Self:
+        """Refused: SB3's ``load`` of a policy runs pickles."""
+        raise InputError(f"{path}: a policy is loaded with its learner: use the learner's load")

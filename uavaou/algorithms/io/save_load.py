@@ -11,12 +11,11 @@ import json
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import torch as th
 from pydantic import BaseModel, ConfigDict, Field, StrictInt, ValidationError, model_validator
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.policies import BasePolicy
 
 from uavaou.algorithms.io.tensor_file import CHECKSUM, ArrayFile, write_arrays
 from uavaou.algorithms.io.weights import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
@@ -183,26 +182,6 @@ class SafeSaveLoad(BaseAlgorithm):
     def _at_present(self, value: Any) -> Any:
         is_schedule = isinstance(value, Callable) and not isinstance(value, type)  # type: ignore[arg-type]
         return value(self._current_progress_remaining) if is_schedule else value
-
-
-class NoPickledPolicy(BasePolicy):
-    """A policy that is saved and loaded with its learner alone: SB3's ``load`` of a policy runs pickles.
-
-    Attributes:
-        depends_on_sizes: whether the weights fit only the numbers of UAVs and devices that they were trained with.
-            A policy without such weights says False; its file is then loaded for other numbers too.
-    """
-
-    depends_on_sizes: ClassVar[bool] = True
-
-    def save(self, path: str) -> None:
-        """Refused, since it could not be loaded."""
-        raise InputError("a policy is saved with its learner: use the learner's save")
-
-    @classmethod
-    def load(cls, path: str, device: th.device | str = "auto") -> Self:
-        """Refused."""
-        raise InputError(f"{path}: a policy is loaded with its learner: use the learner's load")
 
 
 def _with_suffix(path: str | Path) -> Path:

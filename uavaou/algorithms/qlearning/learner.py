@@ -36,11 +36,11 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         buffer_size: slots in the replay, of all missions together.
         learning_starts: slots of all missions together before the first gradient step.
         batch_size: joint transitions (whole slots, all agents) in a gradient step.
+        n_steps: slots of reward before the bootstrap.
         tau: Polyak step of the target networks; 1 copies.
         gamma: discount factor.
         train_freq: slots of every mission between updates.
         gradient_steps: in each update.
-        n_steps: slots of reward before the bootstrap.
         target_update_interval: gradient steps between updates of the target networks.
         exploration_fraction: of the training, over which epsilon falls linearly.
         exploration_initial_eps, exploration_final_eps: epsilon, the probability that an agent acts at random.
@@ -60,11 +60,11 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         buffer_size: int = 200_000,
         learning_starts: int = 10_000,
         batch_size: int = 512,
+        n_steps: int = 3,
         tau: float = 0.01,
         gamma: float = 0.99,
         train_freq: int = 4,
         gradient_steps: int = 1,
-        n_steps: int = 3,
         target_update_interval: int = 1,
         exploration_fraction: float = 0.3,
         exploration_initial_eps: float = 1.0,
