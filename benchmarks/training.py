@@ -1,4 +1,4 @@
-"""Training on ``paper``: side by side with SB3's own PPO on SuperSuit's own stage, split into parts, and its floor."""
+"""Training on ``paper``: speed beside SB3's own PPO on SuperSuit's own stage, the time of each part, and its floor."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from uavaou.algorithms.nets.mlp import FullyConnected, Linear
 from uavaou.algorithms.registry import load_config, make_model
 
 MISSIONS = 64
-ROLLOUTS = 12  # of ours in one measurement: what a training starts with, a process, should not count
-ALGORITHMS = ("mappo", "vdn", "qmix")  # whose training is measured, by name
+ROLLOUTS = 12  # of ours in one measurement, so that the start of a worker process hardly counts
+ALGORITHMS = ("mappo", "vdn", "qmix")
 STOCK = "stock SB3 PPO on SuperSuit's stage"
 
 
 def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:
-    """Agent steps a second, updates included, with the published rollout, minibatch, epochs; two sizes of networks."""
+    """Agent steps a second with updates, for the published rollout, minibatch and epochs, at two network sizes."""
     return [measured for hidden in ([128, 128], [256, 256]) for measured in _training(repeats, rollout_slots, hidden)]
 
 
@@ -56,7 +56,7 @@ def _training(repeats: int, rollout_slots: int | None, hidden: list[int]) -> lis
 
 
 def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:
-    """Where the time of MAPPO's training goes, in microseconds an agent step, and the fraction of the floor reached.
+    """The time of each part of MAPPO's training in microseconds an agent step, and the fraction of the floor reached.
 
     Rollout, minibatch and epochs are the published ones, the networks 128-128.
     """
@@ -95,7 +95,7 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
 def _split(
     work: Callable[[], object], watched: Mapping[str, tuple[object, str]], repeats: int, rollouts: int = 1
 ) -> tuple[float, dict[str, float]]:
-    """Mean seconds of one of the ``rollouts`` of a call, and of the functions watched in it."""
+    """Mean seconds of a rollout of ``work``, which has ``rollouts`` of them, and of the functions watched in it."""
     watch = Stopwatch()
     for part, (owner, function) in watched.items():
         watch.watch(part, owner, function)
@@ -133,7 +133,7 @@ def _floor(model: MAPPO, config: MappoConfig, seconds_a_step: float) -> list[Mea
 
 
 def _work(layers: list[nn.Module]) -> tuple[float, float]:
-    """FLOP of a row forward, and forward and backward; nobody asks for the gradient by the observation."""
+    """FLOP of a row forward, and forward and backward; the gradient by the observation is not computed."""
     sizes = [layer.in_features * layer.out_features for layer in layers if isinstance(layer, nn.Linear)]
     forward = 2.0 * sum(sizes)
     return forward, 3 * forward - 2 * sizes[0]

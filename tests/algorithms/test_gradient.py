@@ -198,6 +198,21 @@ def test_overriding_a_step_of_the_update_takes_effect(method: str, how: str) -> 
     th.testing.assert_close(model.policy.actor_parameters(), before)
 
 
+def test_a_step_that_clears_the_gradient_still_trains() -> None:
+    class Clearing(MAPPO):
+        def step(self) -> None:
+            super().step()
+            self.policy.optimizer.zero_grad()
+
+    weights = []
+    for learner in (MAPPO, Clearing):
+        model = small_model(learner)
+        model.learn(2 * 6 * 8)
+        assert model.uses_fast
+        weights.append([parameter.detach() for parameter in model.policy.parameters()])
+    th.testing.assert_close(*weights, rtol=1e-4, atol=1e-6)
+
+
 @pytest.mark.parametrize("fast", [True, False])
 def test_target_kl_stops_before_the_step_of_a_minibatch_as_in_sb3(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FastUpdate, "supports", staticmethod(lambda *_: fast and True))

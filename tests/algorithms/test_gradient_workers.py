@@ -14,6 +14,7 @@ import pytest
 import torch as th
 from hypothesis import given
 from hypothesis import strategies as st
+from stable_baselines3.common.callbacks import BaseCallback
 from torch import nn
 
 from tests.algorithms.small_mappo import small_model
@@ -131,3 +132,24 @@ def test_workers_take_the_gradient_of_any_network_that_keeps_rows_apart() -> Non
     alone = body_with(nn.LayerNorm(16))
     assert alone["workers"] == 0
     th.testing.assert_close(shared["weights"], alone["weights"], rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs forked processes")
+@pytest.mark.usefixtures("two_threads")
+def test_workers_see_a_module_that_is_replaced_between_updates() -> None:
+    class Replace(BaseCallback):
+        def _on_rollout_end(self) -> None:
+            if self.num_timesteps > 150 * 8:
+                self.model.policy.actor_body[1] = nn.ReLU()
+
+        def _on_step(self) -> bool:
+            return True
+
+    def trained() -> list[th.Tensor]:
+        model = small_model(n_steps=150, batch_size=700, policy_kwargs={"activation": "tanh"})
+        model.learn(2 * 150 * 8, callback=Replace())
+        return [parameter.detach().clone() for parameter in model.policy.parameters()]
+
+    shared = trained()
+    th.set_num_threads(1)
+    th.testing.assert_close(shared, trained(), rtol=1e-3, atol=1e-5)

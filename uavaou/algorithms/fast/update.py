@@ -57,6 +57,13 @@ class FastUpdate:
         self.workers = start_workers(policy, buffer, batch_size)
         self._parameters = policy.actor_and_critic_parameters()
         self._gradients = self.workers[0].gradients if self.workers else shared_tensors(self._parameters)
+        self._signature = _signature(policy)
+        actor, critic = (
+            sum(parameter.numel() for parameter in parameters)
+            for parameters in (policy.actor_parameters(), policy.critic_parameters())
+        )
+        uavs = buffer.row_layout.uavs
+        self._critic_work = critic * (1 if buffer.shared_critic else uavs) / (actor * uavs)  # see divide
 
     @staticmethod
     def supports(policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> bool:
@@ -81,16 +88,19 @@ class FastUpdate:
         """
         self._coefficients, self._normalises_batches = coefficients, normalises_batches
         self._shard = GradientShard(self._policy, self._buffer)
-        for parameter, gradient in zip(self._parameters, self._gradients, strict=True):
-            parameter.grad = gradient
+        self._set_grad()
         optimizer = self._policy.optimizer
         supported = ClippedAdam.supports(optimizer, self._parameters)
         self.adam = ClippedAdam(optimizer, max_grad_norm) if supported else None
 
     @property
     def is_current(self) -> bool:
-        """Whether the policy's parameters are still the tensors that the workers see."""
-        return list(map(id, self._policy.actor_and_critic_parameters())) == list(map(id, self._parameters))
+        """Whether modules and parameters are still those that the workers see."""
+        return _signature(self._policy) == self._signature
+
+    def _set_grad(self) -> None:
+        for parameter, gradient in zip(self._parameters, self._gradients, strict=True):
+            parameter.grad = gradient
 
     @th.no_grad()
     def gradient(self, indices: Indices) -> Doubles:
@@ -100,7 +110,7 @@ class FastUpdate:
             mean, std = self._shard.advantage_moments(indices)
             coefficients = coefficients._replace(advantage_mean=mean, advantage_scale=1 / (std + 1e-8))
         workers = self.workers[: len(indices) - 1]  # each process has one slot or more
-        own, *others = divide(indices, 1 + len(workers), self._critic_work())
+        own, *others = divide(indices, 1 + len(workers), self._critic_work)
         for worker, shard in zip(workers, others, strict=True):
             worker.request(*shard, len(indices), coefficients)
         gradients, statistics = self._shard.gradient(*own, len(indices), coefficients)
@@ -112,22 +122,17 @@ class FastUpdate:
                 th._foreach_add_(self._gradients, worker.gradients)
             else:  # the first worker writes its gradient where the sum belongs
                 th._foreach_add_(self._gradients, gradients)
+        self._set_grad()  # anew: a step of one's own may have called zero_grad
         return statistics
-
-    def _critic_work(self) -> float:
-        """The critic's work for a slot, in units of the actor's."""
-        policy, buffer = self._policy, self._buffer
-        actor, critic = (
-            sum(parameter.numel() for parameter in parameters)
-            for parameters in (policy.actor_parameters(), policy.critic_parameters())
-        )
-        uavs = buffer.row_layout.uavs
-        return critic * (1 if buffer.shared_critic else uavs) / (actor * uavs)
 
     def close(self) -> None:
         """End the workers."""
         for worker in self.workers:
             worker.close()
+
+
+def _signature(policy: CentralizedValuePolicy) -> list[int]:
+    return [*map(id, policy.modules()), *(parameter.data_ptr() for parameter in policy.actor_and_critic_parameters())]
 
 
 def divide(indices: Indices, processes: int, critic_work: float) -> list[tuple[Indices, Indices]]:

@@ -254,9 +254,11 @@ class MAPPO(SafeSaveLoad, PPO):
         """Two functions: set the parameters' gradient of the loss on some slots; clip the gradient and step."""
         if not self.uses_fast:
             self._close_fast()
-            return lambda indices: self.backward(
-                self.loss(self.rollout_buffer.batch(indices), clip_range, mean, std)
-            ), self.step
+
+            def gradient(indices: NDArray[np.int64]) -> LossStatistics:
+                return self.backward(self.loss(self.rollout_buffer.batch(indices), clip_range, mean, std))
+
+            return gradient, self.step
         if self._fast is None or not self._fast.is_current:
             self._close_fast()
             self._fast = FastUpdate(self.policy, self.rollout_buffer, self.batch_size)
