@@ -78,7 +78,7 @@ def neighbours(scenario: Scenario) -> tuple[Ints, Bools]:
     """Return the cell that each move leads to, (C, 5), or the cell itself if that is off the grid; and whether not."""
     cells = grid_cells(scenario)
     target = cells[:, None] + STEP_OF_MOVE  # (C, 5, 2)
-    on_grid: Bools = ((target >= 0) & (target < [scenario.columns, scenario.rows])).all(axis=-1)
+    on_grid = np.asarray(((target >= 0) & (target < [scenario.columns, scenario.rows])).all(axis=-1))
     own = np.arange(len(cells))[:, None]
     return np.where(on_grid, target[..., 0] * scenario.rows + target[..., 1], own), on_grid
 
