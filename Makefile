@@ -30,9 +30,12 @@ demo: install
 	@$(BIN)/uavaou plot figures $(RUN) --out $(DEMO)/figures
 	@$(BIN)/uavaou plot trajectories $(RUN) --out $(DEMO)/figures
 
+# Bytecode is cached even where the environment forbids it: tests start many processes, and each would compile the package.
+test: export PYTHONDONTWRITEBYTECODE =
+test: export OMP_NUM_THREADS = 1
 test: install
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal -m "not slow"
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal -m slow
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m "not slow"
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m slow
 
 lint: install
 	$(BIN)/ruff check .

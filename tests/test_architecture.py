@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+MOST_LINES = 400
 ROOT = Path(__file__).resolve().parents[1]
 # A room imports only from rooms above it in this list. `planners` sit apart: on `world` alone.
 LAYERS = (
@@ -123,12 +124,22 @@ def test_circles_are_found() -> None:
     assert circles(frozen) == [["a", "b", "c"], ["f", "g"]]
 
 
+def test_no_files_import_each_other_in_a_circle() -> None:
+    assert circles({module: imports(module) for module in MODULES if module != "uavaou"}) == []
+
+
 def test_the_physics_knows_nothing_of_learning() -> None:
     forbidden = {"torch", "stable_baselines3", "pettingzoo", "gymnasium", "supersuit", "matplotlib"}
     world = [module for module in MODULES if layer(module) == "world"]
     assert len(world) > 5
     imported = {name.split(".")[0] for module in world for name in imports(module)}
     assert not imported & forbidden
+
+
+def test_no_file_is_long() -> None:
+    files = python_files("uavaou", "cli", "tests", "benchmarks", "examples")
+    lines = {str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines()) for path in files}
+    assert {name: count for name, count in lines.items() if count > MOST_LINES} == {}
 
 
 # What each import must leave unloaded: packages that take seconds, or code that a module promises not to share.

@@ -78,6 +78,7 @@ def test_shards_of_a_gradient_add_up_and_the_worker_ends_with_the_training(criti
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs forked processes")
+@pytest.mark.slow
 def test_a_program_that_updates_without_learning_ends() -> None:
     program = """
 import torch

@@ -260,6 +260,7 @@ def test_an_environment_without_row_layout_is_refused() -> None:
         VDN("JointQPolicy", object())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("learner", "best"), [(QMIX, 8.0), (VDN, 7.0)])
 def test_qmix_sees_the_8_of_the_two_step_game_and_vdn_the_7(learner: type[JointQLearning], best: float) -> None:
     returns = []

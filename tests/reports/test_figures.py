@@ -180,6 +180,7 @@ def test_one_study_keeps_no_other_from_being_drawn(
     assert "damaged/runs.csv" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_studies_are_drawn_side_by_side(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

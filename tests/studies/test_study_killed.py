@@ -127,6 +127,7 @@ def test_runs_save_and_end_when_the_study_itself_is_killed(untouched: tuple[Path
     assert_the_same(tmp_path / "out", place / "out", study)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["a training", "a bound"])
 def test_a_job_whose_listener_is_gone_does_its_work_without_a_word(
     what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]

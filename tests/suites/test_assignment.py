@@ -34,8 +34,7 @@ def assigned(suite: Suite, *stated: dict[str, Any]) -> dict[tuple[str, str], tup
     base = Scenario.load("tiny")
     assignments = assign(resolve_points(suite, base), name_runs(configs(*stated), suite), base)
     return {
-        (one.point.label, one.policy): (one.kind, [run.folder.path.name for run in one.runs])
-        for one in assignments
+        (one.point.label, one.policy): (one.kind, [run.folder.path.name for run in one.runs]) for one in assignments
     }
 
 

@@ -76,6 +76,7 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
     assert sum(status.evaluated for status in seen) == 10
 
 
+@pytest.mark.slow
 def test_cpu_seconds_are_those_of_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from uavaou.runs import recorder as callback
 
