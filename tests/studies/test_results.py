@@ -28,7 +28,7 @@ from uavaou.studies.study import Study
 from uavaou_cli.main import main
 
 
-def test_the_tables_say_what_the_run_folders_say(copied: tuple[Study, Path]) -> None:
+def test_the_tables_agree_with_the_run_folders(copied: tuple[Study, Path]) -> None:
     study, out = copied
     results = read_study(out / "studies/mine")
     scenario = study.scenarios["tiny"]
@@ -65,7 +65,7 @@ def test_the_tables_say_what_the_run_folders_say(copied: tuple[Study, Path]) -> 
         assert min(validation["mean_aou_slots"].min(), validation["sampled_aou_slots"].min()) == row["best_slots"][0]
 
 
-def test_planners_have_no_seed_and_stand_beside_a_bound(finished: tuple[Path, Inline]) -> None:
+def test_planners_have_no_seed_and_respect_the_bound(finished: tuple[Path, Inline]) -> None:
     results = read_study(finished[0] / "out/studies/mine")
     bound = results.bounds["tiny"]
     for planner in ("greedy", "anneal"):
@@ -120,7 +120,7 @@ def test_a_better_seed_takes_the_place_of_the_best(copied: tuple[Study, Path]) -
 
 
 @pytest.mark.parametrize("left", ["nothing", "other evaluations"])
-def test_a_report_loses_nothing_where_runs_are_not_here(copied: tuple[Study, Path], left: str) -> None:
+def test_a_report_without_run_folders_keeps_all_rows(copied: tuple[Study, Path], left: str) -> None:
     """A fresh clone has the condensed results alone; ``uavaou eval`` may have replaced a run's evaluation."""
     study, out = copied
     before = tables(out)
@@ -133,7 +133,7 @@ def test_a_report_loses_nothing_where_runs_are_not_here(copied: tuple[Study, Pat
     assert tables(out) == before
 
 
-def test_the_kept_policy_stays_while_a_better_one_is_elsewhere(copied: tuple[Study, Path]) -> None:
+def test_the_kept_policy_stays_while_the_folder_of_a_better_one_is_missing(copied: tuple[Study, Path]) -> None:
     study, out = copied
     (kept,) = (out / "studies/mine/best/tiny/mappo").iterdir()
     path = out / "studies/mine/runs.csv"
@@ -148,7 +148,7 @@ def test_the_kept_policy_stays_while_a_better_one_is_elsewhere(copied: tuple[Stu
     assert [folder.name for folder in (out / "studies/mine/best/tiny/mappo").iterdir()] == [kept.name]
 
 
-def test_a_run_of_its_kept_configuration_gives_the_same_figures(copied: tuple[Study, Path], tmp_path: Path) -> None:
+def test_training_from_a_kept_configuration_gives_the_same_results(copied: tuple[Study, Path], tmp_path: Path) -> None:
     study, out = copied
     config = out / "studies/mine/configs/tiny/own critic/seed-1.yaml"
     assert main(["train", "--config", str(config), "--out", str(tmp_path / "again"), "--quiet"]) == 0
@@ -179,7 +179,7 @@ def test_the_report_prints_every_variant_and_planner(
     assert after.keys() - before.keys() == {"README.md", "marl-eval.json", *missions}
 
 
-def test_the_report_says_what_is_wrong_with_its_results(
+def test_the_report_warns_of_results_below_the_bound(
     copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     _, out = copied
@@ -190,7 +190,7 @@ def test_the_report_says_what_is_wrong_with_its_results(
     assert "below the certified bound of 1e+05" in said
 
 
-def test_a_study_that_runs_is_reported_from_its_tables(
+def test_a_running_study_is_reported_from_its_tables(
     copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     _, out = copied
@@ -213,7 +213,7 @@ def test_a_study_that_runs_is_reported_from_its_tables(
 
 
 @pytest.mark.parametrize("after", range(1, len(COLUMNS)))
-def test_tables_that_grow_while_they_are_read_have_what_they_name(
+def test_tables_that_grow_while_they_are_read_are_consistent(
     after: int, copied: tuple[Study, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """They are written one after another, runs last."""
@@ -251,7 +251,7 @@ def test_an_interrupt_in_a_compiled_function_is_no_failure(monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("there", ["nothing", "a damaged run", "empty tables"])
-def test_a_report_of_nothing_says_so_and_writes_nothing(
+def test_a_report_without_results_is_refused_and_writes_nothing(
     there: str, write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
@@ -301,7 +301,7 @@ def test_damaged_results_are_named(
     assert message in str(caught.value)
 
 
-def test_what_was_cut_off_between_two_tables_is_done_again(copied: tuple[Study, Path]) -> None:
+def test_a_part_cut_off_between_two_tables_is_done_again(copied: tuple[Study, Path]) -> None:
     study, out = copied
     shutil.rmtree(out / "tiny")
     runs = out / "studies/mine/runs.csv"
@@ -326,12 +326,12 @@ def test_committed_tables_are_rewritten_to_the_same_bytes(name: str, tmp_path: P
     assert read_study(tmp_path).settings == results.settings
 
 
-def test_figures_have_six_digits() -> None:
+def test_numbers_have_six_digits() -> None:
     values = [0.123456789, 123456789.0, 3.0, -1.5e7, float("nan"), None]
     assert [number(value) for value in values] == ["0.123457", "123456789", "3", "-15000000", "", ""]
 
 
-def test_the_columns_are_those_that_others_read() -> None:
+def test_the_columns_keep_their_names() -> None:
     assert COLUMNS["runs"] == (
         "variant", "algorithm", "scenario", "seed", "slots", "agent_steps", "wall_s", "cpu_s", "best_slots",
         "mean_aou_slots", "low", "high", "violations", "commit",

@@ -26,7 +26,7 @@ from uavaou_cli.main import main
 from uavaou_cli.progress import StudyDisplay
 
 
-def test_the_order_is_by_seed_and_the_references_come_after_the_first(finished: tuple[Path, Inline]) -> None:
+def test_planners_come_after_the_first_seed_and_before_the_others(finished: tuple[Path, Inline]) -> None:
     assert finished[1].keys == [
         ("mappo", "tiny", 0), ("own critic", "tiny", 0), ("bound", "tiny", None), ("greedy", "tiny", None),
         ("plan", "tiny", None), ("anneal", "tiny", None), ("mappo", "tiny", 1), ("own critic", "tiny", 1),
@@ -42,7 +42,7 @@ def test_a_finished_study_does_nothing_and_changes_nothing(copied: tuple[Study, 
     assert tables(out) == before
 
 
-def test_the_condensed_results_are_enough_to_go_on_from(copied: tuple[Study, Path], finished: Any) -> None:
+def test_a_study_resumes_from_its_condensed_results_alone(copied: tuple[Study, Path], finished: Any) -> None:
     study, out = copied
     shutil.rmtree(out / "tiny")
     shutil.rmtree(out / "planners")
@@ -81,7 +81,7 @@ def test_results_of_another_study_are_refused_and_kept(
     assert tables(out) == before
 
 
-def test_planning_seconds_may_change_where_nothing_was_planned(write: Write, tmp_path: Path) -> None:
+def test_planning_seconds_may_change_before_anything_is_planned(write: Write, tmp_path: Path) -> None:
     small = TINY.replace("seeds: 2", "seeds: 1").replace("[greedy, anneal]", "[greedy]")
     assert run_inline(Study.load(write(small)), tmp_path / "out", Inline()).done == 4
     longer = Study.load(write(small.replace("planning_seconds: 0.5", "planning_seconds: 0.75")))
@@ -91,7 +91,7 @@ def test_planning_seconds_may_change_where_nothing_was_planned(write: Write, tmp
 
 
 @pytest.mark.parametrize("change", ["another action", "in mid-training", "of before they said what they are of"])
-def test_an_evaluation_of_another_policy_or_action_is_not_taken(change: str, copied: tuple[Study, Path]) -> None:
+def test_an_evaluation_of_another_policy_or_action_is_ignored(change: str, copied: tuple[Study, Path]) -> None:
     """What ``uavaou eval`` wrote in the middle of the training, or with ``--action``, has as many missions."""
     study, out = copied
     before = tables(out)
@@ -119,7 +119,7 @@ def test_an_evaluation_of_another_policy_or_action_is_not_taken(change: str, cop
         assert after[name] == before[name]
 
 
-def test_the_evaluation_of_the_command_line_is_as_good(copied: tuple[Study, Path]) -> None:
+def test_an_evaluation_by_the_eval_command_counts(copied: tuple[Study, Path]) -> None:
     study, out = copied
     before = tables(out)
     shutil.rmtree(out / "studies")
@@ -133,7 +133,7 @@ def test_the_evaluation_of_the_command_line_is_as_good(copied: tuple[Study, Path
     assert tables(out)["runs.csv"] == before["runs.csv"]
 
 
-def test_a_best_checkpoint_that_is_damaged_is_told_and_stops_no_report(
+def test_a_report_names_a_damaged_best_checkpoint_and_goes_on(
     copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     study, out = copied
@@ -150,7 +150,7 @@ def test_a_best_checkpoint_that_is_damaged_is_told_and_stops_no_report(
     assert {name: after[name] for name in before} == before
 
 
-def test_a_full_disk_is_a_failure_of_the_run_alone(write: Write, tmp_path: Path) -> None:
+def test_a_full_disk_fails_one_run_alone(write: Write, tmp_path: Path) -> None:
     study = Study.load(write(TINY.replace("seeds: 2", "seeds: 1")))
     (tmp_path / "out/studies/mine/failures.csv.partial").mkdir(parents=True)  # nothing can be written in its place
     (tmp_path / "out/planners").write_text("in the way")
@@ -165,7 +165,7 @@ def test_a_full_disk_is_a_failure_of_the_run_alone(write: Write, tmp_path: Path)
 
 
 @pytest.mark.parametrize("command", ["run", "report"])
-def test_results_that_cannot_be_written_are_one_line(
+def test_results_that_cannot_be_written_are_refused_in_one_line(
     command: str, copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     _, out = copied
@@ -178,8 +178,10 @@ def test_results_that_cannot_be_written_are_one_line(
     assert f"cannot write to '{out / 'studies/mine'}'" in said
 
 
-def test_what_is_at_work_is_shown(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Planners and plans have no folder of their own whose lock could tell."""
+def test_status_and_display_show_jobs_in_progress(
+    write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Planners and plans have no folder whose lock would show it."""
     path = write(TINY.replace("seeds: 2", "seeds: 1"))
     out = tmp_path / "out"
     study = Study.load(path)
@@ -209,7 +211,7 @@ def test_what_is_at_work_is_shown(write: Write, tmp_path: Path, capsys: pytest.C
     assert not (out / "studies/mine/.working.csv").exists()
 
 
-def test_what_a_killed_command_was_at_work_on_is_not(copied: tuple[Study, Path]) -> None:
+def test_jobs_of_a_killed_command_are_not_shown_as_running(copied: tuple[Study, Path]) -> None:
     study, out = copied
     missions = out / "studies/mine/missions.csv"
     missions.write_text("".join(line for line in missions.open() if not line.startswith("greedy")))
@@ -220,7 +222,7 @@ def test_what_a_killed_command_was_at_work_on_is_not(copied: tuple[Study, Path])
     assert not (out / "studies/mine/.working.csv").exists()
 
 
-def test_a_run_that_fails_stops_no_other_and_is_tried_again(
+def test_a_failed_run_stops_no_other_and_is_tried_again(
     write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = Study.load(write(TINY))
@@ -254,7 +256,7 @@ def test_a_bug_in_one_run_keeps_its_traceback_and_stops_no_other(
     assert "Traceback" in capsys.readouterr().err
 
 
-def test_a_broken_run_goes_on_and_ends_as_the_whole_one(
+def test_an_interrupted_run_resumes_to_the_same_results(
     copied: tuple[Study, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from uavaou.runs import train as training
@@ -283,7 +285,7 @@ def test_a_broken_run_goes_on_and_ends_as_the_whole_one(
         np.testing.assert_array_equal(ours[column], theirs[column])
 
 
-def test_a_saved_plan_is_taken_unless_it_was_planned_for_less(copied: tuple[Study, Path]) -> None:
+def test_a_saved_plan_is_used_unless_it_was_planned_for_less_time(copied: tuple[Study, Path]) -> None:
     study, out = copied
     plan = next((out / "planners/plans").glob("tiny.json"))
     stated = json.loads(plan.read_text())

@@ -111,7 +111,7 @@ def test_a_signal_makes_every_run_save_and_the_same_command_goes_on(
 
 
 @pytest.mark.slow
-def test_runs_save_and_end_when_the_study_itself_is_killed(untouched: tuple[Path, Study], tmp_path: Path) -> None:
+def test_trainings_save_and_end_when_the_study_process_is_killed(untouched: tuple[Path, Study], tmp_path: Path) -> None:
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
     process = start_command(line, tmp_path / "stderr")
@@ -129,7 +129,7 @@ def test_runs_save_and_end_when_the_study_itself_is_killed(untouched: tuple[Path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["a training", "a bound"])
-def test_a_job_whose_listener_is_gone_does_its_work_without_a_word(
+def test_a_job_finishes_silently_when_the_study_process_is_gone(
     what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "long.yaml").write_text(LONG.replace("16000", "640").replace("[quickstart]", "[tiny]"))
@@ -152,10 +152,8 @@ def test_a_job_whose_listener_is_gone_does_its_work_without_a_word(
         assert (tmp_path / "run/eval/default.json").is_file()
 
 
-def test_a_training_on_a_cluster_that_has_not_begun_is_given_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It may wait for a CPU that never comes; one that has reported is asked for its last checkpoint."""
+def test_a_queued_training_of_a_cluster_is_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may wait for a CPU for ever; a training that has reported is asked for its last checkpoint."""
     pytest.importorskip("ray")
     from uavaou.studies import cluster
 
@@ -201,7 +199,7 @@ def ignore(state: StudyState) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_process_is_a_failure_that_the_same_command_mends(
+def test_a_killed_process_is_a_failure_that_the_same_command_repairs(
     untouched: tuple[Path, Study], tmp_path: Path
 ) -> None:
     place, study = untouched
@@ -215,7 +213,7 @@ def test_a_killed_process_is_a_failure_that_the_same_command_mends(
 
 
 @pytest.mark.slow
-def test_a_killed_worker_of_a_cluster_costs_a_checkpoint_interval_and_its_run_goes_on(
+def test_a_killed_worker_of_a_cluster_is_replaced_and_its_run_resumes(
     untouched: tuple[Path, Study], tmp_path: Path
 ) -> None:
     pytest.importorskip("ray")
@@ -233,9 +231,7 @@ def test_a_killed_worker_of_a_cluster_costs_a_checkpoint_interval_and_its_run_go
 
 
 @pytest.mark.slow
-def test_a_study_on_a_cluster_stops_with_checkpoints_and_goes_on_without_it(
-    untouched: tuple[Path, Study], tmp_path: Path
-) -> None:
+def test_a_study_stopped_on_a_cluster_resumes_without_it(untouched: tuple[Path, Study], tmp_path: Path) -> None:
     pytest.importorskip("ray")
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'} --engine ray"

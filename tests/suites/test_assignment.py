@@ -45,7 +45,7 @@ def by_devices() -> Suite:
     return Suite.from_dict(GOOD | {"points": points}, "own", "own.yaml")
 
 
-def test_the_run_trained_for_a_point_comes_first_then_one_that_fits_then_none(by_devices: Suite) -> None:
+def test_runs_trained_for_a_point_come_first_then_those_that_fit(by_devices: Suite) -> None:
     found = assigned(by_devices, {}, {"algorithm": "vdn", "devices": 3}, {"speed_m_s": 20})
     assert found == {
         ("3", "mappo"): (None, []),
@@ -57,17 +57,17 @@ def test_the_run_trained_for_a_point_comes_first_then_one_that_fits_then_none(by
     }
 
 
-def test_zero_shot_prefers_what_was_trained_on_the_suites_scenario(by_devices: Suite) -> None:
+def test_zero_shot_prefers_runs_trained_on_the_suites_scenario(by_devices: Suite) -> None:
     found = assigned(by_devices, {"layout_seed": 8}, {}, {"layout_seed": 9, "seed": 1})
     assert found["4 fast", "mappo"] == ("zero-shot", ["run-1", "run-2"])  # one a training seed
     assert found["4", "mappo"] == ("trained", ["run-1"])  # where any was trained for it, none stands in
 
 
-def test_the_name_of_a_scenario_is_not_the_scenario(by_devices: Suite) -> None:
+def test_scenarios_are_compared_without_their_names(by_devices: Suite) -> None:
     assert assigned(by_devices, {"name": "mine", "description": "!"})["4", "mappo"] == ("trained", ["run-0"])
 
 
-def test_all_runs_at_a_point_have_one_budget_that_of_most_points_where_there_is_one(by_devices: Suite) -> None:
+def test_all_runs_at_a_point_have_the_usual_budget(by_devices: Suite) -> None:
     long, short = {"slots": 3000}, {"slots": 1000}
     three, fast = {"devices": 3}, {"speed_m_s": 20}
     # As five seeds of a study at one point, and a short training at each point, that one included.
@@ -83,7 +83,7 @@ def test_all_runs_at_a_point_have_one_budget_that_of_most_points_where_there_is_
     assert found["4 fast", "mappo"] == ("zero-shot", ["run-1"])
 
 
-def test_an_unfinished_training_counts_with_the_slots_that_it_has(by_devices: Suite, tmp_path: Path) -> None:
+def test_an_unfinished_training_counts_with_its_trained_slots(by_devices: Suite, tmp_path: Path) -> None:
     (tmp_path / "meta.json").write_text('{"slots": 700, "agent_steps": 1400, "wall_s": 1.0, "finished": false}')
     config = RunConfig(Scenario.load("tiny"), load_config("mappo", {"slots": 1000}), 0)
     assert name_runs({tmp_path: config}, by_devices)[0].slots == 700
@@ -92,7 +92,7 @@ def test_an_unfinished_training_counts_with_the_slots_that_it_has(by_devices: Su
         assert name_runs({tmp_path: config}, by_devices)[0].slots == 1000
 
 
-def test_budgets_are_told_where_they_differ() -> None:
+def test_budgets_are_listed_where_they_differ() -> None:
     assert budget_lines([("mappo", "10", 1000), ("mappo", "25", 1000), ("vdn", "10", 1000)]) == []
     assert budget_lines([("mappo", "10", 1000), ("vdn", "10", 3000)]) == [
         "mappo: trained with slots = 1,000", "vdn: trained with slots = 3,000"
@@ -106,7 +106,7 @@ def by_layout() -> Suite:
     return Suite.from_dict(GOOD | {"points": points}, "own", "own.yaml")
 
 
-def test_on_another_layout_a_run_trained_on_layouts_drawn_anew_comes_first() -> None:
+def test_on_another_layout_runs_trained_on_resampled_layouts_come_first() -> None:
     anew, other = {"layout": "resample"}, {"layout_seed": 8, "seed": 3}
     found = assigned(by_layout(), {}, {"seed": 1}, {"layout_seed": 5, "seed": 2}, other, anew)
     # Where runs of both kinds fly, those of layouts drawn anew have a name of their own.
@@ -121,7 +121,7 @@ def test_on_another_layout_a_run_trained_on_layouts_drawn_anew_comes_first() -> 
     assert found["6", "mappo+gamma=0.9,layout=resample"] == ("zero-shot", ["run-1"])
 
 
-def test_on_its_own_layout_a_run_comes_before_those_trained_on_layouts_drawn_anew(by_devices: Suite) -> None:
+def test_on_its_own_layout_a_run_comes_before_those_of_resampled_layouts(by_devices: Suite) -> None:
     found = assigned(by_devices, {"layout": "resample", "seed": 1}, {"layout": "resample"}, {"rate_min_bit_s": 1e5})
     assert found["4 fast", "mappo"] == ("zero-shot", ["run-2"])
     points = [{"label": "new", "x": 0, "set": {"layout": "resample"}}]
@@ -130,13 +130,13 @@ def test_on_its_own_layout_a_run_comes_before_those_trained_on_layouts_drawn_ane
     assert found["new", "mappo"] == ("zero-shot", ["run-1"])
 
 
-def test_variants_of_an_algorithm_are_policies_of_their_own_and_budgets_are_not(by_devices: Suite) -> None:
+def test_settings_make_another_policy_and_budgets_do_not(by_devices: Suite) -> None:
     found = assigned(by_devices, {"gamma": 0.9}, {"gamma": 0.99, "slots": 1000})
     assert {policy for _, policy in found} == {"mappo+gamma=0.9", "mappo+gamma=0.99"}
     assert {policy for _, policy in assigned(by_devices, {"seed": 0}, {"slots": 1000, "seed": 1})} == {"mappo"}
 
 
-def test_an_observation_is_flown_by_runs_that_see_it() -> None:
+def test_a_point_with_an_observation_is_flown_by_runs_that_have_it() -> None:
     points = [{"label": name, "x": x, "observation": name} for x, name in enumerate(("location", "local", "shared"))]
     suite = Suite.from_dict(GOOD | {"points": points}, "own", "own.yaml")
     found = assigned(suite, {"observation": "shared", "layout_seed": 5}, {})
@@ -147,7 +147,7 @@ def test_an_observation_is_flown_by_runs_that_see_it() -> None:
     }
 
 
-def test_what_is_missing_comes_with_the_command_that_trains_it(by_devices: Suite) -> None:
+def test_a_missing_training_comes_with_its_command(by_devices: Suite) -> None:
     base = Scenario.load("tiny")
     entries = name_runs(configs({"algorithm": "vdn", "devices": 3, "gamma": 0.9}), by_devices)
     missing = missing_trainings(assign(resolve_points(by_devices, base), entries, base), entries, "tiny", base)

@@ -15,7 +15,7 @@ from tests.suites.small_suites import GOOD, OWN, call
 from uavaou.scenario import Scenario
 
 
-def test_a_suite_is_played_told_and_written(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+def test_a_suite_is_played_printed_and_written(capsys: pytest.CaptureFixture[str], place: Path) -> None:
     command = "eval run --policy greedy --suite own.yaml --episodes 3 --quiet --out out/own.csv --json all.json"
     code, out, err = call(capsys, command)
     assert (code, err) == (0, "")
@@ -55,7 +55,7 @@ def test_a_suite_is_played_told_and_written(capsys: pytest.CaptureFixture[str], 
     assert [set(point["policies"]) for point in whole["points"]][2] == {"greedy"}
 
 
-def test_a_point_is_what_eval_plays_on_its_scenario(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+def test_a_point_equals_eval_on_its_scenario(capsys: pytest.CaptureFixture[str], place: Path) -> None:
     assert call(capsys, "eval run --suite own.yaml --episodes 3 --quiet --out own.csv")[0] == 0
     call(capsys, "eval run --set scenario.rate_min_bit_s=100000 --episodes 3 --quiet --json plain.json")
     plain = json.loads((place / "plain.json").read_text())["policies"]["run"]
@@ -68,7 +68,7 @@ def test_a_point_is_what_eval_plays_on_its_scenario(capsys: pytest.CaptureFixtur
     assert float(row["low"]) <= float(row["mean_aou_slots"]) <= float(row["high"])
 
 
-def test_without_runs_it_says_what_is_missing_and_writes_nothing(
+def test_without_runs_the_missing_trainings_are_printed_and_nothing_is_written(
     capsys: pytest.CaptureFixture[str], place: Path
 ) -> None:
     before = sorted(place.rglob("*"))
@@ -80,7 +80,7 @@ def test_without_runs_it_says_what_is_missing_and_writes_nothing(
     assert max(map(len, call(capsys, "eval --suite own.yaml")[1].splitlines())) < 120
 
 
-def test_planners_that_cannot_plan_a_point_say_so(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+def test_a_planner_that_refuses_a_point_gives_its_reason(capsys: pytest.CaptureFixture[str], place: Path) -> None:
     points = [{"label": "none", "x": 0}, {"label": "Rice", "x": 1, "set": {"fading": "rician"}}]
     (place / "faded.yaml").write_text(yaml.safe_dump(GOOD | {"scenario": "tiny", "points": points}))
     code, out, _ = call(capsys, "eval --policy exact --policy stay --suite faded.yaml --episodes 2 --quiet --out o.csv")
@@ -92,7 +92,7 @@ def test_planners_that_cannot_plan_a_point_say_so(capsys: pytest.CaptureFixture[
     assert float(played["none", "exact"]["mean_aou_slots"]) == pytest.approx(4 / 3, abs=1e-3)  # the proven optimum
 
 
-def test_changes_of_the_scenario_stand_in_every_name(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+def test_changes_of_the_scenario_are_part_of_every_name(capsys: pytest.CaptureFixture[str], place: Path) -> None:
     command = "eval run --suite own.yaml --set scenario.layout_seed=3 --episodes 2 --quiet --out own.csv"
     code, out, _ = call(capsys, command)
     assert code == 0
@@ -113,7 +113,7 @@ def test_budgets_that_differ_stand_below_the_table(capsys: pytest.CaptureFixture
     assert played == [("150", "96"), ("100", "48"), ("new layouts", "96")]
 
 
-def test_more_missions_are_kept(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+def test_an_evaluation_of_more_missions_is_kept(capsys: pytest.CaptureFixture[str], place: Path) -> None:
     assert call(capsys, "eval run --suite own.yaml --episodes 4 --quiet")[0] == 0
     kept = (place / "run" / "eval" / "own.json").read_bytes()
     assert "kept run/eval/own.json" in call(capsys, "eval run --suite own.yaml --episodes 2")[2]
@@ -153,7 +153,9 @@ def test_a_damaged_run_is_found_before_anything_is_played(capsys: pytest.Capture
         ("plot suite own.yaml", "column 'suite' is missing"),
     ],
 )
-def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], place: Path, command: str, words: str) -> None:
+def test_bad_input_is_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], place: Path, command: str, words: str
+) -> None:
     (place / "empty.yaml").touch()
     (place / "misspelt.yaml").write_text(OWN.replace("points", "ponits"))
     shutil.copytree(place / "run", place / "begun", ignore=shutil.ignore_patterns("*.safetensors"))

@@ -16,7 +16,7 @@ from uavaou.zoo import zoo_names
 
 
 @pytest.mark.parametrize("name", zoo_names("suites"))
-def test_shipped_suites_can_be_flown(name: str) -> None:
+def test_all_points_of_shipped_suites_are_feasible(name: str) -> None:
     suite = Suite.load(name)
     resolved = resolve_points(suite, Scenario.load(suite.scenario))
     assert all(point.scenario is not None for point in resolved)
@@ -38,7 +38,7 @@ def test_fading_is_in_decibels() -> None:
     assert suite.points[-1].set == {"fading": "none"}
 
 
-def test_the_papers_fleet_is_among_the_fleets_and_the_layouts_are_new() -> None:
+def test_suites_contain_the_papers_scenario_and_new_layouts() -> None:
     paper = Scenario.load("paper")
     for name, label in (("uavs", "3"), ("devices", "25"), ("fading", "10"), ("rate", "150")):
         scenarios = {point.label: point.scenario for point in resolve_points(Suite.load(name), paper)}
@@ -84,13 +84,13 @@ def test_schema_errors_name_the_field(changes: dict[str, Any], words: str) -> No
         Suite.from_dict(GOOD | changes, "own", "own.yaml")
 
 
-def test_a_change_that_the_scenario_cannot_take_is_an_error_and_no_infeasible_point() -> None:
+def test_an_invalid_change_is_an_error_and_not_an_infeasible_point() -> None:
     suite = Suite.from_dict(GOOD | {"points": [POINT | {"set": {"slots": "many"}}]}, "own", "own.yaml")
     with pytest.raises(InputError, match="suite 'own', point 'a': scenario 'tiny': slots = 'many'"):
         resolve_points(suite, Scenario.load("tiny"))
 
 
-def test_infeasible_scenarios_are_an_error_of_their_own() -> None:
+def test_infeasible_scenarios_have_an_error_class() -> None:
     tiny = Scenario.load("tiny")
     for changes in ({"cds_m": [[50, 0], [0, 0]]}, {"flight_time_budget_s": 1}):
         with pytest.raises(InfeasibleError, match="breaks constraint"):

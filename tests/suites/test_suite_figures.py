@@ -49,7 +49,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch, table: Path) -> Any:
 
 
 @pytest.mark.parametrize("scale", ["linear", "log", "category"])
-def test_lines_join_all_points_but_those_marked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scale: str) -> None:
+def test_lines_join_all_points_but_marked_ones(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scale: str) -> None:
     points = [
         {"label": "250 slots", "x": 250, "set": {"speed_m_s": 20}}, {"label": "500 slots", "x": 500},
         {"label": "900", "x": 900, "joined": False},
