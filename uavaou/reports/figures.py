@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,7 +30,6 @@ from uavaou.reports.drawing import (
     VALIDATION_AOU,
     ByPeriod,
     Line,
-    Looks,
     Measure,
     execution_figure,
     label_training,
@@ -136,62 +135,89 @@ def _plot_scenarios(study: StudyResults, out_dir: Path) -> list[Path]:
 
 def scenario_figures(study: StudyResults, scenario: str) -> dict[str, Figure]:
     """Figures 3 to 8 and AoU over wall-clock time, of the algorithms, the best planner and the bound."""
-    planner = best_planner(study, [scenario])
-    looks = style.looks([*study.algorithms, BOUND, *study.planners], study.algorithms)
-
-    def having(table: str, names: Iterable[str]) -> dict[str, list[Table]]:
-        return {name: runs for name in names if (runs := study.runs(table, name, scenario))}
-
+    draw = _Scenario(study, scenario)
     figures = {}
-    if curves := having("curves", study.algorithms):
-        for name, measure in _TRAINING_FIGURES.items():
-            levels = _levels(study, scenario, planner, measure)
-            figures[name] = _training_figure(study, scenario, curves, levels, measure, looks)
-    if validations := having("validation", study.algorithms):
-        levels = _levels(study, scenario, planner, VALIDATION_AOU)
-        figures["aou-wall-clock"] = _wall_clock_figure(study, scenario, validations, levels, looks)
-    flown = [*study.algorithms, *([planner] if planner else [])]
-    if executed := having("execution", flown):
-        figures["figure-7-aou-execution"] = _execution_figure(study, scenario, executed, looks)
-    if counted := having("devices", flown):
-        figures["figure-8-communications-by-period"] = _period_figure(study, scenario, counted, looks)
+    if curves := draw.runs("curves", study.algorithms):
+        figures = {name: draw.training_figure(curves, measure) for name, measure in _TRAINING_FIGURES.items()}
+    if validations := draw.runs("validation", study.algorithms):
+        figures["aou-wall-clock"] = draw.wall_clock_figure(validations)
+    flown = [*study.algorithms, *([draw.planner] if draw.planner else [])]
+    if executed := draw.runs("execution", flown):
+        figures["figure-7-aou-execution"] = draw.execution_figure(executed)
+    if counted := draw.runs("devices", flown):
+        figures["figure-8-communications-by-period"] = draw.period_figure(counted)
     return figures
 
 
-def _legend(figure: Figure, axes: Axes, what: str, seeds: Sequence[int], planner: bool = False) -> None:
-    note = "\nplanners: 95 % interval over missions" if planner else ""
-    style.legend_below(figure, axes, f"{what}: {over_seeds(seeds)}{note}")
+class _Scenario:
+    """Draws the figures of one scenario of a study."""
 
+    def __init__(self, study: StudyResults, scenario: str) -> None:
+        self._study, self._scenario = study, scenario
+        self._looks = style.looks([*study.algorithms, BOUND, *study.planners], study.algorithms)
+        self.planner = best_planner(study, [scenario])
 
-def _levels(study: StudyResults, scenario: str, planner: str | None, measure: Measure) -> dict[str, Interval]:
-    """The bound and the best planner as levels of a measure; the bound bounds AoU and reward alone."""
-    levels = {}
-    if planner is not None:
-        levels[planner] = interval_over_missions(study.missions(planner, measure.column, [scenario])[scenario][0])
-    if scenario in study.bounds and measure.column in ("mean_aou_slots", "reward_s"):
-        reward = -study.slots(scenario) * study.slot_length_s(scenario)  # s, of a mission whose mean AoU is one slot
-        value = study.bounds[scenario] * (reward if measure.column == "reward_s" else 1.0)
-        levels[BOUND] = Interval(value, np.nan, np.nan)
-    return levels
+    def runs(self, table: str, names: Iterable[str]) -> dict[str, list[Table]]:
+        """The rows of each run of the policies that have any."""
+        return {name: runs for name in names if (runs := self._study.runs(table, name, self._scenario))}
 
+    def training_figure(self, curves: Mapping[str, list[Table]], measure: Measure) -> Figure:
+        """Figures 3 to 6: a measure of the training missions over training."""
+        slots = self._study.slots(self._scenario)
+        points = {name: [(run["slots"] / slots, run[measure.column]) for run in runs] for name, runs in curves.items()}
+        figure, axes = self._measure_figure({name: _line(runs) for name, runs in points.items()}, measure)
+        label_training(axes, slots)
+        return figure
 
-def _training_figure(
-    study: StudyResults,
-    scenario: str,
-    curves: Mapping[str, list[Table]],
-    levels: dict[str, Interval],
-    measure: Measure,
-    looks: Looks,
-) -> Figure:
-    """Figures 3 to 6: a measure of the training missions over training."""
-    slots = study.slots(scenario)
-    lines = {
-        name: _line([(run["slots"] / slots, run[measure.column]) for run in runs]) for name, runs in curves.items()
-    }
-    figure, axes = measure_figure(lines, levels, looks, measure, study.devices(scenario))
-    label_training(axes, slots)
-    _legend(figure, axes, "bands", [line.seeds for line in lines.values()], bool(levels.keys() - {BOUND}))
-    return figure
+    def wall_clock_figure(self, validations: Mapping[str, list[Table]]) -> Figure:
+        """The AoU of each run's latest validation against the time since its training began."""
+        lines = {name: _over_time(runs) for name, runs in validations.items()}
+        unit, seconds = time_unit(max(float(line.x[-1]) for line in lines.values()))
+        lines = {name: Line(line.x / seconds, line.y, line.seeds) for name, line in lines.items()}
+        figure, axes = self._measure_figure(lines, VALIDATION_AOU)
+        axes.set_xlabel(f"wall-clock time of training ({unit})")
+        return figure
+
+    def _measure_figure(self, lines: Mapping[str, Line], measure: Measure) -> tuple[Figure, Axes]:
+        """Lines beside the levels of the best planner and the bound, which bounds AoU and reward alone."""
+        study, scenario, levels = self._study, self._scenario, {}
+        if self.planner is not None:
+            missions = study.missions(self.planner, measure.column, [scenario])[scenario][0]
+            levels[self.planner] = interval_over_missions(missions)
+        if scenario in study.bounds and measure.column in ("mean_aou_slots", "reward_s"):
+            reward = -study.slots(scenario) * study.slot_length_s(scenario)  # s, of a mission with a mean AoU of a slot
+            value = study.bounds[scenario] * (reward if measure.column == "reward_s" else 1.0)
+            levels[BOUND] = Interval(value, np.nan, np.nan)
+        figure, axes = measure_figure(lines, levels, self._looks, measure, study.devices(scenario))
+        note = "" if self.planner is None else "\nplanners: 95 % interval over missions"
+        style.legend_below(figure, axes, f"bands: {over_seeds([line.seeds for line in lines.values()])}{note}")
+        return figure, axes
+
+    def execution_figure(self, executed: Mapping[str, list[Table]]) -> Figure:
+        """Figure 7: AoU over the slots of a mission."""
+        lines = {}
+        for name in executed:
+            table = self._study.stack("execution", name, self._scenario, "mean_aou_slots")  # (S, K)
+            lines[name] = Line(executed[name][0]["slot"], band_over_trainings(table), len(table))
+        figure, axes = execution_figure(lines, self._looks, self._study.slot_length_s(self._scenario))
+        style.legend_below(figure, axes, f"bands: {over_seeds(self._seeds(executed))}")
+        return figure
+
+    def period_figure(self, counted: Mapping[str, list[Table]]) -> Figure:
+        """Figure 8: communications of each device against its generation period."""
+        groups = {}
+        for name, runs in counted.items():
+            period = runs[0]["update_period_slots"]  # (I,)
+            counts = self._study.stack("devices", name, self._scenario, "communications")  # (S, I)
+            values = np.unique(period)
+            means = np.stack([counts[:, period == value].mean(axis=1) for value in values], axis=1)  # (S, P)
+            groups[name] = ByPeriod(period, counts.mean(axis=0), values, band_over_trainings(means))
+        figure, axes = period_figure(groups, self._looks)
+        style.legend_below(figure, axes, f"dot: one device; bar: {over_seeds(self._seeds(counted))}")
+        return figure
+
+    def _seeds(self, found: Mapping[str, list[Table]]) -> list[int]:
+        return [len(runs) for name, runs in found.items() if name in self._study.algorithms]
 
 
 def _line(runs: list[tuple[Floats, Floats]]) -> Line:
@@ -211,23 +237,6 @@ def _one_value_each(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return ends, np.bincount(place, y) / np.bincount(place)
 
 
-def _wall_clock_figure(
-    study: StudyResults,
-    scenario: str,
-    validations: Mapping[str, list[Table]],
-    levels: dict[str, Interval],
-    looks: Looks,
-) -> Figure:
-    """The AoU of each run's latest validation against the time since its training began."""
-    lines = {name: _over_time(runs) for name, runs in validations.items()}
-    unit, seconds = time_unit(max(float(line.x[-1]) for line in lines.values()))
-    lines = {name: Line(line.x / seconds, line.y, line.seeds) for name, line in lines.items()}
-    figure, axes = measure_figure(lines, levels, looks, VALIDATION_AOU, study.devices(scenario))
-    axes.set_xlabel(f"wall-clock time of training ({unit})")
-    _legend(figure, axes, "bands", [line.seeds for line in lines.values()], bool(levels.keys() - {BOUND}))
-    return figure
-
-
 def _over_time(runs: list[Table]) -> Line:
     """The latest validation AoU of each seed at each time, from when all have one to when the first ends."""
     times = [run["wall_s"] for run in runs]
@@ -238,28 +247,3 @@ def _over_time(runs: list[Table]) -> Line:
         for run, time in zip(runs, times, strict=True)
     ]
     return Line(grid, band_over_trainings(latest), len(runs))
-
-
-def _execution_figure(study: StudyResults, scenario: str, executed: Iterable[str], looks: Looks) -> Figure:
-    lines = {}
-    for name in executed:
-        table = study.stack("execution", name, scenario, "mean_aou_slots")  # (S, K)
-        slot = study.stack("execution", name, scenario, "slot")[0]  # (K,)
-        lines[name] = Line(slot, band_over_trainings(table), len(table))
-    figure, axes = execution_figure(lines, looks, study.slot_length_s(scenario))
-    _legend(figure, axes, "bands", [line.seeds for name, line in lines.items() if name in study.algorithms])
-    return figure
-
-
-def _period_figure(study: StudyResults, scenario: str, counted: Mapping[str, list[Table]], looks: Looks) -> Figure:
-    groups = {}
-    for name in counted:
-        period = study.stack("devices", name, scenario, "update_period_slots")[0]  # (I,)
-        counts = study.stack("devices", name, scenario, "communications")  # (S, I)
-        values = np.unique(period)
-        means = np.stack([counts[:, period == value].mean(axis=1) for value in values], axis=1)  # (S, P)
-        groups[name] = ByPeriod(period, counts.mean(axis=0), values, band_over_trainings(means))
-    figure, axes = period_figure(groups, looks)
-    seeds = [len(runs) for name, runs in counted.items() if name in study.algorithms]
-    _legend(figure, axes, "dot: one device; bar", seeds)
-    return figure
