@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from pathlib import Path
@@ -39,10 +39,6 @@ class CsvTable:
 
     def __len__(self) -> int:
         return len(self.rows)
-
-    def mappings(self) -> Iterator[dict[str, str]]:
-        """Each row as a mapping from column to cell."""
-        return (dict(zip(self.columns, row, strict=True)) for row in self.rows)
 
     def text(self, column: str) -> list[str]:
         """The cells of a column, (R,)."""

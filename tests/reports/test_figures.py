@@ -71,19 +71,6 @@ def test_without_studies_one_line_says_what_makes_them(tmp_path: Path) -> None:
     assert not any(tmp_path.iterdir())
 
 
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """The figures by path; the files cost the time."""
-    figures: dict[str, Any] = {}
-
-    def keep(figure: Any, folder: Path, name: str) -> list[Path]:
-        figures[f"{folder.name}/{name}"] = figure
-        return [folder / name]
-
-    monkeypatch.setattr(style, "save", keep)
-    return figures
-
-
 def test_several_scenarios_get_a_folder_each(tmp_path: Path, drawn: dict[str, Any]) -> None:
     study = write_study(tmp_path / "many", scenarios=("paper", "a b?"), missions=4)
     plot_study(study, tmp_path / "out")

@@ -13,7 +13,6 @@ import pytest
 
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
-from uavaou.reports import style
 from uavaou.reports.figures import plot_runs
 from uavaou.reports.run_tables import read_runs
 from uavaou.runs.folder import RunConfig, RunFolder
@@ -68,19 +67,6 @@ def write_run(root: Path, algorithm: str = "mappo", seed: int = 0, missions: int
 def write_evaluation(folder: Path, name: str, policies: dict[str, Any]) -> None:
     content = {"scenario": "tiny", "episodes": 6, "policies": policies}
     (folder / "eval" / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
-
-
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """The figures by path; the files cost the time."""
-    figures: dict[str, Any] = {}
-
-    def keep(figure: Any, folder: Path, name: str) -> list[Path]:
-        figures[f"{folder.name}/{name}"] = figure
-        return [folder / name]
-
-    monkeypatch.setattr(style, "save", keep)
-    return figures
 
 
 # -- figures -------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +39,8 @@ class Ablation:
     scenario: str
     seeds: int
     aou: float
-    ratio: Interval | None
-    finding: str
+    ratio: Interval | None = None
+    finding: str = "the reference"
     against: str | None = None
     other_ratio: Interval | None = None
 
@@ -71,23 +71,16 @@ def _ablation(
     variant: str, scenario: str, means: Mapping[str, Floats], published: str, against: str | None
 ) -> Ablation:
     own = means[variant]
-    aou = float(own.mean())
+    found = Ablation(variant, scenario, len(own), float(own.mean()))
     if variant == published:
-        return Ablation(variant, scenario, len(own), aou, None, "the reference")
-    ratio = _ratio(own, means[published])
-    if against in (None, published):
-        finding = _finding(variant, ratio, min(len(own), len(means[published])))
-        return Ablation(variant, scenario, len(own), aou, ratio, finding)
-    if against not in means:
-        finding = f"none yet: {against} has no trainings here"
-        return Ablation(variant, scenario, len(own), aou, ratio, finding, against)
-    other = _ratio(own, means[against])
-    finding = _finding(variant, other, min(len(own), len(means[against])), against)
-    return Ablation(variant, scenario, len(own), aou, ratio, finding, against, other)
-
-
-def _ratio(own: Floats, reference: Floats) -> Interval:
-    return ratio_of_trainings({"": own}, {"": reference})
+        return found
+    other = None if against == published else against
+    compared = other or published
+    ratios = {name: ratio_of_trainings({"": own}, {"": means[name]}) for name in {published, compared} & means.keys()}
+    finding = f"none yet: {compared} has no trainings here"
+    if compared in ratios:
+        finding = _finding(variant, ratios[compared], min(len(own), len(means[compared])), other)
+    return replace(found, ratio=ratios[published], finding=finding, against=other, other_ratio=ratios.get(other or ""))
 
 
 def _finding(variant: str, ratio: Interval, fewest: int, against: str | None = None) -> str:

@@ -28,16 +28,16 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Scores = Mapping[str, Mapping[str, Floats]]  # variant -> scenario -> (S, M)
 
-OWN = "mappo"  # the variant that the others are compared with where the study names none
+OWN = "mappo"  # the variant to compare with where the study names no reference
 _THRESHOLDS = 120
 _ROW_IN = 0.2  # of a bar
 
 
 def aggregate_figures(study: StudyResults) -> dict[str, Figure]:
-    """``aou-iqm``, ``probability-of-improvement`` and ``performance-profile``, as far as there are scores for them.
+    """``aou-iqm``, ``probability-of-improvement`` and ``performance-profile``, where there are scores for them.
 
-    Policies that have not flown in every scenario are left out, and so are ``random`` and ``stay``, beside which
-    no difference between the others would show.
+    Policies without missions in one of the scenarios are left out. So are ``random`` and ``stay``: on their scale the
+    differences between the others would not be visible.
     """
     planners = [name for name in study.planners if name not in FIXED_RULES]
     found = in_all_scenarios(study, [*study.algorithms, *planners])
@@ -56,7 +56,7 @@ def aggregate_figures(study: StudyResults) -> dict[str, Figure]:
 
 
 def _resampled(study: StudyResults, scores: Scores) -> str:
-    """What the intervals are over; planners are not trained, and show no seeds."""
+    """What the intervals are over; planners have no seeds."""
     seeds = {len(table) for name in scores if name in study.algorithms for table in scores[name].values()}
     if not seeds - {1}:
         return "missions (1 seed)" if seeds else "missions"
@@ -74,7 +74,7 @@ def _iqm_figure(scores: Scores, unit: str, looks: Looks, note: str) -> Figure:
     figure, axes = style.new_axes(height_in=0.9 + _ROW_IN * len(order))
     _draw_bars(axes, [estimates[name] for name in order], [looks[name] for name in order])
     axes.set_yticks(range(len(order)), [_row_label(looks[name], scores[name]) for name in order])
-    axes.use_sticky_edges = False  # the ends of a bar that begins with the axis would not be seen
+    axes.use_sticky_edges = False  # else a bar that begins at the axis hides its end
     axes.autoscale_view()
     values = np.array([estimates[name].value for name in order])
     if values.min() > 0 and values.max() > 10 * values.min():
@@ -90,7 +90,7 @@ def _row_label(look: style.Look, tables: Mapping[str, Floats]) -> str:
 
 
 def _label(figure: Figure, text: str, note: str) -> None:
-    """What the x axis shows and what the bars mean, across the figure: long names of rows leave the axes little."""
+    """What the x axis shows and what the bars mean, across the figure: long row names leave the axes little room."""
     figure.supxlabel(f"{text}\n{note}", fontsize=7, linespacing=1.3)
 
 
@@ -106,7 +106,7 @@ def _draw_bars(axes: Axes, estimates: Sequence[Interval], looks: Sequence[style.
 
 
 def _improvement_figure(scores: Scores, own: str, others: list[str], looks: Looks, note: str) -> Figure:
-    """How often a mission of ``own`` is fresher than one of each other policy."""
+    """The probability that a mission of ``own`` has a lower AoU than one of each other policy."""
     estimates = [probability_of_improvement(scores[own], scores[other]) for other in others]
     figure, axes = style.new_axes(height_in=1.05 + _ROW_IN * len(others))
     _draw_bars(axes, estimates, [looks[other] for other in others])
@@ -118,7 +118,7 @@ def _improvement_figure(scores: Scores, own: str, others: list[str], looks: Look
 
 
 def _profile_figure(scores: Scores, unit: str, looks: Looks, note: str) -> Figure:
-    """The share of missions flown with an AoU of at most x."""
+    """The share of missions with an AoU of at most x."""
     values = np.concatenate([table.ravel() for tables in scores.values() for table in tables.values()])
     low, high = float(values.min()), float(values.max())
     wide = low > 0 and high > 5 * low

@@ -67,7 +67,7 @@ def audit_lines(result: Audit) -> list[str]:
 
 
 def _rows_shown(result: Audit) -> list[DeviceBudget]:
-    """The devices worth a row: all, or of very many those that are hardest to reach."""
+    """The devices in the table: all, or the hardest to reach where there are very many."""
     hardest = sorted(result.devices, key=lambda device: device.mean_probability)[:_DEVICES_SHOWN]
     return sorted(hardest, key=lambda device: device.device)
 

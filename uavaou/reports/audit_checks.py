@@ -30,7 +30,7 @@ _RELATIVE = 1e-9
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing about a scenario that a user should know: an error contradicts the model or leaves nothing to learn."""
+    """One remark on a scenario; an error contradicts the model or leaves nothing to learn."""
 
     level: Level
     check: str  # which check it comes from, e.g. "grid step"
@@ -63,7 +63,7 @@ def findings(scenario: Scenario, layout: Layout, budget: LinkBudget) -> Iterator
 
 
 def _check_rate(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
-    """Whether R_min keeps anybody from collecting anything."""
+    """Whether R_min ever prevents a communication."""
     lowest, at_cds = float(budget.lowest.min()), float(budget.at_cds.min())
     change = "raise rate_min_bit_s, or lower bandwidth_hz, transmit_power_mw or the reference gain"
     if lowest > _CERTAIN:
@@ -162,7 +162,7 @@ def _check_grid_step(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _check_take_off(scenario: Scenario) -> Iterator[Finding]:
-    """The model takes H / nu <= tau for granted."""
+    """The model assumes H / nu <= tau."""
     climb = scenario.altitudes / scenario.speed_m_s  # (U,) s
     longest, mission = float(climb.max()), scenario.slots * scenario.slot_length_s
     if longest <= scenario.slot_length_s + ZETA_TOLERANCE_S:
@@ -270,7 +270,7 @@ def plain(value: float) -> str:
 
 
 def _at_least(value: float) -> str:
-    """Four decimals, rounded up, so that a user who follows the advice has followed it."""
+    """Four decimals, rounded up: a value that is advised as a minimum must reach it."""
     return f"{math.ceil(value * 1e4 - _RELATIVE) / 1e4:.10g}"
 
 
@@ -295,7 +295,7 @@ def _bit_s(value: float) -> str:
 
 
 def _probability(value: float) -> str:
-    """Four decimals, and how far from 1 it is where they do not tell."""
+    """Four decimals, and the distance from 1 where they would round to it."""
     missing = 1 - value
     return f"{value:.4f} (1 - {missing:.1g})" if 0 < missing < 5e-5 else f"{value:.4f}"
 

@@ -62,11 +62,11 @@ def begin_marker(study: str) -> str:
 def write_claims(readme: Path, study: str, claims: Sequence[Claim]) -> str:
     """Put the table of the claims between the markers of a README, in place of what is there.
 
-    A README without markers gets them, with a heading, at its end; one that does not exist is made. One whose markers
-    name another study is left as it is; a marker without a name is any study's.
+    A README without markers gets them, with a heading, at its end; a missing README is created. A README whose markers
+    name another study is left as it is; a marker without a name accepts any study.
 
     Returns:
-        The study whose verdicts stand there now.
+        The study whose verdicts the README has now.
 
     Raises:
         InputError: the file cannot be read or written, or has one marker without the other.
@@ -88,7 +88,7 @@ def write_claims(readme: Path, study: str, claims: Sequence[Claim]) -> str:
 
 
 def _around(text: str, begins: Sequence[re.Match[str]], readme: Path) -> tuple[str, str | None, str]:
-    """What stands before and after the markers, and the study that they name."""
+    """The text before and after the markers, and the study that they name."""
     end = text.find(END)
     if len(begins) != 1 or text.count(END) != 1 or end < begins[0].end():
         raise InputError(f"{readme}: expected '<!-- claims:begin STUDY -->' once and then '{END}' once")

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; what stands in a cell cannot end it."""
+    """A table; bars and line breaks in a cell are escaped."""
     lines = [_line(head), _line(["---"] * len(head)), *map(_line, rows)]
     return "\n".join(lines)
 
@@ -17,7 +17,7 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def rounded(value: float, digits: int = 3) -> str:
-    """So many significant digits, thousands apart, without an exponent: ``0.874``, ``38.1``, ``12,400``."""
+    """A number with so many significant digits, commas and no exponent: ``0.874``, ``38.1``, ``12,400``."""
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
     places = digits - 1 - math.floor(math.log10(abs(value)))
@@ -25,7 +25,7 @@ def rounded(value: float, digits: int = 3) -> str:
 
 
 def with_interval(value: float, low: float, high: float, digits: int = 3) -> str:
-    """A figure with the ends of its interval, where it has one."""
+    """A number with the ends of its interval, where it has one."""
     if math.isnan(low):
         return rounded(value, digits)
     return f"{rounded(value, digits)} ({rounded(low, digits)}–{rounded(high, digits)})"

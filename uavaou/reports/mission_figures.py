@@ -1,4 +1,4 @@
-"""Missions of several algorithms side by side: where their UAVs flew, and how old each device became."""
+"""Missions of several algorithms side by side: the ways of their UAVs and the age of each device."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def mission_figures(missions: Sequence[RecordedMission], algorithms: Mapping[str
 
     Args:
         missions: of one scenario, one a policy.
-        algorithms: the algorithm of each variant, whose colour and name it gets.
+        algorithms: variant -> algorithm, as the study has them.
     """
     shown = sorted(missions, key=lambda mission: mission.mean_aou_slots)[:_MOST_PANELS]
     if not shown:

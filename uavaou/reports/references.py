@@ -1,4 +1,4 @@
-"""What a study's policies are measured against: the best planner, the lower bound."""
+"""The references of a study: the best planner and the lower bound."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from uavaou.studies.results import StudyResults
 
 Floats = NDArray[np.float64]
 
-_CHANCE = 1e-6  # of taking one training that keeps the bound for one that breaks it
-_ROUNDED = 1e-5  # share of a mean that six digits of its missions may be off
+_CHANCE = 1e-6  # of a false alarm for one training
+_ROUNDED = 1e-5  # relative error of a mean over missions of six digits
 
-FIXED_RULES = ("random", "stay")  # planners that look at nothing; all the others see every device's true age
+FIXED_RULES = ("random", "stay")  # planners that ignore the ages; all others have full information
 
 
 def best_planner(study: StudyResults, scenarios: Sequence[str]) -> str | None:
     """The full-information planner of the lowest AoU, by the geometric mean over the scenarios; None without one.
 
-    Planners that have not flown in all the scenarios are not compared.
+    Planners without missions in one of the scenarios are left out.
     """
     levels = {}
     for name in study.planners:
@@ -33,10 +33,10 @@ def best_planner(study: StudyResults, scenarios: Sequence[str]) -> str | None:
 
 
 def below_bound(study: StudyResults) -> list[str]:
-    """A line for each variant or planner whose AoU is significantly below the certified bound: none, or a bug.
+    """A line for each variant or planner whose AoU is significantly below the certified bound, which is a bug.
 
-    The bound is one on the expected AoU of a mission with any policy, so the missions of each training are a sample of
-    their own: their mean is below where it is so by Student's distribution with one chance in a million.
+    The bound holds for the expected AoU of a mission with any policy. The missions of each training are therefore a
+    sample of their own, tested by Student's distribution at one chance in a million.
     """
     lines = []
     for scenario, bound in study.bounds.items():
@@ -46,13 +46,13 @@ def below_bound(study: StudyResults) -> list[str]:
             if below:
                 lines.append(
                     f"'{name}' on '{scenario}' has a mean AoU of {min(below):.4g} slots, which is below the "
-                    f"certified bound of {bound:.4g}: no policy can be; the bound or the simulation is wrong"
+                    f"certified bound of {bound:.4g}: the bound or the simulation is wrong"
                 )
     return lines
 
 
 def _at_most(missions: Floats) -> float:
-    """What the expected AoU of a mission is at most, but for that chance; of one mission nobody knows."""
+    """The upper limit of the expected AoU of a mission, at that chance; infinite for one mission."""
     if len(missions) < 2:
         return np.inf
     reach = float(stdtrit(len(missions) - 1, 1 - _CHANCE)) * missions.std(ddof=1) / np.sqrt(len(missions))
@@ -60,7 +60,7 @@ def _at_most(missions: Floats) -> float:
 
 
 def in_all_scenarios(study: StudyResults, variants: Sequence[str]) -> dict[str, dict[str, Floats]]:
-    """Variant -> scenario -> AoU of its missions (S, M) in slots, of the variants that flew in every scenario."""
+    """Variant -> scenario -> AoU of its missions (S, M) in slots, for the variants with missions in every scenario."""
     found = {name: study.missions(name, "mean_aou_slots") for name in variants}
     return {name: tables for name, tables in found.items() if len(tables) == len(study.scenarios)}
 

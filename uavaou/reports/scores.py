@@ -23,7 +23,7 @@ class PolicyScores:
         seeds: trainings; 0 for planners and the bound.
         scores: (S, M) mean AoU in slots of each seed and mission; (1, 1) of the bound.
         wall_s: mean duration of a training, s; None for planners and the bound.
-        violations: constraint violations in all missions; None where they are not kept.
+        violations: constraint violations in all missions; None where they are unknown.
     """
 
     policy: str
@@ -46,7 +46,7 @@ class PolicyScores:
 
 
 def study_scores(results: StudyResults) -> dict[str, list[PolicyScores]]:
-    """Of each scenario the policies and the bound, the best first.
+    """Scenario -> the scores of its policies and its bound, the best first.
 
     Raises:
         InputError: the seeds of a variant have different numbers of missions.

@@ -1,8 +1,7 @@
-"""How every picture looks: sizes, fonts, one colour and marker for each algorithm, reproducible files."""
+"""The style of every figure: sizes, fonts, a colour and a marker for each algorithm, reproducible files."""
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from uavaou.envs.map import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, YELLOW
 from uavaou.errors import InputError
+from uavaou.files import replacing
 from uavaou.planners import PLANNERS
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ _RC: Any = {
 
 @dataclass(frozen=True)
 class Look:
-    """How one algorithm is drawn, in every picture alike."""
+    """How one algorithm is drawn, the same in every figure."""
 
     colour: str
     marker: str
@@ -103,7 +103,7 @@ def base_name(name: str) -> str:
 
 
 def is_planner(name: str) -> bool:
-    """Whether a policy is a planner or a fixed rule, i.e. nothing that was trained."""
+    """Whether a policy is a planner or a fixed rule, and so was not trained."""
     return base_name(name) in PLANNERS
 
 
@@ -116,8 +116,8 @@ def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> 
 
     Args:
         names: of algorithms, their variants, planners.
-        algorithms: the algorithm of each name that does not tell it itself, as the variants of a study; such
-            a name is its own label.
+        algorithms: the algorithm of names that do not contain it, such as the variants of a study; these names are
+            their own labels.
     """
     stated = {name: base for name, base in (algorithms or {}).items() if name != base}
     bases = {name: base_name(stated.get(name, name)) for name in sorted(set(names))}
@@ -126,23 +126,13 @@ def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> 
     counts = Counter(bases.values())
     taken = {_LOOKS[base].colour for base in counts if base in _LOOKS}
     free = [colour for colour in _VARIANT_COLOURS if colour not in taken]
+    known = _LOOKS | {base: _spare(turn, base) for turn, base in enumerate(sorted(counts.keys() - _LOOKS.keys()))}
     given: dict[str, Look] = {}
-    variants: dict[str, int] = {}
-    spare = sorted(set(bases.values()) - _LOOKS.keys())
+    variants: Counter[str] = Counter()
     for name in ordered:
         base = bases[name]
-        if base in _LOOKS:
-            look = _LOOKS[base]
-        else:
-            turn = spare.index(base)
-            look = Look(
-                _SPARE_COLOURS[turn % len(_SPARE_COLOURS)],
-                _SPARE_MARKERS[turn % len(_SPARE_MARKERS)],
-                _VARIANT_DASHES[(turn // len(_SPARE_COLOURS)) % len(_VARIANT_DASHES)],
-                base,
-            )
-        turn = variants.get(base, 0)
-        variants[base] = turn + 1
+        look, turn = known[base], variants[base]
+        variants[base] += 1
         if turn:
             marker = _SPARE_MARKERS[(turn - 1) % len(_SPARE_MARKERS)]
             colour = free[(turn - 1) % len(free)] if free and counts[base] > _MOST_OF_ONE_COLOUR else look.colour
@@ -153,11 +143,21 @@ def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> 
     return given
 
 
+def _spare(turn: int, label: str) -> Look:
+    """The look of an unknown algorithm."""
+    return Look(
+        _SPARE_COLOURS[turn % len(_SPARE_COLOURS)],
+        _SPARE_MARKERS[turn % len(_SPARE_MARKERS)],
+        _VARIANT_DASHES[(turn // len(_SPARE_COLOURS)) % len(_VARIANT_DASHES)],
+        label,
+    )
+
+
 @contextmanager
 def house_style() -> Iterator[None]:
     """Apply fonts and line widths to whatever is drawn inside; matplotlib's own settings return afterwards."""
     with matplotlib.rc_context():
-        matplotlib.rcdefaults()  # a personal matplotlibrc must not change the project's pictures
+        matplotlib.rcdefaults()  # a personal matplotlibrc must not change the figures
         matplotlib.rcParams.update(_RC)
         yield
 
@@ -189,7 +189,7 @@ def figure_of(axes: Axes) -> Figure:
 def save(figure: Figure, out_dir: Path, name: str) -> list[Path]:
     """Write a figure as ``name.png`` and ``name.pdf``, each file whole or not at all.
 
-    Nothing in the files tells the time: the same figure gives the same bytes.
+    The files hold no time: the same figure gives the same bytes.
 
     Raises:
         InputError: the folder cannot be written.
@@ -202,20 +202,12 @@ def save(figure: Figure, out_dir: Path, name: str) -> list[Path]:
         out_dir.mkdir(parents=True, exist_ok=True)
         for suffix, metadata in ((".png", {"Software": None}), (".pdf", {"CreationDate": None, "Producer": None})):
             path = out_dir / f"{name}{suffix}"
-            _write_whole(figure, path, metadata)
+            with replacing(path, "wb") as file:
+                figure.savefig(file, format=suffix[1:], dpi=PNG_DPI, metadata=metadata)
             written.append(path)
     except OSError as error:
         raise InputError(f"{out_dir}: figures cannot be written: {error.strerror or error}") from error
     return written
-
-
-def _write_whole(figure: Figure, path: Path, metadata: dict[str, Any]) -> None:
-    draft = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")  # the suffix tells matplotlib the format
-    try:
-        figure.savefig(draft, dpi=PNG_DPI, metadata=metadata)
-        os.replace(draft, path)
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def legend_below(figure: Figure, axes: Axes, title: str) -> None:

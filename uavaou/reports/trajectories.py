@@ -52,10 +52,10 @@ _LEGEND_COLUMNS = 4
 def plot_trajectories(scenario: Scenario, recording: Recording, out_dir: Path, name: str) -> list[Path]:
     """Draw a mission's map (``<name>-map``) and its ages (``<name>-ages``), each as PNG and PDF.
 
-    The map: every step flown, as wide as it was flown often, each UAV beside the cell's middle so that
-    shared ways stay legible; cells shaded by the slots spent there; devices coloured by mean age, as large
-    as they were collected often. The ages: their total over the mission, and each device's, with a tick in
-    the UAV's colour where a communication took place.
+    The map shows every step flown, wider where it was flown more often. Each UAV is drawn beside the cell's middle, so
+    that shared ways stay legible. Cells are shaded by the slots spent there. Devices are coloured by mean age and
+    larger with more communications. The ages are the AoU over the mission, and each device's age with a tick in the
+    UAV's colour for each communication.
 
     Raises:
         InputError: the folder cannot be written.
@@ -116,7 +116,7 @@ def _shade_visits(axes: Axes, bar_axes: Axes, scenario: Scenario, recording: Rec
     shown = np.ma.masked_equal(visits, 0)
     edges_x = (np.arange(scenario.columns + 1) - 0.5) * step  # m
     edges_y = (np.arange(scenario.rows + 1) - 0.5) * step  # m
-    # The greys in the middle alone: one visit must show, and what lies on top must stay legible.
+    # Only the middle greys: one visit must be visible, and lines on top must stay legible.
     most = float(visits.max())
     mesh = axes.pcolormesh(
         edges_x, edges_y, shown, cmap="Greys", vmin=-0.2 * most, vmax=2.2 * most, zorder=0.5, rasterized=True
@@ -128,7 +128,7 @@ def _shade_visits(axes: Axes, bar_axes: Axes, scenario: Scenario, recording: Rec
 
 
 def draw_steps(axes: Axes, scenario: Scenario, way: Floats, uav: int) -> None:
-    """Each step between two cells once, as wide as it was flown often; ``way`` is (K, 2) m."""
+    """Each step between two cells once, wider where it was flown more often; ``way`` is (K, 2) m."""
     ends = np.stack([way[:-1], way[1:]], axis=1)  # (K-1, 2 ends, 2) m
     ends = ends[np.any(ends[:, 0] != ends[:, 1], axis=1)]  # without the slots stayed
     if len(ends) == 0:

@@ -1,0 +1,23 @@
+"""What the tests of figures share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from uavaou.reports import style
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The figures by path; the files cost the time."""
+    figures: dict[str, Any] = {}
+
+    def keep(figure: Any, folder: Path, name: str) -> list[Path]:
+        figures[f"{folder.name}/{name}"] = figure
+        return [folder / name]
+
+    monkeypatch.setattr(style, "save", keep)
+    return figures
