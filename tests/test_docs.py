@@ -1,0 +1,119 @@
+"""What the pages name exists: links, files, modules, public names; their examples run."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from tests.documents import PAGES, ROOT, blocks, code_spans
+from uavaou import Scenario
+
+DOCS = ROOT / "docs"
+pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub forms them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pages
+def test_links_resolve(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8")):
+        if target.startswith("https://"):
+            continue
+        path, _, anchor = target.partition("#")
+        found = page.parent / path if path else page
+        assert found.exists(), target
+        assert not anchor or anchor in anchors(found), target
+
+
+@pages
+def test_files_that_it_names_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for name in re.findall(r"(?<![\w./])(?:uavaou|cli|tests|benchmarks|examples|zoo_configs)/[\w./-]*\w", text):
+        assert (ROOT / name).exists(), name
+    for name in code_spans(page):  # `world/flight.py`: below uavaou/
+        if re.fullmatch(r"[a-z_]+/[a-z_/]+\.py", name):
+            assert (ROOT / name).exists() or (ROOT / "uavaou" / name).exists(), name
+
+
+@pages
+def test_dotted_names_that_it_gives_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for name in re.findall(r"python -m (benchmarks[.\w]*)", text):
+        assert find_spec(name) is not None, name
+    for name in set(re.findall(r"(?<![\w.])uavaou(?:\.[A-Za-z_]\w*)+", text)):
+        parts = name.split(".")
+        modules = [".".join(parts[:k]) for k in range(1, len(parts) + 1)]
+        module = modules[0]
+        for longer in modules[1:]:
+            if hasattr(import_module(module), "__path__") and find_spec(longer) is not None:
+                module = longer
+        found: object = import_module(module)
+        for attribute in parts[len(module.split(".")) :]:
+            assert hasattr(found, attribute), name
+            found = getattr(found, attribute)
+
+
+@pages
+def test_uavaou_exports_what_it_imports(page: Path) -> None:
+    import uavaou
+
+    for code in blocks(page, "python"):
+        for names in re.findall(r"^from uavaou import (.*)$", code, flags=re.MULTILINE):
+            for name in names.split(", "):
+                assert hasattr(uavaou, name), name
+
+
+def test_architecture_names_every_room() -> None:
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    for room in (ROOT / "uavaou").iterdir():
+        if (room / "__init__.py").is_file():
+            assert f"  {room.name}/" in text, room.name
+
+
+def test_a_scenario_of_your_own(tmp_path: Path) -> None:
+    page = DOCS / "model.md"
+    (tmp_path / "valley.yaml").write_text(blocks(page, "yaml")[0], encoding="utf-8")
+    (table,) = blocks(page, "csv")
+    (tmp_path / "valley.csv").write_text(table, encoding="utf-8")
+    valley = Scenario.load(tmp_path / "valley.yaml")
+    assert valley.devices == len(table.strip().splitlines()) - 1
+    assert valley.name == "valley"
+
+
+def test_reading_a_study(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(ROOT)
+    (code,) = blocks(DOCS / "studies.md", "python")
+    exec(code, {})
+    assert "14.4" in capsys.readouterr().out
+
+
+def test_a_study_and_a_suite_of_your_own(tmp_path: Path) -> None:
+    from uavaou.studies.study import Study
+    from uavaou.suites.suite import Suite
+
+    for page, kind in (("studies", Study), ("suites", Suite)):
+        (content,) = blocks(DOCS / f"{page}.md", "yaml")
+        (tmp_path / f"{page}.yaml").write_text(content, encoding="utf-8")
+        assert kind.load(tmp_path / f"{page}.yaml").name == page
+
+
+def test_a_search_space_of_your_own(tmp_path: Path) -> None:
+    import yaml
+
+    from uavaou.tuning.search_space import SearchSpace
+
+    (content,) = blocks(DOCS / "tuning.md", "yaml")
+    assert len(SearchSpace.from_dict(yaml.safe_load(content), "tuning.md").dimensions) == 3
+
+
+def test_the_example_of_an_own_algorithm_is_the_file() -> None:
+    (code,) = blocks(DOCS / "own-algorithm.md", "python")
+    assert code in (ROOT / "examples" / "plain_ppo.py").read_text(encoding="utf-8")
