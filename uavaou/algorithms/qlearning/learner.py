@@ -33,12 +33,12 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         env: what :func:`uavaou.flatten` returns, or any ``VecEnv`` with team-major rows ``[local | global]``, one
             reward for a whole team, missions that end by termination, and a ``row_layout``.
         learning_rate: of Adam, or its schedule.
+        gamma: discount factor.
+        tau: Polyak step of the target networks; 1 copies.
         buffer_size: slots in the replay, of all missions together.
         learning_starts: slots of all missions together before the first gradient step.
         batch_size: joint transitions (whole slots, all agents) in a gradient step.
         n_steps: slots of reward before the bootstrap.
-        tau: Polyak step of the target networks; 1 copies.
-        gamma: discount factor.
         train_freq: slots of every mission between updates.
         gradient_steps: in each update.
         target_update_interval: gradient steps between updates of the target networks.
@@ -57,12 +57,12 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         policy: str | type[JointQPolicy] = "JointQPolicy",
         env: Any = None,
         learning_rate: Any = 5e-4,
+        gamma: float = 0.99,
+        tau: float = 0.01,
         buffer_size: int = 200_000,
         learning_starts: int = 10_000,
         batch_size: int = 512,
         n_steps: int = 3,
-        tau: float = 0.01,
-        gamma: float = 0.99,
         train_freq: int = 4,
         gradient_steps: int = 1,
         target_update_interval: int = 1,
