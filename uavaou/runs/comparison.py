@@ -86,7 +86,7 @@ class Comparison:
         contents, notes = self.contents(), []
         planners = {name: result for name, result in contents.items() if result.action is None}
         for name, config in runs.items():
-            content = own_evaluation(config, contents[name], self.episodes, self.seed, beside=planners)
+            content = own_evaluation(config, contents[name], self.seed, planners)
             notes.append(keep_evaluation(RunFolder.at(name).evaluation(), content))
         return notes
 

@@ -249,27 +249,30 @@ def _missions_in(path: Path) -> int:
         return 0
 
 
-def write_own_evaluation(folder: RunFolder, config: RunConfig, result: PolicyResult, episodes: int) -> None:
+def write_own_evaluation(folder: RunFolder, config: RunConfig, result: PolicyResult) -> None:
     """Write the evaluation of a run on its own scenario; a ``default.json`` of more missions is kept beside it.
 
     Raises:
         InputError: it cannot be written.
     """
-    name = f"first-{episodes}" if _missions_in(folder.evaluation()) > episodes else "default"
-    write_evaluation(folder.evaluation(name), own_evaluation(config, result, episodes))
+    content = own_evaluation(config, result)
+    taken = _missions_in(folder.evaluation()) > content.episodes
+    write_evaluation(folder.evaluation(f"first-{content.episodes}" if taken else "default"), content)
 
 
 def own_evaluation(
-    config: RunConfig, result: PolicyResult, episodes: int, seed: int = EVALUATION_SEED,
-    beside: Mapping[str, PolicyResult] | None = None,
-) -> EvaluationFile:  # fmt: skip
+    config: RunConfig,
+    result: PolicyResult,
+    seed: int = EVALUATION_SEED,
+    planners: Mapping[str, PolicyResult] | None = None,
+) -> EvaluationFile:
     """The content of a run's ``default.json``.
 
     Args:
         config: of the run.
         result: of its policy, which the figures know by the algorithm's name.
-        episodes, seed: as played.
-        beside: planners on the same missions.
+        seed: of mission 0.
+        planners: on the same missions.
     """
-    policies = {config.algorithm.name: result, **(beside or {})}
-    return EvaluationFile(scenario=config.scenario.name, episodes=episodes, seed=seed, policies=policies)
+    policies = {config.algorithm.name: result, **(planners or {})}
+    return EvaluationFile(scenario=config.scenario.name, episodes=len(result.mean_aou_s), seed=seed, policies=policies)

@@ -68,7 +68,7 @@ def _copy(results: StudyResults, source: RunFolder, kept: RunFolder, run: StudyR
     for path, there in ((source.best, kept.best), (source.meta, kept.meta), (source.config, kept.config)):
         with replacing(there, "wb") as file:
             file.write(path.read_bytes())
-    write_evaluation(kept.evaluation(), own_evaluation(run.config, evaluation, episodes), _DIGITS)
+    write_evaluation(kept.evaluation(), own_evaluation(run.config, evaluation), _DIGITS)
     with replacing(kept.path / "README.md") as file:
         file.write(model_card(results, run, episodes, meta))
 

@@ -161,7 +161,7 @@ def _train(job: Training, tell: Callable[[TrainingReport], None]) -> None:
         policy = load_run(folder)
         found = evaluate(policy, job.config.scenario, job.episodes)
         result = PolicyResult.of(found, job.config.scenario, policy)
-        write_own_evaluation(folder, job.config, result, job.episodes)
+        write_own_evaluation(folder, job.config, result)
 
 
 def _plan(job: Planning) -> dict[str, Any]:
