@@ -166,7 +166,7 @@ def _lines(
         changed = [f"{name}={_value(value)}" for name, value in record.values.items() if value != start[name]]
         words = ", ".join(changed) or "as published"
         lines += [line, *wrapped(words, indent="    ")]
-    settings = search.published(search.space.restored(best[0].values))
+    settings = search.settings(search.space.restored(best[0].values))
     command = shlex.join(train_command(scenario, search.scenario, settings, plugins))
     return [*lines, "", f"table:  {folder.table}", f"best:   {folder.best}", f"train:  {command}"]
 

@@ -68,7 +68,7 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
     rollout = 48 if algorithm == "mappo" else 8
     assert slots % rollout == 0
     seen: list[TrainingStatus] = []
-    played = search.config({"gamma": 0.9}, slots)
+    played = search.settings({"gamma": 0.9}, slots)
     train(RunConfig(search.scenario, played, 0), RunFolder(tmp_path), after_update=seen.append)
     th.set_num_threads(before)
     assert seen[-1].slots == slots  # to the slot: schedules end with the budget

@@ -1,1 +1,1 @@
-"""One training on disk: its folder, its records, its checkpoints, and the policy that comes of it."""
+"""One training on disk: its folder, its records, its checkpoints, and the trained policy."""

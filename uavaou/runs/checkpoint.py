@@ -1,7 +1,7 @@
 """Checkpoints: arrays in safetensors with a checksum, everything else as JSON in its header; nothing that can run code.
 
-``best`` holds the policy's weights alone. ``last`` holds what going on needs: weights, optimizer, random streams,
-the learner's own state, its replay and the missions in the air; ``previous`` is the ``last`` before it.
+``best`` holds the policy's weights alone. ``last`` holds what resuming needs: weights, optimizer, random streams, the
+learner's own state, its replay and the missions in progress; ``previous`` is the ``last`` before it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class DamagedCheckpointWarning(UserWarning):
-    """The newest checkpoint could not be used, the one before it is."""
+    """The newest checkpoint is damaged; the training resumes from the one before it."""
 
 
 def save_policy(path: Path, model: BaseAlgorithm, progress: TrainingProgress) -> None:
@@ -65,7 +65,7 @@ def save_training(
 
 
 def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[TrainingProgress, Arrays]:
-    """Load the newest checkpoint that is whole into a learner; returns where it stood and the missions in the air.
+    """Load the newest checkpoint that is whole into a learner; returns where it stood and the missions in progress.
 
     A damaged ``last`` is set aside as ``last.damaged``, with a warning that names it and the one taken.
 
@@ -88,7 +88,7 @@ def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[TrainingProg
             message = f"{problems[0]}; going on from {path}, which has {progress.slots:,} slots"
             warnings.warn(message, DamagedCheckpointWarning, stacklevel=2)
         return progress, world
-    raise InputError("; ".join(problems) + "; no checkpoint is left to go on from")
+    raise InputError("; ".join(problems) + "; no checkpoint is left to resume from")
 
 
 def _load_state(file: ArrayFile, model: BaseAlgorithm) -> Arrays:

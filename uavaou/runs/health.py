@@ -1,4 +1,4 @@
-"""Numbers that went bad: a training that has met NaN or infinity is stopped, not saved."""
+"""Checks of a training's numbers: one that meets NaN or infinity stops, and does not save them."""
 
 from __future__ import annotations
 

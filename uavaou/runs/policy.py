@@ -1,4 +1,4 @@
-"""A trained run as a policy that evaluation takes like any planner; it reads local observations alone."""
+"""The policy of a run, with the interface of planners; it reads local observations alone."""
 
 from __future__ import annotations
 
@@ -99,8 +99,8 @@ def load_run(
 
     Args:
         path: the run's folder.
-        scenario: to act in, that the policy fits: a name, the path of a YAML file, or the scenario itself; None for
-            the one trained on.
+        scenario: to act in, which the policy must fit: a name, the path of a YAML file, or the scenario itself; None
+            for the one trained on.
         action: ``greedy`` or ``sample``; None for the one that the best checkpoint was chosen by.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What happens between the updates of a training: rows, evaluations, checkpoints, and whether to go on."""
+"""The work between the updates of a training: rows of figures, evaluations, checkpoints, and stopping when asked."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from uavaou.runs.policy import TrainedPolicy
 from uavaou.runs.records import EpisodesCsv, ProgressCsv, plain
 
 CHECKPOINT_EVERY_S = 30.0
-MOST_SHARE = 0.025  # of the wall-clock, for checkpoints: a large replay is written less often
+MOST_SHARE = 0.025  # of the wall-clock goes to checkpoints: a large replay is written less often
 _ROWS_AN_EVALUATION = 50  # of progress.csv at most; learners that update every few slots would write millions
 
 
@@ -66,14 +66,14 @@ class Recorder(BaseCallback):
     """Writes episodes and figures, evaluates on the validation missions, keeps the best and the last checkpoint.
 
     Args:
-        config: what is trained.
-        folder: where it goes.
-        env: what it is trained on.
-        progress: where it stands.
-        display: shows it; None: nobody looks.
-        interrupts: whether it was asked to stop.
-        checkpoint_every_s: wall-clock between checkpoints; more where they are costly. 0: after every update.
-        after_update: called after each update; an exception of its ends the training.
+        config: of the run.
+        folder: of the run.
+        env: the training missions.
+        progress: where the training stands.
+        display: shows the training; None where nobody looks.
+        interrupts: whether the training was asked to stop.
+        checkpoint_every_s: wall-clock between checkpoints; longer where they are slow. 0: after every update.
+        after_update: called after each update; an exception that it raises ends the training.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class Recorder(BaseCallback):
         self._next_checkpoint = self._began + checkpoint_every_s
         self._started = self._began - progress.wall_s
         self._callback = after_update
-        self._cpu_before = time.process_time()  # of this training: what is spent on other things moves it on
+        self._cpu_before = time.process_time()  # start of this process's CPU time of playing and learning
         self._cpu_s = 0.0  # of this process at the last update
         self._cpu_s_earlier = progress.cpu_s  # of the processes before it
 
@@ -145,7 +145,7 @@ class Recorder(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         # Between an update and the next rollout: the one moment at which nothing is half done.
-        if self._slots > self._saved:  # not again what the checkpoint resumed from had done
+        if self._slots > self._saved:  # a resumed training has done this before its checkpoint
             self._after_update(finished=False)
         elif self._interrupts.received is not None:
             self._stop()
@@ -183,7 +183,7 @@ class Recorder(BaseCallback):
         raise Interrupted
 
     def _log(self, scores: dict[str, float]) -> None:
-        """A row of figures, not more often than they are read."""
+        """Write a row of progress.csv, at most ``_ROWS_AN_EVALUATION`` from one evaluation to the next."""
         every = self._config.algorithm.evaluate_every_slots / _ROWS_AN_EVALUATION
         if not scores and self._slots - self.progress.row_slots < every:
             return
@@ -196,7 +196,7 @@ class Recorder(BaseCallback):
         self._advance(rows=self.progress.rows + 1, row_slots=self._slots)
 
     def _note(self, scores: dict[str, float]) -> None:
-        """Keep the policy where it is the best so far."""
+        """Save the policy if it is the best so far."""
         action = min(scores, key=lambda name: scores[name])
         improved = self.progress.best_score is None or scores[action] < self.progress.best_score
         every = self._config.algorithm.evaluate_every_slots
@@ -231,7 +231,7 @@ class Recorder(BaseCallback):
         return self.progress.model_copy(update=now)
 
     def _save(self, finished: bool) -> None:
-        """Write a checkpoint; a finished training's takes the place of the previous one too, and needs no replay."""
+        """Write a checkpoint; that of a finished training also replaces the previous one, and holds no replay."""
         began = time.monotonic()
         self._episodes.flush()
         self.progress_csv.flush()
@@ -282,5 +282,5 @@ def write_meta(
 
 
 def pause_s(every_s: float, cost_s: float) -> float:
-    """How long to wait after a checkpoint that took ``cost_s``: ``every_s``, and longer where it was costly."""
+    """Seconds until the next checkpoint: ``every_s``, and more after one that took a long ``cost_s``."""
     return max(every_s, cost_s / MOST_SHARE) if every_s else 0.0

@@ -39,17 +39,9 @@ class EpisodesCsv:
         """Append missions that ended after ``slots`` training slots of all missions together."""
         for mission in missions:
             self._mission += 1
-            self._writer.writerow(
-                [
-                    self._mission,
-                    slots,
-                    f"{wall_s:.1f}",
-                    f"{mission['reward']:.6g}",
-                    f"{mission['mean_aou_s']:.6g}",
-                    mission["communications"],
-                    mission["devices_served"],
-                ]
-            )
+            means = f"{mission['reward']:.6g}", f"{mission['mean_aou_s']:.6g}"
+            counts = mission["communications"], mission["devices_served"]
+            self._writer.writerow([self._mission, slots, f"{wall_s:.1f}", *means, *counts])
         self._file.flush()
 
     def flush(self) -> None:

@@ -1,4 +1,4 @@
-"""One training run: its folder, its seed, its checkpoints, and going on after a stop."""
+"""Trains a policy into a run folder, and resumes a training from its last checkpoint."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ def train(
     """Train to the budget, writing the run folder on the way.
 
     Args:
-        config: what is trained.
-        folder: where it goes; must not hold a run unless ``resume``.
+        config: scenario, algorithm and seed.
+        folder: of the run; must not hold one unless ``resume``.
         device: ``auto``, ``cpu`` or ``cuda``, for the networks.
         backend: ``batched``, or ``supersuit`` for SuperSuit's own stage.
         resume: go on from the last checkpoint.
-        checkpoint_every_s: wall-clock between checkpoints; more where writing them would take more than
-            2.5 % of it. 0: after every update.
-        display: shows the training to a person; None: nobody looks.
+        checkpoint_every_s: wall-clock between checkpoints; longer where writing them would take more than 2.5 % of
+            it. 0: after every update.
+        display: shows the training to a person; None shows nothing.
         after_update: called after each update; an exception that it raises ends the training.
 
     Raises:
@@ -82,7 +82,7 @@ def train(
         with one_writer(folder):
             resuming = _check_folder(folder, config, resume)  # again: another process may have been here
             _claim(folder, config)
-            # Of a process that only waits for those that step the missions, CPU seconds say little.
+            # With worker processes, the CPU time of this one says little: it waits for those that step the missions.
             cpu_s = 0.0 if config.algorithm.processes == 1 else None
             started = TrainingProgress(next_evaluation=config.algorithm.evaluate_every_slots, cpu_s=cpu_s)
             progress = _restore(folder, model, env, config) if resuming else started
@@ -140,7 +140,7 @@ def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config
     model._current_progress_remaining = progress.budget_left
     starts = missions.pop("episode_starts", None)
     if starts is None or starts.shape != (env.num_envs,):
-        raise InputError(f"{folder.last}: does not hold the missions in the air")
+        raise InputError(f"{folder.last}: does not hold the missions in progress")
     model._last_episode_starts = starts.astype(bool)
     assert model.observation_space.shape is not None
     model._last_obs = env.load_missions_state(missions)[:, : model.observation_space.shape[0]]  # LocalRows or all
@@ -175,6 +175,6 @@ def _learn(
             raise InputError(f"cannot write '{folder.path}': {error.strerror or error}; {recorder.kept}") from error
         finally:
             for end in (recorder.close, model.logger.close, recorder.write_meta):
-                with suppress(OSError, InputError):  # a full disk was told of above
+                with suppress(OSError, InputError):  # of a full disk, which has been reported above
                     end()
     return Outcome(folder, recorder.progress, model.num_timesteps, recorder.stopped_by)

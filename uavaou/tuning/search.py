@@ -1,4 +1,4 @@
-"""A hyperparameter search on disk: what it searches, and how each of its trials ended.
+"""A hyperparameter search on disk: its settings, and the result of each trial.
 
 A search's folder holds ``search.yaml`` (what is searched; processes that join read it there), ``journal.log``
 (Optuna's, which all of them write), ``trials/<number>/`` (a run folder each), ``tune.csv`` and ``best.yaml``.
@@ -34,11 +34,11 @@ class Search:
     Attributes:
         scenario: what every trial trains on.
         algorithm: the settings that trials start from; its ``slots`` are not a trial's.
-        space: the fields that are varied.
-        seconds: CPU seconds of playing and learning that each trial has; None where ``slots`` is given.
-        slots: training slots that each trial has; None where ``seconds`` is given.
+        space: the varied fields and their ranges.
+        seconds: CPU seconds of playing and learning of each trial; None where ``slots`` is given.
+        slots: training slots of each trial; None where ``seconds`` is given.
         seed: of the sampler, and of every trial's training.
-        first: values of the space's fields to try before the sampler's.
+        first: values of the varied fields that are tried before the sampler draws any.
     """
 
     scenario: Scenario
@@ -56,21 +56,18 @@ class Search:
             raise InputError(f"algorithm.processes = {self.algorithm.processes}: a trial has one core, so 1")
         self.space.check(self.algorithm)
 
-    def config(self, values: Mapping[str, Any], slots: int) -> AlgorithmConfig:
-        """The settings of a trial: ``values`` of the varied fields, and a budget that it is evaluated at tenths of.
+    def settings(self, values: Mapping[str, Any], slots: int | None = None) -> AlgorithmConfig:
+        """The settings with ``values`` of the varied fields.
+
+        Args:
+            values: by field.
+            slots: budget of a trial, which is evaluated at each tenth of it; None for the budget of ``algorithm``.
 
         Raises:
             InputError: the values do not go together.
         """
-        schedule = {"slots": slots, "evaluate_every_slots": -(-slots // REPORTS)}
-        return self._changed(dict(values) | schedule)
-
-    def published(self, values: Mapping[str, Any]) -> AlgorithmConfig:
-        """The settings for a training to the full budget, with ``values`` of the varied fields."""
-        return self._changed(values)
-
-    def _changed(self, values: Mapping[str, Any]) -> AlgorithmConfig:
-        fields = self.algorithm.model_dump(mode="json") | dict(values)
+        schedule = {} if slots is None else {"slots": slots, "evaluate_every_slots": -(-slots // REPORTS)}
+        fields = self.algorithm.model_dump(mode="json") | dict(values) | schedule
         return type(self.algorithm).from_dict(fields, source=f"algorithm '{self.algorithm.name}'")
 
     def to_yaml(self) -> str:
@@ -191,7 +188,7 @@ def write_results(folder: SearchFolder, search: Search, records: Sequence[TrialR
     columns = ("trial", "state", "mean_aou_s", "action", "slots", "cpu_s", *varied, "reason")
     write_csv(folder.table, columns, [_row(record, varied) for record in records if record.state != "waiting"])
     for record in ranked(records)[:1]:
-        settings = search.published(search.space.restored(record.values)).model_dump(mode="json")
+        settings = search.settings(search.space.restored(record.values)).model_dump(mode="json")
         with replacing(folder.best) as file:
             file.write(
                 f"# The best of a search on '{search.scenario.name}', trial {record.number}: mean AoU "

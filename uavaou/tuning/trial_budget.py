@@ -17,8 +17,11 @@ from uavaou.runs.recorder import AfterUpdate, TrainingStatus
 from uavaou.runs.train import train
 from uavaou.tuning.search import Search
 
-_PROBE_SHARE, _LEAST_PROBE_S = 0.05, 1.0  # of a trial's seconds: what its rate is measured in
-_OVERSHOOT = 1.1  # a first rollout that takes more than its trial's seconds, by this factor, is no trial
+_PROBE_SHARE, _LEAST_PROBE_S = (
+    0.05,
+    1.0,
+)  # how long a rate is measured, of a trial's seconds
+_OVERSHOOT = 1.1  # settings are refused where the first rollout takes this many times a trial's seconds
 
 
 class _Measured(Exception):  # noqa: N818 - the way out of a training that has shown its rate
@@ -39,7 +42,7 @@ def affordable_slots(search: Search, values: dict[str, Any]) -> int:
 
 
 def warm_up(search: Search) -> None:
-    """Play and learn from one rollout: what a process does once, such as compiling, is on no trial's account."""
+    """Play and learn from one rollout, so that no trial pays for what a process does once, such as compiling."""
 
     def stop(status: TrainingStatus) -> None:
         raise _Measured(status.slots)
@@ -49,8 +52,8 @@ def warm_up(search: Search) -> None:
 
 
 def _probe(search: Search, values: dict[str, Any], watch: AfterUpdate) -> int:
-    """Train without end until the watch has measured, and forget the training."""
-    config = search.config(values, slots=10**12).model_copy(update={"evaluation_missions": 1})
+    """Train until ``watch`` has measured the rate, and delete the training."""
+    config = search.settings(values, slots=10**12).model_copy(update={"evaluation_missions": 1})
     with tempfile.TemporaryDirectory() as place:
         try:
             train(
@@ -59,13 +62,13 @@ def _probe(search: Search, values: dict[str, Any], watch: AfterUpdate) -> int:
             )  # fmt: skip
         except _Measured as measured:
             return measured.slots
-    raise KeyboardInterrupt  # what a training without end has ended by
+    raise KeyboardInterrupt  # the only other end of a training without a budget
 
 
 class _Rate:
     """Watches a training until its rate is known, then raises :class:`_Measured`.
 
-    The rate is that of slots with updates: before its first one, a learner with a replay buffer is quicker.
+    The rate is measured after the first update: before it, a learner with a replay buffer is faster.
     """
 
     def __init__(self, seconds: float) -> None:

@@ -195,7 +195,7 @@ def _play(folder: SearchFolder, search: Search, study: optuna.Study, trial: Tria
     try:
         slots = search.slots or affordable_slots(search, values)
         watch = _Watch(trial, slots)
-        config = RunConfig(search.scenario, search.config(values, slots), search.seed)
+        config = RunConfig(search.scenario, search.settings(values, slots), search.seed)
         outcome = train(config, run, device="cpu", after_update=watch, checkpoint_every_s=math.inf)
         if outcome.stopped_by is not None:
             raise KeyboardInterrupt
