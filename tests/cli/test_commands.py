@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.commands import TRAIN, call, contents, runs
-from uavaou_cli.progress import TrainingDisplay
+from uavaou.runs.recorder import Recorder
 from uavaou_cli.tables import WIDTH
 
 # -- evaluation ----------------------------------------------------------------------------------------
@@ -86,15 +86,15 @@ def test_gap_orders_policies_between_bound_and_random(capsys: pytest.CaptureFixt
 def test_a_stopped_training_resumes_to_its_budget(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
     command = f"{TRAIN} --slots 4000"
     assert call(capsys, f"{command} --out whole")[0] == 0
-    shown = TrainingDisplay.update
+    after_update = Recorder._after_update
 
-    def stop(self: TrainingDisplay, slots: int, mean_aou_s: float | None) -> None:
-        if slots > 2000:
+    def stop(self: Recorder, finished: bool) -> None:
+        if self._slots > 2000:
             raise KeyboardInterrupt
-        shown(self, slots, mean_aou_s)
+        after_update(self, finished)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(TrainingDisplay, "update", stop)
+        patch.setattr(Recorder, "_after_update", stop)
         code, out, err = call(capsys, f"{command} --out parts")
     assert (code, out, err.count("\n")) == (130, "", 1)
     again = err.split("to go on: uavaou ")[1]
