@@ -8,9 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from uavaou.errors import InputError, unknown
-from uavaou.evaluation.seeds import MOST_EPISODES
-
-LARGEST_SEED = 2**32 - 1  # what NumPy's and torch's global streams take
+from uavaou.evaluation.seeds import LARGEST_SEED, MOST_EPISODES
 
 
 def number(help: str, lowest: float, highest: float = float("inf"), metavar: str = "N") -> Any:

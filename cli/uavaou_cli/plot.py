@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from uavaou.errors import InputError
-from uavaou.evaluation.seeds import EVALUATION_SEED
+from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED
 from uavaou_cli.checks import writable_folder
-from uavaou_cli.options import LARGEST_SEED, number
+from uavaou_cli.options import number
 from uavaou_cli.tables import show
 
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from uavaou.errors import InputError
+from uavaou.evaluation.seeds import LARGEST_SEED
 from uavaou_cli.checks import writable_folder
-from uavaou_cli.options import LARGEST_SEED, Quiet, number
+from uavaou_cli.options import Quiet, number
 from uavaou_cli.options import seconds as seconds_option
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TuningDisplay, say_how_to_go_on

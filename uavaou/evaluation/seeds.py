@@ -12,6 +12,7 @@ TRAINING_SEEDS = 1_000_000  # mission seeds that one training has for its own
 EVALUATION_SEED = EVALUATION_SEEDS.start  # of the first evaluation mission
 VALIDATION_SEED = VALIDATION_SEEDS.start
 MOST_EPISODES = len(EVALUATION_SEEDS)
+LARGEST_SEED = 2**32 - 1  # what NumPy's and torch's global streams take
 
 
 def training_seeds(seed: int) -> range:

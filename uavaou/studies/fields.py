@@ -7,10 +7,9 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, StrictStr
 
 from uavaou.errors import InputError
-from uavaou.evaluation.seeds import MOST_EPISODES
+from uavaou.evaluation.seeds import LARGEST_SEED, MOST_EPISODES
 from uavaou.fields import Positive, PositiveWhole, short, validated
 
-LARGEST_SEED = 2**32 - 1  # what NumPy's and torch's global streams take
 MOST_RUNS = 100_000
 JUDGED = ("mappo", "vdn", "qmix")  # the variants that the paper's claims are about
 _LONGEST_NAME = 60

@@ -206,7 +206,7 @@ class StudyResults:
         """
         if not any("missions" in tables for tables in self.parts.values()):
             raise NothingYetError(f"'{self.folder.path}' holds no evaluated run yet")
-        assert self.scenarios is not None
+        _ = self.scenarios
         return self
 
     def put(self, key: PartKey, rows: Rows, config: RunConfig | None = None) -> None:
