@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
 from collections.abc import Callable
@@ -15,6 +14,7 @@ import torch
 from benchmarks.environment import scaling, stepping
 from benchmarks.measure import Measurement, report
 from benchmarks.training import STOCK, memory, parts, training
+from uavaou.csv_tables import write_csv
 from uavaou.runs.meta import describe_machine
 
 Part = Callable[[], list[Measurement]]
@@ -61,12 +61,8 @@ def _reference(rows: list[Measurement]) -> str | None:
 
 def write(path: Path, measured: list[Measurement]) -> None:
     """Write the figures as CSV."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["table", "name", "unit", "median", "lowest", "highest"])
-        for m in measured:
-            writer.writerow([m.table, m.name, m.unit, *(f"{value:.6g}" for value in (m.median, m.lowest, m.highest))])
+    rows = [(m.table, m.name, m.unit, m.median, m.lowest, m.highest) for m in measured]
+    write_csv(path, ("table", "name", "unit", "median", "lowest", "highest"), rows)
 
 
 if __name__ == "__main__":

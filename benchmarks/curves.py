@@ -6,7 +6,6 @@ is stopped after SECONDS (240) of wall-clock.
 
 from __future__ import annotations
 
-import csv
 import os
 import signal
 import subprocess
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from uavaou.csv_tables import read_csv, write_csv
 from uavaou.envs.map import BLACK, BLUE, VERMILLION
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.reports import style
@@ -46,23 +46,21 @@ def trained(collection: str, cores: int, seconds: float, place: Path) -> Path:
 def points(collection: str, cores: int, progress: Path) -> list[Row]:
     """The evaluations of a training; ages in slots."""
     tau = Scenario.load(SCENARIO).slot_length_s
-    with progress.open(encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["evaluation/mean_aou_greedy_s"]]
+    table = read_csv(progress)
+    rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     return [
         (
             collection, cores, int(row["time/slots"]), float(row["time/wall_s"]),
             float(row["evaluation/mean_aou_greedy_s"]) / tau, float(row["evaluation/mean_aou_sample_s"]) / tau,
         )
         for row in rows
+        if row["evaluation/mean_aou_greedy_s"]
     ]  # fmt: skip
 
 
 def write(rows: list[Row], folder: Path) -> None:
     """``curves.csv``."""
-    with (folder / "curves.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows((*row[:3], *(f"{value:.6g}" for value in row[3:])) for row in rows)
+    write_csv(folder / "curves.csv", COLUMNS, rows)
 
 
 def draw(rows: list[Row], folder: Path) -> None:

@@ -5,12 +5,12 @@ Writes results/planners/exact.csv. CPU seconds, the annealed start included: the
 
 from __future__ import annotations
 
-import csv
 import sys
 import time
 from pathlib import Path
 
 import uavaou.planners.exact as exact
+from uavaou.csv_tables import write_csv
 from uavaou.scenario import Scenario
 
 LIMIT_S = float(sys.argv[1]) if len(sys.argv) > 1 else 300.0
@@ -39,16 +39,11 @@ COLUMNS = ("slots", "cells", "devices", "uavs", "variables", "seconds", "mean_ao
 def main() -> None:
     exact.LARGEST = 10**9  # the limit is what this measures
     exact.Exact().plan(TINY, TINY.draw_layout())  # compiles
-    path = Path("results/planners/exact.csv")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for slots, side, devices in SIZES:
-            row = measured(slots, side, devices)
-            writer.writerow(row)
-            file.flush()
-            print(*row, flush=True)
+    rows: list[list[str]] = []
+    for slots, side, devices in SIZES:
+        rows.append(measured(slots, side, devices))
+        print(*rows[-1], flush=True)
+        write_csv(Path("results/planners/exact.csv"), COLUMNS, rows)
 
 
 def measured(slots: int, side: int, devices: int) -> list[str]:

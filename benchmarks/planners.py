@@ -7,12 +7,12 @@ Rolling takes off with the same plan. Writes results/planners/gap.csv, mean AoU 
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from uavaou.csv_tables import read_csv, write_csv
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal
@@ -28,7 +28,6 @@ RESULTS = Path("results/planners")
 SCENARIOS = {"tiny": Scenario.load("tiny"), "quickstart": Scenario.load("quickstart")} | {
     f"paper+layout_seed={seed}": Scenario.load("paper").replace(layout_seed=seed) for seed in range(1, 6)
 }
-STREAMS = 10_000  # mission j is seeded with this + j; no planner has seen these draws
 COLUMNS = ("scenario", "policy", "mean_aou_slots", "low", "high", "method", "seconds")
 POLICIES = ["bound", "exact", "rolling", "anneal", "best-first", "greedy", "tour", "partition-tour", "random"]
 
@@ -50,18 +49,13 @@ def _keep(new: dict[str, str]) -> None:
     """Put a row in its place in gap.csv."""
     rows = {(row["scenario"], row["policy"]): row for row in [*_rows(), new]}
     order = sorted(rows, key=lambda key: (list(SCENARIOS).index(key[0]), POLICIES.index(key[1])))
-    with (RESULTS / "gap.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows[key] for key in order)
+    write_csv(RESULTS / "gap.csv", COLUMNS, [rows[key] for key in order])
 
 
 def _rows() -> list[dict[str, str]]:
     path = RESULTS / "gap.csv"
-    if not path.is_file():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    rows = read_csv(path, COLUMNS, exact=True).rows if path.is_file() else []
+    return [dict(zip(COLUMNS, row, strict=True)) for row in rows]
 
 
 def measured(name: str, scenario: Scenario, chosen: argparse.Namespace) -> Iterator[dict[str, str]]:
@@ -75,7 +69,7 @@ def measured(name: str, scenario: Scenario, chosen: argparse.Namespace) -> Itera
         yield dict(zip(COLUMNS, (name, "bound", mean, "", "", bound.method, seconds), strict=True))
     for policy, planner in _policies(name, scenario, chosen).items():
         begun = time.monotonic()
-        found = interval_over_missions(evaluate(planner, scenario, chosen.episodes, STREAMS).values("mean_aou_s") / tau)
+        found = interval_over_missions(evaluate(planner, scenario, chosen.episodes).values("mean_aou_s") / tau)
         seconds = f"{time.monotonic() - begun:.0f}"
         figures = (f"{found.value:.5g}", f"{found.low:.5g}", f"{found.high:.5g}", "", seconds)
         yield dict(zip(COLUMNS, (name, policy, *figures), strict=True))
