@@ -52,7 +52,7 @@ def evaluate(
     seed: int = EVALUATION_SEED,
     after_slot: Callable[[int, World], None] | None = None,
 ) -> Evaluation:
-    """Play ``episodes`` missions; mission j is seeded with ``seed + j``, its result whatever the others.
+    """Play ``episodes`` missions; mission j is seeded with ``seed + j``, and its result depends on no other mission.
 
     Args:
         policy: a planner or a trained policy (:func:`uavaou.load_run`), or a planner's name.

@@ -27,7 +27,7 @@ class Display(Protocol):
 
 
 def read_runs(folders: Iterable[str]) -> dict[str, RunConfig]:
-    """The configurations of runs by folder; a folder that is spelt in two ways counts once, by the first spelling.
+    """The configurations of runs by folder; a folder that is named twice counts once, by its first name.
 
     Raises:
         InputError: a folder is no run, or its configuration cannot be used.
@@ -57,7 +57,7 @@ def load_runs(folders: Iterable[str], scenario: Scenario, action: str | None = N
     """The best policies of runs by folder; see :func:`uavaou.runs.policy.load_run`."""
     from uavaou.runs.policy import load_run  # imports torch, which planners do without
 
-    return {name: load_run(RunFolder.at(name), scenario, action) for name in folders}
+    return {name: load_run(name, scenario, action) for name in folders}
 
 
 @dataclass(frozen=True)

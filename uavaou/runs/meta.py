@@ -32,7 +32,7 @@ class RunMeta(BaseModel):
     slots_budget: Whole | None = None
     finished: bool
     device: str | None = None
-    checkpoints: dict[str, Number] = {}  # written, and the seconds that it took of the wall-clock
+    checkpoints: dict[str, Whole | Number] = {}  # written, and the seconds that it took of the wall-clock
     missions: Whole | None = None
     wall_s: Number
     updates: Whole | None = None

@@ -1,8 +1,8 @@
 """The evaluations of a run, ``eval/*.json``: written, read and searched here alone.
 
 ``eval/default.json`` holds the missions of the run's own scenario, ``eval/<suite>.json`` the points of a suite. A
-study that wants fewer missions than ``default.json`` holds adds ``eval/first-<episodes>.json``: part of the same
-missions, so that a reader who wants one evaluation of each kind leaves it out (:func:`read_evaluations`).
+study of fewer missions than ``default.json`` holds adds ``eval/first-<episodes>.json``, a part of the same missions,
+which :func:`read_evaluations` leaves out.
 """
 
 from __future__ import annotations

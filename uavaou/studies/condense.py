@@ -148,7 +148,7 @@ def condense_run(results: StudyResults, study: Study, out: Path, run: StudyRun) 
     scenario = run.config.scenario
     rows = evaluation_rows(run.key, scenario, evaluation, str(folder.path))
     rows["curves"] = curve_rows(run.key, scenario, folder.episodes)
-    rows["validation"] = validation_rows(run.key, scenario, folder.path / "progress.csv")
+    rows["validation"] = validation_rows(run.key, scenario, folder.progress)
     rows["runs"] = [_run_row(run, folder, evaluation)]
     results.put(run.key, rows, run.config)
     return True
