@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from uavaou.tuning.search import Search, SearchFolder, TrialRecord
     from uavaou.tuning.search_space import SearchSpace
 
+    Start = tuple[AlgorithmConfig, SearchSpace, tuple[dict[str, Any], ...]]  # settings, space, first trials
+
 DEFAULT_TRIALS = 12
 DEFAULT_TOP = 4
 MOST_TRIALS = 100_000
@@ -104,9 +106,7 @@ def tune(
     show(_lines(folder, search, records, scenario, ctx.obj["plugins"]))
 
 
-def _start(
-    name: str, space: Path | None, overrides: Overrides
-) -> tuple[AlgorithmConfig, SearchSpace, tuple[dict[str, Any], ...]]:
+def _start(name: str, space: Path | None, overrides: Overrides) -> Start:
     """What a new search starts from: the published settings and the overrides, the space, and the first trial."""
     from uavaou.tuning.search_space import RESERVED, SearchSpace
 
@@ -119,9 +119,7 @@ def _start(
     return settings, varied, (varied.values(settings),)
 
 
-def _best(
-    source: Path, top: int, name: str | None, overrides: Overrides
-) -> tuple[AlgorithmConfig, SearchSpace, tuple[dict[str, Any], ...]]:
+def _best(source: Path, top: int, name: str | None, overrides: Overrides) -> Start:
     """What a search starts from that plays the best trials of another one again."""
     from uavaou.tuning.search import SearchFolder, ranked
 
