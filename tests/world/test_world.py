@@ -25,7 +25,7 @@ def play_and_check(scenario: Scenario, seed: int, missions: int) -> None:
     for _ in range(2):
         assert (world.positions == world.cells * scenario.grid_step_m).all()
         while not world.done:
-            in_range, on_way_home = world.in_range.copy(), world.flight.steps_home(world.cells)
+            in_range, on_way_home = world.in_range.copy(), np.abs(world.cells - world.flight.cds).sum(axis=-1)  # (N, U)
             assert (on_way_home <= scenario.slots - world.slot).all()
             moves, selections = random_actions(rng, missions, scenario.uavs, scenario.devices)
             rewards = world.step(moves, selections)

@@ -41,11 +41,6 @@ class Flight:
         time: NDArray[np.float64] = (self._vertical + flown * self._step) / self._speed
         return time
 
-    def steps_home(self, cells: Ints) -> Ints:
-        """Return the grid steps from ``cells`` (N, U, 2) to the CDS of each UAV, (N, U)."""
-        steps: Ints = np.abs(cells - self.cds).sum(axis=-1)
-        return steps
-
     def allowed(self, cells: Ints, flown: Ints, slot: int) -> tuple[Bools, Bools]:
         """Return which moves are allowed, and which stay on the grid.
 
