@@ -118,7 +118,7 @@ OTHER_NETWORKS: dict[str, Any] = {
     "other activation": lambda policy: [
         body.__setitem__(1, nn.GELU()) for body in (policy.actor_body, policy.critic_body)
     ],
-    "attention over nothing": lambda policy: [
+    "another sequence": lambda policy: [
         setattr(policy, name, nn.Sequential(getattr(policy, name), Skip(16), nn.ELU()))
         for name in ("actor_body", "critic_body")
     ],
