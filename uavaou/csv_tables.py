@@ -16,14 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Floats, Ints
 from uavaou.errors import InputError
 from uavaou.fields import short
 from uavaou.files import read_text, replacing, writing
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _MOST_BYTES = 1_000_000_000
 

@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from uavaou.arrays import Floats, Ints
 from uavaou.devices_csv import read_devices_csv
 from uavaou.errors import InfeasibleError, InputError, nearest
 from uavaou.fields import (
@@ -67,10 +67,10 @@ class WholeRange(Range):
 class Layout:
     """The positions and properties of I devices, in SI units."""
 
-    positions: NDArray[np.float64]  # (I, 2) m
-    bandwidth: NDArray[np.float64]  # (I,) Hz, B_i
-    transmit_power: NDArray[np.float64]  # (I,) W, P_i
-    update_period: NDArray[np.int64]  # (I,) slots, k_i
+    positions: Floats  # (I, 2) m
+    bandwidth: Floats  # (I,) Hz, B_i
+    transmit_power: Floats  # (I,) W, P_i
+    update_period: Ints  # (I,) slots, k_i
 
 
 class Scenario(BaseModel):
@@ -212,12 +212,12 @@ class Scenario(BaseModel):
         return float(10 ** (self.reference_gain_db / 10))
 
     @property
-    def altitudes(self) -> NDArray[np.float64]:
+    def altitudes(self) -> Floats:
         """H_u in m, shape (U,)."""
         return np.asarray(self.altitudes_m, dtype=np.float64)
 
     @property
-    def cds_cells(self) -> NDArray[np.int64]:
+    def cds_cells(self) -> Ints:
         """The grid cell (column, row) of each UAV's CDS, shape (U, 2)."""
         return np.rint(np.asarray(self.cds_m, dtype=np.float64) / self.grid_step_m).astype(np.int64)
 
@@ -239,7 +239,7 @@ class Scenario(BaseModel):
             update_period=self._per_device(self.update_period_slots, rng).astype(np.int64),
         )
 
-    def _per_device(self, spec: Any, rng: np.random.Generator) -> NDArray[np.float64]:
+    def _per_device(self, spec: Any, rng: np.random.Generator) -> Floats:
         unit = rng.random(self.devices)  # always drawn: the form of one field must not shift others
         if isinstance(spec, WholeRange):
             span = spec.high - spec.low + 1

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Ints
 from uavaou.planners.expected_age import expected_age, expected_mean_aou, total_age
 from uavaou.planners.greedy import BestFirst
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner
@@ -22,8 +22,6 @@ from uavaou.planners.tour import PartitionTour, Tour
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.flight import Flight
-
-Ints = NDArray[np.int64]
 
 PROPOSALS_A_SLOT = 4000  # without a time limit; about half a minute on `paper`
 _HOT, _COLD = 0.06, 0.002  # first and last temperature, in slots of age for each slot of the mission

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Bools, Ints
 from uavaou.world import World
 
-Moves = NDArray[np.int64]
-Selections = NDArray[np.bool_]
+Moves = Ints
+Selections = Bools
 
 _PLANNER_STREAM = 2  # spawn key: differs from those of missions (no key) and layouts (1)
 

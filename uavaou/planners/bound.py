@@ -18,8 +18,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Floats, Ints
 from uavaou.planners.decomposition import LagrangianDecomposition
 from uavaou.planners.exact import Program, gap_ages, program_size
 from uavaou.planners.stationary_duals import stationary_duals
@@ -28,9 +28,6 @@ from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import Flight, neighbours
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _LARGEST_PROGRAM = 20_000  # variables; for a larger program the prices are faster and no weaker
 _ROUNDS = 3000  # of the ascent by prices, at most

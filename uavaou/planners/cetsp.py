@@ -13,10 +13,8 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+from uavaou.arrays import Bools, Ints
 
 _SOLVER = Path(__file__).with_name("ortools_process.py")
 

@@ -27,17 +27,14 @@ found by dynamic programming. Every choice of charges and prices gives a valid b
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Floats, Ints
 from uavaou.planners.exact import gap_ages
 from uavaou.planners.subgradient import subgradient_ascent
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import STEP_OF_MOVE, Flight, neighbours
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _LONGEST = 30  # slots of own gap distinguished; longer gaps earn the maximum
 _PATIENCE = 25  # rounds

@@ -21,8 +21,8 @@ from typing import ClassVar
 
 import highspy
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Floats, Ints
 from uavaou.errors import InputError
 from uavaou.planners.anneal import Anneal
 from uavaou.planners.expected_age import expected_mean_aou
@@ -31,9 +31,6 @@ from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePla
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import STEP_OF_MOVE, Flight, grid_cells, neighbours
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LARGEST = 120_000  # variables; at that size the gap after four minutes is 72 % (docs/planners.md)
 _INTEGRALITY = 1e-6  # a bound this close below an integer is that integer

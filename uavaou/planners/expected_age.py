@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavaou.planners.search import ExpectedAge, Ints, recompute
+from uavaou.arrays import Ints
+from uavaou.planners.search import ExpectedAge, recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import cell_coverage
 

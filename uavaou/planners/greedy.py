@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Bools, Floats, Ints
 from uavaou.planners.base import Moves, Selections
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import first_step, grid_cells
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 class Greedy:

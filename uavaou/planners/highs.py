@@ -6,11 +6,10 @@ from collections.abc import Callable
 
 import highspy
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import csc_array
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from uavaou.arrays import Floats, Ints
 
 _LOOK_S = 0.2  # between two looks at the bounds and the keyboard
 

@@ -9,16 +9,14 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Ints
 from uavaou.errors import InputError
 from uavaou.files import read_json
 from uavaou.planners.base import Moves, Selections
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.flight import STEP_OF_MOVE, Flight
-
-Ints = NDArray[np.int64]
 
 _MOVE_OF_STEP = np.zeros((3, 3), dtype=np.int64)  # by columns and rows; index -1 is the last
 _MOVE_OF_STEP[STEP_OF_MOVE[:, 0], STEP_OF_MOVE[:, 1]] = np.arange(len(STEP_OF_MOVE))

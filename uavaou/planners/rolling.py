@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Floats
 from uavaou.planners.anneal import Anneal, flown_steps
 from uavaou.planners.base import Moves, Selections, mission_rngs
 from uavaou.planners.expected_age import expected_age, total_age
@@ -14,8 +14,6 @@ from uavaou.planners.plan import RoutePlan, moves_between
 from uavaou.planners.search import ExpectedAge, anneal, change, follow
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
-
-Floats = NDArray[np.float64]
 
 _HORIZON = 25  # slots ahead that may change
 _PROPOSALS = 300  # in each slot

@@ -19,12 +19,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Floats, Ints
 from uavaou.world.compiled import compiled_fast
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Rng = Any  # np.random.Generator, the whole numbers of which are plain ones once compiled
 
 _LONGEST_DETOUR = 16  # slots that one detour may rewrite

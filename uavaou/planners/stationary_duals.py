@@ -11,15 +11,12 @@ decomposition certifies the result.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Bools, Floats, Ints
 from uavaou.planners.decomposition import LagrangianDecomposition
 from uavaou.planners.exact import gap_ages
 from uavaou.planners.highs import LinearProgram
 from uavaou.scenario import Layout
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _VARIABLES = 65_000  # the number of own gaps is chosen for about this size; ten seconds on `paper`
 _MOST_VARIABLES = 400_000  # a larger program takes too long and too much memory
@@ -87,7 +84,7 @@ def _add_device(
     return int(charge[0]), links
 
 
-def _upper(exists: NDArray[np.bool_]) -> Floats:
+def _upper(exists: Bools) -> Floats:
     return np.where(exists, np.inf, 0.0)
 
 

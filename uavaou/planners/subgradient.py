@@ -6,9 +6,8 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from uavaou.arrays import Floats
 
 _FALL = 100.0  # the ascent restarts at the best point if the value falls this many level heights below the best
 _FOLLOWS = 0.1  # a gain of this fraction of the level height counts as following the level

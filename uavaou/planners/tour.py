@@ -15,9 +15,9 @@ from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from uavaou.arrays import Bools, Ints
 from uavaou.planners.cetsp import close_enough_tours
 from uavaou.planners.expected_age import expected_age, expected_mean_aou, total_age
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner
@@ -25,10 +25,6 @@ from uavaou.planners.search import ExpectedAge, recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import coverage_probability
 from uavaou.world.flight import Flight
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 # P(R >= R_min) from which a cell covers a device, as a fraction of the best of any cell; each is tried.
 _THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)

@@ -7,12 +7,9 @@ of pending updates, and the sum of their ages in slots. Integers keep the ledger
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Bools, Ints
 from uavaou.world.compiled import compiled
-
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 
 class AgeLedger:

@@ -15,10 +15,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaou.arrays import Floats
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 
-Floats = NDArray[np.float64]
 Keys = NDArray[np.uint64]
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

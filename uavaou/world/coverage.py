@@ -9,13 +9,11 @@ Q_1 being the Marcum Q function.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import i0e
 
+from uavaou.arrays import Floats
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.channel import Channel, minimum_snr
-
-Floats = NDArray[np.float64]
 
 _TAIL = 9.0  # standard deviations of the Rice amplitude; the probability beyond is below 1e-17
 _BLOCK = 2_000_000  # probabilities in memory at a time

@@ -8,13 +8,10 @@ allowed becomes a step towards the CDS.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import ZETA_TOLERANCE_S, Scenario
 from uavaou.world.compiled import compiled
-
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 STAY, UP, DOWN, RIGHT, LEFT = range(5)
 STEP_OF_MOVE: Ints = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]])  # (5, 2) cells: stay, +y, -y, +x, -x
@@ -36,9 +33,9 @@ class Flight:
         # Without (Time), the budget is the number of slots, so it never binds.
         self.budget: Ints = moves if scenario.flight_time == "enforce" else np.full_like(moves, scenario.slots)  # (U,)
 
-    def flight_time(self, flown: Ints) -> NDArray[np.float64]:
+    def flight_time(self, flown: Ints) -> Floats:
         """Return zeta_u in s after ``flown`` grid steps (..., U), with take-off and landing (eq. flighttime)."""
-        time: NDArray[np.float64] = (self._vertical + flown * self._step) / self._speed
+        time: Floats = (self._vertical + flown * self._step) / self._speed
         return time
 
     def allowed(self, cells: Ints, flown: Ints, slot: int) -> tuple[Bools, Bools]:

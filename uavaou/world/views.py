@@ -12,11 +12,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import unknown
 from uavaou.scenario import Scenario, WholeRange
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STEP_OF_MOVE
-from uavaou.world.world import Bools, Floats, Ints, World
+from uavaou.world.world import World
 
 Observation = Literal["location", "local", "shared"]
 Collection = Literal["select", "auto"]
@@ -185,13 +186,13 @@ class Views:
     def _slots_left(self, world: World) -> float:
         return (self.scenario.slots + 1 - world.slot) / self.scenario.slots
 
-    def _slots_since(self, world: World, last: NDArray[np.int64]) -> NDArray[np.int64]:
-        since: NDArray[np.int64] = np.minimum(world.slot - last, self.scenario.slots)
+    def _slots_since(self, world: World, last: Ints) -> Ints:
+        since: Ints = np.minimum(world.slot - last, self.scenario.slots)
         return since
 
-    def _age_sum(self, world: World) -> NDArray[np.float64]:
+    def _age_sum(self, world: World) -> Floats:
         # An age sum grows with the square of the waiting time; its root is linear.
-        scaled: NDArray[np.float64] = np.sqrt(world.ages.age_slots) / _RECENT_SLOTS
+        scaled: Floats = np.sqrt(world.ages.age_slots) / _RECENT_SLOTS
         return scaled
 
     def _longest_period(self, world: World) -> float:

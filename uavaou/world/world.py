@@ -13,17 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.ages import AgeLedger
 from uavaou.world.association import Association, associate
 from uavaou.world.channel import Channel, rate
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STAY, STEP_OF_MOVE, Flight
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-
 
 _STATE = (
     "cells", "flown", "last_collection", "last_collection_by",
