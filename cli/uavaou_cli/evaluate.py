@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,12 +10,11 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou_cli.checks import given_path, writable_file
-from uavaou_cli.evaluate_suite import Request, evaluate_suite
-from uavaou_cli.options import Episodes, MissionSeed, Quiet, SetScenario, choice, seconds
+from uavaou_cli.evaluate_suite import evaluate_suite
+from uavaou_cli.options import Episodes, MissionSeed, Quiet, SetScenario, choice, given_path, seconds, writable_file
 from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import EvaluationDisplay
-from uavaou_cli.tables import interval_figures, show, two_line_table, wrapped
+from uavaou_cli.tables import interval_figures, say, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
     from uavaou.evaluation.evaluate import Evaluation
@@ -70,8 +68,7 @@ def evaluate(
     configs = read_runs(folders)
     overrides.only_of_scenario("a trained run is evaluated as it is")
     if suite is not None:
-        request = Request(suite, scenario, overrides, episodes, seed, action, out, json, quiet)
-        evaluate_suite(request, configs, made)
+        evaluate_suite(suite, scenario, overrides, configs, made, episodes, seed, action, out, json, quiet)
         return
     base = common_scenario(configs) if configs and scenario is None else Scenario.load(scenario or "paper")
     played = overrides.of_scenario(base)
@@ -87,8 +84,7 @@ def evaluate(
             notes.append(f"wrote {json}")
     finally:  # hours of figures are shown even if a disk has filled meanwhile
         show(evaluation_lines(comparison, overrides.scenario))
-    for note in notes if not quiet else []:
-        print(note, file=sys.stderr)
+    say(notes, quiet)
 
 
 def _check_names(folders: list[str], planners: list[str], suite: str | None) -> None:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import shlex
-import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uavaou.errors import InputError
-from uavaou_cli.checks import writable_file
+from uavaou_cli.options import writable_file
 from uavaou_cli.overrides import Overrides
 from uavaou_cli.progress import EvaluationDisplay
-from uavaou_cli.tables import aligned, figure, interval_figures, show, wrapped
+from uavaou_cli.tables import aligned, figure, interval_figures, say, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.planners.base import Planner
@@ -24,52 +22,39 @@ if TYPE_CHECKING:
     from uavaou.suites.suite import ResolvedPoint
 
 
-@dataclass(frozen=True)
-class Request:
-    """The options of the command."""
-
-    suite: str
-    scenario: str | None
-    overrides: Overrides
-    episodes: int
-    seed: int
-    action: str | None
-    out: Path | None
-    json: Path | None
-    quiet: bool
-
-
-def evaluate_suite(request: Request, configs: Mapping[str, RunConfig], planners: Mapping[str, Planner]) -> None:
-    """Play a suite, print its table, and write the files; without policies, say what it needs."""
+def evaluate_suite(
+    name: str, scenario: str | None, overrides: Overrides, configs: Mapping[str, RunConfig],
+    planners: Mapping[str, Planner], episodes: int, seed: int, action: str | None, out: Path | None, json: Path | None,
+    quiet: bool,
+) -> None:  # fmt: skip
+    """Play a suite, print its table, and write the files; without policies, print what it needs."""
     from uavaou.scenario import Scenario
     from uavaou.suites.play import plan_suite, play_suite
     from uavaou.suites.suite import Suite
     from uavaou.suites.table import write_suite
 
-    suite, overrides = Suite.load(request.suite), request.overrides
-    base = overrides.of_scenario(Scenario.load(request.scenario or suite.scenario))
-    plan = plan_suite(suite, configs, list(planners), request.scenario, base, overrides.scenario)
-    for path in (request.out, request.json):
-        if path is not None:
-            writable_file(path)
-    if request.out is not None and request.json is not None and request.out.resolve() == request.json.resolve():
-        raise InputError(f"--out and --json are both '{request.out}': give each a file of its own")
+    suite = Suite.load(name)
+    base = overrides.of_scenario(Scenario.load(scenario or suite.scenario))
+    plan = plan_suite(suite, configs, list(planners), scenario, base, overrides.scenario)
+    for path in filter(None, (out, json)):
+        writable_file(path)
+    if out is not None and json is not None and out.resolve() == json.resolve():
+        raise InputError(f"--out and --json are both '{out}': give each a file of its own")
     if not configs and not planners:
         show(_point_lines(plan))
         return
-    plan.check_runs(request.action)
-    slots = request.episodes * max((flight.scenario.slots for flight in plan.flights), default=0)
+    plan.check_runs(action)
+    slots = episodes * max((flight.scenario.slots for flight in plan.flights), default=0)
     results: list[PointResult] = []
     notes: list[str] = []
     try:
-        with EvaluationDisplay(request.quiet, [flight.name for flight in plan.flights], slots) as display:
-            for result in play_suite(plan, planners, request.episodes, request.seed, display, request.action):
+        with EvaluationDisplay(quiet, [flight.name for flight in plan.flights], slots) as display:
+            for result in play_suite(plan, planners, episodes, seed, display, action):
                 results.append(result)
-        notes = write_suite(plan, results, request.episodes, request.seed, request.out, request.json)
+        notes = write_suite(plan, results, episodes, seed, out, json)
     finally:  # what has been played is shown even where Ctrl-C ended it, or a disk has filled
-        show(_result_lines(plan, results, request.episodes, request.seed))
-    for note in notes if not request.quiet else []:
-        print(note, file=sys.stderr)
+        show(_result_lines(plan, results, episodes, seed))
+    say(notes, quiet)
 
 
 def _point_lines(plan: SuitePlan) -> list[str]:
@@ -83,11 +68,9 @@ def _point_lines(plan: SuitePlan) -> list[str]:
         changed = [f"{key}={value}" for key, value in point.set.items()]
         seen = [f"observation {point.observation}"] if point.observation else []
         rows.append((point.label, textwrap.shorten(", ".join([*changed, *seen]) or "as it is", 50)))
-    lines += ["", *aligned(rows), *_reasons(plan.points)]
-    lines += _missing_lines(plan.missing)
-    companion = f"suite-{suite.name}"
-    if companion in zoo_names("studies"):
-        lines += ["", f"all of them: uavaou study run {companion}"]
+    lines += ["", *aligned(rows), *_reasons(plan.points), *_missing_lines(plan.missing)]
+    if f"suite-{suite.name}" in zoo_names("studies"):
+        lines += ["", f"all of them: uavaou study run suite-{suite.name}"]
     return [*lines, "", f"then: uavaou eval RUN... --suite {suite.name}"]
 
 
@@ -95,10 +78,9 @@ def _result_lines(plan: SuitePlan, results: Sequence[PointResult], episodes: int
     """The table of a suite, with missing trainings, infeasible points and how zero-shot runs were trained."""
     count = "1 mission" if episodes == 1 else f"{episodes:,} missions"
     head = f"{plan.name} on {plan.base.name}: {plan.suite.axis.title}; {count} each, seeds from {seed}"
-    rows: list[tuple[str, ...]] = [(plan.suite.axis.label, "policy", "how", "mean AoU", "interval", "comm.", "served")]
-    rows.append(("", "", "", "(slots)", "95 %", "", ""))
-    rows += _rows(plan, results)
-    lines = [*wrapped(head), "", *aligned(rows, left=3)]
+    heads = (plan.suite.axis.label, "policy", "how", "mean AoU", "interval", "comm.", "served")
+    units = ("", "", "", "(slots)", "95 %", "", "")
+    lines = [*wrapped(head), "", *aligned([heads, units, *_rows(plan, results)], left=3)]
     refused = _paragraphs(f"{result.flown.name}: {result.refusal}" for result in results if result.refusal)
     lines += [*_violations(results), *_budgets(results), *_reasons(plan.points), *refused]
     lines += [*_elsewhere(plan, results), *_missing_lines(plan.missing), *_unused(plan)]
@@ -111,13 +93,12 @@ def _rows(plan: SuitePlan, results: Sequence[PointResult]) -> list[tuple[str, ..
     rows: list[tuple[str, ...]] = []
     seeds = {result.flown.run.config.seed for result in results if result.flown.run is not None}
     for point in plan.points:
-        label = point.label
         if point.scenario is None:
-            rows.append((label, "-", "infeasible", "-", "", "", ""))
+            rows.append((point.label, "-", "infeasible", "-", "", "", ""))
             continue
         missing = [one for one in plan.assignments if one.point is point and one.kind is None]
-        rows += [(label, one.policy, "-", "-", "", "", "") for one in missing]
-        rows += [(label, *_cells(result, len(seeds) > 1)) for result in results if result.flown.point is point]
+        rows += [(point.label, one.policy, "-", "-", "", "", "") for one in missing]
+        rows += [(point.label, *_cells(result, len(seeds) > 1)) for result in results if result.flown.point is point]
     return rows
 
 
@@ -141,8 +122,8 @@ def _budgets(results: Sequence[PointResult]) -> list[str]:
     """The training slots of the policies, where they differ."""
     from uavaou.suites.assignment import budget_lines
 
-    runs = [(one.flown, one.flown.run) for one in results]
-    flown = [(one.policy, one.point.label, run.slots) for one, run in runs if run is not None]
+    flights = [one.flown for one in results]
+    flown = [(one.policy, one.point.label, one.run.slots) for one in flights if one.run is not None]
     lines = [part for line in budget_lines(flown) for part in wrapped(line)]
     return ["", *lines] if lines else []
 

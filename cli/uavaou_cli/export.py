@@ -8,8 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from uavaou.errors import InputError
-from uavaou_cli.checks import given_path, writable_file
-from uavaou_cli.options import choice
+from uavaou_cli.options import choice, given_path, writable_file
 
 
 def export(

@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
-from uavaou_cli import audit, evaluate, export, plan, plot, scenarios, study, train, tune
+from uavaou_cli import evaluate, export, plan, plot, scenarios, study, train, tune
 
 BAD_INPUT = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
@@ -55,7 +55,7 @@ studies.command("run", short_help="Run what is left of a study.")(study.run)
 studies.command("status", short_help="Show how its runs stand.")(study.status)
 studies.command("report", short_help="Rewrite its condensed results and print the table.")(study.report)
 app.add_typer(studies, name="study")
-app.command("audit", short_help="Check a scenario's link budget and numbers.")(audit.audit)
+app.command("audit", short_help="Check a scenario's link budget and numbers.")(scenarios.audit)
 app.command("export", short_help="Write a trained run for another tool.")(export.export)
 app.command("scenarios", short_help="List the scenarios that come with uavaou.")(scenarios.scenarios)
 

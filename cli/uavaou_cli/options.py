@@ -1,7 +1,8 @@
-"""The options that several commands share, and the checks of single values, which Typer makes before a command runs."""
+"""The options that several commands share, and the checks of values, paths and devices before anything is computed."""
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -46,10 +47,8 @@ def choice(help: str, *allowed: str) -> Any:
     return typer.Option(metavar="|".join(allowed), help=help, callback=check)
 
 
-ScenarioArgument = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="A preset's name, or the path of a YAML file.")
-]
-StudyArgument = Annotated[str, typer.Argument(metavar="STUDY", help="A study's name (paper, smoke), or a YAML file.")]
+ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A preset's name, or the path of a YAML file.")]
+StudyName = Annotated[str, typer.Argument(metavar="STUDY", help="A study's name (paper, smoke), or a YAML file.")]
 Episodes = Annotated[int, number("Missions that each policy plays.", 1, MOST_EPISODES)]
 MissionSeed = Annotated[int, number("Mission j is seeded with N + j.", 0, LARGEST_SEED)]
 SetScenario = Annotated[
@@ -57,3 +56,41 @@ SetScenario = Annotated[
 ]
 Results = Annotated[Path, typer.Option(metavar="DIR", help="The folder of all results.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
+
+
+def given_path(option: str, text: str) -> Path:
+    """Refuse an empty path, which would mean the present folder."""
+    if not text:
+        raise InputError(f"{option} is empty: expected a path")
+    return Path(text)
+
+
+def writable_folder(path: Path) -> None:
+    """Refuse a folder that cannot be written or made; the error names the obstacle."""
+    try:
+        there = next(place for place in (path, *path.absolute().parents) if place.exists() or place.is_symlink())
+        if not there.is_dir():
+            raise InputError(f"cannot write to '{path}': '{there}' is not a folder")
+        with tempfile.TemporaryFile(dir=there):  # asking for permission misses read-only file systems
+            pass
+    except OSError as error:
+        raise InputError(f"cannot write to '{path}': {error.strerror or error}") from error
+
+
+def writable_file(path: Path) -> None:
+    """Refuse a file that cannot be written or replaced; the error names the obstacle."""
+    if path.is_dir():
+        raise InputError(f"cannot write '{path}': it is a folder")
+    if path.exists() and not path.is_file():  # writing replaces the target: never a device
+        raise InputError(f"cannot write '{path}': it is not a regular file")
+    writable_folder(path.parent)
+
+
+def available_device(device: str) -> None:
+    """Refuse CUDA on a machine that has none."""
+    if device != "cuda":
+        return
+    import torch
+
+    if not torch.cuda.is_available():
+        raise InputError("--device cuda: this machine offers no CUDA device to torch; use --device cpu or auto")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +13,6 @@ from uavaou.errors import InputError, nearest
 if TYPE_CHECKING:
     from uavaou.algorithms.config import AlgorithmConfig
     from uavaou.scenario import Scenario
-
-PARTS = ("scenario", "algorithm")
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Overrides:
         Raises:
             InputError: a key is unknown or a value cannot be used.
         """
-        known = list(type(base).model_fields)
-        return base.replace(**changes("scenario", self.scenario, base.to_dict(), known)) if self.scenario else base
+        fields = dict.fromkeys(type(base).model_fields) | base.to_dict()
+        return base.replace(**_changes("scenario", self.scenario, fields)) if self.scenario else base
 
     def of_algorithm(self, name: str) -> AlgorithmConfig:
         """The published configuration of an algorithm with its overrides applied.
@@ -42,14 +42,10 @@ class Overrides:
         published = load_config(name).model_dump(mode="json")
         if "name" in self.algorithm:
             raise InputError("--set algorithm.name: choose the algorithm with --algorithm")
-        return load_config(name, changes("algorithm", self.algorithm, published, list(published)))
+        return load_config(name, _changes("algorithm", self.algorithm, published))
 
     def only_of_scenario(self, why: str) -> None:
-        """Refuse changes of an algorithm.
-
-        Raises:
-            InputError: saying ``why``.
-        """
+        """Refuse changes of an algorithm, saying ``why``."""
         for key in self.algorithm:
             raise InputError(f"--set algorithm.{key}: {why}; only scenario.* can be set here")
 
@@ -66,7 +62,7 @@ def parse_overrides(items: Sequence[str]) -> Overrides:
         if not equals or not key or not value.strip():
             raise InputError(f"--set {item}: expected KEY=VALUE, such as scenario.layout_seed=7")
         part, _, rest = key.partition(".")
-        if part not in PARTS or not rest:
+        if part not in ("scenario", "algorithm") or not rest:
             raise InputError(f"--set {item}: keys are scenario.FIELD or algorithm.FIELD{_nearest_key(key)}")
         given = getattr(overrides, part)
         for other in given:
@@ -88,72 +84,34 @@ def _nearest_key(key: str) -> str:
     return f"; did you mean {' or '.join(same)}?" if same else nearest(key, known)
 
 
-def changes(prefix: str, given: Mapping[str, str], fields: Mapping[str, Any], known: Sequence[str]) -> dict[str, Any]:
-    """Turn dotted keys into new values of whole fields.
-
-    Args:
-        prefix: for messages.
-        given: dotted key -> value as typed.
-        fields: the present values, into which ``bandwidth_hz.low`` and its like reach.
-        known: the names of all fields.
-
-    Raises:
-        InputError: a key is unknown, or reaches into a value that has no parts.
-    """
-    changed: dict[str, Any] = {}
+def _changes(part: str, given: Mapping[str, str], fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The new values of whole fields, from dotted keys that reach into ``fields``, such as ``bandwidth_hz.low``."""
+    changed = deepcopy(dict(fields))
     for key, text in given.items():
-        field, *path = key.split(".")
-        if field not in known:
-            raise _unknown_key(prefix, field, known)
-        if not path:
-            changed[field] = parse_value(text)
-            continue
-        changed.setdefault(field, _copied(fields.get(field)))
-        _set_inside(changed[field], path, parse_value(text), f"{prefix}.{field}")
-    return changed
-
-
-def _unknown_key(where: str, name: str, known: Sequence[str]) -> InputError:
-    hint = nearest(name, known) or f" (known: {', '.join(known)})"
-    return InputError(f"--set {where}.{name}: {where} has no '{name}'{hint}")
-
-
-def _copied(value: Any) -> Any:
-    return {key: _copied(inner) for key, inner in value.items()} if isinstance(value, dict) else value
-
-
-def _set_inside(value: Any, path: Sequence[str], new: Any, where: str) -> None:
-    name = path[0]
-    if not isinstance(value, dict):
-        raise InputError(f"--set {where}.{name}: {where} = {value!r} has no parts; set it as a whole")
-    if name not in value:
-        raise _unknown_key(where, name, list(value))
-    if len(path) == 1:
-        value[name] = new
-    else:
-        _set_inside(value[name], path[1:], new, f"{where}.{name}")
+        value: Any = changed
+        where = part
+        for name in key.split("."):
+            if not isinstance(value, dict):
+                raise InputError(f"--set {where}.{name}: {where} = {value!r} has no parts; set it as a whole")
+            if name not in value:
+                hint = nearest(name, value) or f" (known: {', '.join(value)})"
+                raise InputError(f"--set {where}.{name}: {where} has no '{name}'{hint}")
+            inside, value, where = value, value[name], f"{where}.{name}"
+        inside[name] = parse_value(text)
+    return {field: changed[field] for field in (key.split(".")[0] for key in given)}
 
 
 def parse_value(text: str) -> Any:
     """Read a value as a person means it: a number as Python reads it (``1e-4``), else YAML, else the text itself."""
     import yaml
 
-    number = _number(text)
-    if number is not None:
+    number = _number_or_text(text)
+    if number is not text:
         return number
     try:
         return _with_numbers(yaml.safe_load(text))
     except (yaml.YAMLError, ValueError, RecursionError):
         return text
-
-
-def _number(text: str) -> int | float | None:
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return None
 
 
 def _with_numbers(value: Any) -> Any:
@@ -162,5 +120,11 @@ def _with_numbers(value: Any) -> Any:
         return {key: _with_numbers(inner) for key, inner in value.items()}
     if isinstance(value, list):
         return [_with_numbers(inner) for inner in value]
-    number = _number(value) if isinstance(value, str) else None
-    return value if number is None else number
+    return _number_or_text(value) if isinstance(value, str) else value
+
+
+def _number_or_text(text: str) -> int | float | str:
+    for kind in (int, float):
+        with suppress(ValueError):
+            return kind(text)
+    return text

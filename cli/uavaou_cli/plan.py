@@ -11,9 +11,8 @@ import typer
 
 from uavaou.errors import InputError, unknown
 from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
-from uavaou_cli.checks import writable_folder
 from uavaou_cli.evaluate import evaluation_lines
-from uavaou_cli.options import Episodes, MissionSeed, Quiet, ScenarioArgument, SetScenario, number, seconds
+from uavaou_cli.options import Episodes, MissionSeed, Quiet, ScenarioName, SetScenario, number, seconds, writable_folder
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import EvaluationDisplay, PlanningDisplay
 from uavaou_cli.tables import duration, figure, show, two_line_table, wrapped
@@ -28,7 +27,7 @@ _BOUND_S = 30.0  # for the bound that stands beside a plan; `uavaou gap` takes l
 
 
 def plan(
-    scenario: ScenarioArgument,
+    scenario: ScenarioName,
     planner: Annotated[str, typer.Option(metavar="NAME", help="tour, partition-tour, anneal or exact.")] = "anneal",
     time_limit: Annotated[float | None, seconds("Seconds to plan. [default: a fixed amount of work]")] = None,
     episodes: Annotated[int, number("Missions that the plan is flown in.", 1, MOST_EPISODES)] = 64,
@@ -57,7 +56,7 @@ def plan(
 
 
 def gap(
-    scenario: ScenarioArgument,
+    scenario: ScenarioName,
     run: Annotated[list[str] | None, typer.Argument(help="Folders of training runs to stand beside.")] = None,
     time_limit: Annotated[
         float | None, seconds("Seconds that annealing may take. [default: a fixed amount of work]")

@@ -10,8 +10,7 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED
-from uavaou_cli.checks import writable_folder
-from uavaou_cli.options import number
+from uavaou_cli.options import number, writable_folder
 from uavaou_cli.tables import show
 
 

@@ -31,12 +31,14 @@ class Display:
         quiet: show nothing.
         total: of the work.
         unit: of the rate; empty where there is none to show.
+        slot_length_s: tau; ages come in seconds and are shown in slots.
     """
 
-    def __init__(self, quiet: bool, total: float, unit: str = "slots") -> None:
+    def __init__(self, quiet: bool, total: float, unit: str = "slots", slot_length_s: float = 1.0) -> None:
         self.quiet = quiet
         self.total = total
         self._unit = unit
+        self._tau_s = slot_length_s
         self._bar: Any = None
         self.measure_from(0)
 
@@ -76,6 +78,9 @@ class Display:
     def _share(self, done: float) -> float:
         return min(done / self.total, 1.0) if self.total else 1.0
 
+    def _speed(self, rate: float) -> str:
+        return f"{rate:,.0f} {self._unit}/s" if self._unit else ""
+
     @property
     def due(self) -> bool:
         """Whether it is time to show something again."""
@@ -110,9 +115,6 @@ class Display:
             words = "; ".join(filter(None, (": ".join(filter(None, (name, text))), note)))
             print(f"{share:4.0%}  {words}", file=sys.stderr, flush=True)
 
-    def _speed(self, rate: float) -> str:
-        return f"{rate:,.0f} {self._unit}/s" if self._unit else ""
-
 
 def _start_bar() -> Any:
     from rich.console import Console
@@ -127,28 +129,20 @@ def _start_bar() -> Any:
             if self.note:
                 yield Text(self.note, no_wrap=True, overflow="ellipsis")
 
-    columns = ("{task.description}", BarColumn(bar_width=None), "{task.percentage:3.0f}%", "{task.fields[text]}")
-    bar = Bar(
-        *(TextColumn(column, markup=False) if isinstance(column, str) else column for column in columns),
-        console=Console(stderr=True),
-        expand=True,
-        transient=True,
-    )
+    texts = "{task.description}", "{task.percentage:3.0f}%", "{task.fields[text]}"
+    name, share, text = (TextColumn(column, markup=False) for column in texts)
+    columns = name, BarColumn(bar_width=None), share, text
+    bar = Bar(*columns, console=Console(stderr=True), expand=True, transient=True)
     bar.add_task("", total=1.0, text="")
     bar.start()
     return bar
 
 
 class TrainingDisplay(Display):
-    """Shows a training, :class:`uavaou.runs.recorder.Display`: its rate, and the mean AoU of recent missions.
-
-    Args:
-        slot_length_s: tau, in which ages are shown.
-    """
+    """Shows a training, :class:`uavaou.runs.recorder.Display`: its rate, and the mean AoU of recent missions."""
 
     def __init__(self, slot_length_s: float) -> None:
-        super().__init__(quiet=False, total=0)
-        self._slot_length_s = slot_length_s
+        super().__init__(quiet=False, total=0, slot_length_s=slot_length_s)
         self._uavs = 0
 
     def start(self, total: int, done: int, uavs: int) -> None:
@@ -160,7 +154,7 @@ class TrainingDisplay(Display):
     def update(self, slots: int, mean_aou_s: float | None) -> None:
         """``slots`` are done; the mean AoU of recent missions is ``mean_aou_s``, None before the first."""
         if self.due:
-            aou = "-" if mean_aou_s is None else f"{mean_aou_s / self._slot_length_s:,.2f} slots"
+            aou = "-" if mean_aou_s is None else f"{mean_aou_s / self._tau_s:,.2f} slots"
             self.advance(slots, f"mean AoU {aou}", "training")
 
     def _speed(self, rate: float) -> str:
@@ -169,20 +163,12 @@ class TrainingDisplay(Display):
 
 
 class EvaluationDisplay(Display):
-    """Shows the missions of several policies: the slots played, and the mean AoU of the present policy.
-
-    Args:
-        quiet: show nothing.
-        names: of the policies, in the order in which they play.
-        slots: that each of them plays.
-    """
+    """Shows the missions of policies, ``slots`` of each: the slots played, and the mean AoU of the present policy."""
 
     def __init__(self, quiet: bool, names: list[str], slots: int) -> None:
         super().__init__(quiet, slots * len(names))
-        self._names = names
-        self._slots = slots
-        self._name = ""
-        self._before = 0  # slots of the policies that have played
+        self._names, self._slots = names, slots  # in the order in which they play
+        self._name, self._before = "", 0  # slots of the policies that have played
 
     def start(self, name: str) -> None:
         """The next policy begins."""
@@ -198,49 +184,35 @@ class EvaluationDisplay(Display):
 
 
 class PlanningDisplay(Display):
-    """Shows the best routes so far, the bound on them, and the gap between the two.
-
-    Args:
-        quiet: show nothing.
-        slot_length_s: tau, in which ages are shown.
-        bound_s: what is known before planning, s; None where the planner finds it itself.
-    """
+    """Shows the best routes so far, the bound on them, and the gap between the two."""
 
     def __init__(self, quiet: bool, slot_length_s: float, bound_s: float | None) -> None:
-        super().__init__(quiet, 1.0, unit="")
-        self._slot_length_s = slot_length_s
-        self._bound_s = bound_s
+        super().__init__(quiet, 1.0, "", slot_length_s)
+        self._bound_s = bound_s  # None where the planner finds it itself
 
     def show(self, progress: PlanningStatus) -> None:
         """Show the best routes so far; for :meth:`uavaou.planners.plan.RoutePlanner.plan`."""
         if not self.due and progress.share < 1.0:
             return
-        figure = f"mean AoU {progress.incumbent_s / self._slot_length_s:,.2f} slots"
+        figure = f"mean AoU {progress.incumbent_s / self._tau_s:,.2f} slots"
         bound_s = self._bound_s if progress.bound_s is None else progress.bound_s
         if bound_s is not None:
             gap = 1 - bound_s / progress.incumbent_s if progress.incumbent_s else 0.0
-            figure += f", bound {bound_s / self._slot_length_s:,.2f}, gap {gap:.1%}"
+            figure += f", bound {bound_s / self._tau_s:,.2f}, gap {gap:.1%}"
         self.advance(progress.share, figure)
 
 
 class TuningDisplay(Display):
-    """Shows the trials of a search: a bar on a terminal, a line for each finished trial elsewhere.
-
-    Args:
-        quiet: show nothing.
-        trials: that are to end in all.
-        slot_length_s: tau, in which ages are shown.
-    """
+    """Shows the trials of a search: a bar on a terminal, a line for each finished trial elsewhere."""
 
     def __init__(self, quiet: bool, trials: int, slot_length_s: float) -> None:
-        super().__init__(quiet, trials, unit="")
-        self._slot_length_s = slot_length_s
+        super().__init__(quiet, trials, "", slot_length_s)
         self._told: set[int] | None = None  # trials that ended before this command are not news
 
     def show(self, records: list[TrialRecord]) -> None:
         """The trials as they stand."""
         ended = [record for record in records if record.counts]
-        scores = [record.score / self._slot_length_s for record in ended if record.score is not None]
+        scores = [record.score / self._tau_s for record in ended if record.score is not None]
         best = f"best mean AoU {min(scores):,.2f} slots" if scores else ""
         if self._told is None:
             self._told = {record.number for record in ended}
@@ -252,17 +224,13 @@ class TuningDisplay(Display):
         for record in ended:
             if record.number not in self._told:
                 self._told.add(record.number)
-                score = "" if record.score is None else f" {record.score / self._slot_length_s:,.2f} slots,"
+                score = "" if record.score is None else f" {record.score / self._tau_s:,.2f} slots,"
                 detail = f": {record.reason}" if record.reason else f",{score} {best}"
                 self.message(f"{len(self._told)}/{self.total:.0f}  trial {record.number} {record.state}{detail}")
 
 
 class StudyDisplay(Display):
-    """Shows a study: the parts done, the rate of all trainings together, and the mean AoU of each running variant.
-
-    Args:
-        quiet: show nothing.
-    """
+    """Shows a study: the parts done, the rate of all trainings together, and the mean AoU of each running variant."""
 
     def __init__(self, quiet: bool) -> None:
         super().__init__(quiet, 1.0)
@@ -296,15 +264,10 @@ def _running(state: StudyState) -> str:
             if report is not None and report.mean_aou_slots is not None:
                 values.append(report.mean_aou_slots)
     parts = [f"{name} {sum(values) / len(values):,.2f}" if values else f"{name} -" for name, values in means.items()]
-    learning = ["mean AoU in slots: " + ", ".join(parts[:_MOST_VARIANTS])] if parts else []
-    return "; ".join([*learning, *(["at work: " + ", ".join(others[:_MOST_VARIANTS])] if others else [])])
+    lists = {"mean AoU in slots": parts, "at work": others}
+    return "; ".join(f"{title}: {', '.join(found[:_MOST_VARIANTS])}" for title, found in lists.items() if found)
 
 
 def say_how_to_go_on(arguments: list[str], kept: str = "") -> None:
-    """Tell the user, after an interrupt, which command goes on.
-
-    Args:
-        arguments: of that command.
-        kept: what is done already, in words.
-    """
+    """Tell the user, after an interrupt, which command goes on, and in words what it has ``kept``."""
     print(f"uavaou: interrupted{kept}; to go on: {shlex.join(['uavaou', *arguments])}", file=sys.stderr)

@@ -1,7 +1,8 @@
-"""``uavaou scenarios``: the presets."""
+"""``uavaou scenarios``: the presets, and ``uavaou audit``: whether the numbers of one fit together."""
 
 from __future__ import annotations
 
+from uavaou_cli.options import ScenarioName
 from uavaou_cli.tables import aligned, show, wrapped
 
 
@@ -18,3 +19,11 @@ def scenarios() -> None:
     for sizes, description in zip(aligned(rows), words, strict=True):
         show([sizes, *wrapped(description, indent="  ")])
     show(["", "paper is the default; the path of a YAML file can stand for a name"])
+
+
+def audit(scenario: ScenarioName) -> None:
+    """Check a scenario: the link budget of every device, and what does not fit together."""
+    from uavaou.reports import audit as report
+    from uavaou.scenario import Scenario
+
+    show(report.audit_lines(report.audit(Scenario.load(scenario))))

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uavaou.errors import InputError
-from uavaou_cli.checks import given_path, writable_folder
-from uavaou_cli.options import Quiet, Results, StudyArgument, choice, number
+from uavaou_cli.options import Quiet, Results, StudyName, choice, given_path, number, writable_folder
 from uavaou_cli.progress import StudyDisplay, say_how_to_go_on
 from uavaou_cli.tables import WIDTH, aligned, duration, interval_figures, show, wrapped
 
@@ -29,7 +28,7 @@ MOST_JOBS = 4096
 
 def run(
     ctx: typer.Context,
-    study: StudyArgument,
+    study: StudyName,
     jobs: Annotated[int | None, number("Runs at a time, of one core each. [default: all cores]", 1, MOST_JOBS)] = None,
     engine: Annotated[str, choice("Processes of this machine, or tasks of a Ray cluster.", "local", "ray")] = "local",
     address: Annotated[
@@ -69,7 +68,7 @@ def run(
         raise typer.Exit(1)
 
 
-def status(study: StudyArgument, out: Results = Path("results")) -> None:
+def status(study: StudyName, out: Results = Path("results")) -> None:
     """Show how the runs of a study stand."""
     from uavaou.studies.status import study_status
 
@@ -77,7 +76,7 @@ def status(study: StudyArgument, out: Results = Path("results")) -> None:
     show(_status_lines(chosen, study_status(chosen, out)))
 
 
-def report(study: StudyArgument, out: Results = Path("results")) -> None:
+def report(study: StudyName, out: Results = Path("results")) -> None:
     """Rewrite the condensed results of a study from its finished runs, its page of tables, and print the table.
 
     Writes README.md, marl-eval.json and one recorded mission of each variant into DIR/studies/<name>/, and the

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import textwrap
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
@@ -17,6 +18,12 @@ _GAP = "  "
 def show(lines: Iterable[object]) -> None:
     """Print lines on stdout."""
     print("\n".join(map(str, lines)), flush=True)
+
+
+def say(notes: Iterable[str], quiet: bool = False) -> None:
+    """Print lines for the person at the terminal on stderr."""
+    for note in notes if not quiet else []:
+        print(note, file=sys.stderr)
 
 
 def wrapped(text: str, indent: str = "") -> list[str]:

@@ -12,8 +12,7 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import LARGEST_SEED
-from uavaou_cli.checks import available_device, writable_folder
-from uavaou_cli.options import Quiet, Results, choice, number
+from uavaou_cli.options import Quiet, Results, available_device, choice, number, writable_folder
 from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import TrainingDisplay, say_how_to_go_on
 from uavaou_cli.tables import duration, figure, show

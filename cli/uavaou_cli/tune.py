@@ -11,8 +11,7 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import LARGEST_SEED
-from uavaou_cli.checks import writable_folder
-from uavaou_cli.options import Quiet, number
+from uavaou_cli.options import Quiet, number, writable_folder
 from uavaou_cli.options import seconds as seconds_option
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TuningDisplay, say_how_to_go_on
@@ -162,13 +161,12 @@ def _lines(
     table = aligned(rows)
     lines += ["", table[0]]
     for line, record in zip(table[1:], best, strict=False):
-        changed = [f"{name}={_value(value)}" for name, value in record.values.items() if value != start[name]]
-        words = ", ".join(changed) or "as published"
-        lines += [line, *wrapped(words, indent="    ")]
+        changed = [
+            f"{name}={value:.3g}" if isinstance(value, float) else f"{name}={value}"
+            for name, value in record.values.items()
+            if value != start[name]
+        ]
+        lines += [line, *wrapped(", ".join(changed) or "as published", indent="    ")]
     settings = search.settings(search.space.restored(best[0].values))
     command = shlex.join(train_command(scenario, search.scenario, settings, plugins))
     return [*lines, "", f"table:  {folder.table}", f"best:   {folder.best}", f"train:  {command}"]
-
-
-def _value(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
