@@ -11,7 +11,7 @@ import typer
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou_cli.evaluate_suite import evaluate_suite
-from uavaou_cli.options import Episodes, MissionSeed, Quiet, SetScenario, choice, given_path, seconds, writable_file
+from uavaou_cli.options import Changes, Episodes, Quiet, Seed, choice, given_path, option, seconds, writable_file
 from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import EvaluationDisplay
 from uavaou_cli.tables import interval_figures, say, show, two_line_table, wrapped
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from uavaou.evaluation.evaluate import Evaluation
     from uavaou.planners.base import Planner
     from uavaou.runs.comparison import Comparison
-    from uavaou.scenario import Scenario
 
 # For the help, which must not import the planners; a test compares it with the registry.
 _PLANNER_NAMES = "random, stay, greedy, best-first, tour, partition-tour, anneal, rolling or exact"
@@ -28,26 +27,18 @@ _PLANNER_NAMES = "random, stay, greedy, best-first, tour, partition-tour, anneal
 
 def evaluate(
     run: Annotated[list[str] | None, typer.Argument(help="Folders of training runs.")] = None,
-    policy: Annotated[
-        list[str] | None, typer.Option(metavar="PLANNER", help="Also play " + _PLANNER_NAMES + ". Repeatable.")
-    ] = None,
-    scenario: Annotated[
-        str | None, typer.Option(metavar="NAME", help="A preset or a YAML file. [default: the runs' own, else paper]")
-    ] = None,
+    policy: Annotated[list[str] | None, option(f"Also play {_PLANNER_NAMES}. Repeatable.", "PLANNER")] = None,
+    scenario: Annotated[str | None, option("A preset or a YAML file. [default: the runs' own, else paper]")] = None,
     episodes: Episodes = 100,
-    seed: MissionSeed = EVALUATION_SEED,
+    seed: Seed = EVALUATION_SEED,
     action: Annotated[
         str | None, choice("Action of trained policies. [default: the better one in validation]", "greedy", "sample")
     ] = None,
-    suite: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Play every point of a suite; see docs/suites.md.")
-    ] = None,
+    suite: Annotated[str | None, option("Play every point of a suite; see docs/suites.md.")] = None,
     time_limit: Annotated[float | None, seconds("Time limit of planners that plan ahead, in seconds.")] = None,
-    json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the metrics of every mission as JSON.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write the table of a suite.")] = None,
-    set_: SetScenario = None,
+    json: Annotated[Path | None, option("Write the metrics of every mission as JSON.", "FILE")] = None,
+    out: Annotated[Path | None, option("Write the table of a suite.", "FILE.csv")] = None,
+    set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
     """Evaluate trained runs and planners, all on the same missions.
@@ -114,16 +105,10 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
     seeds = f"seeds {seed} to {seed + episodes - 1}" if episodes > 1 else f"seed {seed}"
     missions = "missions" if episodes > 1 else "mission"
     lines = wrapped(f"{scenario.name}{changed}: {episodes:,} {missions}, {seeds}")
-    heads = [
-        ("action", ""),
-        ("mean AoU", "(slots)"),
-        ("mean AoU", "(s)"),
-        ("communi-", "cations"),
-        ("devices", f"of {scenario.devices}"),
-        ("viola-", "tions"),
-    ]
+    heads = [("action", ""), ("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("communi-", "cations")]
+    heads += [("devices", f"of {scenario.devices}"), ("viola-", "tions")]
     actions = comparison.actions
-    rows = [(name, _cells(scenario, result, actions[name])) for name, result in comparison.results.items()]
+    rows = [(name, _cells(result, actions[name])) for name, result in comparison.results.items()]
     lines += ["", *two_line_table(heads, rows)]
     for name, result in comparison.results.items():
         broken = ", ".join(f"{key} {count:,}" for key, count in result.violations.items() if count)
@@ -133,10 +118,10 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
     return [*lines, "", note]
 
 
-def _cells(scenario: Scenario, result: Evaluation, action: str | None) -> list[tuple[str, str]]:
+def _cells(result: Evaluation, action: str | None) -> list[tuple[str, str]]:
     from uavaou.statistics import interval_over_missions
 
     aou = result.values("mean_aou_s")  # (N,) s
-    columns = aou / scenario.slot_length_s, aou, result.values("communications"), result.values("devices_served")
+    columns = aou / result.slot_length_s, aou, result.values("communications"), result.values("devices_served")
     figures = [interval_figures(interval_over_missions(values)) for values in columns]
     return [(action or "-", ""), *figures, (f"{sum(result.violations.values()):,}", "")]

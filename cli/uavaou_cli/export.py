@@ -8,12 +8,12 @@ from typing import Annotated, Any
 import typer
 
 from uavaou.errors import InputError
-from uavaou_cli.options import choice, given_path, writable_file
+from uavaou_cli.options import choice, given_path, option, writable_file
 
 
 def export(
     run: Annotated[str, typer.Argument(metavar="RUN", help="The folder of a training run.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The file to write.")],
+    out: Annotated[Path, option("The file to write.", "FILE")],
     format: Annotated[
         str, choice("safetensors: for LEARNER.load; sb3: Stable-Baselines3's zip.", "safetensors", "sb3")
     ] = "safetensors",

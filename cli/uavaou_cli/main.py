@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
 from uavaou_cli import evaluate, export, plan, plot, scenarios, study, train, tune
+from uavaou_cli.options import option
 
 BAD_INPUT = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
@@ -75,8 +76,7 @@ def _root(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
     plugin: Annotated[
-        list[str] | None,
-        typer.Option(metavar="FILE.py|MODULE", help="Import this first; it registers algorithms. Repeatable."),
+        list[str] | None, option("Import this first; it registers algorithms. Repeatable.", "FILE.py|MODULE")
     ] = None,
 ) -> None:
     """Train, evaluate and explain teams of UAVs that keep IoT data fresh.

@@ -12,6 +12,11 @@ from uavaou.errors import InputError, unknown
 from uavaou.evaluation.seeds import LARGEST_SEED, MOST_EPISODES
 
 
+def option(help: str, metavar: str = "NAME", *names: str) -> Any:
+    """An option for text or a path; ``names`` where the parameter's own does not serve."""
+    return typer.Option(*names, metavar=metavar, help=help)
+
+
 def number(help: str, lowest: float, highest: float = float("inf"), metavar: str = "N") -> Any:
     """An option for a number from ``lowest`` to ``highest``."""
 
@@ -50,11 +55,9 @@ def choice(help: str, *allowed: str) -> Any:
 ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A preset's name, or the path of a YAML file.")]
 StudyName = Annotated[str, typer.Argument(metavar="STUDY", help="A study's name (paper, smoke), or a YAML file.")]
 Episodes = Annotated[int, number("Missions that each policy plays.", 1, MOST_EPISODES)]
-MissionSeed = Annotated[int, number("Mission j is seeded with N + j.", 0, LARGEST_SEED)]
-SetScenario = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD. Repeatable.")
-]
-Results = Annotated[Path, typer.Option(metavar="DIR", help="The folder of all results.")]
+Seed = Annotated[int, number("Mission j is seeded with N + j.", 0, LARGEST_SEED)]
+Changes = Annotated[list[str] | None, option("Change scenario.FIELD. Repeatable.", "KEY=VALUE", "--set")]
+Results = Annotated[Path, option("The folder of all results.", "DIR")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 
 

@@ -12,8 +12,8 @@ import typer
 from uavaou.errors import InputError, unknown
 from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
 from uavaou_cli.evaluate import evaluation_lines
-from uavaou_cli.options import Episodes, MissionSeed, Quiet, ScenarioName, SetScenario, number, seconds, writable_folder
-from uavaou_cli.overrides import Overrides, parse_overrides
+from uavaou_cli.options import Changes, Episodes, Quiet, ScenarioName, Seed, number, option, seconds, writable_folder
+from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import EvaluationDisplay, PlanningDisplay
 from uavaou_cli.tables import duration, figure, show, two_line_table, wrapped
 
@@ -28,15 +28,14 @@ _BOUND_S = 30.0  # for the bound that stands beside a plan; `uavaou gap` takes l
 
 def plan(
     scenario: ScenarioName,
-    planner: Annotated[str, typer.Option(metavar="NAME", help="tour, partition-tour, anneal or exact.")] = "anneal",
+    planner: Annotated[str, option("tour, partition-tour, anneal or exact.")] = "anneal",
     time_limit: Annotated[float | None, seconds("Seconds to plan. [default: a fixed amount of work]")] = None,
     episodes: Annotated[int, number("Missions that the plan is flown in.", 1, MOST_EPISODES)] = 64,
-    seed: MissionSeed = EVALUATION_SEED,
+    seed: Seed = EVALUATION_SEED,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the plan. [default: results/<scenario>/plan/<planner>]"),
+        Path | None, option("Folder of the plan. [default: results/<scenario>/plan/<planner>]", "DIR")
     ] = None,
-    set_: SetScenario = None,
+    set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
     """Plan the fleet's routes, save them, fly them and draw them. Ctrl-C keeps the best routes found.
@@ -47,10 +46,8 @@ def plan(
 
     if planner not in ROUTE_PLANNERS:
         raise unknown("--planner", planner, ROUTE_PLANNERS)
-    chosen = _scenario(scenario, parse_overrides(set_ or []))
-    if chosen.layout == "resample":
-        raise InputError("uavaou plan: the scenario draws a new layout each mission; set scenario.layout=fixed")
-    folder = out if out is not None else Path("results") / chosen.name / "plan" / planner
+    chosen = _fixed_scenario(scenario, set_, "uavaou plan: the scenario draws a new layout each mission")
+    folder = out or Path("results") / chosen.name / "plan" / planner
     writable_folder(folder)
     _plan_and_report(chosen, planner, time_limit, episodes, seed, folder, quiet)
 
@@ -62,14 +59,12 @@ def gap(
         float | None, seconds("Seconds that annealing may take. [default: a fixed amount of work]")
     ] = None,
     episodes: Episodes = 16,
-    seed: MissionSeed = EVALUATION_SEED,
-    set_: SetScenario = None,
+    seed: Seed = EVALUATION_SEED,
+    set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
     """Compare planners and trained runs with the lower bound and with random moves."""
-    chosen = _scenario(scenario, parse_overrides(set_ or []))
-    if chosen.layout == "resample":
-        raise InputError("uavaou gap: the bound is that of one layout; set scenario.layout=fixed")
+    chosen = _fixed_scenario(scenario, set_, "uavaou gap: the bound is that of one layout")
     from uavaou.planners import gap_planners, make_planners
     from uavaou.planners.bound import lower_bound
     from uavaou.runs.comparison import compare, load_runs
@@ -82,11 +77,15 @@ def gap(
     show(_gap_lines(comparison, bound))
 
 
-def _scenario(name: str, overrides: Overrides) -> Scenario:
+def _fixed_scenario(name: str, items: list[str] | None, refusal: str) -> Scenario:
     from uavaou.scenario import Scenario
 
+    overrides = parse_overrides(items or [])
     overrides.only_of_scenario("planners have none")
-    return overrides.of_scenario(Scenario.load(name))
+    scenario = overrides.of_scenario(Scenario.load(name))
+    if scenario.layout == "resample":
+        raise InputError(f"{refusal}; set scenario.layout=fixed")
+    return scenario
 
 
 def _plan_and_report(
@@ -135,12 +134,11 @@ def _plan_lines(scenario: Scenario, plan: RoutePlan, took_s: float, path: Path) 
 
 def _gap_lines(comparison: Comparison, bound: Bound) -> list[str]:
     """One row for the bound and one for each policy, the best first."""
-    scenario, results = comparison.scenario, comparison.results
-    episodes, seed = comparison.episodes, comparison.seed
+    scenario, episodes, seed = comparison.scenario, comparison.episodes, comparison.seed
     tau, least = scenario.slot_length_s, bound.mean_aou_s
-    best = min(result.mean_aou_s for result in results.values())
-    means = {f"lower bound ({bound.method})": least}
-    means |= dict(sorted(((name, result.mean_aou_s) for name, result in results.items()), key=lambda item: item[1]))
+    played = {name: result.mean_aou_s for name, result in comparison.results.items()}
+    best = min(played.values())
+    means = {f"lower bound ({bound.method})": least} | dict(sorted(played.items(), key=lambda item: item[1]))
     heads = [("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("over", "bound"), ("over", "best")]
     rows = [
         (name, [(cell, "") for cell in (figure(mean / tau), figure(mean), _ratio(mean, least), _ratio(mean, best))])

@@ -10,7 +10,7 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED
-from uavaou_cli.options import number, writable_folder
+from uavaou_cli.options import number, option, writable_folder
 from uavaou_cli.tables import show
 
 
@@ -20,8 +20,7 @@ def figures(
         typer.Argument(help="Folders of training runs, or of studies. [default: every study in results/studies]"),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Where the pictures go. [default: figures/ in the study or the first RUN]"),
+        Path | None, option("Where the pictures go. [default: figures/ in the study or the first RUN]", "DIR")
     ] = None,
 ) -> None:
     """Draw figures as PNG and PDF: of studies from their committed results, or of the runs given.
@@ -88,9 +87,7 @@ def suite(
     file: Annotated[
         list[Path] | None, typer.Argument(help="Tables of `uavaou eval --suite --out`. [default: results/suites/*.csv]")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where the pictures go. [default: beside each FILE]")
-    ] = None,
+    out: Annotated[Path | None, option("Where the pictures go. [default: beside each FILE]", "DIR")] = None,
 ) -> None:
     """Draw the mean AoU of each policy over the points of a suite, as PNG and PDF."""
     files = list(dict.fromkeys(file or sorted(Path("results/suites").glob("*.csv"))))
@@ -107,9 +104,7 @@ def suite(
 def trajectories(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a training run.")],
     episode_seed: Annotated[int, number("The seed of the mission.", 0, LARGEST_SEED)] = EVALUATION_SEED,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where the pictures go. [default: RUN/figures]")
-    ] = None,
+    out: Annotated[Path | None, option("Where the pictures go. [default: RUN/figures]", "DIR")] = None,
 ) -> None:
     """Draw one mission of a run's best policy, as PNG and PDF: where the UAVs flew, how the devices aged."""
     from uavaou.runs.folder import RunFolder

@@ -8,6 +8,8 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Any, Self
 
+import typer
+
 from uavaou_cli.tables import duration
 
 if TYPE_CHECKING:
@@ -268,6 +270,7 @@ def _running(state: StudyState) -> str:
     return "; ".join(f"{title}: {', '.join(found[:_MOST_VARIANTS])}" for title, found in lists.items() if found)
 
 
-def say_how_to_go_on(arguments: list[str], kept: str = "") -> None:
-    """Tell the user, after an interrupt, which command goes on, and in words what it has ``kept``."""
+def stopped(arguments: list[str], kept: str = "", code: int = 130) -> typer.Exit:
+    """Tell the user, after an interrupt, which command goes on, and what it has ``kept``; the exit is to be raised."""
     print(f"uavaou: interrupted{kept}; to go on: {shlex.join(['uavaou', *arguments])}", file=sys.stderr)
+    return typer.Exit(code)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uavaou.errors import InputError
-from uavaou_cli.options import Quiet, Results, StudyName, choice, given_path, number, writable_folder
-from uavaou_cli.progress import StudyDisplay, say_how_to_go_on
+from uavaou_cli.options import Quiet, Results, StudyName, choice, given_path, number, option, writable_folder
+from uavaou_cli.progress import StudyDisplay, stopped
 from uavaou_cli.tables import WIDTH, aligned, duration, interval_figures, show, wrapped
 
 if TYPE_CHECKING:
@@ -32,11 +32,11 @@ def run(
     jobs: Annotated[int | None, number("Runs at a time, of one core each. [default: all cores]", 1, MOST_JOBS)] = None,
     engine: Annotated[str, choice("Processes of this machine, or tasks of a Ray cluster.", "local", "ray")] = "local",
     address: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Address of the Ray cluster. [default: one is started here]")
+        str | None, option("Address of the Ray cluster. [default: one is started here]", "ADDRESS")
     ] = None,
     out: Results = Path("results"),
     checkpoint_every: Annotated[
-        float, number("Seconds between the checkpoints of a run.", 0, 86_400, metavar="SECONDS")
+        float, number("Seconds between the checkpoints of a run.", 0, 86_400, "SECONDS")
     ] = 30.0,
     quiet: Quiet = False,
 ) -> None:
@@ -56,13 +56,12 @@ def run(
         try:
             outcome = run_study(chosen, out, performer, progress.show, quiet, checkpoint_every)
         except KeyboardInterrupt:
-            say_how_to_go_on(ctx.obj["arguments"])
-            raise typer.Exit(130) from None
+            raise stopped(ctx.obj["arguments"]) from None
     for key, reason in outcome.failed.items():
         print(f"uavaou: {key} failed: {reason}", file=sys.stderr)
     if outcome.stopped_by is not None:
-        say_how_to_go_on(ctx.obj["arguments"], f" with {outcome.done} of {outcome.total} parts done")
-        raise typer.Exit(128 + outcome.stopped_by)
+        kept = f" with {outcome.done} of {outcome.total} parts done"
+        raise stopped(ctx.obj["arguments"], kept, 128 + outcome.stopped_by)
     show(_result_lines(folder))
     if outcome.failed:
         raise typer.Exit(1)

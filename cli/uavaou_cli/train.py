@@ -12,9 +12,9 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import LARGEST_SEED
-from uavaou_cli.options import Quiet, Results, available_device, choice, number, writable_folder
+from uavaou_cli.options import Quiet, Results, available_device, choice, number, option, writable_folder
 from uavaou_cli.overrides import parse_overrides
-from uavaou_cli.progress import TrainingDisplay, say_how_to_go_on
+from uavaou_cli.progress import TrainingDisplay, stopped
 from uavaou_cli.tables import duration, figure, show
 
 if TYPE_CHECKING:
@@ -27,35 +27,28 @@ _ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # for the help, which must not im
 def train(
     ctx: typer.Context,
     scenario: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="A preset (see `uavaou scenarios`) or a YAML file. [default: paper]"),
+        str | None, option("A preset (see `uavaou scenarios`) or a YAML file. [default: paper]")
     ] = None,
     algorithm: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help=f"What learns: {_ALGORITHMS}, or one of your own. [default: mappo]"),
+        str | None, option(f"What learns: {_ALGORITHMS}, or one of your own. [default: mappo]")
     ] = None,
     seed: Annotated[
         int | None, number("Seed of the training; two seeds never share a mission. [default: 0]", 0, LARGEST_SEED)
     ] = None,
     slots: Annotated[int | None, number("Budget, in slots of all missions. [default: as published]", 1)] = None,
-    config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Train the config.yaml of a run again as it was.")
-    ] = None,
+    config: Annotated[Path | None, option("Train the config.yaml of a run again as it was.", "FILE")] = None,
     out: Results = Path("results"),
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")] = False,
     checkpoint_every: Annotated[
         float,
-        number(
-            "Seconds between checkpoints; they never take more than 2.5 % of the time.", 1, 86_400, metavar="SECONDS"
-        ),
+        number("Seconds between checkpoints; they never take more than 2.5 % of the time.", 1, 86_400, "SECONDS"),
     ] = 30.0,
     device: Annotated[str, choice("Where the networks run.", "auto", "cpu", "cuda")] = "auto",
     backend: Annotated[
         str, choice("How missions are stepped; both give the same rows, batched is faster.", "batched", "supersuit")
     ] = "batched",
     set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD or algorithm.FIELD. Repeatable."),
+        list[str] | None, option("Change scenario.FIELD or algorithm.FIELD. Repeatable.", "KEY=VALUE", "--set")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -81,12 +74,11 @@ def train(
             display=None if quiet else TrainingDisplay(plan.scenario.slot_length_s),
         )  # fmt: skip
     except KeyboardInterrupt:
-        say_how_to_go_on(_resuming(again, folder))
-        raise typer.Exit(130) from None
+        raise stopped(_resuming(again, folder)) from None
     if outcome.stopped_by is not None:
         slots = outcome.progress.slots
-        say_how_to_go_on(_resuming(again, folder), f" after {slots:,} slots, which are saved" if slots else "")
-        raise typer.Exit(128 + outcome.stopped_by)
+        kept = f" after {slots:,} slots, which are saved" if slots else ""
+        raise stopped(_resuming(again, folder), kept, 128 + outcome.stopped_by)
     show(_lines(outcome, plan, ctx.obj["plugins"]))
 
 
@@ -111,9 +103,9 @@ def _again(path: Path, out: Path, given: Mapping[str, object]) -> tuple[RunConfi
     """The training of a ``config.yaml``, unchanged, and its folder."""
     from uavaou.runs.folder import config_folder, read_config
 
-    for option, value in given.items():
+    for name, value in given.items():
         if value is not None and value != []:
-            raise InputError(f"--config and {option}: give one of them; the file says everything")
+            raise InputError(f"--config and {name}: give one of them; the file says everything")
     config = read_config(path)
     return config, config_folder(out, config)
 

@@ -11,10 +11,10 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import LARGEST_SEED
-from uavaou_cli.options import Quiet, number, writable_folder
+from uavaou_cli.options import Quiet, number, option, writable_folder
 from uavaou_cli.options import seconds as seconds_option
 from uavaou_cli.overrides import Overrides, parse_overrides
-from uavaou_cli.progress import TuningDisplay, say_how_to_go_on
+from uavaou_cli.progress import TuningDisplay, stopped
 from uavaou_cli.tables import aligned, figure, show, wrapped
 
 if TYPE_CHECKING:
@@ -33,32 +33,23 @@ _BEST_TRIALS = 5  # that are shown
 
 def tune(
     ctx: typer.Context,
-    scenario: Annotated[
-        str, typer.Option(metavar="NAME", help="A preset (see `uavaou scenarios`) or a YAML file.")
-    ] = "quickstart",
-    algorithm: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The algorithm to tune. [default: mappo, or that of --from]")
-    ] = None,
+    scenario: Annotated[str, option("A preset (see `uavaou scenarios`) or a YAML file.")] = "quickstart",
+    algorithm: Annotated[str | None, option("The algorithm to tune. [default: mappo, or that of --from]")] = None,
     seconds: Annotated[float | None, seconds_option("Each trial's budget, in CPU seconds of one core.")] = None,
     slots: Annotated[int | None, number("Each trial's budget, in slots, instead.", 1, 10**12)] = None,
     trials: Annotated[
         int | None, number(f"Number of trials, earlier ones included. [default: {DEFAULT_TRIALS}]", 1, MOST_TRIALS)
     ] = None,
-    from_: Annotated[
-        Path | None, typer.Option("--from", metavar="DIR", help="Train only the best trials of this search again.")
-    ] = None,
+    from_: Annotated[Path | None, option("Train only the best trials of this search again.", "DIR", "--from")] = None,
     top: Annotated[
-        int | None, number(f"How many of the best trials. [default: {DEFAULT_TOP}]", 1, MOST_TRIALS, metavar="K")
+        int | None, number(f"How many of the best trials. [default: {DEFAULT_TOP}]", 1, MOST_TRIALS, "K")
     ] = None,
-    space: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The search space, as YAML. [default: the shipped one]")
-    ] = None,
+    space: Annotated[Path | None, option("The search space, as YAML. [default: the shipped one]", "FILE")] = None,
     jobs: Annotated[int, number("Number of processes, of one core each.", 1, MOST_JOBS)] = 1,
     seed: Annotated[int, number("Seed of the sampler and of every training.", 0, LARGEST_SEED)] = 0,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder of all searches.")] = Path("results/tune"),
+    out: Annotated[Path, option("The folder of all searches.", "DIR")] = Path("results/tune"),
     set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change scenario.FIELD; fix algorithm.FIELD. Repeatable."),
+        list[str] | None, option("Change scenario.FIELD; fix algorithm.FIELD. Repeatable.", "KEY=VALUE", "--set")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -100,8 +91,7 @@ def tune(
             progress.show(read_trials(folder))
             records = run_search(folder, wanted, jobs, ctx.obj["plugins"], progress.show)
     except KeyboardInterrupt:
-        say_how_to_go_on(ctx.obj["arguments"])
-        raise typer.Exit(130) from None
+        raise stopped(ctx.obj["arguments"]) from None
     show(_lines(folder, search, records, scenario, ctx.obj["plugins"]))
 
 
