@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,10 +44,8 @@ def test_without_arguments_everything_is_drawn_without_torch(tmp_path: Path) -> 
     study = write_study(tmp_path / "results" / "studies" / "paper")
     record(study)
     record(study, "vdn", "random")
-    begun = time.monotonic()
     done = run_cli(tmp_path, "code = main(['plot', 'figures']); assert 'torch' not in sys.modules; sys.exit(code)")
     assert done.returncode == 0, done.stderr
-    assert time.monotonic() - begun < 30
     paths = [tmp_path / line for line in done.stdout.splitlines()]
     assert {path.stem for path in paths} == OF_A_SCENARIO | AGGREGATES | MISSIONS
     assert {path.parent for path in paths} == {study / "figures"}

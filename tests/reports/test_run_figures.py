@@ -17,6 +17,7 @@ from uavaou.reports.figures import plot_runs
 from uavaou.reports.run_tables import read_runs
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
+from uavaou.statistics import interval_over_missions
 from uavaou.studies.condense import curve_rows
 from uavaou.studies.parts import PartKey
 
@@ -88,6 +89,41 @@ def test_seeds_of_an_algorithm_are_one_line_in_slots(tmp_path: Path, drawn: dict
     assert wall["MAPPO (3 seeds)"].get_ydata()[-1] == pytest.approx(60 / TAU)
 
 
+def test_all_planners_evaluated_beside_a_run_are_drawn(tmp_path: Path, drawn: dict[str, Any]) -> None:
+    folder = write_run(tmp_path)
+    rng = np.random.default_rng(0)
+    levels = {"mappo": 40, "greedy": 60, "random": 900, "stay": 5000}
+    write_evaluation(folder, "default", {name: evaluated(rng, level) for name, level in levels.items()})
+    plot_runs([folder], tmp_path / "out")
+    labels = {name: set(figure.axes[0].get_legend_handles_labels()[1]) for name, figure in drawn.items()}
+    for name in TRAINING_FIGURES | {"aou-wall-clock"}:  # stay's level would leave no room for the others
+        assert labels[f"out/{name}"] == {"MAPPO", "greedy", "random"}
+    for name in ("figure-7-aou-execution", "figure-8-communications-by-period"):
+        assert labels[f"out/{name}"] == {"MAPPO", "greedy", "random", "stay"}
+
+
+def test_intervals_of_a_single_run_are_over_missions(tmp_path: Path, drawn: dict[str, Any]) -> None:
+    folder = write_run(tmp_path)
+    rng = np.random.default_rng(0)
+    own = evaluated(rng, 40)
+    low, high = np.array(own["aou_over_time_s"]) * [[0.9], [1.2]]
+    own |= {"aou_over_time_low_s": low.tolist(), "aou_over_time_high_s": high.tolist()}
+    write_evaluation(folder, "default", {"mappo": own, "greedy": evaluated(rng, 60)})
+    plot_runs([folder], tmp_path / "out")
+    over = "95 % interval over missions"
+    seventh, eighth = (drawn[f"out/figure-{name}"] for name in ("7-aou-execution", "8-communications-by-period"))
+    assert seventh.legends[0].get_title().get_text() == f"bands: {over} (1 seed)\nplanners: {over}"
+    assert eighth.legends[0].get_title().get_text() == f"dot: one device; bar: {over} (1 seed)\nplanners: {over}"
+    band = seventh.axes[0].collections[0].get_paths()[0].vertices
+    assert {band[:, 1].min(), band[:, 1].max()} == {low.min() / TAU, high.max() / TAU}
+
+    period = TINY.draw_layout().update_period
+    counts = np.array(own["device_communications"])  # (n, I)
+    expected = [interval_over_missions(counts[:, period == value].mean(axis=1)) for value in np.unique(period)]
+    bars = [path.vertices[:, 1] for path in eighth.axes[0].collections[0].get_paths()]
+    np.testing.assert_allclose(bars, [(found.low, found.high) for found in expected])
+
+
 def test_runs_are_written_as_png_and_pdf(tmp_path: Path) -> None:
     paths = plot_runs([write_run(tmp_path / "results", missions=4, evaluation=False)], tmp_path / "figures")
     assert {path.stem for path in paths} == TRAINING_FIGURES
@@ -101,7 +137,7 @@ def test_a_run_with_two_evaluations_is_drawn_once(tmp_path: Path, drawn: dict[st
     write_evaluation(folder, "first-3", {"mappo": evaluated(rng, 9000, 3)})
     plot_runs([folder], tmp_path / "out")
     assert set(drawn) == {f"out/{name}" for name in ALL_FIGURES}
-    assert read_runs([folder]).stack("missions", "mappo", "tiny", "mean_aou_slots").shape == (1, 6)
+    assert read_runs([folder])[0].stack("missions", "mappo", "tiny", "mean_aou_slots").shape == (1, 6)
 
 
 def test_figures_of_two_scenarios_go_to_two_folders(tmp_path: Path, drawn: dict[str, Any]) -> None:
@@ -117,14 +153,14 @@ def test_overrides_of_the_folder_stay_in_the_name(tmp_path: Path) -> None:
     moved = folder.parent.with_name("mappo+gamma=0.9") / folder.name
     moved.parent.mkdir()
     folder.rename(moved)
-    assert list(read_runs([moved]).algorithms) == ["mappo+gamma=0.9"]
+    assert list(read_runs([moved])[0].algorithms) == ["mappo+gamma=0.9"]
 
 
 def test_a_line_cut_off_while_writing_is_left_out(tmp_path: Path) -> None:
     folder = write_run(tmp_path, evaluation=False)
     with (folder / "episodes.csv").open("a", encoding="utf-8") as file:
         file.write("81,10")
-    (run,) = read_runs([folder]).runs("curves", "mappo", "tiny")
+    (run,) = read_runs([folder])[0].runs("curves", "mappo", "tiny")
     assert len(run["slots"]) == 80
 
 

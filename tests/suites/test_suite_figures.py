@@ -106,12 +106,12 @@ def test_suites_in_a_run_folder_do_not_change_its_figures(capsys: pytest.Capture
     from uavaou.reports.run_tables import read_runs
 
     call(capsys, "eval run --suite own.yaml --episodes 2 --quiet")
-    assert not read_runs([place / "run"]).table("missions")["mission"].size
+    assert not read_runs([place / "run"])[0].table("missions")["mission"].size
     one = yaml.safe_load(OWN)
     (place / "alone.yaml").write_text(yaml.safe_dump(one | {"points": one["points"][:1]}))
     (place / "off.yaml").write_text(yaml.safe_dump(one | {"points": one["points"][1:2]}))
     for suite in ("alone", "off"):
         call(capsys, f"eval run --policy greedy --suite {suite}.yaml --episodes 2 --quiet")
-    found = read_runs([place / "run"])  # a suite of the run's own point serves figures 7 and 8
+    found, _ = read_runs([place / "run"])  # a suite of the run's own point serves figures 7 and 8
     assert found.planners == ("greedy",)
     assert found.table("execution", "greedy")["mean_aou_slots"].size

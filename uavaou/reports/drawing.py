@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Looks = Mapping[str, style.Look]
 
+OVER_MISSIONS = "95 % interval over missions"
 _STEPS = [1, 2, 5, 10]  # ticks at multiples that are easy to read
 
 
@@ -186,12 +187,12 @@ def _draw_by_period(axes: Axes, group: ByPeriod, shift: float, look: style.Look)
     )  # fmt: skip
 
 
-def over_seeds(seeds: Sequence[int]) -> str:
-    """What the intervals of algorithms with so many seeds each are over."""
+def over_seeds(seeds: Sequence[int], alone: str = "none") -> str:
+    """What the intervals of algorithms with so many seeds each are over; ``alone`` says it for one seed."""
     counts, parts = sorted({*seeds} or {1}), []
     if counts[-1] > 1:
         number = f"{counts[0]} " if len(counts) == 1 else ""
         parts.append(f"95 % interval over {number}seeds")
     if counts[0] == 1:
-        parts.append("none (1 seed)")
+        parts.append(f"{alone} (1 seed)")
     return "; ".join(parts)

@@ -1,8 +1,9 @@
 """The figures of studies and training runs: the paper's 3 to 8, AoU against wall-clock time, aggregates, missions.
 
 Everything is drawn from the tables of a study; no policy is loaded. Training runs are condensed to the same tables, in
-memory. Bands and bars are Student's 95 % intervals over training seeds, those of planners bootstrap intervals over
-missions. Ages are in slots.
+memory. Bands and bars are Student's 95 % intervals over training seeds; those of planners, and in figures 7 and 8 those
+of a single run, are bootstrap intervals over missions. Figures of a study show its best planner, figures of runs all
+planners that were evaluated beside them. Ages are in slots.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ import signal
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import read_mission
@@ -26,6 +27,7 @@ from uavaou.reports.drawing import (
     AOU,
     COMMUNICATIONS,
     DEVICES_SERVED,
+    OVER_MISSIONS,
     REWARD,
     VALIDATION_AOU,
     ByPeriod,
@@ -41,15 +43,12 @@ from uavaou.reports.drawing import (
 from uavaou.reports.mission_figures import mission_figures
 from uavaou.reports.references import best_planner
 from uavaou.reports.run_tables import read_runs
-from uavaou.statistics import Interval, band_over_trainings, interval_over_missions
-from uavaou.studies.parts import BOUND
-from uavaou.studies.results import StudyResults, Table, read_study
+from uavaou.runs.results import PolicyResult
+from uavaou.statistics import Band, Interval, band_over_missions, band_over_trainings, interval_over_missions
+from uavaou.studies.parts import BOUND, PartKey
+from uavaou.studies.results import Floats, StudyResults, Table, read_study
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
+Evaluations = Mapping[PartKey, PolicyResult]
 
 _TIMES = 100  # points of a curve over wall-clock time
 _TRAINING_FIGURES = {
@@ -74,7 +73,7 @@ def plot_study(folder: Path, out_dir: Path) -> list[Path]:
         InputError: a table is missing or malformed, or the figures cannot be written.
     """
     study = read_study(folder).require_evaluated()
-    paths = _plot_scenarios(study, Path(out_dir))
+    paths = _plot_scenarios(study, {}, Path(out_dir))
     missions = [read_mission(path) for path in sorted(study.folder.path.glob("mission-*.json"))]
     with style.house_style():
         for figures in (aggregate_figures(study), mission_figures(missions, study.algorithms)):
@@ -120,48 +119,48 @@ def plot_runs(folders: Iterable[Path], out_dir: Path) -> list[Path]:
     Raises:
         InputError: there is no run, a file of one is missing or malformed, or the figures cannot be written.
     """
-    return _plot_scenarios(read_runs(folders), Path(out_dir))
+    return _plot_scenarios(*read_runs(folders), out_dir=Path(out_dir))
 
 
-def _plot_scenarios(study: StudyResults, out_dir: Path) -> list[Path]:
+def _plot_scenarios(study: StudyResults, evaluations: Evaluations, out_dir: Path) -> list[Path]:
     paths = []
     with style.house_style():
         for scenario in study.scenarios:
             place = out_dir / folder_name(scenario) if len(study.scenarios) > 1 else out_dir
-            for name, figure in scenario_figures(study, scenario).items():
+            for name, figure in _Scenario(study, scenario, evaluations).figures().items():
                 paths += style.save(figure, place, name)
     return paths
 
 
-def scenario_figures(study: StudyResults, scenario: str) -> dict[str, Figure]:
-    """Figures 3 to 8 and AoU over wall-clock time, of the algorithms, the best planner and the bound."""
-    draw = _Scenario(study, scenario)
-    figures = {}
-    if curves := draw.runs("curves", study.algorithms):
-        figures = {name: draw.training_figure(curves, measure) for name, measure in _TRAINING_FIGURES.items()}
-    if validations := draw.runs("validation", study.algorithms):
-        figures["aou-wall-clock"] = draw.wall_clock_figure(validations)
-    flown = [*study.algorithms, *([draw.planner] if draw.planner else [])]
-    if executed := draw.runs("execution", flown):
-        figures["figure-7-aou-execution"] = draw.execution_figure(executed)
-    if counted := draw.runs("devices", flown):
-        figures["figure-8-communications-by-period"] = draw.period_figure(counted)
-    return figures
-
-
 class _Scenario:
-    """Draws the figures of one scenario of a study."""
+    """Draws the figures of one scenario of a study, or of runs, whose ``evaluations`` have values of each mission."""
 
-    def __init__(self, study: StudyResults, scenario: str) -> None:
+    def __init__(self, study: StudyResults, scenario: str, evaluations: Evaluations) -> None:
         self._study, self._scenario = study, scenario
+        self._results = {key: result for key, result in evaluations.items() if key.scenario == scenario}
         self._looks = style.looks([*study.algorithms, BOUND, *study.planners], study.algorithms)
-        self.planner = best_planner(study, [scenario])
+        best = best_planner(study, [scenario])
+        flown = [name for name in study.planners if PartKey(name, scenario) in self._results]
+        self._planners = flown if evaluations else [best] if best else []
 
-    def runs(self, table: str, names: Iterable[str]) -> dict[str, list[Table]]:
+    def figures(self) -> dict[str, Figure]:
+        """Figures 3 to 8 and AoU over wall-clock time, those that there are tables for."""
+        algorithms, figures = self._study.algorithms, {}
+        if curves := self._runs("curves", algorithms):
+            figures = {name: self._training_figure(curves, measure) for name, measure in _TRAINING_FIGURES.items()}
+        if validations := self._runs("validation", algorithms):
+            figures["aou-wall-clock"] = self._wall_clock_figure(validations)
+        if executed := self._runs("execution", [*algorithms, *self._planners]):
+            figures["figure-7-aou-execution"] = self._execution_figure(executed)
+        if counted := self._runs("devices", [*algorithms, *self._planners]):
+            figures["figure-8-communications-by-period"] = self._period_figure(counted)
+        return figures
+
+    def _runs(self, table: str, names: Iterable[str]) -> dict[str, list[Table]]:
         """The rows of each run of the policies that have any."""
         return {name: runs for name in names if (runs := self._study.runs(table, name, self._scenario))}
 
-    def training_figure(self, curves: Mapping[str, list[Table]], measure: Measure) -> Figure:
+    def _training_figure(self, curves: Mapping[str, list[Table]], measure: Measure) -> Figure:
         """Figures 3 to 6: a measure of the training missions over training."""
         slots = self._study.slots(self._scenario)
         points = {name: [(run["slots"] / slots, run[measure.column]) for run in runs] for name, runs in curves.items()}
@@ -169,7 +168,7 @@ class _Scenario:
         label_training(axes, slots)
         return figure
 
-    def wall_clock_figure(self, validations: Mapping[str, list[Table]]) -> Figure:
+    def _wall_clock_figure(self, validations: Mapping[str, list[Table]]) -> Figure:
         """The AoU of each run's latest validation against the time since its training began."""
         lines = {name: _over_time(runs) for name, runs in validations.items()}
         unit, seconds = time_unit(max(float(line.x[-1]) for line in lines.values()))
@@ -179,45 +178,65 @@ class _Scenario:
         return figure
 
     def _measure_figure(self, lines: Mapping[str, Line], measure: Measure) -> tuple[Figure, Axes]:
-        """Lines beside the levels of the best planner and the bound, which bounds AoU and reward alone."""
+        """Lines beside the levels of planners and of the bound, which bounds AoU and reward alone."""
         study, scenario, levels = self._study, self._scenario, {}
-        if self.planner is not None:
-            missions = study.missions(self.planner, measure.column, [scenario])[scenario][0]
-            levels[self.planner] = interval_over_missions(missions)
+        for planner in self._planners:
+            if planner != "stay":  # its AoU is so high that the differences between the others would not be visible
+                missions = study.missions(planner, measure.column, [scenario])[scenario][0]
+                levels[planner] = interval_over_missions(missions)
+        note = f"\nplanners: {OVER_MISSIONS}" if levels else ""
         if scenario in study.bounds and measure.column in ("mean_aou_slots", "reward_s"):
             reward = -study.slots(scenario) * study.slot_length_s(scenario)  # s, of a mission with a mean AoU of a slot
             value = study.bounds[scenario] * (reward if measure.column == "reward_s" else 1.0)
             levels[BOUND] = Interval(value, np.nan, np.nan)
         figure, axes = measure_figure(lines, levels, self._looks, measure, study.devices(scenario))
-        note = "" if self.planner is None else "\nplanners: 95 % interval over missions"
         style.legend_below(figure, axes, f"bands: {over_seeds([line.seeds for line in lines.values()])}{note}")
         return figure, axes
 
-    def execution_figure(self, executed: Mapping[str, list[Table]]) -> Figure:
+    def _execution_figure(self, executed: Mapping[str, list[Table]]) -> Figure:
         """Figure 7: AoU over the slots of a mission."""
-        lines = {}
-        for name in executed:
+        lines, tau = {}, self._study.slot_length_s(self._scenario)
+        for name, runs in executed.items():
             table = self._study.stack("execution", name, self._scenario, "mean_aou_slots")  # (S, K)
-            lines[name] = Line(executed[name][0]["slot"], band_over_trainings(table), len(table))
-        figure, axes = execution_figure(lines, self._looks, self._study.slot_length_s(self._scenario))
-        style.legend_below(figure, axes, f"bands: {over_seeds(self._seeds(executed))}")
+            band, alone = band_over_trainings(table), self._alone(name)
+            if alone and alone.aou_over_time_low_s is not None and alone.aou_over_time_high_s is not None:
+                band = Band(band.value, alone.aou_over_time_low_s / tau, alone.aou_over_time_high_s / tau)
+            lines[name] = Line(runs[0]["slot"], band, len(table))
+        figure, axes = execution_figure(lines, self._looks, tau)
+        style.legend_below(figure, axes, f"bands: {self._over(executed)}")
         return figure
 
-    def period_figure(self, counted: Mapping[str, list[Table]]) -> Figure:
+    def _period_figure(self, counted: Mapping[str, list[Table]]) -> Figure:
         """Figure 8: communications of each device against its generation period."""
         groups = {}
         for name, runs in counted.items():
             period = runs[0]["update_period_slots"]  # (I,)
             counts = self._study.stack("devices", name, self._scenario, "communications")  # (S, I)
-            values = np.unique(period)
-            means = np.stack([counts[:, period == value].mean(axis=1) for value in values], axis=1)  # (S, P)
-            groups[name] = ByPeriod(period, counts.mean(axis=0), values, band_over_trainings(means))
+            band, alone = band_over_trainings(_by_period(counts, period)), self._alone(name)
+            if alone and alone.device_communications is not None:
+                band = band_over_missions(_by_period(alone.device_communications, period))
+            groups[name] = ByPeriod(period, counts.mean(axis=0), np.unique(period), band)
         figure, axes = period_figure(groups, self._looks)
-        style.legend_below(figure, axes, f"dot: one device; bar: {over_seeds(self._seeds(counted))}")
+        style.legend_below(figure, axes, f"dot: one device; bar: {self._over(counted)}")
         return figure
 
-    def _seeds(self, found: Mapping[str, list[Table]]) -> list[int]:
-        return [len(runs) for name, runs in found.items() if name in self._study.algorithms]
+    def _alone(self, name: str) -> PolicyResult | None:
+        """The evaluation of a policy with one run here."""
+        found = [result for key, result in self._results.items() if key.variant == name]
+        return found[0] if len(found) == 1 else None
+
+    def _over(self, found: Mapping[str, list[Table]]) -> str:
+        """What the intervals of figures 7 and 8 are over."""
+        seeds = [len(runs) for name, runs in found.items() if name in self._study.algorithms]
+        if not self._results:
+            return over_seeds(seeds)
+        planners = f"\nplanners: {OVER_MISSIONS}" if found.keys() - self._study.algorithms.keys() else ""
+        return over_seeds(seeds, OVER_MISSIONS) + planners
+
+
+def _by_period(counts: Floats, period: Floats) -> Floats:
+    """The mean over the devices of each period, (n, P), of counts (n, I)."""
+    return np.stack([counts[:, period == value].mean(axis=1) for value in np.unique(period)], axis=1)
 
 
 def _line(runs: list[tuple[Floats, Floats]]) -> Line:

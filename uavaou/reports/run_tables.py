@@ -20,7 +20,7 @@ from uavaou.studies.results import StudyResults
 _LEARNED_NAMES = ("policy", "model", "learned")  # what an evaluation may call the run's own policy
 
 
-def read_runs(folders: Iterable[Path]) -> StudyResults:
+def read_runs(folders: Iterable[Path]) -> tuple[StudyResults, dict[PartKey, PolicyResult]]:
     """Condense training runs as a study does; runs of one name on one scenario become its seeds.
 
     Planners come from the evaluations: they play the same missions beside every run, so that one result is taken.
@@ -28,18 +28,22 @@ def read_runs(folders: Iterable[Path]) -> StudyResults:
     Args:
         folders: of the runs, ``.../<scenario>/<algorithm>/seed-<n>``; finished, evaluated, or neither.
 
+    Returns:
+        The tables, and the evaluations, which also hold values of each mission.
+
     Raises:
         InputError: there is no run, or a file of one is missing or malformed.
     """
     results = StudyResults(StudyFolder(Path("runs")), {"scenarios": {}, "variants": {}}, {})
+    evaluations: dict[PartKey, PolicyResult] = {}
     for path in folders:
-        _add_run(results, RunFolder(Path(path)))
+        _add_run(results, evaluations, RunFolder(Path(path)))
     if not results.parts:
         raise InputError("no run folders to draw figures from")
-    return results
+    return results, evaluations
 
 
-def _add_run(results: StudyResults, folder: RunFolder) -> None:
+def _add_run(results: StudyResults, evaluations: dict[PartKey, PolicyResult], folder: RunFolder) -> None:
     config = folder.read_config()
     scenario = config.scenario
     place, variant = _name(scenario, folder.path.parent.parent), _name(config.algorithm, folder.path.parent)
@@ -55,8 +59,10 @@ def _add_run(results: StudyResults, folder: RunFolder) -> None:
     for policy, result in _evaluation(folder).items():
         if policy in own:
             rows |= evaluation_rows(key, scenario, result, str(folder.path))
+            evaluations[key] = result
         elif (planner := PartKey(policy, place)) not in results.parts:
             results.put(planner, evaluation_rows(planner, scenario, result, str(folder.path)))
+            evaluations[planner] = result
     results.put(key, rows)
 
 
