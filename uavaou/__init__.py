@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from uavaou.algorithms.registry import register_algorithm as register_algorithm
     from uavaou.envs import uavaou_v0 as uavaou_v0
     from uavaou.envs.flatten import flatten as flatten
-    from uavaou.envs.local_rows import LocalRows as LocalRows
+    from uavaou.envs.vec_env import LocalRows as LocalRows
     from uavaou.errors import InputError as InputError
     from uavaou.evaluation.evaluate import evaluate as evaluate
     from uavaou.runs.folder import RunConfig as RunConfig
@@ -43,7 +43,7 @@ _HOMES = {
     "QMIX": "uavaou.algorithms.qlearning",
     "AlgorithmConfig": "uavaou.algorithms.config",
     "register_algorithm": "uavaou.algorithms.registry",
-    "LocalRows": "uavaou.envs.local_rows",
+    "LocalRows": "uavaou.envs.vec_env",
     "InputError": "uavaou.errors",
     "RunConfig": "uavaou.runs.folder",
     "train": "uavaou.runs.train",

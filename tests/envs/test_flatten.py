@@ -199,7 +199,7 @@ def test_a_batch_goes_through_supersuit_without_a_copy() -> None:
         actions = np.zeros((4, 9), dtype=np.int64)
         assert env.step(actions)[0] is written[0]
         assert read[0] is actions
-    plain = supersuit.concat_vec_envs_v1(BatchedMissions(small(), 2, "local", "select", "root", None), 1)
+    plain = supersuit.concat_vec_envs_v1(BatchedMissions(Views(small()), 2, "root", None), 1)
     plain.reset(seed=0)
     assert not np.shares_memory(plain.vec_envs[0].step(actions)[0], plain.step(actions)[0])
 

@@ -9,17 +9,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from uavaou.envs.rewards import training_reward
 from uavaou.envs.spaces import action_space, row_space, split_actions
-from uavaou.scenario import Scenario
 from uavaou.world import Views, World
 
 Rows = NDArray[np.float32]
-Step = tuple[Rows, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]
 
 
 class BatchedMissions(VectorEnv[Any, Any, Any]):
@@ -29,18 +26,16 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
     ``terminal_observation``. Masks are part of the rows.
     """
 
-    def __init__(
-        self, scenario: Scenario, missions: int, observation: str, collection: str, reward: str, render_mode: str | None
-    ) -> None:
-        self.scenario = scenario
+    def __init__(self, views: Views, missions: int, reward: str, render_mode: str | None) -> None:
+        self.scenario = views.scenario
         self.missions = missions
-        self.views = Views(scenario, observation, collection)
+        self.views = views
         self.reward = reward
         self.render_mode = render_mode
         self.metadata = {"render_modes": ["rgb_array"]}
-        self.num_envs = missions * scenario.uavs
-        self.observation_space: spaces.Space[Any] = row_space(self.views.layout)
-        self.action_space: spaces.Space[Any] = action_space(self.views.layout)
+        self.num_envs = missions * self.scenario.uavs
+        self.observation_space = row_space(views.layout)
+        self.action_space = action_space(views.layout)
         self.world: World | None = None
 
     def reset(  # type: ignore[override]
@@ -54,15 +49,16 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
             self.world.reset(seed)
         return self.views.rows(self.world), [{} for _ in range(self.num_envs)]
 
-    def step(self, actions: NDArray[Any]) -> Step:  # type: ignore[override]
+    def step(  # type: ignore[override]
+        self, actions: NDArray[Any]
+    ) -> tuple[Rows, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]:
         """Play one slot in every mission."""
         assert self.world is not None, "call reset() first"
         uavs = self.scenario.uavs
         self.world.step(*split_actions(actions, self.missions, uavs, self.views.layout.selects))
         rewards = np.repeat(training_reward(self.world, self.reward), uavs)  # (N * U,)
-        over = self.world.done
+        rows, over = self.views.rows(self.world), self.world.done
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        rows = self.views.rows(self.world)
         if over:
             metrics = self.world.metrics()
             missions = [metrics.of(mission) for mission in range(self.missions)]
@@ -73,11 +69,6 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
             self.world.reset()
             rows = self.views.rows(self.world)
         return rows, rewards, np.full(self.num_envs, over), np.zeros(self.num_envs, dtype=np.bool_), infos
-
-    def snapshot(self, mission: int = 0) -> dict[str, Any]:
-        """Describe the slot just stepped in one mission; see :meth:`uavaou.world.World.snapshot`."""
-        assert self.world is not None, "call reset() first"
-        return self.world.snapshot(mission)
 
     def render(self) -> Any:
         """A map of the first mission, (H, W, 3)."""

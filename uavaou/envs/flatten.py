@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pettingzoo.utils import BaseParallelWrapper
 
 from uavaou.envs.batched import BatchedMissions
-from uavaou.envs.rewards import check_reward, training_reward
+from uavaou.envs.rewards import REWARDS, training_reward
 from uavaou.envs.spaces import row_space
 from uavaou.envs.uavaou_v0 import UavAouEnv, check_render_mode
 from uavaou.envs.vec_env import Block, MissionVecEnv, WorkerProcesses
@@ -58,10 +58,10 @@ def flatten(
         InputError: an argument has none of these values, or ``processes`` does not divide ``missions``.
     """
     scenario = Scenario.load(scenario)
-    check_reward(reward)
     check_render_mode(render_mode)
-    if backend not in BACKENDS:
-        raise unknown("backend", backend, BACKENDS)
+    for name, word, known in (("reward", reward, REWARDS), ("backend", backend, BACKENDS)):
+        if word not in known:
+            raise unknown(name, word, known)
     for name, value, least in (("missions", missions, 1), ("processes", processes, 1), ("seed", seed, 0)):
         if not isinstance(value, int | np.integer) or value < least:
             raise InputError(f"{name} = {value!r}: expected a whole number from {least} on")
@@ -70,18 +70,17 @@ def flatten(
     views = Views(scenario, observation, collection)
     stage: Any
     if backend == "supersuit":
-        environment = _TrainingView(UavAouEnv(scenario, observation, collection, render_mode), reward)
+        environment = _TrainingView(UavAouEnv(views, render_mode), reward)
         stage, copies = supersuit.pettingzoo_env_to_vec_env_v1(environment), missions
     else:
-        stage = BatchedMissions(scenario, missions // processes, observation, collection, reward, render_mode)
-        copies = processes
+        stage, copies = BatchedMissions(views, missions // processes, reward, render_mode), processes
         if processes == 1:
             stage.observation_space, stage.action_space = Block(), Block()
     if processes > 1:
         venv = WorkerProcesses(stage, copies, processes, missions)
     else:
         venv = supersuit.concat_vec_envs_v1(stage, copies, num_cpus=1, base_class="gymnasium")
-    return MissionVecEnv(venv, scenario, views, missions, seed)
+    return MissionVecEnv(venv, views, missions, seed)
 
 
 class _TrainingView(BaseParallelWrapper[str, NDArray[np.float32], Any]):
@@ -89,12 +88,11 @@ class _TrainingView(BaseParallelWrapper[str, NDArray[np.float32], Any]):
 
     def __init__(self, env: UavAouEnv, reward: str) -> None:
         super().__init__(env)
-        self._base = env
-        self._reward = reward
-        self._rows = dict.fromkeys(env.possible_agents, row_space(env.views.layout))
+        self._base, self._reward = env, reward
+        self._row_space = row_space(env.views.layout)
 
     def observation_space(self, agent: str) -> spaces.Box:
-        return self._rows[agent]
+        return self._row_space
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         observations, infos = self._base.reset(seed, options)

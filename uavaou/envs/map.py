@@ -1,25 +1,25 @@
-"""The map of a mission: devices coloured by age, coverage, UAVs with their trails; a frame is an array.
-
-The functions import matplotlib, so that an environment that is never rendered starts without it.
-"""
+"""The map of a mission: devices coloured by age, coverage, UAVs with their trails; a frame is an array."""
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import LogNorm, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import coverage_radius
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colorbar import Colorbar
-    from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 
@@ -53,8 +53,6 @@ def age_scale(scenario: Scenario, layout: Layout, ages: ArrayLike | None = None)
     Without ``ages`` the scale runs from one slot to the age of a device that is never collected, so that all
     frames of a mission share it; with ``ages`` it spans them.
     """
-    from matplotlib.colors import LogNorm
-
     tau = scenario.slot_length_s
     if ages is None:
         # m grows by one every k_i slots and S by m a slot: about K^2 / (2 k_i) slots in the end.
@@ -66,23 +64,16 @@ def age_scale(scenario: Scenario, layout: Layout, ages: ArrayLike | None = None)
     return LogNorm(low, max(high, 2 * low), clip=True)
 
 
-def _limits(length: float, scenario: Scenario) -> tuple[float, float]:
+def _set_limits(axes: Axes, scenario: Scenario) -> None:
     margin = 0.6 * scenario.grid_step_m
-    return -margin, length + margin
+    axes.set(xlim=(-margin, scenario.area_x_m + margin), ylim=(-margin, scenario.area_y_m + margin), aspect="equal")
 
 
 def draw_ground(axes: Axes, scenario: Scenario) -> None:
     """The area in metres, its grid, and each UAV's CDS as a square in the UAV's colour."""
-    from matplotlib.ticker import MultipleLocator
-
     step = scenario.grid_step_m
-    axes.set(
-        xlim=_limits(scenario.area_x_m, scenario),
-        ylim=_limits(scenario.area_y_m, scenario),
-        aspect="equal",
-        xlabel="$x$ (m)",
-        ylabel="$y$ (m)",
-    )
+    _set_limits(axes, scenario)
+    axes.set(xlabel="$x$ (m)", ylabel="$y$ (m)")
     every = step * max(1, math.ceil(max(scenario.columns, scenario.rows) / 6))
     for axis, cells in ((axes.xaxis, scenario.columns), (axes.yaxis, scenario.rows)):
         axis.set_major_locator(MultipleLocator(every))
@@ -99,41 +90,25 @@ def draw_ground(axes: Axes, scenario: Scenario) -> None:
 
 def _draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:
     """A disc around each device: where the UAV of middle altitude reaches R_min without fading."""
-    from matplotlib.collections import PatchCollection
-    from matplotlib.patches import Circle
-
     middle = int(np.argsort(scenario.altitudes)[(scenario.uavs - 1) // 2])
     radius = coverage_radius(scenario, layout)[middle]  # (I,) m
     # A radius far beyond the area slows the drawing and fills the picture anyway.
     radius = np.minimum(np.nan_to_num(radius), 3 * (scenario.area_x_m + scenario.area_y_m))
-    discs = [
-        Circle((float(x), float(y)), float(r)) for (x, y), r in zip(layout.positions, radius, strict=True) if r > 0
-    ]
-    fill = PatchCollection(discs, facecolor=_COVERAGE_GREY, edgecolor="none", alpha=0.02, zorder=1)
-    rim = PatchCollection(discs, facecolor="none", edgecolor=_COVERAGE_GREY, linewidth=0.4, alpha=0.28, zorder=1)
-    axes.add_collection(fill, autolim=False)
-    axes.add_collection(rim, autolim=False)
+    discs = [Circle(tuple(place), float(r)) for place, r in zip(layout.positions, radius, strict=True) if r > 0]
+    fill = {"facecolor": _COVERAGE_GREY, "edgecolor": "none", "alpha": 0.02}
+    rim = {"facecolor": "none", "edgecolor": _COVERAGE_GREY, "alpha": 0.28, "linewidth": 0.4}
+    for style in (fill, rim):
+        axes.add_collection(PatchCollection(discs, zorder=1, **style), autolim=False)
 
 
 def draw_devices(axes: Axes, layout: Layout, age: ArrayLike, scale: LogNorm, area: ArrayLike = 32.0) -> None:
     """Devices as discs coloured by ``age`` (I,) s, their ``area`` (I,) in square points."""
-    axes.scatter(
-        layout.positions[:, 0],
-        layout.positions[:, 1],
-        s=area,
-        c=np.asarray(age, dtype=np.float64),
-        norm=scale,
-        cmap=AGE_COLOURS,
-        edgecolors="black",
-        linewidths=0.6,
-        zorder=5,
-    )
+    style: dict[str, Any] = {"cmap": AGE_COLOURS, "edgecolors": "black", "linewidths": 0.6, "zorder": 5}
+    axes.scatter(*layout.positions.T, s=area, c=np.asarray(age, dtype=np.float64), norm=scale, **style)
 
 
 def add_age_bar(axes: Axes, scale: LogNorm, label: str, **place: Any) -> Colorbar:
     """A colour bar in seconds beside the axes; ``place`` goes to ``Figure.colorbar``."""
-    from matplotlib.cm import ScalarMappable
-
     figure = axes.get_figure(root=True)
     assert figure is not None
     place = place if "cax" in place else {"ax": axes, "fraction": 0.046, "pad": 0.02} | place
@@ -144,9 +119,6 @@ def add_age_bar(axes: Axes, scale: LogNorm, label: str, **place: Any) -> Colorba
 
 def _draw_trails(axes: Axes, scenario: Scenario, trails: Floats) -> None:
     """The recent part of the trails (T, U, 2) m, one colour a UAV, fading into the past."""
-    from matplotlib.collections import LineCollection
-    from matplotlib.colors import to_rgba
-
     recent = trails[-_TRAIL_SLOTS:]
     if len(recent) < 2:
         return
@@ -171,8 +143,6 @@ def _draw_uavs(axes: Axes, scenario: Scenario, positions: Floats) -> None:
 def _draw_links(
     axes: Axes, scenario: Scenario, layout: Layout, positions: Floats, collected_by: NDArray[np.int64]
 ) -> None:
-    from matplotlib.collections import LineCollection
-
     collected = np.flatnonzero(collected_by >= 0)
     by = collected_by[collected]
     start = (positions + uav_offset(scenario))[by]  # (links, 2) m
@@ -199,7 +169,7 @@ def render_frame(
     devices = (layout.positions, layout.bandwidth, layout.transmit_power, layout.update_period)
     ground = _frame_ground(scenario.model_dump_json(), *(field.tobytes() for field in devices))
     figure.figimage(ground, zorder=-10)
-    axes.set(xlim=_limits(scenario.area_x_m, scenario), ylim=_limits(scenario.area_y_m, scenario), aspect="equal")
+    _set_limits(axes, scenario)
     axes.set_axis_off()
     positions = np.asarray(snapshot["positions"])  # (U, 2) m
     if trails is not None:
@@ -221,12 +191,9 @@ def _frame_ground(
     The arguments are text and bytes because they are the cache's key.
     """
     scenario = Scenario.model_validate_json(scenario_json)
-    layout = Layout(
-        np.frombuffer(positions).reshape(-1, 2),
-        np.frombuffer(bandwidth),
-        np.frombuffer(transmit_power),
-        np.frombuffer(update_period, dtype=np.int64),
-    )
+    values = (np.frombuffer(numbers) for numbers in (bandwidth, transmit_power))  # (I,) each
+    periods = np.frombuffer(update_period, dtype=np.int64)  # (I,)
+    layout = Layout(np.frombuffer(positions).reshape(-1, 2), *values, periods)
     figure, axes = _frame()
     draw_ground(axes, scenario)
     _draw_coverage(axes, scenario, layout)
@@ -239,9 +206,6 @@ def _frame_ground(
 
 def _frame() -> tuple[Figure, Axes]:
     """An empty frame; fixed places, since a constrained layout doubles the time."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     height, width, _ = FRAME_SHAPE
     figure = Figure(figsize=(width / _FRAME_DPI, height / _FRAME_DPI), dpi=_FRAME_DPI, facecolor="white")
     FigureCanvasAgg(figure)

@@ -6,24 +6,14 @@ five orders of magnitude between an untrained and a trained fleet.
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaou.errors import unknown
 from uavaou.world import World
 
-Reward = Literal["aou", "root"]
-REWARDS: tuple[Reward, ...] = ("aou", "root")
+REWARDS = ("aou", "root")
 _AOU_SCALE = 20.0  # scales the age sum of a patrolled device, in slots, to the order of 1
 _ROOT_SCALE = 5.0
-
-
-def check_reward(name: str) -> None:
-    """Raise :class:`~uavaou.errors.InputError` if ``name`` is not a transform."""
-    if name not in REWARDS:
-        raise unknown("reward", name, REWARDS)
 
 
 def training_reward(world: World, name: str) -> NDArray[np.float32]:

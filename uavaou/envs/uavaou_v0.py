@@ -24,6 +24,8 @@ from uavaou.errors import unknown
 from uavaou.scenario import Scenario
 from uavaou.world import Views, World
 
+Observations = dict[str, NDArray[np.float32]]
+Infos = dict[str, dict[str, Any]]
 RENDER_MODES = ("rgb_array",)
 
 
@@ -44,7 +46,7 @@ def parallel_env(
     Raises:
         InputError: an argument has none of these values.
     """
-    return UavAouEnv(Scenario.load(scenario), observation, collection, render_mode)
+    return UavAouEnv(Views(Scenario.load(scenario), observation, collection), render_mode)
 
 
 def env(**kwargs: Any) -> AECEnv[str, NDArray[np.float32], Any]:
@@ -68,17 +70,16 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         "is_parallelizable": True,
     }
 
-    def __init__(self, scenario: Scenario, observation: str, collection: str, render_mode: str | None) -> None:
+    def __init__(self, views: Views, render_mode: str | None = None) -> None:
         check_render_mode(render_mode)
-        self.scenario = scenario
-        self.views = Views(scenario, observation, collection)
+        self.scenario = views.scenario
+        self.views = views
         self.render_mode = render_mode
-        self.possible_agents = [f"uav_{u}" for u in range(scenario.uavs)]
+        self.possible_agents = [f"uav_{u}" for u in range(self.scenario.uavs)]
         self.agents: list[str] = []
-        layout = self.views.layout
-        self.observation_spaces = dict.fromkeys(self.possible_agents, vector_space(layout.local_size))
-        self.action_spaces = {agent: action_space(layout) for agent in self.possible_agents}
-        self.state_space = vector_space(layout.global_size)
+        self.observation_spaces = dict.fromkeys(self.possible_agents, vector_space(views.layout.local_size))
+        self.action_spaces = {agent: action_space(views.layout) for agent in self.possible_agents}
+        self.state_space = vector_space(views.layout.global_size)
         self.world: World | None = None
         self._trail: list[NDArray[np.float64]] = []
 
@@ -90,9 +91,7 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         """The same object at every call, as PettingZoo requires."""
         return self.action_spaces[agent]
 
-    def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
         """Start a mission: seeded, or the next one of the random stream. Options are ignored."""
         if self.world is None:
             fresh = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
@@ -105,33 +104,23 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
 
     def step(
         self, actions: dict[str, Any]
-    ) -> tuple[
-        dict[str, NDArray[np.float32]], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
-    ]:
+    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
         """Play one slot with an action for every UAV."""
         if self.world is None or not self.agents:
             raise RuntimeError("no mission is running: call reset()")
         stacked = np.stack([np.asarray(actions[agent]) for agent in self.agents])  # (U,) or (U, 1 + I)
         moves, selections = split_actions(stacked, 1, self.scenario.uavs, self.views.layout.selects)
         reward = float(self.world.step(moves, selections)[0])
-        over = self.world.done
-        agents = self.agents
         if self.render_mode is not None:
             self._trail.append(self.world.positions[0])
-        infos = self._infos(self.world)
+        over, agents, infos = self.world.done, self.agents, self._infos(self.world)
         if over:
             mission = self.world.metrics().of(0)
             for info in infos.values():
                 info["mission"] = mission
             self.agents = []
-        observations = self._observations(self.world)
-        return (
-            observations,
-            dict.fromkeys(agents, reward),
-            dict.fromkeys(agents, over),
-            dict.fromkeys(agents, False),
-            infos,
-        )
+        rewards, ends, truncations = (dict.fromkeys(agents, value) for value in (reward, over, False))
+        return self._observations(self.world), rewards, ends, truncations, infos
 
     def state(self) -> NDArray[np.float32]:
         """The global state, a flat float32 vector."""
@@ -156,11 +145,11 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
             raise RuntimeError("no mission is running: call reset()")
         return self.world
 
-    def _observations(self, world: World) -> dict[str, NDArray[np.float32]]:
+    def _observations(self, world: World) -> Observations:
         local = self.views.local(world)[0]  # (U, local)
         return {agent: local[u] for u, agent in enumerate(self.possible_agents)}
 
-    def _infos(self, world: World) -> dict[str, dict[str, Any]]:
+    def _infos(self, world: World) -> Infos:
         allowed = world.allowed_moves[0].astype(np.int8)  # (U, 5)
         if not self.views.layout.selects:
             return {agent: {"action_mask": allowed[u]} for u, agent in enumerate(self.possible_agents)}

@@ -24,16 +24,16 @@ import numpy as np
 from gymnasium.spaces import Space
 from gymnasium.vector.utils import concatenate, create_empty_array, iterate
 from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 from supersuit.vector.concat_vec_env import ConcatVecEnv
 from supersuit.vector.multiproc_vec import ProcConcatVec, decompress_info
 from supersuit.vector.sb3_vector_wrapper import SB3VecEnvWrapper
 
-from uavaou.envs.spaces import action_space, row_space
+from uavaou.envs.spaces import action_space, row_space, vector_space
 from uavaou.errors import InputError
 from uavaou.scenario import Scenario
 from uavaou.world import Views
-from uavaou.world.views import RowLayout
 
 Rows = NDArray[np.float32]
 State = dict[str, NDArray[Any]]  # arrays with missions along axis 0
@@ -68,7 +68,6 @@ class MissionVecEnv(SB3VecEnvWrapper):
 
     Args:
         venv: of SuperSuit, over all missions.
-        scenario: the scenario played.
         views: what is seen of a World, in rows.
         missions: N.
         seed: of mission 0 at the first reset; mission j gets ``seed + j``.
@@ -78,16 +77,14 @@ class MissionVecEnv(SB3VecEnvWrapper):
         local_size, global_size: a row is ``[local | global]``.
     """
 
-    def __init__(self, venv: Any, scenario: Scenario, views: Views, missions: int, seed: int) -> None:
+    def __init__(self, venv: Any, views: Views, missions: int, seed: int) -> None:
         super().__init__(venv)
-        self.scenario = scenario
+        self.scenario = views.scenario
         self.views = views
-        self.row_layout: RowLayout = views.layout
+        self.row_layout = views.layout
         self.missions = missions
-        self.local_size = self.row_layout.local_size
-        self.global_size = self.row_layout.global_size
-        self.observation_space = row_space(self.row_layout)
-        self.action_space = action_space(self.row_layout)
+        self.local_size, self.global_size = views.layout.local_size, views.layout.global_size
+        self.observation_space, self.action_space = row_space(views.layout), action_space(views.layout)
         self._next_seed: int | None = seed
         # SB3's own constructor, which SuperSuit does not call, sets these.
         self._seeds: list[int | None] = [None] * self.num_envs
@@ -117,8 +114,9 @@ class MissionVecEnv(SB3VecEnvWrapper):
 
     def missions_state(self) -> State:
         """The state of all missions, for :meth:`load_missions_state`."""
-        in_workers = isinstance(self.venv, WorkerProcesses)
-        return self.venv.missions_state() if in_workers else _missions_state(self._environments())
+        if isinstance(self.venv, WorkerProcesses):
+            return self.venv.missions_state()
+        return _missions_state(self._environments())
 
     def load_missions_state(self, state: State) -> Rows:
         """Continue the missions of :meth:`missions_state`; returns their last rows.
@@ -193,6 +191,34 @@ class MissionVecEnv(SB3VecEnvWrapper):
         return frame
 
 
+class LocalRows(VecEnvWrapper):
+    """The local part of rows ``[local | global]``, for learners without a centralised critic.
+
+    A UAV can fly the policy of any SB3 algorithm that learns on these rows: they are what it observes.
+
+    Args:
+        env: what :func:`uavaou.flatten` returns.
+    """
+
+    def __init__(self, env: MissionVecEnv) -> None:
+        self._size = env.local_size
+        super().__init__(env, observation_space=vector_space(self._size))
+
+    def reset(self) -> Rows:
+        """Start all missions; rows (N * U, local)."""
+        return self._local(self.venv.reset())
+
+    def step_wait(self) -> tuple[Rows, Rows, NDArray[np.bool_], list[dict[str, Any]]]:
+        """One slot of every mission."""
+        rows, rewards, dones, infos = self.venv.step_wait()
+        for row in np.flatnonzero(dones):
+            infos[row] = infos[row] | {"terminal_observation": self._local(infos[row]["terminal_observation"])}
+        return self._local(rows), rewards, dones, infos
+
+    def _local(self, rows: Any) -> Rows:
+        return np.ascontiguousarray(rows[..., : self._size])
+
+
 class WorkerProcesses(ProcConcatVec):
     """SuperSuit's worker processes, with different missions in each, a state to save, and a clean end.
 
@@ -209,11 +235,10 @@ class WorkerProcesses(ProcConcatVec):
         super().__init__([start] * processes, stage.observation_space, stage.action_space, rows, stage.metadata)
         self._missions_each = missions // processes
         # SuperSuit's processes are no daemons: without this, a program that forgets close() would wait for them.
-        weakref.finalize(self, _kill, self.procs)
+        for process in self.procs:
+            weakref.finalize(self, process.kill)
 
-    def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Rows, list[dict[str, Any]]]:
+    def reset(self, seed: int | None = None, options: Any = None) -> tuple[Rows, list[dict[str, Any]]]:
         """Start all missions; mission j is seeded with ``seed + j``.
 
         SuperSuit seeds process p with ``seed + p``, so that processes repeat each other's missions.
@@ -266,11 +291,6 @@ class _Worker(ConcatVecEnv):
         """The missions' state for None; for a state, continue with it and answer with its rows."""
         environments = _environments(self)
         return _missions_state(environments) if request is None else _load_missions_state(environments, request)
-
-
-def _kill(processes: Sequence[Any]) -> None:
-    for process in processes:
-        process.kill()
 
 
 def _environments(venv: Any) -> list[Any]:
