@@ -95,16 +95,17 @@ def _draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:
     # A radius far beyond the area slows the drawing and fills the picture anyway.
     radius = np.minimum(np.nan_to_num(radius), 3 * (scenario.area_x_m + scenario.area_y_m))
     discs = [Circle(tuple(place), float(r)) for place, r in zip(layout.positions, radius, strict=True) if r > 0]
-    fill = {"facecolor": _COVERAGE_GREY, "edgecolor": "none", "alpha": 0.02}
-    rim = {"facecolor": "none", "edgecolor": _COVERAGE_GREY, "alpha": 0.28, "linewidth": 0.4}
-    for style in (fill, rim):
-        axes.add_collection(PatchCollection(discs, zorder=1, **style), autolim=False)
+    fill = PatchCollection(discs, facecolor=_COVERAGE_GREY, edgecolor="none", alpha=0.02, zorder=1)
+    rim = PatchCollection(discs, facecolor="none", edgecolor=_COVERAGE_GREY, linewidth=0.4, alpha=0.28, zorder=1)
+    axes.add_collection(fill, autolim=False)
+    axes.add_collection(rim, autolim=False)
 
 
 def draw_devices(axes: Axes, layout: Layout, age: ArrayLike, scale: LogNorm, area: ArrayLike = 32.0) -> None:
     """Devices as discs coloured by ``age`` (I,) s, their ``area`` (I,) in square points."""
     style: dict[str, Any] = {"cmap": AGE_COLOURS, "edgecolors": "black", "linewidths": 0.6, "zorder": 5}
-    axes.scatter(*layout.positions.T, s=area, c=np.asarray(age, dtype=np.float64), norm=scale, **style)
+    x, y = layout.positions.T
+    axes.scatter(x, y, s=area, c=np.asarray(age, dtype=np.float64), norm=scale, **style)
 
 
 def add_age_bar(axes: Axes, scale: LogNorm, label: str, **place: Any) -> Colorbar:
@@ -191,9 +192,8 @@ def _frame_ground(
     The arguments are text and bytes because they are the cache's key.
     """
     scenario = Scenario.model_validate_json(scenario_json)
-    values = (np.frombuffer(numbers) for numbers in (bandwidth, transmit_power))  # (I,) each
-    periods = np.frombuffer(update_period, dtype=np.int64)  # (I,)
-    layout = Layout(np.frombuffer(positions).reshape(-1, 2), *values, periods)
+    places, periods = np.frombuffer(positions).reshape(-1, 2), np.frombuffer(update_period, dtype=np.int64)
+    layout = Layout(places, np.frombuffer(bandwidth), np.frombuffer(transmit_power), periods)
     figure, axes = _frame()
     draw_ground(axes, scenario)
     _draw_coverage(axes, scenario, layout)

@@ -119,8 +119,8 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
             for info in infos.values():
                 info["mission"] = mission
             self.agents = []
-        rewards, ends, truncations = (dict.fromkeys(agents, value) for value in (reward, over, False))
-        return self._observations(self.world), rewards, ends, truncations, infos
+        ends, truncations = dict.fromkeys(agents, over), dict.fromkeys(agents, False)
+        return self._observations(self.world), dict.fromkeys(agents, reward), ends, truncations, infos
 
     def state(self) -> NDArray[np.float32]:
         """The global state, a flat float32 vector."""

@@ -15,8 +15,8 @@ import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from uavaou.algorithms.io.save_load import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
-from uavaou.algorithms.io.weights import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
 from uavaou.errors import InputError
 from uavaou.runs.checkpoint_header import SCHEMA, TrainingProgress, read_header, write_header
 from uavaou.runs.folder import RunFolder

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 
+from uavaou.algorithms.io.save_load import load_policy_arrays
 from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
-from uavaou.algorithms.io.weights import load_policy_arrays
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import flatten
 from uavaou.envs.spaces import split_actions

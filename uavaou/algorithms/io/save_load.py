@@ -1,7 +1,7 @@
 """``save`` and ``load`` of learners without pickle: loading a stranger's file runs no code.
 
 SB3's own ``save`` writes a zip of pickles, and its ``load`` runs the code in them. Here a learner is its weights
-and optimizer in safetensors, with its constructor arguments as JSON.
+and optimizer in safetensors, with its constructor arguments as JSON. Loading checks every shape.
 """
 
 from __future__ import annotations
@@ -14,20 +14,75 @@ from pathlib import Path
 from typing import Any, Self
 
 import torch as th
-from pydantic import BaseModel, ConfigDict, Field, StrictInt, ValidationError, model_validator
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, StrictInt, model_validator
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from uavaou.algorithms.io.tensor_file import CHECKSUM, ArrayFile, write_arrays
-from uavaou.algorithms.io.weights import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
+from uavaou.algorithms.io.tensor_file import CHECKSUM, POLICY, ArrayFile, write_arrays
 from uavaou.envs.spaces import action_space, row_space
 from uavaou.errors import InputError
-from uavaou.fields import explain_validation
+from uavaou.fields import validated
 from uavaou.world.views import MOVES, RowLayout
 
 SCHEMA = 1
 _KIND = "uavaou learner"
+_OPTIMIZER = "optimizer."  # prefix of the names of an optimizer's arrays
 _NOT_SAVED = ("self", "policy", "env", "device", "tensorboard_log", "verbose", "_init_setup_model")
 _UNUSABLE = (TypeError, ValueError, KeyError, IndexError, AttributeError, AssertionError, RuntimeError, MemoryError)
+
+
+def policy_arrays(model: BaseAlgorithm) -> dict[str, NDArray[Any]]:
+    """The policy's weights and buffers."""
+    return {POLICY + name: tensor.detach().cpu().numpy() for name, tensor in model.policy.state_dict().items()}
+
+
+def optimizer_arrays(model: BaseAlgorithm) -> dict[str, NDArray[Any]]:
+    """The optimizer's state of each parameter."""
+    state = model.policy.optimizer.state_dict()["state"]
+    return {
+        f"{_OPTIMIZER}{index}.{name}": value.detach().cpu().numpy()
+        for index, slots in state.items()
+        for name, value in slots.items()
+    }
+
+
+def load_policy_arrays(file: ArrayFile, model: BaseAlgorithm) -> None:
+    """Load :func:`policy_arrays` from a file.
+
+    Raises:
+        InputError: its names or shapes are not the model's.
+    """
+    wanted = model.policy.state_dict()
+    names = {name.removeprefix(POLICY) for name in file.shapes if name.startswith(POLICY)}
+    if names != set(wanted):
+        raise InputError(f"{file.path}: does not hold this policy's tensors (was it trained with other settings?)")
+    for name, tensor in wanted.items():
+        shape = file.shapes[POLICY + name]
+        if shape != tuple(tensor.shape):
+            raise InputError(
+                f"{file.path}: {name} has shape {shape}, this scenario and configuration need {tuple(tensor.shape)}"
+            )
+    model.policy.load_state_dict({name: th.from_numpy(file.read(POLICY + name)) for name in wanted})
+
+
+def load_optimizer_arrays(file: ArrayFile, model: BaseAlgorithm) -> None:
+    """Load :func:`optimizer_arrays` from a file.
+
+    Raises:
+        InputError: an array belongs to no parameter, or has another shape than its parameter.
+    """
+    optimizer = model.policy.optimizer
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    content = optimizer.state_dict()
+    content["state"] = {}
+    for key in (name for name in file.shapes if name.startswith(_OPTIMIZER)):
+        index, _, name = key.removeprefix(_OPTIMIZER).partition(".")
+        if not (index.isdecimal() and int(index) < len(parameters)):
+            raise InputError(f"{file.path}: {key} belongs to no parameter")
+        if file.shapes[key] not in ((), tuple(parameters[int(index)].shape)):
+            raise InputError(f"{file.path}: {key} has shape {file.shapes[key]}, which is not its parameter's")
+        content["state"].setdefault(int(index), {})[name] = th.from_numpy(file.read(key))
+    optimizer.load_state_dict(content)
 
 
 class LearnerHeader(BaseModel):
@@ -132,10 +187,11 @@ class SafeSaveLoad(BaseAlgorithm):
             policy_kwargs = dict(arguments.pop("policy_kwargs", None) or {})
             _check_size(file, layout if sized else None, policy_kwargs.get("net_arch") or (1,))
             arguments |= {"device": device, "policy_kwargs": policy_kwargs | {"row_layout": layout}}
+            learner = cls(kind, env, _init_setup_model=env is not None, **arguments)
             if env is None:
-                learner = cls._without_env(kind, arguments, layout, header.rows)
-            else:
-                learner = cls(kind, env, **arguments)
+                learner.n_envs = header.rows
+                learner.observation_space, learner.action_space = row_space(layout), action_space(layout)
+                learner._setup_model()
             load_policy_arrays(file, learner)
             load_optimizer_arrays(file, learner)
             learner.num_timesteps, learner._n_updates = header.num_timesteps, header.n_updates
@@ -143,14 +199,6 @@ class SafeSaveLoad(BaseAlgorithm):
             if isinstance(error, InputError):
                 raise
             raise InputError(f"{file.path}: no {cls.__name__} can be made of it ({error})") from error
-        return learner
-
-    @classmethod
-    def _without_env(cls, policy: type[Any], arguments: dict[str, Any], layout: RowLayout, rows: int) -> Self:
-        learner = cls(policy, None, _init_setup_model=False, **arguments)
-        learner.n_envs = rows
-        learner.observation_space, learner.action_space = row_space(layout), action_space(layout)
-        learner._setup_model()
         return learner
 
     def save_sb3(self, path: str | Path, exclude: Any = None, include: Any = None) -> None:
@@ -199,10 +247,7 @@ def read_header(file: ArrayFile) -> LearnerHeader:
         raise InputError(f"{file.path}: not a learner saved by this software")
     if file.text.get("schema") != str(SCHEMA):
         raise InputError(f"{file.path}: schema {file.text.get('schema')!r:.20}: this version reads schema {SCHEMA}")
-    try:
-        return LearnerHeader.model_validate(file.json("about"))
-    except ValidationError as error:
-        raise InputError(f"{file.path}: {explain_validation(error, list(LearnerHeader.model_fields))}") from None
+    return validated(LearnerHeader, file.json("about"), f"{file.path}: about")
 
 
 def _check_size(file: ArrayFile, layout: RowLayout | None, hidden: Any) -> None:
