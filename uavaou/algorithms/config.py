@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StrictBool, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
 
-from uavaou.errors import InputError
-from uavaou.fields import NonNegative, Positive, PositiveWhole, explain_validation
+from uavaou.fields import NonNegative, Positive, PositiveWhole
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -42,18 +40,6 @@ class AlgorithmConfig(BaseModel):
         """Whether a trained policy takes only the numbers of UAVs and devices that it was trained with."""
         return True
 
-    @classmethod
-    def from_dict(cls, fields: dict[str, Any], source: str) -> Self:
-        """Validate a mapping of field names to values.
-
-        Raises:
-            InputError: naming the field, its value and what is allowed.
-        """
-        try:
-            return cls.model_validate(fields)
-        except ValidationError as error:
-            raise InputError(f"{source}: {explain_validation(error, list(cls.model_fields))}") from None
-
     @model_validator(mode="after")
     def _processes_divide_missions(self) -> Self:
         if self.missions % self.processes:
@@ -64,6 +50,7 @@ class AlgorithmConfig(BaseModel):
 class LearnerConfig(AlgorithmConfig):
     """What MAPPO, IPPO, VDN, QMIX and IQL share: network, masks, learning rate."""
 
+    adam: ClassVar[dict[str, Any]] = {"fused": True}  # options of the optimizer
     hidden: HiddenSizes  # units of each hidden layer; MAPPO: of actor and critic alike
     activation: Literal["relu", "tanh"]
     masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
@@ -73,26 +60,39 @@ class LearnerConfig(AlgorithmConfig):
     gamma: Fraction
     max_gradient_norm: Positive
 
-    def _shared_arguments(self) -> dict[str, Any]:
-        return {
-            "learning_rate": _linear_schedule(self.learning_rate, self.final_learning_rate),
-            "gamma": self.gamma,
-            "max_grad_norm": self.max_gradient_norm,
-        }
+    def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
+        """The learner on ``env``."""
+        from uavaou.algorithms.mappo import IPPO, MAPPO  # torch only where a learner is built
+        from uavaou.algorithms.qlearning import IQL, QMIX, VDN
 
-    def _policy_arguments(self, **optimizer: Any) -> dict[str, Any]:
+        learners: dict[str, Any] = {"mappo": MAPPO, "ippo": IPPO, "vdn": VDN, "qmix": QMIX, "iql": IQL}
+        return learners[self.name](
+            env=env, seed=seed, device=device, learning_rate=self._learning_rate_at, gamma=self.gamma,
+            max_grad_norm=self.max_gradient_norm, policy_kwargs=self._policy_arguments(), **self._learner_arguments(),
+        )  # fmt: skip
+
+    def _learner_arguments(self) -> dict[str, Any]:
+        raise NotImplementedError
+
+    def _policy_arguments(self) -> dict[str, Any]:
         return {
             "net_arch": list(self.hidden),
             "activation": self.activation,
             "masks": self.masks,
             "selection_bias": self.selection_bias,
-            "optimizer_kwargs": {"fused": True, **optimizer},
+            "optimizer_kwargs": self.adam,
         }
+
+    def _learning_rate_at(self, progress_remaining: float) -> float:
+        # The last rollout may exceed the budget: SB3 then calls with less than nothing remaining.
+        left = max(progress_remaining, 0.0)
+        return self.learning_rate * (self.final_learning_rate + (1 - self.final_learning_rate) * left)
 
 
 class MappoConfig(LearnerConfig):
     """MAPPO and IPPO; the fields are the arguments of :class:`uavaou.MAPPO` and its policy."""
 
+    adam = {"fused": True, "eps": 1e-5}
     name: Literal["mappo", "ippo"] = "mappo"
     rollout_slots: Annotated[PositiveWhole, Field(le=1_000_000)]  # slots a mission between updates
     batch_rows: PositiveWhole  # agent steps in a minibatch
@@ -104,27 +104,18 @@ class MappoConfig(LearnerConfig):
     value_loss: NonNegative
     advantage_normalization: Literal["none", "rollout", "batch"]
 
-    def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
-        """The learner on ``env``."""
-        from uavaou.algorithms.mappo import IPPO, MAPPO  # torch only where a learner is built
-
-        return {"mappo": MAPPO, "ippo": IPPO}[self.name](
-            "CentralizedValuePolicy",
-            env,
-            n_steps=self.rollout_slots,
-            batch_size=self.batch_rows,
-            n_epochs=self.epochs,
-            gae_lambda=self.gae_lambda,
-            clip_range=self.clip_range,
-            ent_coef=self.entropy,
-            vf_coef=self.value_loss,
-            advantage_normalization=self.advantage_normalization,
-            critic_learning_rate=self.critic_learning_rate,
-            policy_kwargs=self._policy_arguments(eps=1e-5),
-            seed=seed,
-            device=device,
-            **self._shared_arguments(),
-        )
+    def _learner_arguments(self) -> dict[str, Any]:
+        return {
+            "n_steps": self.rollout_slots,
+            "batch_size": self.batch_rows,
+            "n_epochs": self.epochs,
+            "gae_lambda": self.gae_lambda,
+            "clip_range": self.clip_range,
+            "ent_coef": self.entropy,
+            "vf_coef": self.value_loss,
+            "advantage_normalization": self.advantage_normalization,
+            "critic_learning_rate": self.critic_learning_rate,
+        }
 
 
 class JointQConfig(LearnerConfig):
@@ -153,29 +144,20 @@ class JointQConfig(LearnerConfig):
             raise ValueError(f"replay_slots = {self.replay_slots}: must be more than {least}")
         return self
 
-    def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
-        """The learner on ``env``."""
-        from uavaou.algorithms.qlearning import IQL, QMIX, VDN  # torch only where a learner is built
-
-        return {"vdn": VDN, "iql": IQL, "qmix": QMIX}[self.name](
-            "JointQPolicy",
-            env,
-            buffer_size=self.replay_slots,
-            learning_starts=self.learning_starts,
-            batch_size=self.batch_slots,
-            train_freq=max(self.slots_per_update // self.missions, 1),
-            gradient_steps=max(self.missions // self.slots_per_update, 1),
-            n_steps=self.n_step,
-            target_update_interval=self.target_update,
-            tau=self.target_fraction,
-            exploration_initial_eps=self.epsilon_start,
-            exploration_final_eps=self.epsilon_end,
-            exploration_fraction=self.epsilon_fraction,
-            policy_kwargs=self._policy_arguments(),
-            seed=seed,
-            device=device,
-            **self._shared_arguments(),
-        )
+    def _learner_arguments(self) -> dict[str, Any]:
+        return {
+            "buffer_size": self.replay_slots,
+            "learning_starts": self.learning_starts,
+            "batch_size": self.batch_slots,
+            "train_freq": max(self.slots_per_update // self.missions, 1),
+            "gradient_steps": max(self.missions // self.slots_per_update, 1),
+            "n_steps": self.n_step,
+            "target_update_interval": self.target_update,
+            "tau": self.target_fraction,
+            "exploration_initial_eps": self.epsilon_start,
+            "exploration_final_eps": self.epsilon_end,
+            "exploration_fraction": self.epsilon_fraction,
+        }
 
 
 class QmixConfig(JointQConfig):
@@ -185,14 +167,6 @@ class QmixConfig(JointQConfig):
     mixer_width: Annotated[PositiveWhole, Field(le=4096)]
     hypernet_width: Annotated[PositiveWhole, Field(le=4096)]
 
-    def _policy_arguments(self, **optimizer: Any) -> dict[str, Any]:
+    def _policy_arguments(self) -> dict[str, Any]:
         sizes = {"mixer_width": self.mixer_width, "hypernet_width": self.hypernet_width}
-        return super()._policy_arguments(**optimizer) | sizes
-
-
-def _linear_schedule(start: float, final_fraction: float) -> Callable[[float], float]:
-    def schedule(progress_remaining: float) -> float:
-        # The last rollout may exceed the budget: SB3 then calls with less than nothing remaining.
-        return start * (final_fraction + (1 - final_fraction) * max(progress_remaining, 0.0))
-
-    return schedule
+        return super()._policy_arguments() | sizes

@@ -19,8 +19,9 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uavaou.algorithms.config import AlgorithmConfig, JointQConfig, MappoConfig, QmixConfig
+from uavaou.algorithms.config import AlgorithmConfig, JointQConfig, LearnerConfig, MappoConfig, QmixConfig
 from uavaou.errors import InputError, unknown
+from uavaou.fields import validated
 from uavaou.zoo import read_yaml_mapping, zoo_folder
 
 if TYPE_CHECKING:
@@ -30,13 +31,10 @@ if TYPE_CHECKING:
 
 Builder = Callable[[Any, Any, int, str], "BaseAlgorithm"]  # (config, env, seed, device)
 ENTRY_POINTS = "uavaou.algorithms"
-_NAME = re.compile(r"[a-z0-9][a-z0-9_-]*")
 
 
 @dataclass(frozen=True)
 class Algorithm:
-    """An algorithm as it is registered."""
-
     config: type[AlgorithmConfig]
     build: Builder
     defaults: Path | None  # YAML; None: the configuration class has a default for every field
@@ -59,7 +57,7 @@ def register_algorithm(name: str, config: type[AlgorithmConfig], build: Builder,
     Raises:
         InputError: the name is taken or misspelt, or ``config`` is not such a class.
     """
-    if not _NAME.fullmatch(name):
+    if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name):
         raise InputError(f"algorithm name {name!r}: expected lower-case letters, digits, '-' and '_'")
     if name in _ALGORITHMS:
         raise InputError(f"algorithm '{name}' is registered already: choose another name")
@@ -140,7 +138,7 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
     entry = find_algorithm(algorithm)
     published = {} if entry.defaults is None else read_yaml_mapping(entry.defaults)
     fields = published | {"name": algorithm} | (overrides or {})
-    return entry.config.from_dict(fields, source=f"algorithm '{algorithm}'")
+    return validated(entry.config, fields, f"algorithm '{algorithm}'")
 
 
 def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:
@@ -155,7 +153,7 @@ def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:
             f"{source}: algorithm.name = {name!r}: known are {', '.join(algorithm_names())}; "
             "if it is one of your own, name what registers it: uavaou --plugin FILE.py ..."
         )
-    return find_algorithm(name).config.from_dict(fields, source=f"{source}: algorithm")
+    return validated(find_algorithm(name).config, fields, f"{source}: algorithm")
 
 
 def make_model(config: AlgorithmConfig, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
@@ -164,31 +162,24 @@ def make_model(config: AlgorithmConfig, env: MissionVecEnv, seed: int, device: s
     Raises:
         InputError: its policy cannot act on local observations alone, as a UAV must.
     """
-    model = find_algorithm(config.name).build(config, env, seed, device)
-    _check_acts_locally(config.name, model, env)
-    return model
-
-
-def _check_acts_locally(name: str, model: BaseAlgorithm, env: MissionVecEnv) -> None:
+    model, refused = find_algorithm(config.name).build(config, env, seed, device), f"algorithm '{config.name}'"
     if model.get_vec_normalize_env() is not None:
-        raise InputError(
-            f"algorithm '{name}': checkpoints do not hold what VecNormalize measures: normalise in the policy"
-        )
+        raise InputError(f"{refused}: checkpoints do not hold what VecNormalize measures: normalise in the policy")
     shape = model.observation_space.shape
     if not hasattr(model.policy, "act") and shape != (env.local_size,):
         raise InputError(
-            f"algorithm '{name}': its policy reads {shape}, and a UAV sees ({env.local_size},), the local observation: "
+            f"{refused}: its policy reads {shape}, and a UAV sees ({env.local_size},), the local observation: "
             "build it on uavaou.LocalRows(env), or give its policy act(local, uniforms)"
         )
+    return model
 
 
-def _register_own() -> None:
-    published = zoo_folder("algorithms")
-    register_algorithm("mappo", MappoConfig, MappoConfig.build, published / "mappo.yaml")
-    register_algorithm("ippo", MappoConfig, MappoConfig.build, published / "mappo.yaml")  # another critic input
-    register_algorithm("vdn", JointQConfig, JointQConfig.build, published / "vdn.yaml")
-    register_algorithm("qmix", QmixConfig, QmixConfig.build, published / "qmix.yaml")
-    register_algorithm("iql", JointQConfig, JointQConfig.build, published / "vdn.yaml")  # another mixer
-
-
-_register_own()
+_OWN: tuple[tuple[str, type[LearnerConfig], str], ...] = (
+    ("mappo", MappoConfig, "mappo"),
+    ("ippo", MappoConfig, "mappo"),  # another critic input
+    ("vdn", JointQConfig, "vdn"),
+    ("qmix", QmixConfig, "qmix"),
+    ("iql", JointQConfig, "vdn"),  # another mixer
+)
+for _name, _config, _published in _OWN:
+    register_algorithm(_name, _config, _config.build, zoo_folder("algorithms") / f"{_published}.yaml")

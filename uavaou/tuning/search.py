@@ -68,7 +68,7 @@ class Search:
         """
         schedule = {} if slots is None else {"slots": slots, "evaluate_every_slots": -(-slots // REPORTS)}
         fields = self.algorithm.model_dump(mode="json") | dict(values) | schedule
-        return type(self.algorithm).from_dict(fields, source=f"algorithm '{self.algorithm.name}'")
+        return validated(type(self.algorithm), fields, f"algorithm '{self.algorithm.name}'")
 
     def to_yaml(self) -> str:
         """The content of ``search.yaml``."""
