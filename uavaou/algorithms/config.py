@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
@@ -65,7 +66,13 @@ class LearnerConfig(AlgorithmConfig):
         from uavaou.algorithms.mappo import IPPO, MAPPO  # torch only where a learner is built
         from uavaou.algorithms.qlearning import IQL, QMIX, VDN
 
-        learners: dict[str, Any] = {"mappo": MAPPO, "ippo": IPPO, "vdn": VDN, "qmix": QMIX, "iql": IQL}
+        learners: dict[str, Callable[..., BaseAlgorithm]] = {
+            "mappo": MAPPO,
+            "ippo": IPPO,
+            "vdn": VDN,
+            "qmix": QMIX,
+            "iql": IQL,
+        }
         return learners[self.name](
             env=env, seed=seed, device=device, learning_rate=self._learning_rate_at, gamma=self.gamma,
             max_grad_norm=self.max_gradient_norm, policy_kwargs=self._policy_arguments(), **self._learner_arguments(),

@@ -35,6 +35,8 @@ ENTRY_POINTS = "uavaou.algorithms"
 
 @dataclass(frozen=True)
 class Algorithm:
+    """An algorithm as it is registered."""
+
     config: type[AlgorithmConfig]
     build: Builder
     defaults: Path | None  # YAML; None: the configuration class has a default for every field

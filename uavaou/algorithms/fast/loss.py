@@ -49,7 +49,8 @@ class GradientShard:
     """
 
     def __init__(self, policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> None:
-        self._mask_columns = policy.mask_columns
+        masks = (policy.allowed_columns, policy.in_range_columns)
+        self._moves_column, self._range_column = (-1 if columns is None else columns.start for columns in masks)
         known = inherits(policy, CentralizedValuePolicy, "logits")
         actor = (policy.actor_body, policy.action_net) if known else ()
         self._actor = _network(actor, policy.logits, policy.actor_parameters())
@@ -59,7 +60,7 @@ class GradientShard:
             critic, lambda rows: policy.normalised_values(rows)[:, None], policy.critic_parameters()
         )
         arrays = (buffer.actions, buffer.log_probs, buffer.advantages, buffer.returns)
-        self._actions, self._log_probs, self._advantages, self._returns = map(_by_slot, arrays)
+        self._actions, self._log_probs, self.advantages, self._returns = map(_by_slot, arrays)
         self._local = th.from_numpy(_by_slot(buffer.local))  # (slots, U, local)
         critic_rows = th.from_numpy(_by_slot(buffer.critic_rows))
         self._critic_rows = critic_rows[:, None] if buffer.shared_critic else critic_rows  # (slots, V, global or local)
@@ -68,10 +69,6 @@ class GradientShard:
     def uses_autograd(self) -> bool:
         """Whether autograd differentiates one of the networks."""
         return not (isinstance(self._actor, FullyConnected) and isinstance(self._critic, FullyConnected))
-
-    def advantage_moments(self, indices: Indices) -> tuple[float, float]:
-        """Mean and standard deviation of the slots' advantages."""
-        return _moments(self._advantages, indices)
 
     @th.no_grad()
     def gradient(
@@ -96,8 +93,9 @@ class GradientShard:
         logits = activations[-1]  # (B * U, 5 + I)
         grad_logits = th.empty_like(logits)
         objective, entropy, kl, clipped = clipped_surrogate(
-            logits.numpy(), rows.numpy(), *self._mask_columns, actor_indices, self._actions, self._log_probs,
-            self._advantages, *coefficients[:4], len(actor_indices) / slots_in_batch, grad_logits.numpy(),
+            logits.numpy(), rows.numpy(), self._moves_column, self._range_column, actor_indices, self._actions,
+            self._log_probs, self.advantages, *coefficients[:4], len(actor_indices) / slots_in_batch,
+            grad_logits.numpy(),
         )  # fmt: skip
         gradients, value_loss = self._actor.backward(activations, grad_logits), 0.0
         if len(critic_indices):
@@ -280,7 +278,7 @@ def squared_error(
 
 
 @compiled
-def _moments(advantages: Floats, indices: Indices) -> tuple[float, float]:
+def advantage_moments(advantages: Floats, indices: Indices) -> tuple[float, float]:
     """Mean and standard deviation of the advantages (slots, V) of some slots."""
     total, squares, critics = 0.0, 0.0, advantages.shape[1]
     count = len(indices) * critics

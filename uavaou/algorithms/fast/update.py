@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from torch.nn.modules.batchnorm import _NormBase
 from torch.nn.modules.dropout import _DropoutNd
 
-from uavaou.algorithms.fast.loss import Doubles, GradientShard, Indices, LossCoefficients
+from uavaou.algorithms.fast.loss import Doubles, GradientShard, Indices, LossCoefficients, advantage_moments
 from uavaou.algorithms.mappo.buffer import ARRAYS, SlotRolloutBuffer
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
 from uavaou.algorithms.nets.value_norm import PopArt, ReturnStatistics
@@ -107,7 +107,7 @@ class FastUpdate:
         """Set the parameters' gradient of the loss on slots ``indices`` (B,); returns the loss statistics (6,)."""
         coefficients = self._coefficients
         if self._normalises_batches:
-            mean, std = self._shard.advantage_moments(indices)
+            mean, std = advantage_moments(self._shard.advantages, indices)
             coefficients = coefficients._replace(advantage_mean=mean, advantage_scale=1 / (std + 1e-8))
         workers = self.workers[: len(indices) - 1]  # each process has one slot or more
         own, *others = divide(indices, 1 + len(workers), self._critic_work)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
@@ -219,17 +218,16 @@ class SafeSaveLoad(BaseAlgorithm):
         given = {name: value for name, value in self._given.items() if name not in _NOT_SAVED}
         policy_kwargs = dict(given.pop("policy_kwargs", None) or {})
         policy_kwargs.pop("row_layout", None)
-        plain = {name: self._at_present(value) for name, value in given.items()} | {"policy_kwargs": policy_kwargs}
+        for name, value in given.items():
+            if callable(value) and not isinstance(value, type):  # a schedule
+                given[name] = value(self._current_progress_remaining)
+        plain = given | {"policy_kwargs": policy_kwargs}
         for name, value in plain.items():
             try:
                 json.dumps(value)
             except (TypeError, ValueError):
                 raise InputError(f"{name} = {value!r}: only plain values can be saved") from None
         return plain
-
-    def _at_present(self, value: Any) -> Any:
-        is_schedule = isinstance(value, Callable) and not isinstance(value, type)  # type: ignore[arg-type]
-        return value(self._current_progress_remaining) if is_schedule else value
 
 
 def _with_suffix(path: str | Path) -> Path:

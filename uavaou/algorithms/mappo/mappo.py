@@ -221,7 +221,9 @@ class MAPPO(SafeSaveLoad, PPO):
     def train(self) -> None:
         """Update actor and critic from the rollout just collected."""
         self.policy.set_training_mode(True)
-        self._set_learning_rates()
+        rate = self.lr_schedule(self._current_progress_remaining)
+        actor, critic = self.policy.optimizer.param_groups
+        actor["lr"], critic["lr"] = rate, rate * self.critic_learning_rate
         clip_range = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
         buffer = self.rollout_buffer
         explained = explained_variance(buffer.values.flatten(), buffer.returns.flatten())
@@ -229,7 +231,13 @@ class MAPPO(SafeSaveLoad, PPO):
         gradient, step = self._gradient_and_step(clip_range, *self._advantage_moments(buffer.advantages))
         with one_thread() if self._fast and self._fast.workers else nullcontext():  # each process with one thread
             statistics = self._run_epochs(gradient, step)
-        self._log_training(statistics, explained, clip_range)
+        mean = LossStatistics(*th.stack([th.stack(minibatch) for minibatch in statistics]).mean(dim=0))
+        for name, value in mean._asdict().items():
+            self.logger.record(f"train/{'policy_gradient_loss' if name == 'policy_loss' else name}", float(value))
+        self.logger.record("train/learning_rate", rate)
+        self.logger.record("train/explained_variance", float(explained))
+        self.logger.record("train/clip_range", clip_range)
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
     def _run_epochs(
         self, gradient: Callable[[NDArray[np.int64]], LossStatistics], step: Callable[[], None]
@@ -323,20 +331,6 @@ class MAPPO(SafeSaveLoad, PPO):
             return float(advantages.mean()), float(advantages.std()) + 1e-8
         # "none": in units of the normalised value; in units of the reward their scale would be arbitrary.
         return 0.0, float(self.policy.value_net.std)
-
-    def _set_learning_rates(self) -> None:
-        rate = self.lr_schedule(self._current_progress_remaining)
-        self.logger.record("train/learning_rate", rate)
-        actor, critic = self.policy.optimizer.param_groups
-        actor["lr"], critic["lr"] = rate, rate * self.critic_learning_rate
-
-    def _log_training(self, statistics: list[LossStatistics], explained: float, clip_range: float) -> None:
-        mean = LossStatistics(*th.stack([th.stack(minibatch) for minibatch in statistics]).mean(dim=0))
-        for name, value in mean._asdict().items():
-            self.logger.record(f"train/{'policy_gradient_loss' if name == 'policy_loss' else name}", float(value))
-        self.logger.record("train/explained_variance", float(explained))
-        self.logger.record("train/clip_range", clip_range)
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
 
 class IPPO(MAPPO):

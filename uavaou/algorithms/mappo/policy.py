@@ -70,9 +70,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         self.masks = masks
         self._hidden = list(net_arch or [128, 128])
         self._activation = activation
-        allowed, in_range = row_layout.local_columns("allowed_moves"), row_layout.local_columns("in_range")
-        self._allowed_moves = allowed if masks else None
-        self._in_range = in_range if masks and row_layout.selects else None
+        self.allowed_columns = row_layout.local_columns("allowed_moves") if masks else None
+        self.in_range_columns = row_layout.local_columns("in_range") if masks and row_layout.selects else None
         super().__init__(
             observation_space, action_space, lr_schedule, net_arch=self._hidden,
             activation_fn=ACTIVATIONS[activation], **kwargs,
@@ -111,12 +110,6 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         """Parameters of both, the actor's first."""
         return [*self.actor_parameters(), *self.critic_parameters()]
 
-    @property
-    def mask_columns(self) -> tuple[int, int]:
-        """First local column of the allowed moves and of the devices in range; -1 without such a mask."""
-        first = [-1 if columns is None else int(columns.start) for columns in (self._allowed_moves, self._in_range)]
-        return first[0], first[1]
-
     # -- the two networks ----------------------------------------------------------------------------
 
     def action_distribution(self, local: th.Tensor) -> MoveSelectionDistribution:
@@ -130,8 +123,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
 
     def distribution_of(self, logits: th.Tensor, local: th.Tensor) -> MoveSelectionDistribution:
         """The policy with ``logits`` (B, 5 + I) and the masks in ``local`` (B, local)."""
-        allowed = None if self._allowed_moves is None else local[:, self._allowed_moves]
-        in_range = None if self._in_range is None else local[:, self._in_range]
+        allowed = None if self.allowed_columns is None else local[:, self.allowed_columns]
+        in_range = None if self.in_range_columns is None else local[:, self.in_range_columns]
         return MoveSelectionDistribution(self.action_dist.devices).proba_distribution(logits, allowed, in_range)
 
     @th.no_grad()
@@ -180,16 +173,5 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         distribution = self.get_distribution(obs)
         return self.predict_values(obs), distribution.log_prob(actions), distribution.entropy()
 
-    def _predict(  # type: ignore[override]
-        self, observation: th.Tensor, deterministic: bool = False
-    ) -> th.Tensor:
+    def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:  # type: ignore[override]
         return self.get_distribution(observation).get_actions(deterministic=deterministic)
-
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        data = super()._get_constructor_parameters()
-        data.update(
-            row_layout=self.row_layout, critic_input=self.critic_input, net_arch=self._hidden,
-            activation=self._activation, selection_bias=self.selection_bias, masks=self.masks,
-        )  # fmt: skip
-        data.pop("activation_fn", None)
-        return data

@@ -1,6 +1,6 @@
 """The distribution of a composite action: one Categorical over moves and I independent Bernoullis over devices.
 
-It is computed as two tensors. SB3's own MultiDiscrete head builds 1 + I Categorical objects a call.
+It is computed as two tensors. SB3's MultiCategoricalDistribution builds 1 + I Categorical objects a call.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Self
 
 import torch as th
-from stable_baselines3.common.distributions import Distribution
+from stable_baselines3.common.distributions import MultiCategoricalDistribution
 from torch import nn
 from torch.nn import functional
 
@@ -18,7 +18,7 @@ from uavaou.world.views import MOVES
 FORBIDDEN = -1e9  # a logit that leaves no probability in float32
 
 
-class MoveSelectionDistribution(Distribution):
+class MoveSelectionDistribution(MultiCategoricalDistribution):
     """A move among five and a subset of devices, with masks.
 
     A masked move has probability 0. A masked device is never selected, and adds nothing to the log-probability or
@@ -29,7 +29,7 @@ class MoveSelectionDistribution(Distribution):
     """
 
     def __init__(self, devices: int) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
+        super().__init__([MOVES] + [2] * devices)
         self.devices = devices
 
     def proba_distribution_net(self, latent_dim: int) -> nn.Linear:
@@ -100,16 +100,6 @@ class MoveSelectionDistribution(Distribution):
     def mode(self) -> th.Tensor:
         """The most probable action, (B, 1 + I)."""
         return self._action(self.move_log_probs.argmax(dim=1), self.selection_logits > 0)
-
-    def actions_from_params(self, logits: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        """Actions from logits, without masks."""
-        self.proba_distribution(logits)
-        return self.get_actions(deterministic=deterministic)
-
-    def log_prob_from_params(self, logits: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
-        """Sampled actions and their log-probabilities, without masks."""
-        actions = self.actions_from_params(logits)
-        return actions, self.log_prob(actions)
 
     def _action(self, move: th.Tensor, selected: th.Tensor) -> th.Tensor:
         if not self.devices:

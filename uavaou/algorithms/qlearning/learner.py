@@ -128,10 +128,8 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         statistics = [self._update(self.replay_buffer.sample(batch_size)) for _ in range(gradient_steps)]
-        loss, value, target = np.mean(statistics, axis=0)
-        self.logger.record("train/loss", float(loss))
-        self.logger.record("train/mean_value", float(value))
-        self.logger.record("train/mean_target", float(target))
+        for name, mean in zip(("loss", "mean_value", "mean_target"), np.mean(statistics, axis=0), strict=True):
+            self.logger.record(f"train/{name}", float(mean))
         self.logger.record("train/epsilon", float(self.policy.epsilon))
         self.logger.record("train/replay_slots", self.replay_buffer.slots)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")

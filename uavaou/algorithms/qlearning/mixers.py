@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import OrderedDict
+from typing import cast
 
 import torch as th
 from torch import nn
@@ -65,10 +67,10 @@ class MonotonicMixer(Mixer):
     def __init__(self, agents: int, state_size: int, width: int = 32, hypernet_width: int = 64) -> None:
         super().__init__(agents, state_size)
         self.width = width
-        self.first_weights = _Hypernet(state_size, hypernet_width, agents * width)
+        self.first_weights = _hypernet(state_size, hypernet_width, agents * width)
         self.first_bias = Linear(state_size, width)
-        self.second_weights = _Hypernet(state_size, hypernet_width, width)
-        self.value = _Hypernet(state_size, hypernet_width, 1)
+        self.second_weights = _hypernet(state_size, hypernet_width, width)
+        self.value = _hypernet(state_size, hypernet_width, 1)
 
     def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
         """Q_tot, (B, 1)."""
@@ -81,22 +83,16 @@ class MonotonicMixer(Mixer):
     @th.no_grad()
     def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
         """Rescale the outer layer of the mixing network; the utilities do not change."""
-        for hypernet in (self.second_weights, self.value):
-            rescale_linear(hypernet.outer, ratio)
-        self.value.outer.bias.add_(shift)
+        second, value = (cast("Linear", hypernet[-1]) for hypernet in (self.second_weights, self.value))
+        rescale_linear(second, ratio)
+        rescale_linear(value, ratio)
+        value.bias.add_(shift)
 
 
-class _Hypernet(nn.Module):
+def _hypernet(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     """Weights of the mixing network from the state."""
-
-    def __init__(self, inputs: int, hidden: int, outputs: int) -> None:
-        super().__init__()
-        self.inner = Linear(inputs, hidden)
-        self.outer = Linear(hidden, outputs)
-
-    def forward(self, states: th.Tensor) -> th.Tensor:
-        weights: th.Tensor = self.outer(functional.relu(self.inner(states)))
-        return weights
+    layers = {"inner": Linear(inputs, hidden), "relu": nn.ReLU(), "outer": Linear(hidden, outputs)}
+    return nn.Sequential(OrderedDict(layers))
 
 
 MIXERS: dict[str, type[Mixer]] = {"none": NoMixer, "sum": SumMixer, "monotonic": MonotonicMixer}  # IQL, VDN, QMIX

@@ -62,8 +62,11 @@ class JointReplay(BaseBuffer):
         self.gamma = gamma
         uavs, branches = row_layout.uavs, int(np.prod(action_space.shape)) or 1
         options = int(np.max(action_space.nvec if hasattr(action_space, "nvec") else action_space.n))
-        row_bytes = 4 * (uavs * row_layout.local_size + row_layout.global_size + 1)
-        _check_memory(capacity * missions, row_bytes)
+        needed = capacity * missions * 4 * (uavs * row_layout.local_size + row_layout.global_size + 1)  # bytes
+        machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        if needed > machine:  # numpy would not refuse: the pages are taken only as the replay fills
+            have = f"{needed / 1e9:,.1f} GB, this machine has {machine / 1e9:,.1f}"
+            raise InputError(f"replay of {capacity * missions} slots: needs {have}")
         self.local: NDArray[np.float32] = np.zeros((capacity, missions, uavs, row_layout.local_size), np.float32)
         self.states: NDArray[np.float32] = np.zeros((capacity, missions, row_layout.global_size), np.float32)
         self.actions = np.zeros((capacity, missions, uavs, branches), np.min_scalar_type(options))
@@ -96,9 +99,7 @@ class JointReplay(BaseBuffer):
         held = self.buffer_size if self.full else self.pos
         return self._get_samples(np.random.randint(0, (held - self.n_steps) * self.missions, batch_size))
 
-    def _get_samples(  # type: ignore[override]
-        self, batch_inds: NDArray[np.int64], env: Any = None
-    ) -> JointBatch:
+    def _get_samples(self, batch_inds: NDArray[np.int64], env: Any = None) -> JointBatch:  # type: ignore[override]
         """The joint transitions (B,) counted from the oldest slot on, its missions in order."""
         since_oldest, missions = np.divmod(batch_inds, self.missions)
         times = (since_oldest + (self.pos if self.full else 0)) % self.buffer_size  # (B,)
@@ -125,12 +126,3 @@ class JointReplay(BaseBuffer):
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """What is held, as arrays (T, N, ...); entries from ``pos`` on are unused until ``full``."""
         return {name: getattr(self, name) for name in ("local", "states", "actions", "rewards", "ends")}
-
-
-def _check_memory(slots: int, slot_bytes: int) -> None:
-    """Refuse a replay larger than the memory: its pages are taken only as it fills."""
-    machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if slots * slot_bytes > machine:
-        raise InputError(
-            f"replay of {slots} slots: needs {slots * slot_bytes / 1e9:,.1f} GB, this machine has {machine / 1e9:,.1f}"
-        )
