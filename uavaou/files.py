@@ -125,8 +125,8 @@ def read_json(path: Path, most_bytes: int = 512_000_000) -> Any:
         raise InputError(f"{path}: cannot be read as JSON: {error}") from error
 
 
-def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
-    """Replace a JSON file, and make its folder; without ``indent`` on one line.
+def write_text(path: Path, text: str) -> None:
+    """Replace a text file, and make its folder.
 
     Raises:
         InputError: the file cannot be written.
@@ -134,4 +134,9 @@ def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as file:
-            file.write(json.dumps(content, indent=indent, separators=None if indent else (",", ":")) + "\n")
+            file.write(text)
+
+
+def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
+    """Replace a JSON file as :func:`write_text` does; without ``indent`` on one line."""
+    write_text(path, json.dumps(content, indent=indent, separators=None if indent else (",", ":")) + "\n")

@@ -245,7 +245,7 @@ def test_an_interrupt_in_a_compiled_function_is_no_failure(monkeypatch: pytest.M
     def perform(*_: object) -> None:
         raise SystemError("CPUDispatcher(...) returned a result with an exception set") from KeyboardInterrupt()
 
-    monkeypatch.setattr("uavaou.studies.processes.perform", perform)
+    monkeypatch.setattr(Planning, "perform", perform)
     job = Planning(PartKey("anneal", "tiny"), Scenario.load("tiny"), 1.0)
     assert outcome(job, lambda report: None) == Ended(job.key, None)
 

@@ -14,12 +14,11 @@ from tests.studies.tiny_study import TINY, Inline, Write, rewritten, run_inline,
 from uavaou import InputError
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import holder, one_writer
-from uavaou.studies import jobs
 from uavaou.studies.condense import update_results
 from uavaou.studies.jobs import Ended, Job, Planning, Training
 from uavaou.studies.parts import PartKey
 from uavaou.studies.results import read_study
-from uavaou.studies.runner import StudyOutcome, StudyState, run_study
+from uavaou.studies.runner import StudyState, run_study
 from uavaou.studies.status import seconds_left, study_status
 from uavaou.studies.study import Study
 from uavaou_cli.main import main
@@ -37,7 +36,8 @@ def test_a_finished_study_does_nothing_and_changes_nothing(copied: tuple[Study, 
     study, out = copied
     before = tables(out)
     engine = Inline()
-    assert run_inline(study, out, engine) == StudyOutcome(7, 7, {}, None)
+    ended = run_inline(study, out, engine)
+    assert (ended.done, ended.total, ended.failed, ended.stopped_by) == (7, 7, {}, None)
     assert engine.done == []
     assert tables(out) == before
 
@@ -248,8 +248,10 @@ def test_a_bug_in_one_run_keeps_its_traceback_and_stops_no_other(
     write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = Study.load(write(TINY.replace("seeds: 2", "seeds: 1").replace("[greedy, anneal]", "[]")))
-    real = jobs._train
-    monkeypatch.setattr(jobs, "_train", lambda job, tell: 1 // 0 if job.key.variant == "mappo" else real(job, tell))
+    real = Training.perform
+    monkeypatch.setattr(
+        Training, "perform", lambda job, tell: 1 // 0 if job.key.variant == "mappo" else real(job, tell)
+    )
     ended = run_inline(study, tmp_path / "out", Inline())
     assert ended.done == 2
     assert "ZeroDivisionError" in ended.failed[PartKey("mappo", "tiny", 0)]

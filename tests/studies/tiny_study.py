@@ -8,7 +8,7 @@ from pathlib import Path
 from uavaou.studies.jobs import Advanced, Ended, Events, Job, TakeJob, TrainingReport
 from uavaou.studies.parts import PartKey
 from uavaou.studies.processes import outcome
-from uavaou.studies.runner import StudyOutcome, run_study
+from uavaou.studies.runner import StudyState, run_study
 from uavaou.studies.study import Study
 
 SET = "missions: 4, rollout_slots: 12, batch_rows: 48, hidden: [8], evaluation_missions: 2, evaluate_every_slots: 96"
@@ -50,7 +50,7 @@ class Inline:
         return [job.key for job in self.done]
 
 
-def run_inline(study: Study, out: Path, engine: Inline) -> StudyOutcome:
+def run_inline(study: Study, out: Path, engine: Inline) -> StudyState:
     return run_study(study, out, engine, lambda state: None, quiet=True)
 
 

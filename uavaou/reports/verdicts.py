@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from uavaou.reports.markdown import rounded
 from uavaou.statistics import Interval, ratio_of_trainings
-from uavaou.studies.fields import JUDGED
+from uavaou.studies.study import JUDGED
 from uavaou.studies.results import StudyResults
 
 Trainings = Mapping[str, NDArray[np.float64]]  # scenario -> (S,), one value a training; () for an untrained policy

@@ -6,12 +6,19 @@ performing a training does.
 
 from __future__ import annotations
 
+import os
+import platform
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+from uavaou.evaluation.evaluate import evaluate
+from uavaou.planners import make_planner
+from uavaou.planners.anneal import Anneal
 from uavaou.planners.plan import RoutePlan
+from uavaou.planners.rolling import Rolling
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.results import PolicyResult, find_evaluation, write_own_evaluation
 from uavaou.scenario import Scenario
@@ -30,47 +37,107 @@ class StoppedEarlyError(Exception):
     """A job was asked to stop; a training has kept its last checkpoint."""
 
 
+JobResult = PolicyResult | dict[str, Any]
+Tell = Callable[[TrainingReport], None]
+
+
 @dataclass(frozen=True)
-class Training:
-    """Train a run to its budget, or the rest of it, and evaluate its best policy."""
+class Job(ABC):
+    """What one process does for a part of the study."""
 
     key: PartKey
+
+    @abstractmethod
+    def perform(self, tell: Tell) -> JobResult:
+        """Do the job in this process.
+
+        Args:
+            tell: called after each update of a training.
+
+        Returns:
+            For a planner what it did in the missions, for a plan :meth:`RoutePlan.to_dict`, for a bound ``bound_s`` and
+            ``method``; nothing for a training, whose folder holds everything.
+
+        Raises:
+            InputError: it cannot be done.
+            StoppedEarlyError: it was asked to stop.
+        """
+
+
+@dataclass(frozen=True)
+class Training(Job):
+    """Train a run to its budget, or the rest of it, and evaluate its best policy."""
+
     config: RunConfig
     path: Path  # of the run folder
     episodes: int
     checkpoint_every_s: float | None  # None: as `uavaou train` does
 
+    def perform(self, tell: Tell) -> JobResult:  # noqa: D102
+        from uavaou.runs.policy import load_run
+        from uavaou.runs.recorder import CHECKPOINT_EVERY_S, TrainingStatus
+        from uavaou.runs.train import train
+
+        config, folder, by = self.config, RunFolder(self.path), f"process {os.getpid()} on {platform.node()}"
+
+        def report(status: TrainingStatus) -> None:
+            aou = None if status.mean_aou_s is None else status.mean_aou_s / config.scenario.slot_length_s
+            tell(TrainingReport(status.slots, aou, by))
+
+        every_s = CHECKPOINT_EVERY_S if self.checkpoint_every_s is None else self.checkpoint_every_s
+        outcome = train(config, folder, device="cpu", resume=True, checkpoint_every_s=every_s, after_update=report)
+        if outcome.stopped_by is not None:
+            raise StoppedEarlyError
+        if find_evaluation(folder, config.algorithm.name, self.episodes) is None:
+            policy = load_run(folder)
+            found = evaluate(policy, config.scenario, self.episodes)
+            write_own_evaluation(folder, config, PolicyResult.of(found, config.scenario, policy))
+        return {}
+
 
 @dataclass(frozen=True)
-class Planning:
+class Planning(Job):
     """Anneal a plan for a scenario."""
 
-    key: PartKey
     scenario: Scenario
     seconds: float
 
+    def perform(self, tell: Tell) -> JobResult:  # noqa: D102
+        plan = Anneal(self.seconds).plan(self.scenario, self.scenario.draw_layout())
+        if plan.interrupted:  # Ctrl-C ends an annealing early, with routes that would be no fair rival
+            raise StoppedEarlyError
+        return plan.to_dict(self.scenario) | {"planning_seconds": self.seconds}
+
 
 @dataclass(frozen=True)
-class Playing:
+class Playing(Job):
     """Evaluate a planner; those that start from an annealed plan are given it."""
 
-    key: PartKey
     scenario: Scenario
     episodes: int
     seconds: float
     plan: RoutePlan | None
 
+    def perform(self, tell: Tell) -> JobResult:  # noqa: D102
+        name = self.key.variant
+        planner = make_planner(name, self.seconds if name == "exact" else None)
+        if isinstance(planner, Anneal | Rolling):
+            assert self.plan is not None
+            planner.keep(self.plan, self.scenario, self.scenario.draw_layout())
+        return PolicyResult.of(evaluate(planner, self.scenario, self.episodes), self.scenario, planner)
+
 
 @dataclass(frozen=True)
-class Bounding:
+class Bounding(Job):
     """Compute the certified bound of a scenario."""
 
-    key: PartKey
     scenario: Scenario
 
+    def perform(self, tell: Tell) -> JobResult:  # noqa: D102
+        from uavaou.planners.bound import lower_bound  # imports solvers
 
-Job = Training | Planning | Playing | Bounding
-JobResult = PolicyResult | dict[str, Any]
+        bound = lower_bound(self.scenario, self.scenario.draw_layout())
+        return {"bound_s": bound.mean_aou_s, "method": bound.method}
 
 
 @dataclass(frozen=True)
@@ -112,83 +179,3 @@ class Engine(Protocol):
             KeyboardInterrupt: by a second signal; running jobs are killed.
         """
         ...
-
-
-def perform(job: Job, tell: Callable[[TrainingReport], None]) -> JobResult:
-    """Do a job in this process.
-
-    Args:
-        job: what to do.
-        tell: called after each update of a training.
-
-    Returns:
-        For a planner what it did in the missions, for a plan :meth:`RoutePlan.to_dict`, for a bound ``bound_s`` and
-        ``method``; nothing for a training, whose folder holds everything.
-
-    Raises:
-        InputError: it cannot be done.
-        StoppedEarlyError: it was asked to stop.
-    """
-    if isinstance(job, Training):
-        _train(job, tell)
-        return {}
-    if isinstance(job, Planning):
-        return _plan(job)
-    return _play(job) if isinstance(job, Playing) else _bound(job)
-
-
-def _train(job: Training, tell: Callable[[TrainingReport], None]) -> None:
-    import os
-    import platform
-
-    from uavaou.evaluation.evaluate import evaluate
-    from uavaou.runs.policy import load_run
-    from uavaou.runs.recorder import CHECKPOINT_EVERY_S, TrainingStatus
-    from uavaou.runs.train import train
-
-    by = f"process {os.getpid()} on {platform.node()}"
-
-    def report(status: TrainingStatus) -> None:
-        aou = None if status.mean_aou_s is None else status.mean_aou_s / job.config.scenario.slot_length_s
-        tell(TrainingReport(status.slots, aou, by))
-
-    every_s = CHECKPOINT_EVERY_S if job.checkpoint_every_s is None else job.checkpoint_every_s
-    folder = RunFolder(job.path)
-    outcome = train(job.config, folder, device="cpu", resume=True, checkpoint_every_s=every_s, after_update=report)
-    if outcome.stopped_by is not None:
-        raise StoppedEarlyError
-    if find_evaluation(folder, job.config.algorithm.name, job.episodes) is None:
-        policy = load_run(folder)
-        found = evaluate(policy, job.config.scenario, job.episodes)
-        result = PolicyResult.of(found, job.config.scenario, policy)
-        write_own_evaluation(folder, job.config, result)
-
-
-def _plan(job: Planning) -> dict[str, Any]:
-    from uavaou.planners.anneal import Anneal
-
-    plan = Anneal(job.seconds).plan(job.scenario, job.scenario.draw_layout())
-    if plan.interrupted:  # Ctrl-C ends an annealing early, with routes that would be no fair rival
-        raise StoppedEarlyError
-    return plan.to_dict(job.scenario) | {"planning_seconds": job.seconds}
-
-
-def _play(job: Playing) -> PolicyResult:
-    from uavaou.evaluation.evaluate import evaluate
-    from uavaou.planners import make_planner
-    from uavaou.planners.anneal import Anneal
-    from uavaou.planners.rolling import Rolling
-
-    name = job.key.variant
-    planner = make_planner(name, job.seconds if name == "exact" else None)
-    if isinstance(planner, Anneal | Rolling):
-        assert job.plan is not None
-        planner.keep(job.plan, job.scenario, job.scenario.draw_layout())
-    return PolicyResult.of(evaluate(planner, job.scenario, job.episodes), job.scenario, planner)
-
-
-def _bound(job: Bounding) -> dict[str, Any]:
-    from uavaou.planners.bound import lower_bound
-
-    bound = lower_bound(job.scenario, job.scenario.draw_layout())
-    return {"bound_s": bound.mean_aou_s, "method": bound.method}

@@ -24,8 +24,8 @@ from uavaou.studies.jobs import (
     Job,
     StoppedEarlyError,
     TakeJob,
+    Tell,
     TrainingReport,
-    perform,
 )
 
 _LOOK_EVERY_S = 0.5
@@ -179,10 +179,10 @@ def prepare(plugins: Sequence[str]) -> None:
         load_plugin(place)
 
 
-def outcome(job: Job, tell: Callable[[TrainingReport], None]) -> Ended:
+def outcome(job: Job, tell: Tell) -> Ended:
     """Perform a job; a failure ends this job alone."""
     try:
-        return Ended(job.key, perform(job, tell))
+        return Ended(job.key, job.perform(tell))
     except StoppedEarlyError:
         return Ended(job.key, None)
     except InputError as problem:

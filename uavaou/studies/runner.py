@@ -37,7 +37,7 @@ from uavaou.studies.study import Study
 
 @dataclass
 class StudyState:
-    """How far a study is, for the display."""
+    """How far a study is."""
 
     total: int  # trainings, planners and bounds
     done: int  # those that have results
@@ -47,6 +47,7 @@ class StudyState:
     left: int = 0  # slots still to be trained
     busy_s: float = 0.0  # how long trainings have been running
     news: list[str] = field(default_factory=list)  # a line for each part that has ended since the display last looked
+    stopped_by: signal.Signals | None = None  # the signal that ended the command early
     _looked: float = field(default_factory=time.monotonic)
 
     @property
@@ -62,21 +63,11 @@ class StudyState:
         self._looked = now
 
 
-@dataclass(frozen=True)
-class StudyOutcome:
-    """How the command ended."""
-
-    done: int
-    total: int
-    failed: dict[PartKey, str]
-    stopped_by: signal.Signals | None
-
-
 def run_study(
     study: Study, out: Path, engine: Engine, show: Callable[[StudyState], None], quiet: bool = False,
     checkpoint_every_s: float | None = None,
-) -> StudyOutcome:  # fmt: skip
-    """Do what is left of a study.
+) -> StudyState:  # fmt: skip
+    """Do what is left of a study; returns how far it is then.
 
     Args:
         study: what is run.
@@ -104,17 +95,12 @@ def run_study(
                     work.end(event)
                 work.state.tick()
                 show(work.state)
-        return StudyOutcome(work.state.done, work.state.total, work.state.failed, interrupts.received)
+        work.state.stopped_by = interrupts.received
+        return work.state
 
 
 class _Work:
-    """The parts of a study that are left to do, and the results of the others.
-
-    Args:
-        study: what is run.
-        out: the folder of all results.
-        checkpoint_every_s: of trainings.
-    """
+    """The parts of a study that are left to do, and the results of the others."""
 
     def __init__(self, study: Study, out: Path, checkpoint_every_s: float | None) -> None:
         self._study = study
@@ -170,16 +156,11 @@ class _Work:
                 return None  # it is being made
         return Playing(key, scenario, self._study.episodes, self._study.planning_seconds, plan)
 
-    def _plan_path(self, scenario: str) -> Path:
-        """Where the annealed plan of a scenario is kept, for all studies."""
+    def _plan_path(self, scenario: str) -> Path:  # for all studies
         return self._out / "planners" / "plans" / f"{scenario_folder(self._study.scenarios[scenario])}.json"
 
     def _saved_plan(self, scenario: str) -> RoutePlan | None:
-        """The plan that is kept for a scenario; None where there is none, or one of less planning.
-
-        Raises:
-            InputError: the file cannot be read.
-        """
+        """The plan that is kept for a scenario; None where there is none, or one of less planning."""
         path = self._plan_path(scenario)
         if not path.is_file():
             return None
@@ -203,21 +184,18 @@ class _Work:
         self.state.running.pop(key, None)
         if key.seed is None:
             self._note_working()
-        if key.variant == PLAN:
-            self._end_plan(event)
-            return
-        if event.result is None:
-            if event.reason:
-                self._fail(key, event.reason)
-            return
         try:
-            self._condense(key, event.result)
+            if key.variant == PLAN:
+                self._end_plan(event)
+            elif event.result is not None:
+                self._condense(key, event.result)
+                self.state.done += 1
+                mean, low, high = self._results.mean(key)
+                self.state.news.append(f"{key}: mean AoU {mean} slots" + (f" ({low} to {high})" if low else ""))
+            elif event.reason:
+                self._fail(key, event.reason)
         except InputError as problem:
             self._fail(key, str(problem))
-            return
-        self.state.done += 1
-        mean, low, high = self._results.mean(key)
-        self.state.news.append(f"{key}: mean AoU {mean} slots" + (f" ({low} to {high})" if low else ""))
 
     def _end_plan(self, event: Ended) -> None:
         waiting = [key for key in self._todo if key.scenario == event.key.scenario and key.variant in ANNEALED]

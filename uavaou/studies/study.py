@@ -1,7 +1,7 @@
 """What a study is: variants of algorithms, scenarios and seeds, and the planners and bounds beside them.
 
-``zoo_configs/studies/*.yaml`` and a user's own files have the fields of ``StudyFile``. :meth:`Study.load` checks them
-and resolves the configuration of every run before anything is trained.
+``zoo_configs/studies/*.yaml`` and a user's own files have the fields of :class:`StudyFile`. :meth:`Study.load` checks
+them and resolves the configuration of every run before anything is trained.
 """
 
 from __future__ import annotations
@@ -10,31 +10,105 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, Field, StrictBool, StrictStr
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, nearest, unknown
-from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou.fields import short, validated
+from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED, MOST_EPISODES
+from uavaou.fields import Positive, PositiveWhole, short, validated
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
 from uavaou.scenario import Scenario
-from uavaou.studies.fields import (
-    JUDGED,
-    MOST_RUNS,
-    ScenarioEntry,
-    StudyFile,
-    StudySettings,
-    VariantEntry,
-    usable_name,
-    validated_entry,
-)
 from uavaou.studies.parts import ANNEALED, BOUND, PartKey
 from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_or_file
 
 SCHEMA = 1  # of study.yaml
+JUDGED = ("mappo", "vdn", "qmix")  # the variants that the paper's claims are about
+_MOST_RUNS = 100_000
+_LONGEST_NAME = 60
 _PLAN_AHEAD = {*ROUTE_PLANNERS, *ANNEALED}
+_Entry = TypeVar("_Entry", bound=BaseModel)
+
+
+# -- the file ------------------------------------------------------------------------------------------
+
+
+def _seeds(value: Any) -> Any:
+    """A number of seeds, or a list of them."""
+    one = isinstance(value, int) and not isinstance(value, bool)
+    seeds = list(range(value)) if one and 0 <= value <= _MOST_RUNS else value
+    if not isinstance(seeds, list) or not seeds or len(seeds) > _MOST_RUNS:
+        raise ValueError("expected a number of seeds, such as 5 for 0 to 4, or a list of them")
+    for seed in seeds:
+        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= LARGEST_SEED:
+            raise ValueError(f"expected whole numbers from 0 to {LARGEST_SEED}, not {short(seed)}")
+    if len(set(seeds)) < len(seeds):
+        twice = next(seed for index, seed in enumerate(seeds) if seed in seeds[:index])
+        raise ValueError(f"seed {twice} stands there twice")
+    return tuple(seeds)
+
+
+def _slots(value: Any) -> Any:
+    if value is None:
+        raise ValueError("expected a number; leave it out for the published budgets")
+    return value
+
+
+def _expecting(kind: type[list[Any]] | type[dict[Any, Any]], example: str) -> BeforeValidator:
+    """Refuse a value of another ``kind`` in the words of a YAML file."""
+    word = "list" if kind is list else "mapping"
+
+    def checked(value: Any) -> Any:
+        if not isinstance(value, kind):
+            raise ValueError(f"expected a {word}, such as {example}")
+        return value
+
+    return BeforeValidator(checked)
+
+
+class StudySettings(BaseModel, frozen=True, extra="forbid"):
+    """The settings that a study's file states as they are."""
+
+    description: StrictStr = ""
+    seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)]  # of the trainings
+    planners: Annotated[list[StrictStr], _expecting(list, "[greedy, random]")] = []  # evaluated on each scenario
+    bound: StrictBool = False  # whether each scenario's certified bound is computed
+    planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of annealing, once a scenario
+    episodes: Annotated[PositiveWhole, Field(le=MOST_EPISODES)] = 100  # missions of the final evaluation
+    reference: StrictStr | None = None  # the variant that the report compares the others with; None: no such table
+    claims: StrictBool = False  # whether the report judges the paper's claims
+
+
+class StudyFile(StudySettings):
+    """A study's file; the entries of ``scenarios`` and ``variants`` are validated one by one."""
+
+    slots: Annotated[PositiveWhole | None, BeforeValidator(_slots)] = None  # of every run; None: as published
+    scenarios: Annotated[list[Any], Field(min_length=1), _expecting(list, "[paper, tiny]")]
+    variants: Annotated[
+        dict[StrictStr, Any], Field(min_length=1), _expecting(dict, "{mappo: {}, vdn: {set: {gamma: 0.9}}}")
+    ]
+
+
+class ScenarioEntry(BaseModel, frozen=True, extra="forbid"):
+    """An entry of ``scenarios`` that changes one or names it."""
+
+    scenario: StrictStr
+    set: Annotated[dict[StrictStr, Any], _expecting(dict, "{uavs: 3, layout_seed: 1}")] = {}
+    name: StrictStr | None = None
+
+
+class VariantEntry(BaseModel, frozen=True, extra="forbid"):
+    """An entry of ``variants``."""
+
+    algorithm: StrictStr | None = None  # None: that of the variant's name
+    set: Annotated[dict[StrictStr, Any], _expecting(dict, "{gamma: 0.9}")] = {}
+    against: StrictStr | None = None  # the variant that the report compares it with, beside the reference
+
+
+# -- the study -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -67,7 +141,7 @@ class Study(StudySettings):
         variants, against = {}, {}
         for name, content in file.variants.items():
             where, stated = f"{path}: variants.{short(name)}", {} if content is None else content
-            entry = validated_entry(VariantEntry, stated, where, "settings of the algorithm")
+            entry = _validated_entry(VariantEntry, stated, where, "settings of the algorithm")
             variants[name] = _variant(name, entry, file.slots, where)
             if entry.against is not None:
                 against[name] = entry.against
@@ -105,9 +179,9 @@ class Study(StudySettings):
         """The run folder of a training below ``out``, the one that ``uavaou train`` would give it."""
         return config_folder(out, run.config)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_yaml(self) -> str:
         """The content of ``study.yaml``: everything resolved."""
-        return {
+        content = {
             "schema": SCHEMA,
             "name": self.name,
             "description": self.description,
@@ -123,34 +197,27 @@ class Study(StudySettings):
             "variants": {name: config.model_dump(mode="json") for name, config in self.variants.items()},
             "scenarios": {name: scenario.to_dict() for name, scenario in self.scenarios.items()},
         }
-
-    def to_yaml(self) -> str:
-        """:meth:`to_dict` as YAML."""
-        return to_yaml(self.to_dict(), width=120)
+        return to_yaml(content, width=120)
 
 
 def _scenario(entry: Any, source: str, path: Path) -> tuple[str, Scenario]:
     """The name in the study and the scenario of an entry: a name, a path, or a mapping that changes a scenario."""
     fields = {"scenario": entry} if isinstance(entry, str) else entry
-    stated = validated_entry(ScenarioEntry, fields, source, "changes of the scenario")
+    stated = _validated_entry(ScenarioEntry, fields, source, "changes of the scenario")
     if "name" in stated.set:
         raise InputError(f"{source}: set.name: write name beside set")
     try:
         beside = path.parent / stated.scenario
         scenario = Scenario.load(beside if stated.scenario.endswith((".yaml", ".yml")) else stated.scenario)
+        changed = ",".join(f"{key}={value}" for key, value in sorted(stated.set.items()))
+        name = stated.name or (f"{scenario.name}+{changed}" if changed else scenario.name)
+        return _usable_name(name, "name"), scenario.replace(**stated.set) if stated.set else scenario
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
-    changed = ",".join(f"{key}={value}" for key, value in sorted(stated.set.items()))
-    name = stated.name or (f"{scenario.name}+{changed}" if changed else scenario.name)
-    try:
-        scenario = scenario.replace(**stated.set) if stated.set else scenario
-    except InputError as error:
-        raise InputError(f"{source}: set: {error}") from None
-    return usable_name(name, f"{source}: name"), scenario
 
 
 def _variant(name: str, stated: VariantEntry, slots: int | None, source: str) -> AlgorithmConfig:
-    usable_name(name, source)
+    _usable_name(name, source)
     if name in PLANNERS or name == BOUND:
         raise InputError(f"{source}: a planner or the bound has that name: choose another")
     if "name" in stated.set:
@@ -172,8 +239,8 @@ def _check_distinct(names: Sequence[str], source: str) -> None:
 
 def _check(study: Study, source: str) -> None:
     """Check the fields against each other."""
-    if len(study.seeds) * len(study.scenarios) * len(study.variants) > MOST_RUNS:
-        raise InputError(f"{source}: more than {MOST_RUNS:,} runs")
+    if len(study.seeds) * len(study.scenarios) * len(study.variants) > _MOST_RUNS:
+        raise InputError(f"{source}: more than {_MOST_RUNS:,} runs")
     if not study.name.isprintable() or study.name.startswith("."):
         raise InputError(f"{source}: the study's name, that of the file, cannot be a folder's")
     for planner in study.planners:
@@ -181,8 +248,19 @@ def _check(study: Study, source: str) -> None:
             raise InputError(f"{source}: planners: {unknown('planner', planner, PLANNERS)}")
     _check_distinct(study.planners, f"{source}: planners")
     _check_comparisons(study, source)
-    _check_layouts(study, source)
-    _check_folders(study, source)
+    planned = [
+        *(["bound: true"] if study.bound else []),
+        *(f"planners: {n}" for n in study.planners if n in _PLAN_AHEAD),
+    ]
+    for name, scenario in study.scenarios.items():
+        if scenario.layout == "resample" and planned:  # plans and bounds are for one layout
+            raise InputError(f"{source}: {planned[0]}: scenario '{name}' draws a new layout for each mission")
+    folders: dict[Path, PartKey] = {}
+    for run in islice(study.runs(), len(study.scenarios) * len(study.variants)):  # those of the first seed
+        same = folders.setdefault(study.folder(Path(), run).path, run.key)
+        if same != run.key:
+            names = " and ".join(f"'{a}' and '{b}'" for a, b in zip(run.key, same, strict=True) if a != b)
+            raise InputError(f"{source}: {names} are the same training under two names: leave one out")
 
 
 def _check_comparisons(study: Study, source: str) -> None:
@@ -207,21 +285,20 @@ def _check_comparisons(study: Study, source: str) -> None:
             raise InputError(f"{source}: claims = True: {expected}{nearest(name, study.variants)} {known}")
 
 
-def _check_layouts(study: Study, source: str) -> None:
-    """Plans and bounds are for one layout."""
-    ahead = [f"planners: {name}" for name in study.planners if name in _PLAN_AHEAD]
-    needy = [*(["bound: true"] if study.bound else []), *ahead]
-    for name, scenario in study.scenarios.items():
-        if scenario.layout == "resample" and needy:
-            raise InputError(f"{source}: {needy[0]}: scenario '{name}' draws a new layout for each mission")
+def _validated_entry(kind: type[_Entry], content: Any, source: str, settings: str) -> _Entry:
+    """Validate an entry of ``scenarios`` or ``variants``; ``settings`` names what belongs below its ``set``."""
+    try:
+        return validated(kind, content, source)
+    except InputError as error:
+        hint = f"; {settings} go below set" if "unknown field" in str(error) else ""
+        raise InputError(f"{error}{hint}") from None
 
 
-def _check_folders(study: Study, source: str) -> None:
-    """Refuse two names for one training."""
-    seen: dict[Path, PartKey] = {}
-    for run in islice(study.runs(), len(study.scenarios) * len(study.variants)):  # those of the first seed
-        path = study.folder(Path(), run).path
-        if path in seen:
-            names = " and ".join(f"'{a}' and '{b}'" for a, b in zip(run.key, seen[path], strict=True) if a != b)
-            raise InputError(f"{source}: {names} are the same training under two names: leave one out")
-        seen[path] = run.key
+def _usable_name(name: str, source: str) -> str:
+    """Refuse a name that cannot name a folder and fill a table cell; returns it."""
+    usable = name.isprintable() and name == name.strip() and not name.startswith(".") and not set(name) & set("/\\")
+    if not usable or not 0 < len(name) <= _LONGEST_NAME:
+        raise InputError(
+            f"{source} = {short(name)}: expected 1 to {_LONGEST_NAME} characters, no slash and no leading dot"
+        )
+    return name
