@@ -175,7 +175,7 @@ def test_results_that_cannot_be_written_are_refused_in_one_line(
     assert main(["study", command, str(out.parent / "mine.yaml"), "--out", str(out)]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert f"cannot write to '{out / 'studies/mine'}'" in said
+    assert f"cannot write '{out / 'studies/mine/configs'}" in said
 
 
 def test_status_and_display_show_jobs_in_progress(

@@ -40,7 +40,7 @@ def statuses(rollout: int, warm_up: int, slow: float, quick: float) -> list[Trai
     ],
 )
 def test_a_rate_is_measured_after_the_first_update(seconds: float, warm_up: int, expected: int) -> None:
-    rate = trial_budget._Rate(seconds)
+    rate = trial_budget._watch_rate(seconds)
     training = statuses(40, warm_up, slow=0.01, quick=0.002)
     with pytest.raises(trial_budget._Measured) as measured:
         list(map(rate, training))
@@ -49,7 +49,7 @@ def test_a_rate_is_measured_after_the_first_update(seconds: float, warm_up: int,
 
 
 def test_a_rollout_longer_than_the_budget_is_no_trial() -> None:
-    rate = trial_budget._Rate(1.0)
+    rate = trial_budget._watch_rate(1.0)
     training = statuses(400, 0, slow=0.01, quick=0.01)
     with pytest.raises(InputError, match=r"one rollout of 400 slots takes 4.0 s of CPU, and a trial has 1 s"):
         list(map(rate, training))

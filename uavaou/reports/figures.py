@@ -162,7 +162,7 @@ class _Scenario:
 
     def _training_figure(self, curves: Mapping[str, list[Table]], measure: Measure) -> Figure:
         """Figures 3 to 6: a measure of the training missions over training."""
-        slots = self._study.slots(self._scenario)
+        slots = self._study.scenarios[self._scenario]["slots"]
         points = {name: [(run["slots"] / slots, run[measure.column]) for run in runs] for name, runs in curves.items()}
         figure, axes = self._measure_figure({name: _line(runs) for name, runs in points.items()}, measure)
         label_training(axes, slots)
@@ -186,16 +186,15 @@ class _Scenario:
                 levels[planner] = interval_over_missions(missions)
         note = f"\nplanners: {OVER_MISSIONS}" if levels else ""
         if scenario in study.bounds and measure.column in ("mean_aou_slots", "reward_s"):
-            reward = -study.slots(scenario) * study.slot_length_s(scenario)  # s, of a mission with a mean AoU of a slot
-            value = study.bounds[scenario] * (reward if measure.column == "reward_s" else 1.0)
+            value = study.bounds[scenario] * (-study.mission_s(scenario) if measure.column == "reward_s" else 1.0)
             levels[BOUND] = Interval(value, np.nan, np.nan)
-        figure, axes = measure_figure(lines, levels, self._looks, measure, study.devices(scenario))
+        figure, axes = measure_figure(lines, levels, self._looks, measure, study.scenarios[scenario]["devices"])
         style.legend_below(figure, axes, f"bands: {over_seeds([line.seeds for line in lines.values()])}{note}")
         return figure, axes
 
     def _execution_figure(self, executed: Mapping[str, list[Table]]) -> Figure:
         """Figure 7: AoU over the slots of a mission."""
-        lines, tau = {}, self._study.slot_length_s(self._scenario)
+        lines, tau = {}, self._study.scenarios[self._scenario]["slot_length_s"]
         for name, runs in executed.items():
             table = self._study.stack("execution", name, self._scenario, "mean_aou_slots")  # (S, K)
             band, alone = band_over_trainings(table), self._alone(name)

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from uavaou.reports.markdown import rounded
 from uavaou.statistics import Interval, ratio_of_trainings
-from uavaou.studies.study import JUDGED
 from uavaou.studies.results import StudyResults
+from uavaou.studies.study import JUDGED
 
 Trainings = Mapping[str, NDArray[np.float64]]  # scenario -> (S,), one value a training; () for an untrained policy
 Verdict = Literal["supported", "partly supported", "not supported", "not measured", "a figure"]

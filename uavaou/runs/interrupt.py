@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -21,6 +23,29 @@ def ignore_repeats() -> None:
     """
     global _repeats_count
     _repeats_count = False
+
+
+def interrupt_at_sigterm() -> None:
+    """From now on, the first SIGTERM raises KeyboardInterrupt in this process, and the next mean nothing."""
+
+    def leave(*_: object) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, leave)
+
+
+@contextmanager
+def children_ignore_ctrl_c() -> Iterator[None]:
+    """Let the processes that the block starts ignore Ctrl-C, which a terminal sends them too: this one passes it on."""
+    if threading.current_thread() is not threading.main_thread():  # Python allows no handlers there
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def was_interrupt(error: SystemError) -> bool:

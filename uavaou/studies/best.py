@@ -12,7 +12,7 @@ from urllib.parse import unquote
 from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import RecordedMission, read_mission, record_mission, write_mission
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou.files import folder_name, replacing
+from uavaou.files import folder_name, replacing, write_text, writing
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.meta import RunMeta
 from uavaou.runs.results import find_evaluation, own_evaluation, write_evaluation
@@ -32,26 +32,21 @@ def keep_best(results: StudyResults, study: Study, out: Path) -> None:
     Raises:
         InputError: the results cannot be written.
     """
-    ranked: dict[tuple[str, str], list[tuple[float, int, StudyRun]]] = {}
-    for run in study.runs():
-        variant, scenario, seed = run.key
-        if run.key in results.parts and (score := results.cell(run.key, "best_slots")):
-            assert seed is not None
-            ranked.setdefault((variant, scenario), []).append((float(score), seed, run))
-    for runs in ranked.values():
-        _keep(results, study, out, min(runs, key=lambda scored: scored[:2])[-1])
-
-
-def _keep(results: StudyResults, study: Study, out: Path, run: StudyRun) -> None:
-    kept = RunFolder(results.folder.best(run.key))
-    try:
-        _copy(results, study.folder(out, run), kept, run, study.episodes)
-        if kept.best.is_file():
-            for other in kept.path.parent.glob("seed-*"):
+    best: dict[tuple[str, str], StudyRun] = {}
+    ranked = [
+        (float(score), run.config.seed, run)
+        for run in study.runs()
+        if run.key in results.parts and (score := results.cell(run.key, "best_slots"))
+    ]
+    for _, _, run in sorted(ranked, key=lambda scored: scored[:2]):
+        best.setdefault(run.key[:2], run)
+    for run in best.values():
+        kept = RunFolder(results.folder.best(run.key))
+        with writing(kept.path):
+            _copy(results, study.folder(out, run), kept, run, study.episodes)
+            for other in kept.path.parent.glob("seed-*") if kept.best.is_file() else ():
                 if other != kept.path:
                     shutil.rmtree(other)
-    except OSError as error:
-        raise InputError(f"cannot write to '{kept.path}': {error.strerror or error}") from error
 
 
 def _copy(results: StudyResults, source: RunFolder, kept: RunFolder, run: StudyRun, episodes: int) -> None:
@@ -69,11 +64,10 @@ def _copy(results: StudyResults, source: RunFolder, kept: RunFolder, run: StudyR
         with replacing(there, "wb") as file:
             file.write(path.read_bytes())
     write_evaluation(kept.evaluation(), own_evaluation(run.config, evaluation), _DIGITS)
-    with replacing(kept.path / "README.md") as file:
-        file.write(model_card(results, run, episodes, meta))
+    write_text(kept.path / "README.md", _model_card(results, run, episodes, meta))
 
 
-def model_card(results: StudyResults, run: StudyRun, episodes: int, meta: RunMeta) -> str:
+def _model_card(results: StudyResults, run: StudyRun, episodes: int, meta: RunMeta) -> str:
     """The model card of a kept run, in Markdown; ``episodes`` are those of its final evaluation."""
     key, scenario, algorithm = run.key, run.config.scenario, run.config.algorithm
     slots, agent_steps, best, mean, low, high, violations = (
@@ -134,7 +128,10 @@ def record_missions(study: Path) -> list[Path]:
         folders = sorted((study / "best" / folder_name(scenario)).glob("*/seed-*"))
         if folders:
             written = [_record_mission(study, RunFolder(folder)) for folder in folders]
-            _remove_others(study, written)
+            shown = read_mission(written[0]).scenario
+            for path in set(study.glob("mission-*.json")) - set(written):  # one figure shows all that are there
+                if read_mission(path).scenario != shown:
+                    path.unlink()
             return written
     return []
 
@@ -147,11 +144,3 @@ def _record_mission(study: Path, run: RunFolder) -> Path:
     path = study / f"mission-{variant}.json"
     write_mission(path, RecordedMission(config.scenario, unquote(variant), config.seed, EVALUATION_SEED, recording))
     return path
-
-
-def _remove_others(study: Path, written: list[Path]) -> None:
-    """Remove an earlier report's recordings of another scenario: one figure shows all that are there."""
-    scenario = read_mission(written[0]).scenario
-    for path in set(study.glob("mission-*.json")) - set(written):
-        if read_mission(path).scenario != scenario:
-            path.unlink()

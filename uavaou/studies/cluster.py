@@ -87,12 +87,13 @@ class Cluster:
                     yield from self._news()
                     self._stop(running)
                 while not asked and len(running) < self._room() and (job := take()) is not None:
-                    problem = self._open(job)
-                    if problem is not None:
-                        yield problem
-                        continue
-                    # The worker chooses a folder of its own.
-                    sent = replace(job, path=Path()) if isinstance(job, Training) else job
+                    sent = job
+                    if isinstance(job, Training):
+                        problem = ray.get(self._keeper.open.remote(job.key, str(job.path.resolve())))
+                        if problem is not None:
+                            yield Ended(job.key, None, problem)
+                            continue
+                        sent = replace(job, path=Path())  # the worker chooses a folder of its own
                     running[perform.remote(sent, self._keeper, self._plugins)] = job
                 if not running:
                     return
@@ -117,13 +118,6 @@ class Cluster:
             if not isinstance(job, Training) or job.key not in self._begun:
                 self._given_up.add(reference)
                 ray.cancel(reference, force=True)
-
-    def _open(self, job: Job) -> Ended | None:
-        """Let the keeper lock a training's folder; returns the failure where it cannot."""
-        if not isinstance(job, Training):
-            return None
-        problem: str | None = ray.get(self._keeper.open.remote(job.key, str(job.path.resolve())))
-        return None if problem is None else Ended(job.key, None, problem)
 
     def _news(self) -> Iterator[Event]:
         reports: dict[PartKey, TrainingReport] = ray.get(self._keeper.news.remote())
@@ -178,31 +172,27 @@ class Keeper:
             stack.enter_context(one_writer(folder))
         except InputError as problem:
             return str(problem)
-        self._open[PartKey(*key)] = folder, stack
+        self._open[key] = folder, stack
         return None
 
     def close(self, key: PartKey) -> None:
         """Unlock a run folder."""
-        _, stack = self._open.pop(PartKey(*key))
+        _, stack = self._open.pop(key)
         stack.close()
 
     def fetch(self, key: PartKey) -> Files:
         """The files of a run folder, from which a worker resumes."""
-        folder, _ = self._open[PartKey(*key)]
-        return files_of(folder.path)
+        folder, _ = self._open[key]
+        return _files_of(folder.path)
 
     def store(self, key: PartKey, files: Files) -> None:
-        """Write files of a run, checkpoints last: they refer to the others."""
-        folder, _ = self._open[PartKey(*key)]
-        for name in sorted(files, key=lambda name: name.startswith("checkpoints/")):
-            path = folder.path / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(path, "wb") as file:
-                file.write(files[name])
+        """Write files of a run."""
+        folder, _ = self._open[key]
+        _write_files(folder.path, files)
 
     def tell(self, key: PartKey, report: TrainingReport) -> bool:
         """Note a training's report; returns whether the training is to stop."""
-        self._reports[PartKey(*key)] = TrainingReport(*report)
+        self._reports[key] = report
         return self._stopping
 
     def news(self) -> dict[PartKey, TrainingReport]:
@@ -215,7 +205,16 @@ class Keeper:
         self._stopping = True
 
 
-def files_of(folder: Path, unless: dict[str, tuple[int, int]] | None = None) -> Files:
+def _write_files(folder: Path, files: Files) -> None:
+    """Write files below a run folder, checkpoints last: they refer to the others."""
+    for name in sorted(files, key=lambda name: name.startswith("checkpoints/")):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path, "wb") as file:
+            file.write(files[name])
+
+
+def _files_of(folder: Path, unless: dict[str, tuple[int, int]] | None = None) -> Files:
     """The files below a run folder whose state differs from that in ``unless``, which is updated."""
     files: Files = {}
     for path in sorted(folder.rglob("*")):
@@ -257,15 +256,12 @@ class _Sender:
     def receive(self) -> None:
         """Fetch the files sent earlier."""
         files: Files = ray.get(self._keeper.fetch.remote(self.job.key))
-        for name, content in files.items():
-            path = self.job.path / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
-        files_of(self.job.path, self._sent)
+        _write_files(self.job.path, files)
+        _files_of(self.job.path, self._sent)
 
     def send(self) -> None:
         """Send the files that have changed."""
-        ray.get(self._keeper.store.remote(self.job.key, files_of(self.job.path, self._sent)))
+        ray.get(self._keeper.store.remote(self.job.key, _files_of(self.job.path, self._sent)))
 
     def tell(self, report: TrainingReport) -> None:
         """Send a new checkpoint and the report, and stop where the study asks for it."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from uavaou.csv_tables import number, read_csv
 from uavaou.errors import InputError
@@ -52,11 +52,7 @@ def gather(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey, str]]:
 
 
 def update_results(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey, str]]:
-    """:func:`gather`, and write the results; parts whose run folders are elsewhere keep their rows.
-
-    Raises:
-        InputError: as :func:`gather`, or the results cannot be written.
-    """
+    """:func:`gather`, and write the results; parts whose run folders are elsewhere keep their rows."""
     results, problems = gather(study, out)
     results.write(study)
     keep_best(results, study, out)
@@ -81,7 +77,7 @@ def refuse_another(study: Study, results: StudyResults) -> None:
     if stated is not None and stated != wanted and any(key.variant in PLANNED for key in results.parts):
         raise InputError(f"{where} planners with planning_seconds = {stated!r}, not {wanted!r}: {advice}")
     configs = {run.key: run.config for run in study.runs()}
-    planner_parts = set(study.planner_parts())
+    planner_parts, scenarios = set(study.planner_parts()), held.get("scenarios") or {}
     for key in results.parts:
         if key in configs:
             path = results.folder.config(key)
@@ -89,37 +85,27 @@ def refuse_another(study: Study, results: StudyResults) -> None:
                 raise InputError(f"{where} {key.variant} on {key.scenario} with other settings: {advice}")
         elif key not in planner_parts:
             raise InputError(f"{where} {key}, which the study lacks: {advice}")
-        elif not _same_scenario(held, study, key.scenario):
+        elif scenarios.get(key.scenario) != study.scenarios[key.scenario].to_dict():
             raise InputError(f"{where} {key.variant} on another scenario of the name {key.scenario}: {advice}")
-
-
-def _same_scenario(held: Mapping[str, Any], study: Study, name: str) -> bool:
-    scenarios = held.get("scenarios")
-    wanted = yaml.safe_load(yaml.safe_dump(study.scenarios[name].to_dict()))
-    return isinstance(scenarios, dict) and scenarios.get(name) == wanted
 
 
 # -- a training ----------------------------------------------------------------------------------------
 
 
 def trained_so_far(folder: RunFolder) -> tuple[int, float]:
-    """How far a run's training is, while it may be writing: slots, and slots a second; 0 where there is nothing."""
-    try:
-        with folder.episodes.open("rb") as file:
-            file.seek(max(file.seek(0, 2) - 4096, 0))
-            lines = file.read().decode("utf-8", "replace").split("\n")
-        _, slots, wall_s, *_ = lines[-2].split(",")  # the last line is incomplete, or empty
-        return int(slots), int(slots) / float(wall_s)
-    except (OSError, ValueError, IndexError, ZeroDivisionError):
-        return 0, 0.0
+    """How far a run's training is, while it may be writing: slots, and slots a second; 0 where there is nothing.
 
-
-def trained_slots(folder: RunFolder) -> int:
-    """How many slots a run has trained, by its last finished mission or its last checkpoint."""
-    try:
-        return max(trained_so_far(folder)[0], folder.read_meta().slots)
-    except InputError:
-        return trained_so_far(folder)[0]
+    The slots are those of the last finished mission or of the last checkpoint.
+    """
+    slots, rate = 0, 0.0
+    with suppress(OSError, ValueError, IndexError, ZeroDivisionError), folder.episodes.open("rb") as file:
+        file.seek(max(file.seek(0, 2) - 4096, 0))
+        lines = file.read().decode("utf-8", "replace").split("\n")
+        _, trained, wall_s, *_ = lines[-2].split(",")  # the last line is incomplete, or empty
+        slots, rate = int(trained), int(trained) / float(wall_s)
+    with suppress(InputError):
+        slots = max(slots, folder.read_meta().slots)
+    return slots, rate
 
 
 def is_trained(folder: RunFolder, run: StudyRun) -> bool:

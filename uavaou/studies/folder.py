@@ -8,7 +8,7 @@ from pathlib import Path
 
 from uavaou.csv_tables import read_csv, write_csv
 from uavaou.errors import InputError
-from uavaou.files import PathIn, folder_name
+from uavaou.files import PathIn, folder_name, writing
 from uavaou.runs.lock import holder
 from uavaou.studies.parts import PartKey, part_keys
 
@@ -52,11 +52,7 @@ class StudyFolder:
         return dict(zip(part_keys(table), table.text("reason"), strict=True))
 
     def write_failures(self, failures: dict[PartKey, str]) -> None:
-        """Keep why parts failed, for ``uavaou study status``.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Keep why parts failed, for ``uavaou study status``."""
         _write_or_remove(self.failures, _FAILURES, [(*key, reason) for key, reason in failures.items()])
 
     def read_working(self) -> set[PartKey]:
@@ -70,11 +66,7 @@ class StudyFolder:
         return {PartKey(variant, scenario) for variant, scenario in rows}
 
     def write_working(self, keys: Iterable[PartKey]) -> None:
-        """Keep which plans, planners and bounds are in progress, for ``uavaou study status``.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Keep which plans, planners and bounds are in progress, for ``uavaou study status``."""
         _write_or_remove(self.working, _WORKING, [[key.variant, key.scenario] for key in keys])
 
 
@@ -83,7 +75,5 @@ def _write_or_remove(path: Path, columns: Sequence[str], rows: Sequence[Sequence
     if rows:
         write_csv(path, columns, rows)
         return
-    try:
+    with writing(path):
         path.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot remove '{path}': {error.strerror or error}") from error

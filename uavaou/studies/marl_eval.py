@@ -53,14 +53,14 @@ def _seeds(study: StudyResults, variant: str, task: str) -> list[int]:
 
 def _run(study: StudyResults, key: PartKey, steps: int) -> dict[str, Any]:
     validation, missions = (study.table(name, *key) for name in ("validation", "missions"))
-    of_one_slot = -study.slots(key.scenario) * study.slot_length_s(key.scenario)  # s, the reward where mean AoU is tau
+    mission_s = study.mission_s(key.scenario)
     content: dict[str, Any] = {}
     for step in range(steps):
         aou = float(validation["mean_aou_slots"][step])
         content[f"step_{step}"] = {
             "step_count": int(validation["slots"][step]),
             "elapsed_time": float(validation["wall_s"][step]),
-            "return": [of_one_slot * aou],
+            "return": [-mission_s * aou],
             "mean_aou_slots": [aou],
         }
     content["absolute_metrics"] = {

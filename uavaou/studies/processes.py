@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from uavaou.errors import InputError
-from uavaou.runs.interrupt import was_interrupt
+from uavaou.runs.interrupt import children_ignore_ctrl_c, ignore_repeats, interrupt_at_sigterm, was_interrupt
 from uavaou.studies.jobs import (
     Advanced,
     Ended,
@@ -65,8 +65,10 @@ class Processes:
                     workers.append(self._start(job))
                 if not workers:
                     return
-                if asked:
-                    _ask_to_stop(workers)
+                for worker in workers if asked else ():
+                    if not worker.asked:
+                        worker.asked = True
+                        worker.process.terminate()
                 wait([worker.process.sentinel if worker.last else worker.pipe for worker in workers], _LOOK_EVERY_S)
                 for worker in list(workers):
                     yield from _heard(worker)
@@ -81,27 +83,12 @@ class Processes:
 
     def _start(self, job: Job) -> _Worker:
         ours, theirs = self._context.Pipe(duplex=False)
-        arguments = (job, theirs, self._plugins)
         # Not a daemon: a training may have processes of its own, for its missions.
-        process = self._context.Process(target=_work, args=arguments)
-        terminal = signal.getsignal(signal.SIGINT)
-        in_main = threading.current_thread() is threading.main_thread()
-        if in_main:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: this process passes Ctrl-C on
-        try:
+        process = self._context.Process(target=_work, args=(job, theirs, self._plugins))
+        with children_ignore_ctrl_c():
             process.start()
-        finally:
-            if in_main:
-                signal.signal(signal.SIGINT, terminal)
         theirs.close()
         return _Worker(job, process, ours)
-
-
-def _ask_to_stop(workers: Sequence[_Worker]) -> None:
-    for worker in workers:
-        if not worker.asked:
-            worker.asked = True
-            worker.process.terminate()
 
 
 def _heard(worker: _Worker) -> Iterator[Event]:
@@ -136,7 +123,7 @@ def _ended(worker: _Worker) -> Ended:
 def _work(job: Job, pipe: Connection, plugins: Sequence[str]) -> None:
     """The main function of a child process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _leave)
+    interrupt_at_sigterm()
     threading.Thread(target=_follow_parent, daemon=True).start()
 
     def send(event: TrainingReport | Ended) -> None:
@@ -153,11 +140,6 @@ def _work(job: Job, pipe: Connection, plugins: Sequence[str]) -> None:
         pipe.close()
 
 
-def _leave(*_: object) -> None:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough
-    raise KeyboardInterrupt
-
-
 def _follow_parent() -> None:
     """Stop with a last checkpoint when the study's own process has been killed."""
     parent = multiprocessing.parent_process()
@@ -171,7 +153,6 @@ def prepare(plugins: Sequence[str]) -> None:
     import torch as th
 
     from uavaou.algorithms.registry import load_plugin
-    from uavaou.runs.interrupt import ignore_repeats
 
     ignore_repeats()
     th.set_num_threads(1)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from uavaou.csv_tables import CsvTable, number, read_csv, write_csv
 from uavaou.errors import InputError
-from uavaou.files import replacing
+from uavaou.files import write_text
 from uavaou.runs.folder import RunConfig
 from uavaou.statistics import interval_over_missions
 from uavaou.studies.folder import StudyFolder
@@ -135,17 +135,9 @@ class StudyResults:
                     raise InputError(f"{where} = {value!r}: expected a number above 0")
         return {name: fields for name, fields in stated.items() if name in found}
 
-    def slots(self, scenario: str) -> int:
-        """K."""
-        return int(self.scenarios[scenario]["slots"])
-
-    def slot_length_s(self, scenario: str) -> float:
-        """tau, in s."""
-        return float(self.scenarios[scenario]["slot_length_s"])
-
-    def devices(self, scenario: str) -> int:
-        """I."""
-        return int(self.scenarios[scenario]["devices"])
+    def mission_s(self, scenario: str) -> float:
+        """The length of a mission, K tau, in s: minus its reward where the mean AoU is one slot."""
+        return float(self.scenarios[scenario]["slots"] * self.scenarios[scenario]["slot_length_s"])
 
     def table(
         self, name: str, variant: str | None = None, scenario: str | None = None, seed: int | None = None
@@ -233,16 +225,10 @@ class StudyResults:
             InputError: they cannot be written.
         """
         parts = [self.parts[key] for key in study.table_order() if key in self.parts]
-        try:
-            self.folder.path.mkdir(parents=True, exist_ok=True)
-            for key, config in self._new_configs.items():
-                path = self.folder.config(key)
-                path.parent.mkdir(parents=True, exist_ok=True)
-                _write_text(path, config.to_yaml())
-            self._new_configs.clear()
-            _write_text(self.folder.study, "# The study as resolved: every setting of every run.\n" + study.to_yaml())
-        except OSError as error:
-            raise InputError(f"cannot write to '{self.folder.path}': {error.strerror or error}") from error
+        for key, config in self._new_configs.items():
+            write_text(self.folder.config(key), config.to_yaml())
+        self._new_configs.clear()
+        write_text(self.folder.study, "# The study as resolved: every setting of every run.\n" + study.to_yaml())
         for name, columns in COLUMNS.items():
             write_csv(self.folder.table(name), columns, (row for part in parts for row in part.get(name, [])))
 
@@ -293,13 +279,9 @@ def _read(folder: StudyFolder, names: Sequence[str]) -> StudyResults:
         for key, row in zip(part_keys(table), table.rows, strict=True):
             parts.setdefault(key, {}).setdefault(name, []).append(row)
     settings = read_yaml_mapping(folder.study) if folder.study.is_file() else {}
-    return StudyResults(folder, settings, {key: rows for key, rows in parts.items() if _is_whole(key, rows)})
-
-
-def _is_whole(key: PartKey, rows: Rows) -> bool:
-    """Whether a part was not cut off while it was written: its last table has rows of it."""
-    last = "runs" if key.seed is not None else "bounds" if key.variant == BOUND else "missions"
-    return last in rows
+    last = {key: "runs" if key.seed is not None else "bounds" if key.variant == BOUND else "missions" for key in parts}
+    # A part without rows in its last table was cut off while it was written.
+    return StudyResults(folder, settings, {key: rows for key, rows in parts.items() if last[key] in rows})
 
 
 def study_folders(results: Path) -> list[Path]:
@@ -331,8 +313,3 @@ def _column(table: CsvTable, name: str) -> NDArray[Any]:
 
 def _mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
-
-
-def _write_text(path: Path, text: str) -> None:
-    with replacing(path) as file:
-        file.write(text)

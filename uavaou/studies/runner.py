@@ -17,7 +17,7 @@ from uavaou.runs.interrupt import Interrupts
 from uavaou.runs.lock import only_writer
 from uavaou.runs.results import PolicyResult
 from uavaou.studies.best import keep_best
-from uavaou.studies.condense import bound_rows, condense_run, evaluation_rows, trained_slots, update_results
+from uavaou.studies.condense import bound_rows, condense_run, evaluation_rows, trained_so_far, update_results
 from uavaou.studies.folder import StudyFolder
 from uavaou.studies.jobs import (
     Advanced,
@@ -111,7 +111,8 @@ class _Work:
         self._plans: dict[str, RoutePlan | None] = {}  # by scenario; None: being made
         order = study.work_order()
         self._todo = todo = [key for key in order if key not in self._results.parts]
-        self._trained = {key: trained_slots(study.folder(out, self._runs[key])) for key in todo if key in self._runs}
+        folders = {key: study.folder(out, self._runs[key]) for key in todo if key in self._runs}
+        self._trained = {key: trained_so_far(folder)[0] for key, folder in folders.items()}
         self.state = StudyState(len(order), len(order) - len(todo), left=sum(map(self._slots_left, self._trained)))
         self._results.folder.write_failures({})
         self._note_working()  # none yet: a note that is there is of a killed command

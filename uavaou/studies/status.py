@@ -7,7 +7,7 @@ from pathlib import Path
 
 from uavaou.errors import InputError
 from uavaou.runs.lock import holder
-from uavaou.studies.condense import is_trained, refuse_another, trained_slots, trained_so_far
+from uavaou.studies.condense import is_trained, refuse_another, trained_so_far
 from uavaou.studies.folder import StudyFolder
 from uavaou.studies.parts import ANNEALED, PLAN, PartKey
 from uavaou.studies.results import StudyResults, read_begun
@@ -31,7 +31,7 @@ class PartStatus:
     state: str
     slots: int | None = None
     budget: int | None = None
-    rate: float | None = None
+    rate: float = 0.0
     detail: str = ""
 
 
@@ -66,9 +66,9 @@ def _run_status(
     key, folder, budget = run.key, study.folder(out, run), run.config.algorithm.slots
     if key in results.parts:
         return PartStatus(key, "finished", int(results.cell(key, "slots")), budget)
-    slots, by = trained_slots(folder), holder(folder.lock)
+    (slots, rate), by = trained_so_far(folder), holder(folder.lock)
     if by is not None:
-        return PartStatus(key, "running", slots, budget, trained_so_far(folder)[1] or None, by)
+        return PartStatus(key, "running", slots, budget, rate, by)
     try:
         trained = is_trained(folder, run)
     except InputError as problem:
@@ -80,7 +80,7 @@ def _run_status(
 
 def seconds_left(parts: list[PartStatus]) -> float | None:
     """Until the trainings of a study end at the rate of those that run now; None where none does."""
-    rate = sum(part.rate or 0.0 for part in parts)
+    rate = sum(part.rate for part in parts)
     left = sum(
         max((part.budget or 0) - (part.slots or 0), 0) for part in parts if part.state not in ("finished", "failed")
     )

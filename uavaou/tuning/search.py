@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.csv_tables import write_csv
 from uavaou.errors import InputError
 from uavaou.fields import Positive, PositiveWhole, validated
-from uavaou.files import PathIn, replacing, writing
+from uavaou.files import PathIn, write_text, writing
 from uavaou.runs.folder import ConfigFile, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.tuning.search_space import SearchSpace
@@ -72,7 +72,7 @@ class Search:
 
     def to_yaml(self) -> str:
         """The content of ``search.yaml``."""
-        content = {
+        return to_yaml({
             "schema": SCHEMA,
             "seed": self.seed,
             "budget": {"slots": self.slots} if self.seconds is None else {"seconds": self.seconds},
@@ -80,14 +80,11 @@ class Search:
             "first": [dict(values) for values in self.first],
             "algorithm": self.algorithm.model_dump(mode="json"),
             "scenario": self.scenario.to_dict(),
-        }
-        return to_yaml(content)
+        })  # fmt: skip
 
 
-class _Budget(BaseModel):
+class _Budget(BaseModel, extra="forbid"):
     """Of a trial: seconds or slots, one of them."""
-
-    model_config = ConfigDict(extra="forbid")
 
     seconds: Positive | None = None
     slots: PositiveWhole | None = None
@@ -153,8 +150,7 @@ class SearchFolder:
             return
         with writing(self.path):
             self.trial(0).path.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(self.config) as file:
-                file.write(search.to_yaml())
+            write_text(self.config, search.to_yaml())
 
 
 @dataclass(frozen=True)
@@ -189,13 +185,12 @@ def write_results(folder: SearchFolder, search: Search, records: Sequence[TrialR
     write_csv(folder.table, columns, [_row(record, varied) for record in records if record.state != "waiting"])
     for record in ranked(records)[:1]:
         settings = search.settings(search.space.restored(record.values)).model_dump(mode="json")
-        with replacing(folder.best) as file:
-            file.write(
-                f"# The best of a search on '{search.scenario.name}', trial {record.number}: mean AoU "
-                f"{record.score:.6g} s on the validation missions\n"
-                f"# after {record.slots:,} slots. The budget below is not the trial's, but a training's of its own.\n"
-                + to_yaml(settings, default_flow_style=None)
-            )
+        text = (
+            f"# The best of a search on '{search.scenario.name}', trial {record.number}: mean AoU {record.score:.6g} s "
+            f"on the validation missions\n"
+            f"# after {record.slots:,} slots. The budget below is not the trial's, but a training's of its own.\n"
+        )
+        write_text(folder.best, text + to_yaml(settings, default_flow_style=None))
 
 
 def _row(record: TrialRecord, varied: Sequence[str]) -> list[Any]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.errors import InputError, nearest, unknown
@@ -27,10 +27,8 @@ if TYPE_CHECKING:
 RESERVED = ("name", "slots", "evaluate_every_slots", "processes")
 
 
-class Dimension(BaseModel):
+class Dimension(BaseModel, frozen=True, extra="forbid"):
     """The values of one field."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     @abstractmethod
     def suggest(self, trial: Trial, field: str) -> Any:

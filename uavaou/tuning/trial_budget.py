@@ -17,10 +17,7 @@ from uavaou.runs.recorder import AfterUpdate, TrainingStatus
 from uavaou.runs.train import train
 from uavaou.tuning.search import Search
 
-_PROBE_SHARE, _LEAST_PROBE_S = (
-    0.05,
-    1.0,
-)  # how long a rate is measured, of a trial's seconds
+_PROBE_SHARE, _LEAST_PROBE_S = 0.05, 1.0  # how long a rate is measured: of a trial's seconds, s
 _OVERSHOOT = 1.1  # settings are refused where the first rollout takes this many times a trial's seconds
 
 
@@ -38,7 +35,7 @@ def affordable_slots(search: Search, values: dict[str, Any]) -> int:
         InputError: the settings cannot be trained, or their first rollout takes more than the seconds.
     """
     assert search.seconds is not None
-    return _probe(search, values, _Rate(search.seconds))
+    return _probe(search, values, _watch_rate(search.seconds))
 
 
 def warm_up(search: Search) -> None:
@@ -65,34 +62,29 @@ def _probe(search: Search, values: dict[str, Any], watch: AfterUpdate) -> int:
     raise KeyboardInterrupt  # the only other end of a training without a budget
 
 
-class _Rate:
-    """Watches a training until its rate is known, then raises :class:`_Measured`.
+def _watch_rate(seconds: float) -> AfterUpdate:
+    """What watches a training until its rate is known, and then raises :class:`_Measured`.
 
     The rate is measured after the first update: before it, a learner with a replay buffer is faster.
     """
+    rollout = 0  # slots
+    first: TrainingStatus | None = None  # after the first update
 
-    def __init__(self, seconds: float) -> None:
-        self._seconds = seconds
-        self._rollout = 0  # slots
-        self._first: TrainingStatus | None = None  # after the first update
-
-    def __call__(self, status: TrainingStatus) -> None:
-        self._rollout = self._rollout or status.slots
-        if status.cpu_s >= self._seconds:
-            self._stop(status)
-        if self._first is None:
-            self._first = status if status.updates else None
-            return
-        spent = status.cpu_s - self._first.cpu_s
-        if spent >= max(_PROBE_SHARE * self._seconds, min(_LEAST_PROBE_S, self._seconds / 4)):
-            rate = (status.slots - self._first.slots) / spent
-            slots = self._first.slots + rate * (self._seconds - self._first.cpu_s)
-            raise _Measured(max(int(slots / self._rollout), 1) * self._rollout)
-
-    def _stop(self, status: TrainingStatus) -> None:
-        if status.slots == self._rollout and status.cpu_s > _OVERSHOOT * self._seconds:
+    def watch(status: TrainingStatus) -> None:
+        nonlocal rollout, first
+        rollout = rollout or status.slots
+        if status.cpu_s > _OVERSHOOT * seconds and status.slots == rollout:
             raise InputError(
-                f"one rollout of {status.slots:,} slots takes {status.cpu_s:.1f} s of CPU, and a trial has "
-                f"{self._seconds:g} s"
+                f"one rollout of {rollout:,} slots takes {status.cpu_s:.1f} s of CPU, and a trial has {seconds:g} s"
             )
-        raise _Measured(status.slots)
+        if status.cpu_s >= seconds:
+            raise _Measured(status.slots)
+        if first is None:
+            first = status if status.updates else None
+            return
+        spent = status.cpu_s - first.cpu_s
+        if spent >= max(_PROBE_SHARE * seconds, min(_LEAST_PROBE_S, seconds / 4)):
+            slots = first.slots + (status.slots - first.slots) / spent * (seconds - first.cpu_s)
+            raise _Measured(max(int(slots / rollout), 1) * rollout)
+
+    return watch

@@ -1,8 +1,7 @@
 """Hyperparameter search on Optuna: trials of an ordinary training each, by as many processes as join.
 
 Processes share a journal file and two kinds of locks, which the operating system lifts when a process dies:
-what it was playing is then tried again. Trials are compared at equal fractions of their budgets, and a
-budget of CPU seconds becomes slots by a short training before each trial, so that every schedule ends with it.
+what it was playing is then tried again. Trials are compared at equal fractions of their budgets.
 """
 
 from __future__ import annotations
@@ -24,6 +23,7 @@ import torch as th
 from uavaou.algorithms.registry import load_plugin
 from uavaou.errors import InputError
 from uavaou.runs.folder import RunConfig
+from uavaou.runs.interrupt import children_ignore_ctrl_c, interrupt_at_sigterm
 from uavaou.runs.recorder import TrainingStatus
 from uavaou.runs.train import train
 from uavaou.tuning.search import REPORTS, Search, SearchFolder, TrialRecord, write_results
@@ -38,13 +38,7 @@ try:
 except ModuleNotFoundError as error:
     raise InputError(f"tuning needs Optuna, and '{error.name}' is not installed: pip install 'uavaou[tune]'") from None
 
-_STUDY = "uavaou"
-_STATES = {
-    TrialState.COMPLETE: "complete",
-    TrialState.PRUNED: "pruned",
-    TrialState.RUNNING: "running",
-    TrialState.WAITING: "waiting",
-}
+_STATES = {state: state.name.lower() for state in TrialState if state is not TrialState.FAIL}
 _STARTUP_TRIALS = 6  # drawn at random before the sampler learns from them
 # Learning curves cross early, and a learning rate that falls to the end pays late: nothing is pruned before
 # three trials were played to the end, nor in the first third of a trial.
@@ -79,16 +73,22 @@ def run_search(
     context = multiprocessing.get_context("spawn")  # torch's threads do not survive a fork
     arguments = (folder.path, trials, list(plugins))
     workers = [context.Process(target=_worker, args=arguments, daemon=True) for _ in range(jobs)]
-    terminal = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is for this process to pass on
-    for worker in workers:
-        worker.start()
-    signal.signal(signal.SIGINT, terminal)
+    with children_ignore_ctrl_c():
+        for worker in workers:
+            worker.start()
     try:
         while alive := [worker.sentinel for worker in workers if worker.is_alive()]:
             wait(alive, _LOOK_EVERY_S)
             show(_records(study))
-    except KeyboardInterrupt:
-        _interrupt(workers)
+    except KeyboardInterrupt:  # the workers give their trials back where there is time
+        for worker in workers:
+            if worker.is_alive():
+                worker.terminate()
+        deadline = time.monotonic() + _PATIENCE_S
+        for worker in workers:
+            worker.join(max(deadline - time.monotonic(), 0.0))
+            if worker.is_alive():
+                worker.kill()
         raise
     for code in (worker.exitcode for worker in workers):
         if code is not None and code < 0:
@@ -100,26 +100,9 @@ def run_search(
     return _records(study)
 
 
-def _interrupt(workers: Sequence[Any]) -> None:
-    """End the workers, which give their trials back where there is time."""
-    for worker in workers:
-        if worker.is_alive():
-            worker.terminate()
-    deadline = time.monotonic() + _PATIENCE_S
-    for worker in workers:
-        worker.join(max(deadline - time.monotonic(), 0.0))
-        if worker.is_alive():
-            worker.kill()
-
-
 def _worker(path: Path, trials: int, plugins: Sequence[str]) -> None:
     """What a worker process runs; asked to end, it gives back what it was playing."""
-
-    def end(*_: object) -> None:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough
-        raise KeyboardInterrupt
-
-    signal.signal(signal.SIGTERM, end)
+    interrupt_at_sigterm()
     th.set_num_threads(1)
     try:
         for place in plugins:
@@ -147,7 +130,7 @@ def _study(folder: SearchFolder) -> optuna.Study:
     pruner = optuna.pruners.MedianPruner(_PRUNE_AFTER_TRIALS, _PRUNE_AFTER_REPORTS)
     with FileLock(folder.lock):
         storage = JournalStorage(JournalFileBackend(str(folder.journal)))
-        return optuna.create_study(storage=storage, study_name=_STUDY, pruner=pruner, load_if_exists=True)
+        return optuna.create_study(storage=storage, study_name="uavaou", pruner=pruner, load_if_exists=True)
 
 
 def _claim(
@@ -194,9 +177,20 @@ def _play(folder: SearchFolder, search: Search, study: optuna.Study, trial: Tria
     run = folder.trial(trial.number)
     try:
         slots = search.slots or affordable_slots(search, values)
-        watch = _Watch(trial, slots)
+
+        def report(status: TrainingStatus) -> None:
+            """Report an evaluation to Optuna, by the tenth of the budget; end the training where Optuna prunes it."""
+            if not status.evaluated or status.best_score is None:
+                return
+            tenth = min(status.slots * REPORTS // slots, REPORTS)
+            trial.report(status.best_score, tenth)
+            for name in ("slots", "cpu_s", "best_score", "best_action"):
+                trial.set_user_attr(name, getattr(status, name))
+            if tenth < REPORTS and trial.should_prune():
+                raise optuna.TrialPruned
+
         config = RunConfig(search.scenario, search.settings(values, slots), search.seed)
-        outcome = train(config, run, device="cpu", after_update=watch, checkpoint_every_s=math.inf)
+        outcome = train(config, run, device="cpu", after_update=report, checkpoint_every_s=math.inf)
         if outcome.stopped_by is not None:
             raise KeyboardInterrupt
         study.tell(trial, outcome.progress.best_score)
@@ -213,38 +207,17 @@ def _play(folder: SearchFolder, search: Search, study: optuna.Study, trial: Tria
         checkpoint.unlink(missing_ok=True)
 
 
-class _Watch:
-    """Reports a training's evaluations to Optuna, by the tenth of the budget, and ends it where Optuna prunes it."""
-
-    def __init__(self, trial: Trial, slots: int) -> None:
-        self._trial = trial
-        self._slots = slots
-
-    def __call__(self, status: TrainingStatus) -> None:
-        if not status.evaluated or status.best_score is None:
-            return
-        tenth = min(status.slots * REPORTS // self._slots, REPORTS)
-        self._trial.report(status.best_score, tenth)
-        for name in ("slots", "cpu_s", "best_score", "best_action"):
-            self._trial.set_user_attr(name, getattr(status, name))
-        if tenth < REPORTS and self._trial.should_prune():
-            raise optuna.TrialPruned
-
-
 def _records(study: optuna.Study) -> list[TrialRecord]:
-    return [_record(trial) for trial in study.get_trials(deepcopy=False)]
-
-
-def _record(trial: FrozenTrial) -> TrialRecord:
-    known = trial.user_attrs
-    failed = "failed" if "reason" in known else "interrupted"
-    return TrialRecord(
-        number=trial.number,
-        state=_STATES.get(trial.state, failed),
-        score=known.get("best_score"),
-        action=known.get("best_action"),
-        slots=known.get("slots"),
-        cpu_s=known.get("cpu_s"),
-        reason=known.get("reason", ""),
-        values=dict(trial.params),
-    )
+    return [
+        TrialRecord(
+            number=trial.number,
+            state=_STATES.get(trial.state, "failed" if "reason" in trial.user_attrs else "interrupted"),
+            score=trial.user_attrs.get("best_score"),
+            action=trial.user_attrs.get("best_action"),
+            slots=trial.user_attrs.get("slots"),
+            cpu_s=trial.user_attrs.get("cpu_s"),
+            reason=trial.user_attrs.get("reason", ""),
+            values=dict(trial.params),
+        )
+        for trial in study.get_trials(deepcopy=False)
+    ]
