@@ -29,9 +29,8 @@ def evaluate_suite(
 ) -> None:  # fmt: skip
     """Play a suite, print its table, and write the files; without policies, print what it needs."""
     from uavaou.scenario import Scenario
-    from uavaou.suites.play import plan_suite, play_suite
+    from uavaou.suites.play import plan_suite, play_suite, write_suite
     from uavaou.suites.suite import Suite
-    from uavaou.suites.table import write_suite
 
     suite = Suite.load(name)
     base = overrides.of_scenario(Scenario.load(scenario or suite.scenario))

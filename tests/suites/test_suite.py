@@ -10,8 +10,9 @@ import pytest
 
 from tests.suites.small_suites import GOOD, POINT
 from uavaou.errors import InfeasibleError, InputError
+from uavaou.runs.folder import name_with
 from uavaou.scenario import Scenario
-from uavaou.suites.suite import Suite, resolve_points, suite_name
+from uavaou.suites.suite import Suite, resolve_points
 from uavaou.zoo import zoo_names
 
 
@@ -117,7 +118,6 @@ def test_points_without_a_link_name_the_constraint() -> None:
 
 
 def test_changes_are_part_of_the_name() -> None:
-    suite = Suite.load("fading")
-    assert suite_name(suite, {}) == "fading"
-    assert suite_name(suite, {"scenario": "tiny", "area_x_m": "1/2"}) == "fading+area_x_m=1%2F2,scenario=tiny"
-    assert len(suite_name(suite, {"cds_m": "[" * 300})) < 200
+    assert name_with("fading", {}) == "fading"
+    assert name_with("fading", {"scenario": "tiny", "area_x_m": "1/2"}) == "fading+area_x_m=1%2F2,scenario=tiny"
+    assert len(name_with("fading", {"cds_m": "[" * 300})) < 200

@@ -15,9 +15,8 @@ from uavaou.errors import InputError
 from uavaou.planners import make_planner
 from uavaou.reports import style
 from uavaou.reports.suites import plot_suite, read_suite
-from uavaou.suites.play import plan_suite, play_suite
+from uavaou.suites.play import plan_suite, play_suite, write_suite
 from uavaou.suites.suite import Suite
-from uavaou.suites.table import write_suite
 
 
 def test_a_table_is_drawn(capsys: pytest.CaptureFixture[str], place: Path) -> None:

@@ -256,10 +256,13 @@ def _differences(base: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str
 
 
 def _folder_name(base: str, overrides: Mapping[str, str]) -> str:
-    parts = [quote(base, safe=" ~")]
-    if overrides:
-        parts.append(",".join(f"{key}={quote(value, safe='.-_')}" for key, value in sorted(overrides.items())))
-    name = "+".join(parts)
+    return name_with(quote(base, safe=" ~"), overrides)
+
+
+def name_with(base: str, changes: Mapping[str, str]) -> str:
+    """A name for files, with the changed fields and their values, such as ``paper+layout_seed=1,uavs=2``."""
+    parts = [f"{key}={quote(value, safe='.-_')}" for key, value in sorted(changes.items())]
+    name = f"{base}+{','.join(parts)}" if parts else base
     if len(name) > _LONGEST_NAME:  # file systems end at 255 bytes
         name = f"{name[:_LONGEST_NAME]}~{hashlib.sha256(name.encode()).hexdigest()[:12]}"
     return name

@@ -64,7 +64,8 @@ def name_runs(configs: Mapping[Path, RunConfig], suite: Suite) -> list[SuiteRun]
         configs: by run folder.
         suite: which the runs are to fly.
     """
-    apart = {*_BUDGET, *(["observation"] if suite.varies_observation else [])}
+    varied = any(point.observation for point in suite.points)
+    apart = {*_BUDGET, *(["observation"] if varied else [])}
     settings = {
         path: {k: v for k, v in config.algorithm.model_dump(mode="json").items() if k not in apart}
         for path, config in configs.items()
@@ -192,11 +193,6 @@ def differences(one: Scenario, other: Scenario) -> dict[str, tuple[Any, Any]]:
     return {k: (a.get(k), b.get(k)) for k in a | b if a.get(k) != b.get(k) and k not in ("name", "description")}
 
 
-def all_missing(points: Iterable[ResolvedPoint], policy: str) -> list[Assignment]:
-    """Every feasible point, with no run of ``policy`` to fly it."""
-    return [Assignment(point, policy, (), None) for point in points if point.scenario]
-
-
 def missing_trainings(
     assignments: Sequence[Assignment], runs: Sequence[SuiteRun], source: str, base: Scenario
 ) -> list[MissingTraining]:
@@ -244,7 +240,7 @@ def _plain(value: Any) -> str:
 
 
 def budget_lines(flown: Iterable[tuple[str, str, int]]) -> list[str]:
-    """PolicyKind long each policy was trained, where not all of them were trained alike; else nothing.
+    """How long each policy was trained, where not all of them were trained alike; else nothing.
 
     Args:
         flown: policy, point label and training slots of every run at every point that it flew.
@@ -254,10 +250,11 @@ def budget_lines(flown: Iterable[tuple[str, str, int]]) -> list[str]:
         found.setdefault(policy, {}).setdefault(slots, {})[label] = None
     if len({slots for budgets in found.values() for slots in budgets}) < 2:
         return []
-    return [f"{policy}: trained with slots = {_budgets(budgets)}" for policy, budgets in found.items()]
-
-
-def _budgets(budgets: Mapping[int, Iterable[str]]) -> str:
-    if len(budgets) == 1:
-        return f"{next(iter(budgets)):,}"
-    return "; ".join(f"{slots:,} at {', '.join(labels)}" for slots, labels in budgets.items())
+    lines = []
+    for policy, budgets in found.items():
+        at = [
+            f"{slots:,} at {', '.join(labels)}" if len(budgets) > 1 else f"{slots:,}"
+            for slots, labels in budgets.items()
+        ]
+        lines.append(f"{policy}: trained with slots = {'; '.join(at)}")
+    return lines

@@ -1,17 +1,23 @@
-"""Planning and playing a suite: every policy at every point, on the same missions."""
+"""A suite's play: every policy at every point, on the same missions.
+
+:func:`plan_suite` says who flies where, :func:`play_suite` plays it, :func:`write_suite` writes ``eval/<suite>.json``
+of each run, one JSON file of all, and the CSV table.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from uavaou.csv_tables import write_csv
 from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners.base import Planner
 from uavaou.runs.comparison import Display
-from uavaou.runs.folder import RunConfig
-from uavaou.runs.results import PolicyResult
+from uavaou.runs.folder import RunConfig, name_with
+from uavaou.runs.results import PolicyResult, SuiteEvaluationFile, SuitePoint, keep_evaluation, write_evaluation
 from uavaou.scenario import Scenario
 from uavaou.statistics import Interval, interval_over_missions
 from uavaou.suites.assignment import (
@@ -19,12 +25,16 @@ from uavaou.suites.assignment import (
     MissingTraining,
     PolicyKind,
     SuiteRun,
-    all_missing,
     assign,
     missing_trainings,
     name_runs,
 )
-from uavaou.suites.suite import ResolvedPoint, Suite, resolve_points, suite_name
+from uavaou.suites.suite import ResolvedPoint, Suite, resolve_points
+
+CSV_COLUMNS = (
+    "suite", "point", "x", "policy", "trained", "seed", "training_slots", "missions", "mean_aou_slots", "low", "high",
+    "communications", "devices_served", "violations", "axis", "scale", "joined",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -130,9 +140,10 @@ def plan_suite(
     points = resolve_points(suite, base)
     runs = name_runs({Path(folder): config for folder, config in configs.items()}, suite)
     assignments = assign(points, runs, base)
-    wanted = assignments if configs or planners else all_missing(points, "mappo")
+    every = [Assignment(point, "mappo", (), None) for point in points if point.scenario]
+    wanted = assignments if configs or planners else every
     missing = missing_trainings(wanted, runs, source, base)
-    name = suite_name(suite, {**({"scenario": Scenario.load(source).name} if scenario else {}), **changes})
+    name = name_with(suite.name, {**({"scenario": Scenario.load(source).name} if scenario else {}), **changes})
     flights = [flight for point in points if point.scenario for flight in _flights(point, assignments, planners)]
     return SuitePlan(suite, name, base, points, runs, assignments, missing, flights)
 
@@ -167,13 +178,14 @@ def play_suite(
     for flight in plan.flights:
         scenario = flight.scenario
         display.start(flight.name)
+        key = flight.policy, scenario
         if flight.run is not None:
             policy = _load(flight.run, scenario, action)
             evaluation = evaluate(policy, scenario, episodes, seed, display.after_slot)
             yield PointResult(flight, PolicyResult.of(evaluation, scenario, policy))
             continue
-        key, planner = (flight.policy, scenario), planners[flight.policy]
         if key not in played:
+            planner = planners[flight.policy]
             try:
                 evaluation = evaluate(planner, scenario, episodes, seed, display.after_slot)
                 played[key] = PolicyResult.of(evaluation, scenario, planner), ""
@@ -186,3 +198,97 @@ def _load(run: SuiteRun, scenario: Scenario, action: str | None) -> Planner:
     from uavaou.runs.policy import load_run  # imports torch, which planners do without
 
     return load_run(run.folder, scenario, action)
+
+
+def write_suite(
+    plan: SuitePlan, results: Sequence[PointResult], episodes: int, seed: int, table: Path | None = None,
+    json: Path | None = None,
+) -> list[str]:  # fmt: skip
+    """Write ``eval/<suite>.json`` of each run that flew a point, and the files asked for.
+
+    Args:
+        plan: what was played.
+        results: of all of it.
+        episodes: missions of each policy at each point.
+        seed: of mission 0.
+        table: the CSV table, one row for each point, policy and training seed.
+        json: one file with every policy and mission.
+
+    Returns:
+        A note on each file: whether it was written.
+
+    Raises:
+        InputError: ``table`` or ``json`` cannot be written.
+    """
+    notes = []
+    for run in plan.runs:
+        content = suite_evaluation(plan, results, episodes, seed, run)
+        if content.points:
+            notes.append(keep_evaluation(run.folder.evaluation(plan.name), content))
+    if json is not None:
+        write_evaluation(json, suite_evaluation(plan, results, episodes, seed))
+        notes.append(f"wrote {json}")
+    if table is not None:
+        write_csv(table, CSV_COLUMNS, [_row(plan, result) for result in results if not result.refusal])
+        notes.append(f"wrote {table}")
+    return notes
+
+
+def suite_evaluation(
+    plan: SuitePlan, results: Sequence[PointResult], episodes: int, seed: int, run: SuiteRun | None = None
+) -> SuiteEvaluationFile:
+    """The points with their policies, each as in ``eval/default.json``.
+
+    With ``run``, the content of its own file: the points that it flew, itself under its algorithm's name, and the
+    planners. Else all points and policies.
+    """
+    points = []
+    for point in plan.points:
+        here = [result for result in results if result.flown.point is point and not result.refusal]
+        own = [result for result in here if run is None or result.flown.run is run]
+        planners = [result for result in here if run is not None and result.flown.run is None]
+        if not own:
+            continue
+        shown = {_policy_key(result, run): result for result in [*own, *planners]}
+        points.append(
+            SuitePoint(
+                **point.stated.model_dump(exclude={"joined"}),
+                how={name: result.flown.kind for name, result in shown.items()},
+                policies={name: result.played for name, result in shown.items()},
+            )
+        )
+    return SuiteEvaluationFile(
+        suite=plan.suite.name, scenario=plan.base.name, episodes=episodes, seed=seed, points=points
+    )
+
+
+def _policy_key(result: PointResult, own: SuiteRun | None) -> str:
+    """The name of a policy within a point."""
+    run = result.flown.run
+    if run is None:
+        return result.flown.policy
+    return run.config.algorithm.name if run is own else str(run.folder.path)
+
+
+def _row(plan: SuitePlan, result: PointResult) -> dict[str, Any]:
+    flown, point, axis = result.flown, result.flown.point.stated, plan.suite.axis
+    mean, low, high = result.mean_aou_slots
+    return {
+        "suite": plan.name,
+        "point": point.label,
+        "x": point.x,
+        "policy": flown.policy,
+        "trained": flown.kind,
+        "seed": None if flown.run is None else flown.run.config.seed,
+        "training_slots": None if flown.run is None else flown.run.slots,
+        "missions": len(result.played.mean_aou_s),
+        "mean_aou_slots": mean,
+        "low": low,
+        "high": high,
+        "communications": result.mean("communications"),
+        "devices_served": result.mean("devices_served"),
+        "violations": result.violations,
+        "axis": axis.title,
+        "scale": axis.scale,
+        "joined": "yes" if point.joined else "no",
+    }

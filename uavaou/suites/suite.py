@@ -5,13 +5,11 @@ A suite is YAML: ``zoo_configs/suites/``, or a file of your own. Its points chan
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
-from urllib.parse import quote
 
-from pydantic import BaseModel, ConfigDict, Field, StrictBool, field_validator, model_validator
+from pydantic import BaseModel, Field, StrictBool, field_validator, model_validator
 
 from uavaou.errors import InfeasibleError, InputError, nearest
 from uavaou.fields import Number, short, validated
@@ -21,13 +19,10 @@ from uavaou.zoo import read_yaml_mapping, zoo_or_file
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Scale = Literal["linear", "log", "category"]
-_LONGEST_NAME = 120
 
 
-class Axis(BaseModel):
+class Axis(BaseModel, frozen=True, extra="forbid"):
     """The quantity that the points differ in: the x axis of the suite's figure."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     label: Text
     unit: str = ""
@@ -39,10 +34,8 @@ class Axis(BaseModel):
         return f"{self.label} ({self.unit})" if self.unit else self.label
 
 
-class Point(BaseModel):
+class Point(BaseModel, frozen=True, extra="forbid"):
     """One point: a change of the scenario, or of what the UAVs observe."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     label: Text
     x: Number  # in the axis' unit
@@ -64,10 +57,8 @@ class Point(BaseModel):
         return value
 
 
-class Suite(BaseModel):
+class Suite(BaseModel, frozen=True, extra="forbid"):
     """A named list of points; load one with :meth:`load`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Text
     description: Text
@@ -76,25 +67,15 @@ class Suite(BaseModel):
     points: Annotated[tuple[Point, ...], Field(min_length=1, max_length=1000)]
 
     @model_validator(mode="after")
-    def _points_differ(self) -> Suite:
+    def _points_differ_and_fit_the_axis(self) -> Suite:
         labels: set[str] = set()
         for point in self.points:
             if point.label in labels:
                 raise ValueError(f"points: two are labelled '{point.label}'")
             labels.add(point.label)
-        return self
-
-    @model_validator(mode="after")
-    def _log_axis_is_positive(self) -> Suite:
-        for point in self.points if self.axis.scale == "log" else ():
-            if point.x <= 0:
+            if self.axis.scale == "log" and point.x <= 0:
                 raise ValueError(f"axis: scale = 'log': the point '{point.label}' has x = {point.x:g}, not above 0")
         return self
-
-    @property
-    def varies_observation(self) -> bool:
-        """Whether some point asks for an observation."""
-        return any(point.observation is not None for point in self.points)
 
     @classmethod
     def load(cls, source: str) -> Suite:
@@ -173,13 +154,3 @@ def _resolve(suite: Suite, point: Point, base: Scenario) -> ResolvedPoint:
         f"{best[hopeless].max():.2g} a slot at the best cell (constraint Rate)"
     )
     return ResolvedPoint(point, None, reason) if hopeless.all() else ResolvedPoint(point, scenario, remark=reason)
-
-
-def suite_name(suite: Suite, changes: Mapping[str, str]) -> str:
-    """The name of a suite on a changed scenario in file names: ``fading+layout_seed=1``."""
-    if not changes:
-        return suite.name
-    name = suite.name + "+" + ",".join(f"{key}={quote(value, safe='.-_')}" for key, value in sorted(changes.items()))
-    if len(name) <= _LONGEST_NAME:  # file systems end at 255 bytes
-        return name
-    return f"{name[:_LONGEST_NAME]}~{hashlib.sha256(name.encode()).hexdigest()[:12]}"

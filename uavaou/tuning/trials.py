@@ -38,7 +38,7 @@ try:
 except ModuleNotFoundError as error:
     raise InputError(f"tuning needs Optuna, and '{error.name}' is not installed: pip install 'uavaou[tune]'") from None
 
-_STATES = {state: state.name.lower() for state in TrialState if state is not TrialState.FAIL}
+_STATES: dict[TrialState, str] = {state: state.name.lower() for state in TrialState if state is not TrialState.FAIL}
 _STARTUP_TRIALS = 6  # drawn at random before the sampler learns from them
 # Learning curves cross early, and a learning rate that falls to the end pays late: nothing is pruned before
 # three trials were played to the end, nor in the first third of a trial.
