@@ -254,7 +254,7 @@ class StudyDisplay(Display):
 
 def _running(state: StudyState) -> str:
     """The mean AoU of each variant in training, in slots, and the planners and bounds in progress."""
-    from uavaou.studies.parts import PLAN
+    from uavaou.studies.folder import PLAN
 
     means: dict[str, list[float]] = {}
     others = []

@@ -19,7 +19,7 @@ from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.statistics import interval_over_missions
 from uavaou.studies.condense import curve_rows
-from uavaou.studies.parts import PartKey
+from uavaou.studies.folder import PartKey
 
 HEADER = ["mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served"]
 VALIDATION = ["evaluation/mean_aou_greedy_s", "evaluation/mean_aou_sample_s", "time/slots", "time/wall_s"]

@@ -18,9 +18,8 @@ from uavaou.csv_tables import number
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import one_writer
 from uavaou.studies.condense import update_results
-from uavaou.studies.folder import StudyFolder
+from uavaou.studies.folder import PartKey, StudyFolder
 from uavaou.studies.jobs import Ended, Planning
-from uavaou.studies.parts import PartKey
 from uavaou.studies.processes import outcome
 from uavaou.studies.results import COLUMNS, read_begun, read_study
 from uavaou.studies.status import study_status

@@ -15,8 +15,8 @@ from uavaou import InputError
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import holder, one_writer
 from uavaou.studies.condense import update_results
+from uavaou.studies.folder import PartKey
 from uavaou.studies.jobs import Ended, Job, Planning, Training
-from uavaou.studies.parts import PartKey
 from uavaou.studies.results import read_study
 from uavaou.studies.runner import StudyState, run_study
 from uavaou.studies.status import seconds_left, study_status

@@ -19,8 +19,8 @@ import pytest
 
 from tests.command_line import start_command
 from uavaou.runs.lock import holder
+from uavaou.studies.folder import PartKey
 from uavaou.studies.jobs import Advanced, Bounding, Engine, Job, Training, TrainingReport
-from uavaou.studies.parts import PartKey
 from uavaou.studies.processes import Processes, _work
 from uavaou.studies.results import read_study
 from uavaou.studies.runner import StudyState, run_study

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from uavaou.studies.folder import PartKey
 from uavaou.studies.jobs import Advanced, Ended, Events, Job, TakeJob, TrainingReport
-from uavaou.studies.parts import PartKey
 from uavaou.studies.processes import outcome
 from uavaou.studies.runner import StudyState, run_study
 from uavaou.studies.study import Study

@@ -45,7 +45,7 @@ from uavaou.reports.references import best_planner
 from uavaou.reports.run_tables import read_runs
 from uavaou.runs.results import PolicyResult
 from uavaou.statistics import Band, Interval, band_over_missions, band_over_trainings, interval_over_missions
-from uavaou.studies.parts import BOUND, PartKey
+from uavaou.studies.folder import BOUND, PartKey
 from uavaou.studies.results import Floats, StudyResults, Table, read_study
 
 Evaluations = Mapping[PartKey, PolicyResult]

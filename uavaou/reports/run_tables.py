@@ -13,8 +13,7 @@ from uavaou.runs.folder import RunFolder
 from uavaou.runs.results import PolicyResult, read_evaluations
 from uavaou.scenario import Scenario
 from uavaou.studies.condense import VALIDATION_COLUMNS, curve_rows, evaluation_rows, validation_rows
-from uavaou.studies.folder import StudyFolder
-from uavaou.studies.parts import PartKey
+from uavaou.studies.folder import PartKey, StudyFolder
 from uavaou.studies.results import StudyResults
 
 _LEARNED_NAMES = ("policy", "model", "learned")  # what an evaluation may call the run's own policy

@@ -21,9 +21,8 @@ from uavaou.reports.references import below_bound
 from uavaou.reports.scores import PolicyScores, study_scores
 from uavaou.runs.lock import HeldError, only_writer
 from uavaou.studies.condense import gather, refuse_another, update_results
-from uavaou.studies.folder import StudyFolder
+from uavaou.studies.folder import PartKey, StudyFolder
 from uavaou.studies.marl_eval import to_marl_eval
-from uavaou.studies.parts import PartKey
 from uavaou.studies.results import StudyResults, read_begun, read_study
 from uavaou.studies.study import Study
 

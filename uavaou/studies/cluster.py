@@ -23,8 +23,8 @@ from uavaou.errors import InputError
 from uavaou.files import refuse_links, replacing
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import one_writer
+from uavaou.studies.folder import PartKey
 from uavaou.studies.jobs import Advanced, Ended, Event, Events, Job, TakeJob, Training, TrainingReport
-from uavaou.studies.parts import PartKey
 from uavaou.studies.processes import outcome, prepare
 
 try:
@@ -183,7 +183,7 @@ class Keeper:
     def fetch(self, key: PartKey) -> Files:
         """The files of a run folder, from which a worker resumes."""
         folder, _ = self._open[key]
-        return _files_of(folder.path)
+        return _changed_files(folder.path, {})
 
     def store(self, key: PartKey, files: Files) -> None:
         """Write files of a run."""
@@ -214,19 +214,16 @@ def _write_files(folder: Path, files: Files) -> None:
             file.write(files[name])
 
 
-def _files_of(folder: Path, unless: dict[str, tuple[int, int]] | None = None) -> Files:
-    """The files below a run folder whose state differs from that in ``unless``, which is updated."""
+def _changed_files(folder: Path, known: dict[str, tuple[int, int]]) -> Files:
+    """The files below a run folder whose time of writing or size differs from that in ``known``, which is updated."""
     files: Files = {}
     for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder).as_posix()
-        if not path.is_file() or path.name == ".lock" or path.name.endswith(".partial"):
-            continue
-        state = path.stat()
-        now = state.st_mtime_ns, state.st_size
-        if unless is None or unless.get(name) != now:
-            files[name] = path.read_bytes()
-        if unless is not None:
-            unless[name] = now
+        if path.is_file() and path.name != ".lock" and not path.name.endswith(".partial"):
+            name, state = path.relative_to(folder).as_posix(), path.stat()
+            now = state.st_mtime_ns, state.st_size
+            if known.get(name) != now:
+                files[name] = path.read_bytes()
+            known[name] = now
     return files
 
 
@@ -236,42 +233,27 @@ def _perform(job: Job, keeper: Any, plugins: Sequence[str]) -> Ended:
     if not isinstance(job, Training):
         return outcome(job, lambda report: None)
     with tempfile.TemporaryDirectory(prefix="uavaou-") as place:
-        there = _Sender(replace(job, path=Path(place) / "run"), keeper)
-        there.receive()
-        ended = outcome(there.job, there.tell)
-        there.send()
+        folder = RunFolder(Path(place) / "run")
+        _write_files(folder.path, ray.get(keeper.fetch.remote(job.key)))
+        sent: dict[str, tuple[int, int]] = {}
+        _changed_files(folder.path, sent)
+        checkpoint, next_s = 0, 0.0  # when the last one sent was written, ns; when the next report is due
+
+        def send() -> None:
+            ray.get(keeper.store.remote(job.key, _changed_files(folder.path, sent)))
+
+        def tell(report: TrainingReport) -> None:
+            """Send a new checkpoint and the report, and stop where the study asks for it."""
+            nonlocal checkpoint, next_s
+            written = folder.last.stat().st_mtime_ns if folder.last.is_file() else 0
+            if written != checkpoint:
+                checkpoint = written
+                send()
+            if time.monotonic() >= next_s:
+                next_s = time.monotonic() + _TELL_EVERY_S
+                if ray.get(keeper.tell.remote(job.key, report)):
+                    signal.raise_signal(signal.SIGTERM)  # the training writes its last checkpoint
+
+        ended = outcome(replace(job, path=folder.path), tell)
+        send()
         return ended
-
-
-class _Sender:
-    """Copies a worker's run folder to the study's own."""
-
-    def __init__(self, job: Training, keeper: Any) -> None:
-        self.job = job
-        self._keeper = keeper
-        self._sent: dict[str, tuple[int, int]] = {}
-        self._checkpoint = 0  # time of writing of the last one sent, ns
-        self._next = 0.0
-
-    def receive(self) -> None:
-        """Fetch the files sent earlier."""
-        files: Files = ray.get(self._keeper.fetch.remote(self.job.key))
-        _write_files(self.job.path, files)
-        _files_of(self.job.path, self._sent)
-
-    def send(self) -> None:
-        """Send the files that have changed."""
-        ray.get(self._keeper.store.remote(self.job.key, _files_of(self.job.path, self._sent)))
-
-    def tell(self, report: TrainingReport) -> None:
-        """Send a new checkpoint and the report, and stop where the study asks for it."""
-        last = RunFolder(self.job.path).last
-        written = last.stat().st_mtime_ns if last.is_file() else 0
-        if written != self._checkpoint:
-            self._checkpoint = written
-            self.send()
-        if time.monotonic() < self._next:
-            return
-        self._next = time.monotonic() + _TELL_EVERY_S
-        if ray.get(self._keeper.tell.remote(self.job.key, report)):
-            signal.raise_signal(signal.SIGTERM)  # the training writes its last checkpoint

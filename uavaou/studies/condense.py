@@ -17,8 +17,7 @@ from uavaou.runs.results import PolicyResult, find_evaluation
 from uavaou.scenario import Scenario
 from uavaou.statistics import interval_over_missions
 from uavaou.studies.best import keep_best
-from uavaou.studies.folder import StudyFolder
-from uavaou.studies.parts import PLANNED, PartKey
+from uavaou.studies.folder import PLANNED, PartKey, StudyFolder
 from uavaou.studies.results import Rows, StudyResults, read_begun
 from uavaou.studies.study import Study, StudyRun
 

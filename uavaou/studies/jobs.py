@@ -22,7 +22,7 @@ from uavaou.planners.rolling import Rolling
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.results import PolicyResult, find_evaluation, write_own_evaluation
 from uavaou.scenario import Scenario
-from uavaou.studies.parts import PartKey
+from uavaou.studies.folder import PartKey
 
 
 class TrainingReport(NamedTuple):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from uavaou.studies.parts import PartKey
+from uavaou.studies.folder import PartKey
 from uavaou.studies.results import StudyResults
 
 ENVIRONMENT = "uavaou_v0"

@@ -20,8 +20,7 @@ from uavaou.errors import InputError
 from uavaou.files import write_text
 from uavaou.runs.folder import RunConfig
 from uavaou.statistics import interval_over_missions
-from uavaou.studies.folder import StudyFolder
-from uavaou.studies.parts import BOUND, NO_SEED, PartKey, part_keys
+from uavaou.studies.folder import BOUND, NO_SEED, PartKey, StudyFolder, part_keys
 from uavaou.studies.study import Study
 from uavaou.zoo import read_yaml_mapping, zoo_names
 
@@ -61,17 +60,11 @@ class NothingYetError(InputError):
 
 @dataclass
 class StudyResults:
-    """A study's condensed results, by part: trainings, planners (variants without seeds) and bounds.
+    """A study's condensed results, by part: trainings, planners (variants without seeds) and bounds."""
 
-    Attributes:
-        folder: where they are kept.
-        settings: the content of ``study.yaml``, every setting of every run.
-        parts: the rows of each part; :meth:`table` and the methods below it give them as numbers.
-    """
-
-    folder: StudyFolder
-    settings: dict[str, Any]
-    parts: dict[PartKey, Rows]
+    folder: StudyFolder  # where they are kept
+    settings: dict[str, Any]  # the content of ``study.yaml``, every setting of every run
+    parts: dict[PartKey, Rows]  # the rows of each part; :meth:`table` and the methods below it give them as numbers
     _new_configs: dict[PartKey, RunConfig] = field(default_factory=dict, repr=False)  # not yet written
 
     @property
@@ -155,7 +148,8 @@ class StudyResults:
 
     def runs(self, table: str, variant: str, scenario: str) -> list[Table]:
         """The rows of each training of a variant, by seed; of a planner its one part's."""
-        return [_arrays(self._select(table, [key])) for key in self._keys(table, variant, scenario)]
+        keys = [key for key, tables in self.parts.items() if key[:2] == (variant, scenario) and table in tables]
+        return [_arrays(self._select(table, [key])) for key in sorted(keys, key=lambda key: key.seed or 0)]
 
     def stack(self, table: str, variant: str, scenario: str, column: str) -> Floats:
         """A column of all seeds, (S, n); (0, 0) where the variant has no part in the scenario.
@@ -163,8 +157,7 @@ class StudyResults:
         Raises:
             InputError: the seeds have different numbers of rows.
         """
-        keys = self._keys(table, variant, scenario)
-        columns = [_column(self._select(table, [key]), column) for key in keys]
+        columns = [run[column] for run in self.runs(table, variant, scenario)]
         if len({len(values) for values in columns}) > 1:
             where = self.folder.table(table)
             raise InputError(f"{where}: the seeds of '{variant}' on '{scenario}' have different numbers of rows")
@@ -186,7 +179,7 @@ class StudyResults:
             return self.cell(key, "mean_aou_slots"), self.cell(key, "low"), self.cell(key, "high")
         if key.variant == BOUND:
             return number(self.bounds[key.scenario]), "", ""
-        found = interval_over_missions(_column(self._select("missions", [key]), "mean_aou_slots"))
+        found = interval_over_missions(self.table("missions", *key)["mean_aou_slots"])
         return number(found.value), number(found.low), number(found.high)
 
     def require_evaluated(self) -> StudyResults:
@@ -231,10 +224,6 @@ class StudyResults:
         write_text(self.folder.study, "# The study as resolved: every setting of every run.\n" + study.to_yaml())
         for name, columns in COLUMNS.items():
             write_csv(self.folder.table(name), columns, (row for part in parts for row in part.get(name, [])))
-
-    def _keys(self, table: str, variant: str, scenario: str) -> list[PartKey]:
-        keys = [key for key, tables in self.parts.items() if key[:2] == (variant, scenario) and table in tables]
-        return sorted(keys, key=lambda key: key.seed or 0)
 
     def _select(self, name: str, keys: Iterable[PartKey]) -> CsvTable:
         return self._as_table(name, [row for key in keys for row in self.parts[key].get(name, [])])
@@ -300,15 +289,15 @@ def study_folders(results: Path) -> list[Path]:
 
 
 def _arrays(table: CsvTable) -> Table:
-    return {name: _column(table, name) for name in table.columns}
-
-
-def _column(table: CsvTable, name: str) -> NDArray[Any]:
-    if name in _TEXT:
-        return np.array(table.text(name), dtype=np.str_)
-    if name in _WHOLE:
-        return table.integers(name, missing=NO_SEED if name == "seed" else None)
-    return table.floats(name, missing=name in _MAY_BE_EMPTY)
+    found: Table = {}
+    for name in table.columns:
+        if name in _TEXT:
+            found[name] = np.array(table.text(name), dtype=np.str_)
+        elif name in _WHOLE:
+            found[name] = table.integers(name, missing=NO_SEED if name == "seed" else None)
+        else:
+            found[name] = table.floats(name, missing=name in _MAY_BE_EMPTY)
+    return found
 
 
 def _mapping(value: Any) -> Mapping[str, Any]:

@@ -18,7 +18,7 @@ from uavaou.runs.lock import only_writer
 from uavaou.runs.results import PolicyResult
 from uavaou.studies.best import keep_best
 from uavaou.studies.condense import bound_rows, condense_run, evaluation_rows, trained_so_far, update_results
-from uavaou.studies.folder import StudyFolder
+from uavaou.studies.folder import ANNEALED, BOUND, PLAN, PartKey, StudyFolder
 from uavaou.studies.jobs import (
     Advanced,
     Bounding,
@@ -31,7 +31,6 @@ from uavaou.studies.jobs import (
     Training,
     TrainingReport,
 )
-from uavaou.studies.parts import ANNEALED, BOUND, PLAN, PartKey
 from uavaou.studies.study import Study
 
 

@@ -8,31 +8,21 @@ from pathlib import Path
 from uavaou.errors import InputError
 from uavaou.runs.lock import holder
 from uavaou.studies.condense import is_trained, refuse_another, trained_so_far
-from uavaou.studies.folder import StudyFolder
-from uavaou.studies.parts import ANNEALED, PLAN, PartKey
+from uavaou.studies.folder import ANNEALED, PLAN, PartKey, StudyFolder
 from uavaou.studies.results import StudyResults, read_begun
 from uavaou.studies.study import Study, StudyRun
 
 
 @dataclass(frozen=True)
 class PartStatus:
-    """The state of a training, a planner or a bound.
-
-    Attributes:
-        key: which part.
-        state: finished, trained (but not evaluated), running, failed, stopped or waiting.
-        slots: trained; None for planners and bounds.
-        budget: slots of the training.
-        rate: slots a second while it runs.
-        detail: the process that runs it, what a running planner waits for, or why it failed.
-    """
+    """The state of a training, a planner or a bound."""
 
     key: PartKey
-    state: str
-    slots: int | None = None
-    budget: int | None = None
-    rate: float = 0.0
-    detail: str = ""
+    state: str  # finished, trained (but not evaluated), running, failed, stopped or waiting
+    slots: int | None = None  # trained; None for planners and bounds
+    budget: int | None = None  # slots of the training
+    rate: float = 0.0  # slots a second while it runs
+    detail: str = ""  # the process that runs it, what a running planner waits for, or why it failed
 
 
 def study_status(study: Study, out: Path) -> list[PartStatus]:

@@ -22,7 +22,7 @@ from uavaou.fields import Positive, PositiveWhole, short, validated
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
 from uavaou.scenario import Scenario
-from uavaou.studies.parts import ANNEALED, BOUND, PartKey
+from uavaou.studies.folder import ANNEALED, BOUND, PartKey
 from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_or_file
 
 SCHEMA = 1  # of study.yaml

@@ -29,25 +29,15 @@ REPORTS = 10  # evaluations of a trial, at equal fractions of its budget
 
 @dataclass(frozen=True)
 class Search:
-    """What is searched.
+    """What is searched."""
 
-    Attributes:
-        scenario: what every trial trains on.
-        algorithm: the settings that trials start from; its ``slots`` are not a trial's.
-        space: the varied fields and their ranges.
-        seconds: CPU seconds of playing and learning of each trial; None where ``slots`` is given.
-        slots: training slots of each trial; None where ``seconds`` is given.
-        seed: of the sampler, and of every trial's training.
-        first: values of the varied fields that are tried before the sampler draws any.
-    """
-
-    scenario: Scenario
-    algorithm: AlgorithmConfig
-    space: SearchSpace
-    seconds: float | None
-    slots: int | None
-    seed: int
-    first: tuple[dict[str, Any], ...]
+    scenario: Scenario  # what every trial trains on
+    algorithm: AlgorithmConfig  # the settings that trials start from; its ``slots`` are not a trial's
+    space: SearchSpace  # the varied fields and their ranges
+    seconds: float | None  # CPU seconds of playing and learning of each trial; None where slots are given
+    slots: int | None  # training slots of each trial; None where seconds are given
+    seed: int  # of the sampler, and of every trial's training
+    first: tuple[dict[str, Any], ...]  # values of the varied fields that are tried before the sampler draws any
 
     def __post_init__(self) -> None:
         if (self.seconds is None) == (self.slots is None):

@@ -52,6 +52,9 @@ class _Range(Dimension):
     low: Any
     high: Any
 
+    def holds(self, value: Any) -> bool:
+        return isinstance(value, int | type(self.low)) and self.low <= value <= self.high
+
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.low >= self.high:
@@ -69,9 +72,6 @@ class LogUniform(_Range):
     def suggest(self, trial: Trial, field: str) -> float:  # noqa: D102
         return trial.suggest_float(field, self.low, self.high, log=True)
 
-    def holds(self, value: Any) -> bool:  # noqa: D102
-        return isinstance(value, int | float) and self.low <= value <= self.high
-
 
 class Integer(_Range):
     """A whole number between two bounds, both included."""
@@ -82,9 +82,6 @@ class Integer(_Range):
 
     def suggest(self, trial: Trial, field: str) -> int:  # noqa: D102
         return trial.suggest_int(field, self.low, self.high)
-
-    def holds(self, value: Any) -> bool:  # noqa: D102
-        return isinstance(value, int) and self.low <= value <= self.high
 
 
 class Categorical(Dimension):
