@@ -91,11 +91,11 @@ def _check_names(folders: list[str], planners: list[str], suite: str | None) -> 
 
 
 def _make_planners(names: list[str], time_limit: float | None) -> dict[str, Planner]:
-    from uavaou.planners import PLAN_AHEAD, make_planners
+    from uavaou.planners import PLAN_AHEAD, make_planner
 
     if time_limit is not None and not any(name in PLAN_AHEAD for name in names):
         raise InputError(f"--time-limit {time_limit:g}: needs a --policy that plans ahead: {', '.join(PLAN_AHEAD)}")
-    return make_planners(names, time_limit)
+    return {name: make_planner(name, time_limit if name in PLAN_AHEAD else None) for name in names}
 
 
 def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> list[str]:

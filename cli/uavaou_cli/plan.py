@@ -65,11 +65,12 @@ def gap(
 ) -> None:
     """Compare planners and trained runs with the lower bound and with random moves."""
     chosen = _fixed_scenario(scenario, set_, "uavaou gap: the bound is that of one layout")
-    from uavaou.planners import gap_planners, make_planners
+    from uavaou.planners import gap_planners, make_planner
     from uavaou.planners.bound import lower_bound
     from uavaou.runs.comparison import compare, load_runs
 
-    planners = make_planners(gap_planners(chosen), time_limit, limited=("anneal", "rolling"))
+    limits = {"anneal": time_limit, "rolling": time_limit}
+    planners = {name: make_planner(name, limits.get(name)) for name in gap_planners(chosen)}
     policies = (load_runs(run, chosen) if run else {}) | planners
     bound = lower_bound(chosen, chosen.draw_layout())
     with EvaluationDisplay(quiet, list(policies), episodes * chosen.slots) as display:

@@ -20,8 +20,7 @@ from uavaou.planners.bound import LagrangianRelaxation, lower_bound
 from uavaou.planners.cetsp import close_enough_tours
 from uavaou.planners.decomposition import LagrangianDecomposition
 from uavaou.planners.exact import Exact, Program, gap_ages
-from uavaou.planners.expected_age import expected_age, expected_mean_aou, total_age
-from uavaou.planners.plan import PlanningStatus, RoutePlan, RoutePlanner, broken_rule
+from uavaou.planners.plan import PlanningStatus, RoutePlan, RoutePlanner, broken_rule, expected_age, expected_mean_aou
 from uavaou.planners.rolling import Rolling
 from uavaou.planners.search import trial_age
 from uavaou.planners.stationary_duals import stationary_duals
@@ -206,7 +205,7 @@ def test_tours_dwell_where_it_pays(name: str, monkeypatch: pytest.MonkeyPatch) -
 
 def undwelt(scenario: Scenario, layout: Layout, tours: list[np.ndarray]) -> tuple[np.ndarray, float]:
     routes = fleet_routes(scenario, tours, [np.ones(len(tour), dtype=int) for tour in tours])
-    return routes, total_age(expected_age(scenario, layout, routes))
+    return routes, expected_age(scenario, layout, routes).total_age
 
 
 def test_a_tour_stays_home_where_nothing_is_in_reach() -> None:
@@ -231,7 +230,7 @@ def test_a_trial_costs_what_the_changed_routes_do() -> None:
     other[20:31, 1] = np.random.default_rng(1).integers(0, 5, (11, 2))
     before, after = expected_age(QUICKSTART, layout, routes), expected_age(QUICKSTART, layout, other)
     work = np.empty((3, 8))
-    assert trial_age(before, 1, 21, 32, after.routes[1].copy(), work) == pytest.approx(total_age(after), rel=1e-12)
+    assert trial_age(before, 1, 21, 32, after.routes[1].copy(), work) == pytest.approx(after.total_age, rel=1e-12)
 
 
 def test_annealing_improves_is_repeatable_and_reports() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
-from uavaou.planners import make_planners
+from uavaou.planners import make_planner
 from uavaou.runs.comparison import common_scenario, compare, read_runs
 from uavaou.runs.folder import RunConfig
 from uavaou.scenario import Scenario
@@ -51,7 +51,8 @@ def test_runs_of_two_scenarios_have_no_common_one(tmp_path: Path) -> None:
 
 def test_policies_play_in_order_and_are_written_together(tmp_path: Path) -> None:
     told = Told()
-    comparison = compare(make_planners(["stay", "greedy"]), Scenario.load("tiny"), 3, 5, told)
+    planners = {name: make_planner(name) for name in ("stay", "greedy")}
+    comparison = compare(planners, Scenario.load("tiny"), 3, 5, told)
     assert told.names == ["stay", "greedy"]
     assert told.slots == 2 * [3 * slot for slot in range(1, 13)]
     assert comparison.actions == {"stay": None, "greedy": None}

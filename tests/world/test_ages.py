@@ -8,6 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from uavaou.world import World
 from uavaou.world.ages import AgeLedger
 
 
@@ -94,11 +95,11 @@ def test_figure_1() -> None:
 
 
 def test_reset_returns_to_the_moment_before_slot_1() -> None:
-    ledger = AgeLedger(2, 3)
-    ledger.advance(1, np.array([[1, 2, 3]]), np.zeros((2, 3), dtype=bool))
-    ledger.reset()
-    assert (ledger.pending == 1).all()
-    assert (ledger.age_slots == 0).all()
+    world = World("tiny", missions=2)
+    world.step(np.zeros((2, 2), dtype=int))
+    world.reset()
+    assert (world.pending == 1).all()
+    assert (world.age_sum == 0).all()
 
 
 def test_empty_transfer_is_no_communication() -> None:

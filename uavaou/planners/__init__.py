@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
 from importlib import import_module
 
 from uavaou.errors import InputError, unknown
 from uavaou.planners.base import Planner
 from uavaou.scenario import Scenario
 
-__all__ = ["PLANNERS", "PLAN_AHEAD", "ROUTE_PLANNERS", "Planner", "gap_planners", "make_planner", "make_planners"]
+__all__ = ["PLANNERS", "PLAN_AHEAD", "ROUTE_PLANNERS", "Planner", "gap_planners", "make_planner"]
 
 # Each loads on first use: importing a compiler or a solver takes longer than most missions.
 PLANNERS: dict[str, str] = {
-    "random": "uavaou.planners.simple:Random",
-    "stay": "uavaou.planners.simple:Stay",
+    "random": "uavaou.planners.base:Random",
+    "stay": "uavaou.planners.base:Stay",
     "greedy": "uavaou.planners.greedy:Greedy",
     "best-first": "uavaou.planners.greedy:BestFirst",
     "tour": "uavaou.planners.tour:Tour",
@@ -40,31 +39,12 @@ def make_planner(name: str, time_limit_s: float | None = None) -> Planner:
     """
     if name not in PLANNERS:
         raise unknown("planner", name, PLANNERS)
+    if time_limit_s is not None and name not in PLAN_AHEAD:
+        raise InputError(f"planner '{name}' decides slot by slot and takes no time limit")
     module, _, found = PLANNERS[name].partition(":")
     kind = getattr(import_module(module), found)
-    if time_limit_s is None:
-        planner: Planner = kind()
-        return planner
-    if name not in PLAN_AHEAD:
-        raise InputError(f"planner '{name}' decides slot by slot and takes no time limit")
-    limited: Planner = kind(time_limit_s)
-    return limited
-
-
-def make_planners(
-    names: Iterable[str], time_limit_s: float | None = None, limited: Collection[str] = PLAN_AHEAD
-) -> dict[str, Planner]:
-    """Return planners by name.
-
-    Args:
-        names: of ``PLANNERS``.
-        time_limit_s: how long each of the ``limited`` ones may plan.
-        limited: of ``PLAN_AHEAD``.
-
-    Raises:
-        InputError: no planner has one of the names.
-    """
-    return {name: make_planner(name, time_limit_s if name in limited else None) for name in names}
+    planner: Planner = kind() if time_limit_s is None else kind(time_limit_s)
+    return planner
 
 
 def gap_planners(scenario: Scenario) -> list[str]:

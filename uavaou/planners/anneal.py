@@ -14,9 +14,8 @@ from typing import ClassVar
 import numpy as np
 
 from uavaou.arrays import Ints
-from uavaou.planners.expected_age import expected_age, expected_mean_aou, total_age
 from uavaou.planners.greedy import BestFirst
-from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner
+from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner, expected_age, expected_mean_aou
 from uavaou.planners.search import anneal, recompute
 from uavaou.planners.tour import PartitionTour, Tour
 from uavaou.scenario import Layout, Scenario
@@ -113,7 +112,7 @@ class _Annealing:
         self._budget = Flight(scenario).budget  # (U,)
         self._flown = flown_steps(self._expected.routes)  # (U,)
         self._best = self._expected.routes.copy()  # (U, K+1)
-        self.best_age = total_age(self._expected)
+        self.best_age = self._expected.total_age
 
     def run(self, proposals: int, hot: float, cold: float) -> None:
         """Try ``proposals`` changes while cooling from ``hot`` to ``cold``, in slots of age for each slot."""

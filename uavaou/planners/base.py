@@ -1,4 +1,4 @@
-"""The protocol of a planner, and the random stream of each mission."""
+"""The protocol of a planner, and the two planners that ignore the state of the world."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from uavaou.arrays import Bools, Ints
 from uavaou.world import World
+from uavaou.world.flight import STAY, STEP_OF_MOVE
 
 Moves = Ints
 Selections = Bools
@@ -38,3 +39,26 @@ def mission_rngs(world: World, seed: int) -> list[np.random.Generator]:
     """Return the planner's random stream of each mission: mission j has ``seed + j``."""
     seeds = [np.random.SeedSequence(seed + mission, spawn_key=(_PLANNER_STREAM,)) for mission in range(world.missions)]
     return [np.random.default_rng(sequence) for sequence in seeds]
+
+
+class Random:
+    """Draw each move uniformly from the five; collect every device in range."""
+
+    def reset(self, world: World, seed: int) -> None:
+        """Seed the stream of mission j with ``seed + j``."""
+        self._rngs = mission_rngs(world, seed)
+
+    def act(self, world: World) -> tuple[Moves, Selections | None]:
+        """Draw the moves, (N, U); the World replaces those that are not allowed."""
+        return np.stack([rng.integers(len(STEP_OF_MOVE), size=world.scenario.uavs) for rng in self._rngs]), None
+
+
+class Stay:
+    """Keep every UAV over its CDS; collect every device in range."""
+
+    def reset(self, world: World, seed: int) -> None:
+        """Prepare nothing."""
+
+    def act(self, world: World) -> tuple[Moves, Selections | None]:
+        """Stay, (N, U)."""
+        return np.full((world.missions, world.scenario.uavs), STAY, dtype=np.int64), None

@@ -14,7 +14,6 @@ The bound is the highest of up to three relaxations:
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,30 +51,24 @@ def lower_bound(scenario: Scenario, layout: Layout, time_limit_s: float | None =
         layout: the devices.
         time_limit_s: approximate; None for a fixed amount of work, a minute or two on ``paper``.
     """
-    per_slot = scenario.slot_length_s / scenario.slots
-    found = []
+    totals = {}  # of the age, in slots squared, by method
     if program_size(scenario, layout) <= _LARGEST_PROGRAM:
-        total = Program(scenario, layout).relaxation()
+        optimum = Program(scenario, layout).relaxation()
         # Solvers stop within a tolerance of 1e-7; the certified value is a little lower.
-        found.append(Bound(per_slot * max(0.0, total * (1 - 1e-6) - 1e-6), "linear program"))
-    for total, method in _lagrangian_bounds(scenario, layout, time_limit_s):
-        found.append(Bound(per_slot * total, method))
-    return max(found, key=lambda bound: bound.mean_aou_s)
-
-
-def _lagrangian_bounds(scenario: Scenario, layout: Layout, time_limit_s: float | None) -> Iterator[tuple[float, str]]:
-    """Yield bounds on the total age in slots squared, and their methods."""
+        totals["linear program"] = max(0.0, optimum * (1 - 1e-6) - 1e-6)
     decomposition, started = LagrangianDecomposition(scenario, layout), time.monotonic()
     half = None if time_limit_s is None else time_limit_s / 2
     start = None if decomposition.short else stationary_duals(decomposition, layout, half)
     if start is None:
         relaxation = LagrangianRelaxation(scenario, layout)
-        yield relaxation.ascend(half), "prices"
-        if not decomposition.short:
-            return
-        start = relaxation.as_charges()
-    left = None if time_limit_s is None else max(0.0, time_limit_s - (time.monotonic() - started))
-    yield decomposition.ascend(*start, _ROUNDS_SHORT if decomposition.short else _ROUNDS_LONG, left), "copies"
+        totals["prices"] = relaxation.ascend(half)
+        start = relaxation.as_charges() if decomposition.short else None
+    if start is not None:
+        left = None if time_limit_s is None else max(0.0, time_limit_s - (time.monotonic() - started))
+        rounds = _ROUNDS_SHORT if decomposition.short else _ROUNDS_LONG
+        totals["copies"] = decomposition.ascend(*start, rounds, left)
+    method = max(totals, key=totals.__getitem__)
+    return Bound(scenario.slot_length_s / scenario.slots * totals[method], method)
 
 
 class LagrangianRelaxation:
@@ -101,13 +94,13 @@ class LagrangianRelaxation:
         self._neighbours, _ = neighbours(scenario)  # (C, 5)
         self.prices = np.zeros((scenario.slots + 1, scenario.devices))  # (K+1, I); row 0 is no slot
 
-    def value(self) -> tuple[float, Floats]:
-        """Return the bound on the total age in slots squared, and its subgradient (K+1, I)."""
-        paid, collected, _ = cheapest_paths(self.prices, self._gap_ages, self._gap_of)
+    def bound(self, prices: Floats) -> tuple[float, Floats]:
+        """Return the bound of prices (K+1, I) on the total age in slots squared, and its subgradient (K+1, I)."""
+        paid, collected, _ = cheapest_paths(prices, self._gap_ages, self._gap_of)
         total = paid.sum()
-        offered = np.zeros_like(self.prices)
+        offered = np.zeros_like(prices)
         for probability, home in zip(self._probability, self._homes, strict=True):
-            worth = self.prices @ probability.T  # (K+1, C)
+            worth = prices @ probability.T  # (K+1, C)
             earned, walk = best_walk(worth, self._neighbours, home)
             total -= earned
             offered[1:] += probability[walk[1:]]
@@ -116,21 +109,10 @@ class LagrangianRelaxation:
 
     def ascend(self, time_limit_s: float | None = None) -> float:
         """Return the best bound met on the total age, in slots squared, and keep its prices."""
-        best = 0.0  # the bound of prices 0
-
-        def value(point: Floats) -> tuple[float, Floats]:
-            nonlocal best
-            prices = self.prices
-            self.prices = point.reshape(prices.shape)
-            found, slope = self.value()
-            if found >= best:
-                best = found
-            else:
-                self.prices = prices
-            return found, slope.ravel()
-
         level = float(len(self.prices))  # a slot of age for each slot
-        subgradient_ascent(value, self.prices.ravel(), level, _ROUNDS, _PATIENCE, 0.0, time_limit_s)
+        best, self.prices = subgradient_ascent(
+            self.bound, self.prices, level, _ROUNDS, _PATIENCE, floor=0.0, time_limit_s=time_limit_s
+        )
         return best
 
     def as_charges(self) -> tuple[Floats, Floats]:

@@ -111,7 +111,8 @@ class LagrangianDecomposition:
             return total, np.concatenate([by_charges.ravel(), scale * by_prices.ravel()])
 
         start = np.concatenate([charges.ravel(), prices.ravel() / scale])
-        return subgradient_ascent(value, start, _FIRST_LEVEL * self.slots, rounds, _PATIENCE, time_limit_s=time_limit_s)
+        level = _FIRST_LEVEL * self.slots
+        return subgradient_ascent(value, start, level, rounds, _PATIENCE, time_limit_s=time_limit_s)[0]
 
 
 def _subtract_credits(by_charges: Floats, collected: Floats, gap: Ints) -> None:
@@ -189,11 +190,8 @@ def best_copy(
                 for a in range(ages):
                     after[c, a] = max(after[c, a], before[t, there, a] - price[c, m])
     moved, collected = np.zeros(prices.shape), np.zeros((slots + 1, ages + 1))
-    present, next_present = (
-        np.zeros((cells, ages)),
-        np.empty((cells, ages)),
-    )  # P(cell, own gap) before the channel of slot t
-    present[home, 0] = 1.0
+    present, next_present = np.zeros((cells, ages)), np.empty((cells, ages))
+    present[home, 0] = 1.0  # P(cell, own gap) before the channel of slot t
     for t in range(1, slots + 1):
         next_present[:] = 0.0
         price = prices[table[t]]

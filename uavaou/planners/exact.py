@@ -25,9 +25,8 @@ import numpy as np
 from uavaou.arrays import Floats, Ints
 from uavaou.errors import InputError
 from uavaou.planners.anneal import Anneal
-from uavaou.planners.expected_age import expected_mean_aou
 from uavaou.planners.highs import LinearProgram, run_interruptibly
-from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner
+from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner, expected_mean_aou
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import STEP_OF_MOVE, Flight, grid_cells, neighbours
@@ -96,9 +95,7 @@ def gap_ages(update_period: int, slots: int) -> Ints:
     """
     slot = np.arange(slots + 1)  # 0 to K
     generated = slot // update_period  # updates generated up to a slot
-    pending = np.where(
-        slot[None, :] > slot[:, None], generated[None, :] - generated[:, None], 0
-    )  # (K+1, K+1) [s, slot]
+    pending = np.where(slot > slot[:, None], generated - generated[:, None], 0)  # (K+1, K+1) [s, slot]
     pending[0, 1:] += 1  # update 0
     age = np.cumsum(pending, axis=1)  # (K+1, K+1) age sum in a slot, last collected in s
     before = np.zeros((slots + 1, slots + 2), dtype=np.int64)
@@ -227,9 +224,7 @@ class Program:
         """Add a path through slot 0 (start), the slots with a collection, and slot K+1 (end)."""
         slots, program = self._scenario.slots, self._program
         slot, step, probability = self._steps_in_range(device)
-        at = np.concatenate(
-            [[0], np.unique(slot), [slots + 1]]
-        )  # slots in which a collection is possible, and the ends
+        at = np.concatenate([[0], np.unique(slot), [slots + 1]])  # slots of possible collections, and the ends
         start, end = np.triu_indices(len(at), 1)
         arcs = program.add_variables(np.ones(len(start)), gap_age[at[start], at[end]].astype(np.float64))
         net = np.zeros(len(at))

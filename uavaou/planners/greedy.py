@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavaou.arrays import Bools, Floats, Ints
 from uavaou.planners.base import Moves, Selections
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
@@ -34,50 +33,36 @@ class Greedy:
     def reset(self, world: World, seed: int) -> None:
         """Compute the coverage of each cell, for each mission if ``layout: resample``; draw nothing from ``seed``."""
         scenario = world.scenario
-        different = world.missions if scenario.layout == "resample" else 1  # L
-        layouts = [world.layout(mission) for mission in range(different)]
+        layouts = [world.layout(mission) for mission in range(len(world.device_positions))]  # L
         unfaded = scenario.replace(fading="none")
         self._probability = np.stack([cell_coverage(scenario, layout) for layout in layouts])  # (L, U, C, I)
-        self._in_radius: Bools = np.stack([cell_coverage(unfaded, layout) > 0 for layout in layouts])  # (L, U, C, I)
+        self._in_radius = np.stack([cell_coverage(unfaded, layout) > 0 for layout in layouts])  # (L, U, C, I)
         self._cells = grid_cells(scenario)  # (C, 2)
         self._steps_home = np.abs(self._cells - world.flight.cds[:, None, :]).sum(axis=-1)  # (U, C)
 
     def act(self, world: World) -> tuple[Moves, Selections | None]:
         """Return the first step of each UAV towards its cell, (N, U)."""
-        targets = self._choose(world)  # (N, U, 2)
-        return first_step(targets - world.cells), None
-
-    def _choose(self, world: World) -> Ints:
-        """Return the cell that each UAV flies towards, (N, U, 2)."""
         missions, uavs, cells = world.missions, world.scenario.uavs, len(self._cells)
         mission = np.arange(missions)
         layout = mission % len(self._in_radius)  # (N,), all 0 for a common layout
+        probability = np.broadcast_to(self._probability, (missions, *self._probability.shape[1:]))  # (N, U, C, I)
         steps = np.abs(self._cells - world.cells[:, :, None, :]).sum(axis=-1)  # (N, U, C)
-        candidate = self._can_return(world, steps)  # (N, U, C)
+        round_trip = steps + self._steps_home  # (N, U, C)
+        candidate = round_trip <= world.scenario.slots - world.slot  # (N, U, C) and back in time
+        candidate &= round_trip <= (world.flight.budget - world.flown)[:, :, None]
         age = np.where(world.in_range.any(axis=1), 0.0, world.age_sum)  # (N, I) s, not yet collected by another choice
         targets = world.cells.copy()  # (N, U, 2)
         for turn in range(uavs):
             choosing = candidate if self.best_first else candidate & (np.arange(uavs) == turn)[:, None]
-            value = np.where(choosing, self._collected(age) / (1 + steps), -1.0)  # (N, U, C)
+            # A matrix product may round differently with N; near-ties would then depend on the batch.
+            collected = np.einsum("ni,nuci->nuc", age, probability)  # (N, U, C) s, expected
+            value = np.where(choosing, collected / (1 + steps), -1.0)  # (N, U, C)
             uav, cell = np.divmod(value.reshape(missions, -1).argmax(axis=1), cells)  # (N,), (N,)
             worthwhile = value[mission, uav, cell] > 0.0
             targets[mission[worthwhile], uav[worthwhile]] = self._cells[cell[worthwhile]]
             age = np.where(self._in_radius[layout, uav, cell] & worthwhile[:, None], 0.0, age)
             candidate[mission, uav] = False  # this UAV has chosen
-        return targets
-
-    def _can_return(self, world: World, steps: Ints) -> Bools:
-        round_trip = steps + self._steps_home  # (N, U, C)
-        in_time = round_trip <= world.scenario.slots - world.slot
-        affordable = round_trip <= (world.flight.budget - world.flown)[:, :, None]
-        return np.asarray(in_time & affordable)
-
-    def _collected(self, age: Floats) -> Floats:
-        """Return the expected age sum collected in each cell, (N, U, C) s."""
-        probability = np.broadcast_to(self._probability, (len(age), *self._probability.shape[1:]))
-        # A matrix product may round differently with N; near-ties would then depend on the batch.
-        expected: Floats = np.einsum("ni,nuci->nuc", age, probability)
-        return expected
+        return first_step(targets - world.cells), None
 
 
 class BestFirst(Greedy):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import pickle
 import sys
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,22 +34,18 @@ def order(distances: Ints, group: Ints, time_limit_s: float | None) -> list[int]
     for visited in np.unique(group[1:]):
         choices = 1 + np.flatnonzero(group[1:] == visited)
         routing.AddDisjunction([manager.NodeToIndex(int(node)) for node in choices], _SKIPPED)
-    solution = routing.SolveWithParameters(_parameters(time_limit_s))
-    nodes, index = [], routing.Start(0)
-    while not routing.IsEnd(index):
-        nodes.append(manager.IndexToNode(index))
-        index = solution.Value(routing.NextVar(index))
-    return nodes
-
-
-def _parameters(time_limit_s: float | None) -> Any:
     parameters = pywrapcp.DefaultRoutingSearchParameters()
     parameters.first_solution_strategy = FirstSolutionStrategy.PATH_CHEAPEST_ARC
     parameters.local_search_metaheuristic = LocalSearchMetaheuristic.GREEDY_DESCENT
     if time_limit_s is not None:
         parameters.local_search_metaheuristic = LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
         parameters.time_limit.FromMilliseconds(max(1, int(1000 * time_limit_s)))
-    return parameters
+    solution = routing.SolveWithParameters(parameters)
+    nodes, index = [], routing.Start(0)
+    while not routing.IsEnd(index):
+        nodes.append(manager.IndexToNode(index))
+        index = solution.Value(routing.NextVar(index))
+    return nodes
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Routes planned before take-off, and the planners that fly them."""
+"""Routes planned before take-off, their expected age over all fading, and the planners that fly them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from uavaou.arrays import Ints
 from uavaou.errors import InputError
 from uavaou.files import read_json
 from uavaou.planners.base import Moves, Selections
+from uavaou.planners.search import ExpectedAge, recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
+from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import STEP_OF_MOVE, Flight
 
 _MOVE_OF_STEP = np.zeros((3, 3), dtype=np.int64)  # by columns and rows; index -1 is the last
@@ -84,6 +86,32 @@ class RoutePlan:
         return cls(routes=routes, **fields), scenario
 
 
+def expected_age(scenario: Scenario, layout: Layout, routes: Ints) -> ExpectedAge:
+    """Return the expected ages of ``routes`` (K, U, 2), cells by column and row in slots 1 to K."""
+    slots, devices = scenario.slots, scenario.devices
+    generated = np.arange(slots + 1)[:, None] % layout.update_period == 0  # (K+1, I)
+    cells = routes[..., 0] * scenario.rows + routes[..., 1]  # (K, U)
+    expected = ExpectedAge(
+        miss=np.ascontiguousarray(1.0 - cell_coverage(scenario, layout)),
+        generated=generated.astype(np.float64),
+        routes=np.ascontiguousarray(np.concatenate([cells[:1], cells]).T),
+        fleet_miss=np.ones((slots + 1, devices)),
+        pending=np.ones((slots + 1, devices)),
+        age=np.zeros((slots + 1, devices)),
+        cumulative=np.zeros(slots + 1),
+        to_go_per_pending=np.zeros((slots + 1, devices)),
+        to_go_per_age=np.zeros((slots + 1, devices)),
+        to_go_constant=np.zeros(slots + 1),
+    )
+    recompute(expected)
+    return expected
+
+
+def expected_mean_aou(scenario: Scenario, layout: Layout, routes: Ints) -> float:
+    """Return the expected mean AoU in s of ``routes`` (K, U, 2)."""
+    return scenario.slot_length_s * expected_age(scenario, layout, routes).total_age / scenario.slots
+
+
 def broken_rule(scenario: Scenario, routes: Ints) -> str | None:
     """Describe the first rule of flight that ``routes`` (K, U, 2) break; return None if the routes are feasible."""
     if routes.shape != (scenario.slots, scenario.uavs, 2):
@@ -133,8 +161,7 @@ class RoutePlanner(ABC):
 
     def reset(self, world: World, seed: int) -> None:
         """Plan for each layout of the missions that has no plan yet. Nothing is drawn from ``seed``."""
-        different = world.missions if world.scenario.layout == "resample" else 1  # L
-        layouts = [world.layout(mission) for mission in range(different)]
+        layouts = [world.layout(mission) for mission in range(len(world.device_positions))]  # L
         for layout in layouts:
             if _key(world.scenario, layout) not in self._plans:
                 self.keep(self.plan(world.scenario, layout), world.scenario, layout)

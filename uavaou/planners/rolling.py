@@ -9,8 +9,7 @@ import numpy as np
 from uavaou.arrays import Floats
 from uavaou.planners.anneal import Anneal, flown_steps
 from uavaou.planners.base import Moves, Selections, mission_rngs
-from uavaou.planners.expected_age import expected_age, total_age
-from uavaou.planners.plan import RoutePlan, moves_between
+from uavaou.planners.plan import RoutePlan, expected_age, moves_between
 from uavaou.planners.search import ExpectedAge, anneal, change, follow
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
@@ -53,7 +52,9 @@ class Rolling:
         if slot < scenario.slots - 1:
             pending, age = _after_collection(world)  # (N, I) each
             for mission, expected in enumerate(self._expected):
-                _observe(expected, slot, pending[mission], age[mission])
+                # The total age then has a constant offset, which does not affect comparisons between routes.
+                expected.pending[slot], expected.age[slot] = pending[mission], age[mission]
+                follow(expected, slot + 1, slot + 1)
                 _replan(expected, world, self._rngs[mission])
         next_slot = min(slot + 1, scenario.slots)
         cells = np.stack([expected.routes[:, next_slot] for expected in self._expected])  # (N, U)
@@ -63,8 +64,8 @@ class Rolling:
 
 def _copy(expected: ExpectedAge) -> ExpectedAge:
     """Copy all that a change of routes changes; share the rest."""
-    shared = {"miss": expected.miss, "generated": expected.generated}
-    return ExpectedAge(**{name: shared.get(name, getattr(expected, name).copy()) for name in ExpectedAge._fields})
+    changing = expected._fields[expected._fields.index("routes") :]
+    return expected._replace(**{name: getattr(expected, name).copy() for name in changing})
 
 
 def _after_collection(world: World) -> tuple[Floats, Floats]:
@@ -77,16 +78,6 @@ def _after_collection(world: World) -> tuple[Floats, Floats]:
     return (left * waiting).astype(np.float64), (left * (world.ages.age_slots + waiting)).astype(np.float64)
 
 
-def _observe(expected: ExpectedAge, slot: int, pending: Floats, age: Floats) -> None:
-    """Replace the expected state after ``slot`` by the true one, (I,) each, and update the later slots.
-
-    The total age then has a constant offset, which does not affect comparisons between routes.
-    """
-    expected.pending[slot] = pending
-    expected.age[slot] = age
-    follow(expected, slot + 1, slot + 1)
-
-
 def _replan(expected: ExpectedAge, world: World, rng: np.random.Generator) -> None:
     """Anneal the slots ahead and keep the best routes found."""
     scenario, slot = world.scenario, world.slot
@@ -94,7 +85,7 @@ def _replan(expected: ExpectedAge, world: World, rng: np.random.Generator) -> No
     best = expected.routes.copy()  # (U, K+1)
     anneal(
         expected, (scenario.columns, scenario.rows), world.flight.budget, flown_steps(best), between, _TEMPERATURES,
-        _PROPOSALS, best, total_age(expected), rng,
+        _PROPOSALS, best, expected.total_age, rng,
     )  # fmt: skip
     for uav, route in enumerate(best):
         change(expected, uav, *between, route)

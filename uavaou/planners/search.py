@@ -24,6 +24,7 @@ from uavaou.arrays import Floats, Ints
 from uavaou.world.compiled import compiled_fast
 
 Rng = Any  # np.random.Generator, the whole numbers of which are plain ones once compiled
+Pair = tuple[int, int]
 
 _LONGEST_DETOUR = 16  # slots that one detour may rewrite
 _LONGEST_COPY = 60  # slots copied at once; about two rounds of a tour
@@ -49,6 +50,11 @@ class ExpectedAge(NamedTuple):
     to_go_per_age: Floats  # (K+1, I) cost to go after slot t for each slot of age
     to_go_constant: Floats  # (K+1,) cost to go after slot t from updates generated later
 
+    @property
+    def total_age(self) -> float:
+        """The sum over slots and devices of E[sum_n A_i^n], in slots squared: K times the mean AoU, over tau."""
+        return float(self.cumulative[-1])
+
 
 @compiled_fast
 def recompute(e: ExpectedAge) -> None:
@@ -63,19 +69,17 @@ def recompute(e: ExpectedAge) -> None:
 @compiled_fast
 def trial_age(e: ExpectedAge, uav: int, first: int, end: int, trial: Ints, work: Floats) -> float:
     """Return the total age with ``uav`` in cells ``trial[t]`` (K+1,) in slots first <= t < end; ``work`` is (3, I)."""
-    devices = work.shape[1]
     pending, age, missed = work[0], work[1], work[2]
+    pending[:] = e.pending[first - 1]
+    age[:] = e.age[first - 1]
     total = float(e.cumulative[first - 1])
-    for i in range(devices):
-        pending[i] = e.pending[first - 1, i]
-        age[i] = e.age[first - 1, i]
     for t in range(first, end):
         if trial[t] == e.routes[uav, t]:
             total += _advance(e.fleet_miss[t], e.generated[t], pending, age)
         else:
             _changed_miss(e, uav, t, trial[t], missed)
             total += _advance(missed, e.generated[t], pending, age)
-    for i in range(devices):
+    for i in range(len(age)):
         total += e.to_go_per_pending[end - 1, i] * pending[i] + e.to_go_per_age[end - 1, i] * age[i]
     return total + float(e.to_go_constant[end - 1])
 
@@ -203,11 +207,12 @@ def _walk(trial: Ints, slot: int, here: int, there: int, rows: int, rng: Rng) ->
 
 
 @compiled_fast
-def _fill(trial: Ints, slot: int, here: int, there: int, moves: int, columns: int, rows: int, rng: Rng) -> bool:
+def _fill(trial: Ints, slot: int, here: int, there: int, moves: int, grid: Pair, rng: Rng) -> bool:
     """Write a random path of exactly ``moves`` moves (a stay is a move) from ``here`` to ``there``, from ``slot`` on.
 
     The cells between are moves - 1; ``there`` is the last cell written. Return False if ``moves`` are too few.
     """
+    columns, rows = grid
     slack = moves - steps(here, there, rows)
     if slack < 0:
         return False
@@ -228,34 +233,35 @@ def _fill(trial: Ints, slot: int, here: int, there: int, moves: int, columns: in
     early = wait if rng.random() < 0.5 else rng.integers(0, wait + 1)  # stays at that cell
     late = wait - early  # stays at either end
     if rng.random() < 0.5:
-        for _ in range(late):
-            trial[slot] = here
-            slot += 1
+        slot = _stay(trial, slot, here, late)
         late = 0
     slot = _walk(trial, slot, here, via, rows, rng)
-    for _ in range(early):
-        trial[slot] = via
-        slot += 1
+    slot = _stay(trial, slot, via, early)
     slot = _walk(trial, slot, via, there, rows, rng)
-    for _ in range(late):
-        trial[slot] = there
-        slot += 1
+    _stay(trial, slot, there, late)
     return True
 
 
 @compiled_fast
-def detour(route: Ints, trial: Ints, low: int, high: int, columns: int, rows: int, rng: Rng) -> tuple[int, int]:
+def _stay(trial: Ints, slot: int, cell: int, stays: int) -> int:
+    """Write a number of stays in a cell, from ``slot`` on; return the slot after them."""
+    trial[slot : slot + stays] = cell
+    return slot + stays
+
+
+@compiled_fast
+def detour(route: Ints, trial: Ints, low: int, high: int, grid: Pair, rng: Rng) -> Pair:
     """Fly another path in some slots of low <= t < high."""
     length = rng.integers(1, min(_LONGEST_DETOUR, high - low) + 1)
     first = rng.integers(low, high - length + 1)
     end = first + length
-    if not _fill(trial, first, route[first - 1], route[end], length + 1, columns, rows, rng):
+    if not _fill(trial, first, route[first - 1], route[end], length + 1, grid, rng):
         return _NOTHING
     return first, end
 
 
 @compiled_fast
-def shift(route: Ints, trial: Ints, low: int, high: int, columns: int, rows: int, rng: Rng) -> tuple[int, int]:
+def shift(route: Ints, trial: Ints, low: int, high: int, grid: Pair, rng: Rng) -> Pair:
     """Lengthen one stretch by d slots, shorten a later one by d, and delay all between by d slots (or the reverse)."""
     later = rng.integers(1, _FARTHEST_SHIFT + 1) * (1 if rng.random() < 0.5 else -1)
     one, two = rng.integers(0, 9), rng.integers(0, 9)  # slots rewritten at both ends
@@ -266,20 +272,19 @@ def shift(route: Ints, trial: Ints, low: int, high: int, columns: int, rows: int
     first = rng.integers(low, high - one - two - between + 1)
     middle, after = first + one, first + one + between
     end = after + two
-    if not _fill(trial, first, route[first - 1], route[middle], one + later + 1, columns, rows, rng):
+    if not _fill(trial, first, route[first - 1], route[middle], one + later + 1, grid, rng):
         return _NOTHING
-    for t in range(middle, after):
-        trial[t + later] = route[t]
-    if not _fill(trial, after + later, route[after - 1], route[end], two - later + 1, columns, rows, rng):
+    trial[middle + later : after + later] = route[middle:after]
+    if not _fill(trial, after + later, route[after - 1], route[end], two - later + 1, grid, rng):
         return _NOTHING
     return first, end
 
 
 @compiled_fast
-def reverse(route: Ints, trial: Ints, low: int, high: int, rows: int, rng: Rng) -> tuple[int, int]:
+def reverse(route: Ints, trial: Ints, low: int, high: int, grid: Pair, rng: Rng) -> Pair:
     """Fly a stretch in reverse, as 2-opt does."""
-    first = rng.integers(low, high)
-    found = first
+    found = first = rng.integers(low, high)
+    rows = grid[1]
     for end in range(first + 3, min(first + _LONGEST_COPY, high) + 1):
         if steps(route[first - 1], route[end - 1], rows) <= 1 and steps(route[first], route[end], rows) <= 1:
             found = end
@@ -291,11 +296,9 @@ def reverse(route: Ints, trial: Ints, low: int, high: int, rows: int, rng: Rng) 
 
 
 @compiled_fast
-def copy(
-    source: Ints, route: Ints, trial: Ints, low: int, high: int, columns: int, rows: int, rng: Rng
-) -> tuple[int, int]:
+def copy(source: Ints, route: Ints, trial: Ints, low: int, high: int, grid: Pair, rng: Rng) -> Pair:
     """Repeat a stretch that some UAV flies at another time, so that good rounds spread over the mission."""
-    slots = len(route) - 1
+    slots, rows = len(route) - 1, grid[1]
     length = rng.integers(3, min(_LONGEST_COPY, slots) + 1)
     start = rng.integers(1, slots - length + 2)
     first = rng.integers(low, high)
@@ -304,10 +307,9 @@ def copy(
     for end in range(leave + 1, high + 1):
         missing = end - leave
         if steps(source[start + length - 1], route[end], rows) <= missing:
-            _fill(trial, first, route[first - 1], source[start], join, columns, rows, rng)
-            for k in range(length):
-                trial[first - 1 + join + k] = source[start + k]
-            _fill(trial, leave + 1, source[start + length - 1], route[end], missing, columns, rows, rng)
+            _fill(trial, first, route[first - 1], source[start], join, grid, rng)
+            trial[first - 1 + join : leave + 1] = source[start : start + length]
+            _fill(trial, leave + 1, source[start + length - 1], route[end], missing, grid, rng)
             return first, end
     return _NOTHING
 
@@ -315,10 +317,10 @@ def copy(
 @compiled_fast
 def anneal(
     e: ExpectedAge,
-    grid: tuple[int, int],
+    grid: Pair,
     budget: Ints,
     flown: Ints,
-    between: tuple[int, int],
+    between: Pair,
     temperatures: tuple[float, float],
     proposals: int,
     best: Ints,
@@ -370,20 +372,17 @@ def anneal(
 
 
 @compiled_fast
-def _propose(
-    routes: Ints, uav: int, trial: Ints, between: tuple[int, int], grid: tuple[int, int], rng: Rng
-) -> tuple[int, int]:
+def _propose(routes: Ints, uav: int, trial: Ints, between: Pair, grid: Pair, rng: Rng) -> Pair:
     low, high = between
-    columns, rows = grid
     kind = rng.random()
     if kind < 0.55:
-        return detour(routes[uav], trial, low, high, columns, rows, rng)
+        return detour(routes[uav], trial, low, high, grid, rng)
     if kind < 0.85:
-        return shift(routes[uav], trial, low, high, columns, rows, rng)
+        return shift(routes[uav], trial, low, high, grid, rng)
     if kind < 0.9:
-        return reverse(routes[uav], trial, low, high, rows, rng)
+        return reverse(routes[uav], trial, low, high, grid, rng)
     other = rng.integers(0, len(routes))
-    return copy(routes[other], routes[uav], trial, low, high, columns, rows, rng)
+    return copy(routes[other], routes[uav], trial, low, high, grid, rng)
 
 
 @compiled_fast

@@ -22,17 +22,17 @@ def subgradient_ascent(
     level: float,
     rounds: int,
     patience: int,
-    floor: float | None = None,
+    floor: float = -np.inf,
     time_limit_s: float | None = None,
-) -> float:
-    """Return the best value met by Polyak steps along an averaged subgradient.
+) -> tuple[float, Floats]:
+    """Return the best value met by Polyak steps along an averaged subgradient, and its point.
 
     The step length aims at a level above the best value. If the values do not follow, the level comes closer and the
     ascent continues from the best point.
 
     Args:
-        value: returns the function's value and a subgradient at a point, (D,).
-        start: the first point, (D,).
+        value: returns the function's value and a subgradient at a point, an array of any shape.
+        start: the first point.
         level: height of the first level above the best value.
         rounds: at most.
         patience: rounds without enough gain after which the level comes closer.
@@ -53,11 +53,9 @@ def subgradient_ascent(
             now, point, slope = best, at_best, slope_at_best
         direction = slope if direction is None else _INERTIA * direction + (1 - _INERTIA) * slope
         # An average that nearly cancels must not make a long step of a short one.
-        norm = max(float(direction @ direction), (1 - _INERTIA) ** 2 * float(slope @ slope))
+        norm = max(float(np.vdot(direction, direction)), (1 - _INERTIA) ** 2 * float(np.vdot(slope, slope)))
         late = time_limit_s is not None and time.monotonic() - started > time_limit_s
         if norm < _FLAT or late or level < max(_CLOSE * best, _FLAT):
             break
-        point = point + (best + level - now) / norm * direction
-        if floor is not None:
-            point = np.maximum(floor, point)
-    return best
+        point = np.maximum(floor, point + (best + level - now) / norm * direction)
+    return best, at_best

@@ -19,8 +19,7 @@ from scipy.optimize import linear_sum_assignment
 
 from uavaou.arrays import Bools, Ints
 from uavaou.planners.cetsp import close_enough_tours
-from uavaou.planners.expected_age import expected_age, expected_mean_aou, total_age
-from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner
+from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner, expected_age, expected_mean_aou
 from uavaou.planners.search import ExpectedAge, recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import coverage_probability
@@ -39,7 +38,7 @@ class _Tours(RoutePlanner):
         best = probability.max(axis=(0, 1))  # (I,)
         routes = np.tile(Flight(scenario).cds, (scenario.slots, 1, 1))  # (K, U, 2): stay if no device is in reach
         expected = expected_age(scenario, layout, routes)
-        least, interrupted = total_age(expected), False
+        least, interrupted = expected.total_age, False
         rounds = len(_THRESHOLDS) * (1 if self.time_limit_s is None else 2)
         try:
             coverages = [(probability >= share * best) & (best > 0.0) for share in _THRESHOLDS if best.any()]
@@ -132,7 +131,7 @@ def _age(scenario: Scenario, expected: ExpectedAge, routes: Ints) -> float:
     """Return the total age of ``routes`` (K, U, 2), with the coverage that ``expected`` holds."""
     expected.routes[:, 1:] = (routes[..., 0] * scenario.rows + routes[..., 1]).T  # column 0 is the CDS of any route
     recompute(expected)
-    return total_age(expected)
+    return expected.total_age
 
 
 def fleet_routes(scenario: Scenario, tours: list[Ints], dwell: list[Ints]) -> Ints:

@@ -19,13 +19,8 @@ class AgeLedger:
     """
 
     def __init__(self, missions: int, devices: int) -> None:
-        self.pending: Ints = np.ones((missions, devices), dtype=np.int64)  # (N, I)
-        self.age_slots: Ints = np.zeros((missions, devices), dtype=np.int64)  # (N, I)
-
-    def reset(self) -> None:
-        """Return to the state before slot 1."""
-        self.pending.fill(1)
-        self.age_slots.fill(0)
+        self.pending = np.ones((missions, devices), dtype=np.int64)  # (N, I)
+        self.age_slots = np.zeros((missions, devices), dtype=np.int64)  # (N, I)
 
     def advance(self, slot: int, update_period: Ints, collected: Bools) -> Bools:
         """Advance by one slot: generate, age, deliver.

@@ -178,15 +178,11 @@ class Channel:
         _mean_snr(positions, self._device_x, self._device_y, self._altitude_squared, self._snr_at_1_m, snr)
         return snr
 
-    def snr(self, positions: Floats, slot: int) -> Floats:
-        """Return the SNR Gamma_iu of every pair in a slot, for UAVs at ``positions`` (N, U, 2) m; (N, U, I)."""
-        return self._faded(positions, slot, all_pairs=True)
+    def snr(self, positions: Floats, slot: int, all_pairs: bool = True) -> Floats:
+        """Return the SNR Gamma_iu in a slot, for UAVs at ``positions`` (N, U, 2) m; (N, U, I).
 
-    def snr_in_range(self, positions: Floats, slot: int) -> Floats:
-        """Return the same if R_iu >= R_min, else 0; (N, U, I). Pairs out of reach cost almost nothing."""
-        return self._faded(positions, slot, all_pairs=False)
-
-    def _faded(self, positions: Floats, slot: int, all_pairs: bool) -> Floats:
+        Without ``all_pairs``, it is 0 where R_iu < R_min, and pairs out of reach cost almost nothing.
+        """
         snr = self.mean_snr(positions)  # (N, U, I)
         if self._scenario.fading == "rician":
             _fade(self.keys, slot, self._scenario.rician_factor, self.snr_min, all_pairs, snr)

@@ -8,6 +8,8 @@ Q_1 being the Marcum Q function.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.special import i0e
 
@@ -41,7 +43,7 @@ def coverage_radius(scenario: Scenario, layout: Layout) -> Floats:
     From d^2 = r^2 + H_u^2 and Gamma_0 = Gamma_min: r = H_u sqrt(Gamma_0(r = 0) / Gamma_min - 1). NaN means
     that even a UAV right above the device is too far (no distance compares as within NaN); 0 means right above only.
     """
-    below = Layout(np.zeros_like(layout.positions), layout.bandwidth, layout.transmit_power, layout.update_period)
+    below = replace(layout, positions=np.zeros_like(layout.positions))
     snr_min = minimum_snr(layout.bandwidth, scenario.rate_min_bit_s)  # (I,)
     with np.errstate(invalid="ignore"):
         headroom = mean_snr(scenario, below, np.zeros(2)) / snr_min  # (U, I)
@@ -55,12 +57,9 @@ def best_probability(scenario: Scenario, layout: Layout) -> Floats:
     parts = []
     for first in range(0, scenario.devices, size):
         some = slice(first, first + size)
-        few = Layout(
-            layout.positions[some], layout.bandwidth[some], layout.transmit_power[some], layout.update_period[some]
-        )
+        few = Layout(**{name: values[some] for name, values in vars(layout).items()})
         parts.append(coverage_probability(scenario, few).max(axis=(0, 1, 2)))
-    best: Floats = np.concatenate(parts)
-    return best
+    return np.concatenate(parts)
 
 
 def coverage_probability(scenario: Scenario, layout: Layout) -> Floats:

@@ -107,29 +107,18 @@ class Views:
         uavs, devices = scenario.uavs, scenario.devices
         local = [("position", 2), ("uav_id", uavs)]
         if observation != "location":
-            local += [
-                ("to_cds", 2),
-                ("allowed_moves", MOVES),
-                ("slots_left", 1),
-                ("budget_left", 1),
-                ("to_device_x", devices),
-                ("to_device_y", devices),
-                ("update_period", devices),
-                ("in_range", devices),
-                ("since_own_collection", devices),
-            ]
+            local += [("to_cds", 2), ("allowed_moves", MOVES), ("slots_left", 1), ("budget_left", 1)]
+            by_device = ("to_device_x", "to_device_y", "update_period", "in_range", "since_own_collection")
+            local += [(name, devices) for name in by_device]
         if observation == "shared":
             local += [("other_positions", 2 * (uavs - 1)), ("age_sum", devices)]
-        state = [
-            ("positions", 2 * uavs),
-            ("slots_left", 1),
-            ("age_sum", devices),
-            ("pending", devices),
-            ("since_collection", devices),
-        ]
+        state = [("positions", 2 * uavs), ("slots_left", 1)]
+        state += [(name, devices) for name in ("age_sum", "pending", "since_collection")]
         self.layout = RowLayout(uavs, devices, collection, _columns(*local), _columns(*state))
         self._area = np.array([scenario.area_x_m, scenario.area_y_m])  # (2,) m
         self._span = max(scenario.area_x_m, scenario.area_y_m)  # m
+        period = scenario.update_period_slots
+        self._longest_period = float(period.high if isinstance(period, WholeRange) else np.max(period))  # slots
         slots = np.arange(scenario.slots + 1)
         self._waiting: Rows = (slots / (slots + _RECENT_SLOTS)).astype(np.float32)  # (K+1,) 0 for now, towards 1
         self._ids: Rows = np.eye(uavs, dtype=np.float32)  # (U, U)
@@ -163,7 +152,7 @@ class Views:
         slots = self.scenario.slots
         at["budget_left"][..., 0] = np.minimum(world.flight.budget - world.flown, slots) / slots
         _write_devices(
-            world.device_positions, world.positions, self._span, world.update_period, self._longest_period(world),
+            world.device_positions, world.positions, self._span, world.update_period, self._longest_period,
             world.in_range, world.slot, world.last_collection_by, self._waiting, at["to_device_x"], at["to_device_y"],
             at["update_period"], at["in_range"], at["since_own_collection"],
         )  # fmt: skip
@@ -180,24 +169,17 @@ class Views:
         at["slots_left"][...] = self._slots_left(world)
         at["age_sum"][...] = self._age_sum(world)
         at["pending"][...] = np.sqrt(world.pending) / 4
-        at["since_collection"][...] = self._waiting[self._slots_since(world, world.last_collection)]
+        since = np.minimum(world.slot - world.last_collection, self.scenario.slots)  # (N, I) slots
+        at["since_collection"][...] = self._waiting[since]
         return out
 
     def _slots_left(self, world: World) -> float:
         return (self.scenario.slots + 1 - world.slot) / self.scenario.slots
 
-    def _slots_since(self, world: World, last: Ints) -> Ints:
-        since: Ints = np.minimum(world.slot - last, self.scenario.slots)
-        return since
-
     def _age_sum(self, world: World) -> Floats:
         # An age sum grows with the square of the waiting time; its root is linear.
         scaled: Floats = np.sqrt(world.ages.age_slots) / _RECENT_SLOTS
         return scaled
-
-    def _longest_period(self, world: World) -> float:
-        spec = self.scenario.update_period_slots
-        return float(spec.high if isinstance(spec, WholeRange) else np.max(spec))
 
 
 @compiled

@@ -73,15 +73,7 @@ class MissionMetrics:
 
     def of(self, mission: int) -> dict[str, Any]:
         """Return the metrics of one mission as plain numbers and lists, without those by device."""
-        return {
-            "reward": float(self.reward[mission]),
-            "mean_aou_s": float(self.mean_aou_s[mission]),
-            "communications": int(self.communications[mission]),
-            "devices_served": int(self.devices_served[mission]),
-            "flight_time_s": self.flight_time_s[mission].tolist(),
-            "rejected_rate": int(self.rejected_rate[mission]),
-            "rejected_association": int(self.rejected_association[mission]),
-        }
+        return {name: of[mission].tolist() for name, of in vars(self).items() if not name.startswith("device_")}
 
 
 class World:
@@ -126,7 +118,6 @@ class World:
         self.missions = missions
         self.flight = Flight(scenario)
         self.channel = Channel(scenario, missions)
-        self.ages = AgeLedger(missions, scenario.devices)
         self._fixed_layout = scenario.layout == "fixed"
         self.reset(seed)
 
@@ -134,15 +125,13 @@ class World:
         """Start the next N missions; with a seed, restart their random streams from it."""
         if seed is not None:
             self._rngs = [np.random.default_rng(seed + mission) for mission in range(self.missions)]
-            if self._fixed_layout:
-                self._place_devices()
-        if not self._fixed_layout:
+        if seed is not None or not self._fixed_layout:
             self._place_devices()
         missions, uavs, devices = self.missions, self.scenario.uavs, self.scenario.devices
         self.slot = 1
         self.cells = np.broadcast_to(self.flight.cds, (missions, uavs, 2)).copy()
         self.flown = np.zeros((missions, uavs), dtype=np.int64)
-        self.ages.reset()
+        self.ages = AgeLedger(missions, devices)
         self.last_collection = np.zeros((missions, devices), dtype=np.int64)
         self.last_collection_by = np.zeros((missions, uavs, devices), dtype=np.int64)
         self._age_total: Ints = np.zeros((missions, devices), dtype=np.int64)  # (N, I) slots, over the slots played
@@ -181,7 +170,10 @@ class World:
         _record_collections(association.collected_by, self.slot, self.last_collection, self.last_collection_by)
         self.stepped = Stepped(self.slot, self.positions, self.flown, self._snr_in_range, association)
         reward: Floats = -self.scenario.slot_length_s * self.ages.age_slots.sum(axis=1)
-        self._move(moves)
+        if self.slot < self.scenario.slots:  # the move of slot K has no effect
+            made = self.flight.resolve(moves, self.cells, self.allowed_moves, self._on_grid)  # (N, U)
+            self.cells = self.cells + STEP_OF_MOVE[made]
+            self.flown = self.flown + (made != STAY)
         self.slot += 1
         if not self.done:
             self._open_slot()
@@ -311,10 +303,8 @@ class World:
 
     def _place_devices(self) -> None:
         # A fixed layout is stored once, (1, I), and broadcast; a resampled one comes from the stream of each mission.
-        if self._fixed_layout:
-            layouts = [self.scenario.draw_layout()]
-        else:
-            layouts = [self.scenario.draw_layout(rng) for rng in self._rngs]
+        rngs = [None] if self._fixed_layout else self._rngs
+        layouts = [self.scenario.draw_layout(rng) for rng in rngs]
         self.device_positions = np.stack([layout.positions for layout in layouts])
         self.update_period = np.stack([layout.update_period for layout in layouts])
         self.channel.set_devices(
@@ -325,20 +315,10 @@ class World:
 
     def _open_slot(self) -> None:
         """Compute the channel and the allowed moves of the slot."""
-        self.positions = self._cell_positions()
-        self._snr_in_range = self.channel.snr_in_range(self.positions, self.slot)  # (N, U, I)
+        self.positions = np.multiply(self.cells, self.scenario.grid_step_m, dtype=np.float64)
+        self._snr_in_range = self.channel.snr(self.positions, self.slot, all_pairs=False)  # (N, U, I)
         self.in_range = self._snr_in_range > 0
         self.allowed_moves, self._on_grid = self.flight.allowed(self.cells, self.flown, self.slot)  # (N, U, 5)
-
-    def _cell_positions(self) -> Floats:
-        return np.multiply(self.cells, self.scenario.grid_step_m, dtype=np.float64)
-
-    def _move(self, moves: Ints) -> None:
-        if self.slot == self.scenario.slots:
-            return  # the move of slot K has no effect
-        made = self.flight.resolve(moves, self.cells, self.allowed_moves, self._on_grid)  # (N, U)
-        self.cells = self.cells + STEP_OF_MOVE[made]
-        self.flown = self.flown + (made != STAY)
 
 
 @compiled
