@@ -43,14 +43,10 @@ class CsvTable:
         return [row[place] for row in self.rows]
 
     def floats(self, column: str, *, missing: bool = False) -> Floats:
-        """A column as finite numbers, (R,); nan for an empty cell.
-
-        Args:
-            column: its name.
-            missing: whether empty cells are allowed.
+        """A column as finite numbers, (R,); an empty cell is nan if ``missing`` is true.
 
         Raises:
-            InputError: a cell is empty or not a finite number.
+            InputError: a cell is not a finite number, or empty where none may be.
         """
         cells = self.text(column)
         values = np.array([_float(cell) for cell in cells], dtype=np.float64)
@@ -61,14 +57,10 @@ class CsvTable:
         return values
 
     def integers(self, column: str, *, missing: int | None = None) -> Ints:
-        """A column as 64-bit integers, (R,).
-
-        Args:
-            column: its name.
-            missing: the value of an empty cell; None where empty cells are not allowed.
+        """A column as 64-bit integers, (R,); an empty cell is ``missing``, if that is given.
 
         Raises:
-            InputError: a cell is empty or not an integer.
+            InputError: a cell is not an integer, or empty where none may be.
         """
         values = np.empty(len(self.rows), dtype=np.int64)
         for row, cell in enumerate(self.text(column)):
@@ -105,21 +97,16 @@ def read_csv(path: Path, columns: Sequence[str] = (), *, exact: bool = False, wh
     if whole_lines:
         text = text[: text.rfind("\n") + 1]
     reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
-    header: list[str] = []
-    rows, lines = [], []
     try:
         header = [name.strip() for name in next(reader, [])]
-        for row in reader:
-            if row:
-                rows.append(row)
-                lines.append(reader.line_num)
+        rows = [(row, reader.line_num) for row in reader if row]
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num}: not a CSV file: {error}") from error
     _check_header(path, header, columns, exact)
-    for row, line in zip(rows, lines, strict=True):
+    for row, line in rows:
         if len(row) != len(header):
             raise InputError(f"{path}: line {line}: {len(row)} values, expected {len(header)}")
-    return CsvTable(path, tuple(header), rows, lines)
+    return CsvTable(path, tuple(header), [row for row, _ in rows], [line for _, line in rows])
 
 
 def _check_header(path: Path, header: list[str], columns: Sequence[str], exact: bool) -> None:

@@ -86,14 +86,19 @@ def validated(kind: type[_Model], content: Any, source: str) -> _Model:
     """Validate a mapping.
 
     Raises:
-        InputError: it names the field, its value and what is allowed.
+        InputError: it names the field, its value and what is allowed. It has the class of the InputError that a
+            validator raised.
     """
+    names = list(kind.model_fields)
     if not isinstance(content, dict):
-        raise InputError(f"{source} = {short(content)}: expected a mapping with {', '.join(kind.model_fields)}")
+        of = f" with {', '.join(names)}" if len(names) <= _MOST_LISTED else ""
+        raise InputError(f"{source} = {short(content)}: expected a mapping{of}")
     try:
         return kind.model_validate(content)
     except ValidationError as error:
-        raise InputError(f"{source}: {explain_validation(error, list(kind.model_fields))}") from None
+        cause = error.errors(include_url=False)[0].get("ctx", {}).get("error")
+        refusal = type(cause) if isinstance(cause, InputError) else InputError
+        raise refusal(f"{source}: {explain_validation(error, names)}") from None
 
 
 def explain_validation(error: ValidationError, fields: list[str]) -> str:
@@ -112,8 +117,9 @@ def explain_validation(error: ValidationError, fields: list[str]) -> str:
     kind, message = first["type"], _message(first)
     if not loc:
         return message
-    misspelt = next((d for d in details if d["type"] == "extra_forbidden" and d["loc"][0] == loc[0]), None)
-    if misspelt is not None and isinstance(_field_input(details, loc[0]), dict):
+    own = [d for d in details if d["loc"][0] == loc[0]]
+    misspelt = next((d for d in own if d["type"] == "extra_forbidden"), None)
+    if misspelt is not None and any(isinstance(d["input"], dict) for d in own):
         key = str(misspelt["loc"][-1])
         return f"{loc[0]}: unknown key '{_shortened(key)}'{nearest(key, ('low', 'high'))} (known: low, high)"
     branches = ("float", "int", "Range", "WholeRange", "constrained", "tuple", "function")
@@ -123,9 +129,7 @@ def explain_validation(error: ValidationError, fields: list[str]) -> str:
     several_forms = loc[0] in DEVICE_COLUMNS and len({d["loc"][1:2] for d in details}) > 1
     if several_forms and not isinstance(first["input"], int | float):
         message = "expected a number, {low: ..., high: ...} or a list with one number a device"
-        own = [d for d in details if d["loc"][0] == loc[0] and d["type"] == "value_error"]
-        if own:
-            message = str(own[0]["msg"]).removeprefix("Value error, ")
+        message = next((_message(d) for d in own if d["type"] == "value_error"), message)
     return f"{path} = {short(first['input'])}: {message[0].lower() + message[1:]}"
 
 
@@ -151,11 +155,6 @@ def _message(detail: Any) -> str:
     if kind == "literal_error" and isinstance(detail["input"], str):
         message += nearest(detail["input"], re.findall("'([^']*)'", context["expected"]))
     return message
-
-
-def _field_input(details: list[Any], field: str) -> Any:
-    """Return the mapping given for a field, or None."""
-    return next((d["input"] for d in details if d["loc"][0] == field and isinstance(d["input"], dict)), None)
 
 
 def _shortened(text: str) -> str:

@@ -100,13 +100,14 @@ def read_text(path: Path, most_bytes: int) -> str:
     try:
         state = path.stat()
         if not stat.S_ISREG(state.st_mode):
-            raise InputError(f"{path}: cannot be read: it is not a regular file")
+            what = "a folder" if stat.S_ISDIR(state.st_mode) else "not a regular file"
+            raise InputError(f"{path}: cannot be read: it is {what}")
         if state.st_size > most_bytes:
             raise InputError(f"{path}: {state.st_size:,} bytes, at most {most_bytes:,} are read")
         return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise InputError(f"{path}: cannot be read: {reason}") from error
 
@@ -117,11 +118,10 @@ def read_json(path: Path, most_bytes: int = 512_000_000) -> Any:
     Raises:
         InputError: as :func:`read_text`, or the file is not JSON.
     """
+    text = read_text(path, most_bytes)
     try:
-        return json.loads(read_text(path, most_bytes))
+        return json.loads(text)
     except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(f"{path}: cannot be read as JSON: {error}") from error
 
 

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from uavaou.arrays import Floats, Ints
 from uavaou.devices_csv import read_devices_csv
@@ -30,9 +29,9 @@ from uavaou.fields import (
     PositiveWhole,
     Unbounded,
     Whole,
-    explain_validation,
+    validated,
 )
-from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
+from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_names, zoo_or_file, zoo_path
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 ZETA_TOLERANCE_S = 1e-6  # slack in comparisons of flight times
@@ -124,19 +123,7 @@ class Scenario(BaseModel):
         """
         if isinstance(source, Scenario):
             return source
-        name = str(source)
-        if name in zoo_names("scenarios"):
-            return cls._read(zoo_path("scenarios", name))
-        if isinstance(source, Path) or name.endswith((".yaml", ".yml")) or "/" in name:
-            _check_file(name)
-            return cls._read(Path(name))
-        names = zoo_names("scenarios")
-        raise InputError(
-            f"unknown scenario '{name}'{nearest(name, names)} (presets: {', '.join(names)}; or a path ending in .yaml)"
-        )
-
-    @classmethod
-    def _read(cls, path: Path) -> Scenario:
+        path = zoo_or_file("scenarios", source)
         fields = read_yaml_mapping(path)
         if "schema" in fields and isinstance(fields.get("scenario"), dict):  # a run's config.yaml
             return cls.from_dict(fields["scenario"], source=f"{path}: scenario")
@@ -161,12 +148,7 @@ class Scenario(BaseModel):
             InputError: it names the field, its value and what is allowed.
             InfeasibleError: each value is allowed, but every flight breaks a constraint.
         """
-        try:
-            return cls.model_validate(fields)
-        except ValidationError as error:
-            causes = [detail.get("ctx", {}).get("error") for detail in error.errors(include_url=False)]
-            kind = InfeasibleError if isinstance(causes[0], InfeasibleError) else InputError
-            raise kind(f"{source}: {explain_validation(error, list(cls.model_fields))}") from None
+        return validated(cls, fields, source)
 
     def replace(self, /, **changes: Any) -> Scenario:
         """Return a validated copy with some fields changed.
@@ -184,7 +166,7 @@ class Scenario(BaseModel):
 
     def to_yaml(self) -> str:
         """Return the scenario as YAML that :meth:`load` reads back to an equal scenario."""
-        return yaml.safe_dump(self.to_dict(), sort_keys=False)
+        return to_yaml(self.to_dict())
 
     # -- derived, in SI units ------------------------------------------------------------------------
 
@@ -338,14 +320,3 @@ def _drop_superseded(fields: dict[str, Any], changes: dict[str, Any]) -> None:
     for given, other in (forms, forms[::-1]):
         if changes.get(given) is not None and changes.get(other) is None:
             fields.pop(other, None)
-
-
-def _check_file(name: str) -> None:
-    """Raise an InputError if there is no file of that name."""
-    try:
-        if Path(name).is_file():
-            return
-        reason = "is a folder" if Path(name).is_dir() else "does not exist"
-    except (OSError, ValueError):  # a name that no file can have
-        reason = "does not exist"
-    raise InputError(f"scenario file '{name}' {reason}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from uavaou.errors import InputError, nearest, unknown
+from uavaou.errors import InputError, nearest
 from uavaou.files import read_text
 
 _MOST_BYTES = 32_000_000
@@ -30,15 +30,8 @@ def zoo_names(kind: str) -> list[str]:
 
 
 def zoo_path(kind: str, name: str) -> Path:
-    """Return the path of a shipped configuration.
-
-    Raises:
-        InputError: no configuration of that kind has that name.
-    """
-    path = zoo_folder(kind) / f"{name}.yaml"
-    if name not in zoo_names(kind):
-        raise unknown(kind.rstrip("s"), name, zoo_names(kind))
-    return path
+    """Return the path of the shipped configuration of one kind and name."""
+    return zoo_folder(kind) / f"{name}.yaml"
 
 
 def zoo_or_file(kind: str, source: str | Path) -> Path:
@@ -51,7 +44,7 @@ def zoo_or_file(kind: str, source: str | Path) -> Path:
     singular = "study" if kind == "studies" else kind.removesuffix("s")
     if name in names:
         return zoo_path(kind, name)
-    if not name.endswith((".yaml", ".yml")) and "/" not in name:
+    if isinstance(source, str) and not name.endswith((".yaml", ".yml")) and "/" not in name:
         known = f"{', '.join(names)}; or a path ending in .yaml"
         raise InputError(f"unknown {singular} '{name[:40]}'{nearest(name, names)} ({kind}: {known})")
     if not os.path.lexists(name):
