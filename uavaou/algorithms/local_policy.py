@@ -24,11 +24,7 @@ class LocalPolicy(BasePolicy):
     depends_on_sizes: ClassVar[bool] = True
 
     def predict(
-        self,
-        observation: np.ndarray | dict[str, np.ndarray],
-        state: tuple[np.ndarray, ...] | None = None,
-        episode_start: np.ndarray | None = None,
-        deterministic: bool = False,
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
         """As SB3's; also takes local observations alone, which is all that a flying UAV has."""
         if isinstance(observation, np.ndarray) and observation.shape[-1] == self.row_layout.local_size:

@@ -101,8 +101,7 @@ def load_plugin(place: str) -> None:
         InputError: no such file or module exists, or the file registers nothing.
     """
     if place.endswith(".py"):
-        _load_file(Path(place))
-        return
+        return _load_file(Path(place))
     try:
         import_module(place)
     except (ModuleNotFoundError, ValueError, TypeError) as error:

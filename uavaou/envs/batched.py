@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from uavaou.envs.rewards import training_reward
 from uavaou.envs.spaces import action_space, row_space, split_actions
 from uavaou.world import Views, World
-
-Rows = NDArray[np.float32]
+from uavaou.world.views import Rows
 
 
 class BatchedMissions(VectorEnv[Any, Any, Any]):

@@ -34,8 +34,8 @@ from uavaou.envs.spaces import action_space, row_space, vector_space
 from uavaou.errors import InputError
 from uavaou.scenario import Scenario
 from uavaou.world import Views
+from uavaou.world.views import Rows
 
-Rows = NDArray[np.float32]
 State = dict[str, NDArray[Any]]  # arrays with missions along axis 0
 
 
@@ -98,7 +98,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
         self._next_seed = seed
         return [seed + row // self.scenario.uavs for row in range(self.num_envs)]
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Rows:
+    def reset(self, seed: int | None = None, options: Any = None) -> Rows:
         """Start all missions: with the seed given here or to :meth:`seed`, else the next of each mission's stream."""
         seed, self._next_seed = self._next_seed if seed is None else seed, None
         if seed is None:
@@ -140,10 +140,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
         if not environments:
             raise NotImplementedError("environments in other processes are not reached: use processes=1")
         each = self.num_envs // len(environments)
-        return self._indexed([environment for environment in environments for _ in range(each)], indices)
-
-    def _indexed(self, values: list[Any], indices: VecEnvIndices) -> list[Any]:
-        return [values[index] for index in self._get_indices(indices)]
+        return [environments[row // each] for row in self._get_indices(indices)]
 
     def getattr_recursive(self, name: str) -> Any:
         """An attribute asked for through an SB3 wrapper around this one (SuperSuit's method always raises)."""
@@ -161,7 +158,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
         """The attribute for each row: the environment's, else this wrapper's."""
         if any(hasattr(env, attr_name) for env in self._environments()[:1]):
             return [getattr(target, attr_name) for target in self._targets(indices)]
-        return self._indexed([getattr(self, attr_name)] * self.num_envs, indices)
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute on the environments behind some rows."""
@@ -179,7 +176,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
 
     def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
         """False for each row: Gymnasium's wrappers do not wrap missions."""
-        return self._indexed([False] * self.num_envs, indices)
+        return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> list[NDArray[np.uint8] | None]:
         """A frame of each environment in this process."""
@@ -187,8 +184,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
 
     def render(self, mode: str | None = None) -> NDArray[np.uint8] | None:
         """A map of the first mission, (H, W, 3); None without ``render_mode``."""
-        frame: NDArray[np.uint8] | None = self.venv.render() if self.render_mode is not None else None
-        return frame
+        return None if self.render_mode is None else self.venv.render()
 
 
 class LocalRows(VecEnvWrapper):

@@ -52,10 +52,10 @@ class GradientShard:
         masks = (policy.allowed_columns, policy.in_range_columns)
         self._moves_column, self._range_column = (-1 if columns is None else columns.start for columns in masks)
         known = inherits(policy, CentralizedValuePolicy, "logits")
-        actor = (policy.actor_body, policy.action_net) if known else ()
+        actor = fully_connected(policy.actor_body, policy.action_net) if known else None
         self._actor = _network(actor, policy.logits, policy.actor_parameters())
         known = inherits(policy, CentralizedValuePolicy, "normalised_values") and is_exactly(policy.value_net, PopArt)
-        critic = (policy.critic_body, policy.value_net.linear) if known else ()
+        critic = fully_connected(policy.critic_body, policy.value_net.linear) if known else None
         self._critic = _network(
             critic, lambda rows: policy.normalised_values(rows)[:, None], policy.critic_parameters()
         )
@@ -133,10 +133,9 @@ class _AutogradNetwork:
 
 
 def _network(
-    modules: tuple[th.nn.Module, ...], network: Callable[[th.Tensor], th.Tensor], parameters: list[th.nn.Parameter]
+    layers: FullyConnected | None, network: Callable[[th.Tensor], th.Tensor], parameters: list[th.nn.Parameter]
 ) -> FullyConnected | _AutogradNetwork:
-    """The written gradient where ``modules`` are known layers with just these parameters, else autograd's."""
-    layers = fully_connected(*modules)
+    """The written gradient where the known ``layers`` have just these parameters, else autograd's."""
     if layers is not None and list(map(id, layers.parameters)) == list(map(id, parameters)):
         return layers
     return _AutogradNetwork(network, parameters)

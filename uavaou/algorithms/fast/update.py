@@ -35,10 +35,6 @@ LEAST_ROWS = 256  # of a minibatch for each process: fewer are not worth one
 SPIN_S = 0.002  # waking a core that sleeps costs a tenth of a shard
 ALIVE_S = 0.5  # how often a waiting side checks that the other is alive
 STATISTICS = 6
-
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of glibc's malloc.h
-_KEPT = 512 << 20  # bytes
-_LARGEST_FROM_HEAP = 32 << 20  # bytes, the most that glibc allows
 _ALIGNMENT = 16  # elements, 64 bytes, as of torch's own tensors: MKL sums in another order elsewhere
 
 
@@ -62,8 +58,7 @@ class FastUpdate:
             sum(parameter.numel() for parameter in parameters)
             for parameters in (policy.actor_parameters(), policy.critic_parameters())
         )
-        uavs = buffer.row_layout.uavs
-        self._critic_work = critic * (1 if buffer.shared_critic else uavs) / (actor * uavs)  # see divide
+        self._critic_work = critic / actor / (buffer.row_layout.uavs if buffer.shared_critic else 1)  # see divide
 
     @staticmethod
     def supports(policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> bool:
@@ -343,5 +338,5 @@ def keep_freed_memory() -> None:
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform.startswith("linux") else None
     if mallopt is not None:  # musl has none
-        mallopt(_MMAP_THRESHOLD, _LARGEST_FROM_HEAP)
-        mallopt(_TRIM_THRESHOLD, _KEPT)
+        mallopt(-3, 32 << 20)  # M_MMAP_THRESHOLD, bytes: the most that glibc allows
+        mallopt(-1, 512 << 20)  # M_TRIM_THRESHOLD, bytes

@@ -117,6 +117,13 @@ class SafeSaveLoad(BaseAlgorithm):
 
     _given: dict[str, Any]
 
+    @staticmethod
+    def _policy_arguments(env: Any, given: dict[str, Any] | None, **defaults: Any) -> dict[str, Any]:
+        """The policy's arguments: those given, before the defaults and the row layout of ``env``."""
+        if env is not None and not hasattr(env, "row_layout"):
+            raise InputError(f"env = {env!r}: expected what uavaou.flatten returns, or a VecEnv with a row_layout")
+        return ({} if env is None else {"row_layout": env.row_layout}) | defaults | (given or {})
+
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Record the arguments of the constructor."""
         learner = super().__new__(cls)
@@ -152,12 +159,7 @@ class SafeSaveLoad(BaseAlgorithm):
 
     @classmethod
     def load(  # type: ignore[override]
-        cls,
-        path: str | Path,
-        env: Any = None,
-        device: th.device | str = "auto",
-        policy: type[Any] | None = None,
-        **changes: Any,
+        cls, path: str | Path, env: Any = None, device: Any = "auto", policy: type[Any] | None = None, **changes: Any
     ) -> Self:
         """Read a learner that :meth:`save` wrote.
 
@@ -216,18 +218,17 @@ class SafeSaveLoad(BaseAlgorithm):
 
     def _plain_arguments(self) -> dict[str, Any]:
         given = {name: value for name, value in self._given.items() if name not in _NOT_SAVED}
-        policy_kwargs = dict(given.pop("policy_kwargs", None) or {})
+        policy_kwargs = dict(given.get("policy_kwargs") or {})
         policy_kwargs.pop("row_layout", None)
+        given["policy_kwargs"] = policy_kwargs
         for name, value in given.items():
             if callable(value) and not isinstance(value, type):  # a schedule
                 given[name] = value(self._current_progress_remaining)
-        plain = given | {"policy_kwargs": policy_kwargs}
-        for name, value in plain.items():
             try:
-                json.dumps(value)
+                json.dumps(given[name])
             except (TypeError, ValueError):
                 raise InputError(f"{name} = {value!r}: only plain values can be saved") from None
-        return plain
+        return given
 
 
 def _with_suffix(path: str | Path) -> Path:

@@ -13,7 +13,8 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
-from uavaou.world.views import RowLayout
+from uavaou.arrays import Ints
+from uavaou.world.views import RowLayout, Rows
 
 ARRAYS = (
     "local", "state", "actions", "log_probs", "values", "rewards", "episode_starts", "advantages", "returns",
@@ -38,8 +39,8 @@ class SlotRolloutBuffer(RolloutBuffer):
     SB3's buffer stores the global state, the value, the reward and the advantage of a slot U times.
     """
 
-    local: NDArray[np.float32]  # (T, N, U, local)
-    state: NDArray[np.float32]  # (T, N, global)
+    local: Rows  # (T, N, U, local)
+    state: Rows  # (T, N, global)
 
     def __init__(self, *args: Any, row_layout: RowLayout, shared_critic: bool, **kwargs: Any) -> None:
         self.row_layout = row_layout
@@ -63,13 +64,7 @@ class SlotRolloutBuffer(RolloutBuffer):
             setattr(self, name, np.zeros((self.buffer_size, self.n_envs // uavs, *shape), dtype=np.float32))
 
     def add(
-        self,
-        obs: NDArray[np.float32],
-        action: NDArray[Any],
-        reward: NDArray[np.float32],
-        episode_start: NDArray[Any],
-        value: th.Tensor,
-        log_prob: th.Tensor,
+        self, obs: Rows, action: Any, reward: Rows, episode_start: Any, value: th.Tensor, log_prob: th.Tensor
     ) -> None:
         """Store one slot of all missions, given as N * U mission-major rows."""
         self.log_probs[self.pos] = log_prob.cpu().numpy().reshape(-1, self.row_layout.uavs)
@@ -77,16 +72,16 @@ class SlotRolloutBuffer(RolloutBuffer):
         self.add_rows(obs)
         self.add_step(action, reward, episode_start)
 
-    def add_rows(self, obs: NDArray[np.float32]) -> NDArray[np.float32]:
+    def add_rows(self, obs: Rows) -> Rows:
         """Store the rows of a slot before it is played; returns what the UAVs observe, (N * U, local)."""
         uavs, local_size = self.row_layout.uavs, self.row_layout.local_size
         rows = obs.reshape(-1, uavs, obs.shape[-1])  # (N, U, local + global)
-        local: NDArray[np.float32] = self.local[self.pos]  # (N, U, local)
+        local: Rows = self.local[self.pos]  # (N, U, local)
         local[...] = rows[:, :, :local_size]
         self.state[self.pos] = rows[:, 0, local_size:]
         return local.reshape(-1, local_size)
 
-    def add_step(self, action: NDArray[Any], reward: NDArray[np.float32], episode_start: NDArray[Any]) -> None:
+    def add_step(self, action: NDArray[Any], reward: Rows, episode_start: NDArray[Any]) -> None:
         """Store the rest of a slot after it is played; values and log-probabilities may follow later."""
         self.actions[self.pos] = action.reshape(self.actions.shape[1:])
         self.rewards[self.pos] = self._per_critic(reward)
@@ -99,7 +94,7 @@ class SlotRolloutBuffer(RolloutBuffer):
         return per_uav[:, :1] if self.shared_critic else per_uav
 
     @property
-    def critic_rows(self) -> NDArray[np.float32]:
+    def critic_rows(self) -> Rows:
         """The critic's inputs: (T, N, global) with a shared critic, else (T, N, U, local)."""
         return self.state if self.shared_critic else self.local
 
@@ -116,13 +111,13 @@ class SlotRolloutBuffer(RolloutBuffer):
             not_done = 1.0 - self.episode_starts[step]
         np.add(self.advantages, self.values, out=self.returns)
 
-    def shuffled_slots(self, slots_in_batch: int) -> Iterator[NDArray[np.int64]]:
+    def shuffled_slots(self, slots_in_batch: int) -> Iterator[Ints]:
         """Yield the indices of the T * N slots in minibatches (B,), in random order; the last may be smaller."""
         order = np.random.permutation(self.buffer_size * self.state.shape[1])
         for start in range(0, len(order), slots_in_batch):
             yield order[start : start + slots_in_batch]
 
-    def batch(self, indices: NDArray[np.int64]) -> SlotBatch:
+    def batch(self, indices: Ints) -> SlotBatch:
         """The minibatch of the slots with ``indices`` (B,) from 0 to T * N - 1, on the learner's device."""
         critic_rows = self._pick(self.critic_rows, indices)
         return SlotBatch(
@@ -145,7 +140,7 @@ class SlotRolloutBuffer(RolloutBuffer):
         for indices in self.shuffled_slots(max(rows // self.row_layout.uavs, 1)):
             yield self._get_samples(indices)
 
-    def _get_samples(self, batch_inds: NDArray[np.int64], env: VecNormalize | None = None) -> RolloutBufferSamples:
+    def _get_samples(self, batch_inds: Ints, env: VecNormalize | None = None) -> RolloutBufferSamples:
         local = self._pick(self.local, batch_inds)  # (B, U, local)
         state = self._pick(self.state, batch_inds)[:, None].expand(-1, local.shape[1], -1)  # (B, U, global)
         return RolloutBufferSamples(
@@ -157,11 +152,11 @@ class SlotRolloutBuffer(RolloutBuffer):
             returns=self._per_uav(self.returns, batch_inds),
         )
 
-    def _pick(self, array: NDArray[np.float32], indices: NDArray[np.int64]) -> th.Tensor:
+    def _pick(self, array: Rows, indices: Ints) -> th.Tensor:
         """The entries (B, ...) of an array (T, N, ...) at some slots."""
         index = th.from_numpy(indices).to(self.device)
         return th.from_numpy(array.reshape(-1, *array.shape[2:])).to(self.device).index_select(0, index)
 
-    def _per_uav(self, array: NDArray[np.float32], indices: NDArray[np.int64]) -> th.Tensor:
+    def _per_uav(self, array: Rows, indices: Ints) -> th.Tensor:
         """The entries (B * U,) of an array (T, N, V)."""
         return self._pick(array, indices).expand(-1, self.row_layout.uavs).flatten()

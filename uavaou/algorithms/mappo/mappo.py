@@ -106,18 +106,11 @@ class MAPPO(SafeSaveLoad, PPO):
         for name in ("clip_range_vf", "normalize_advantage"):
             if kwargs.get(name) is not None:
                 raise InputError(f"{name}: not an argument of {type(self).__name__} (see advantage_normalization)")
-        if env is not None and not hasattr(env, "row_layout"):
-            raise InputError(f"env = {env!r}: expected what uavaou.flatten returns")
         self.advantage_normalization = advantage_normalization
         self.critic_learning_rate = critic_learning_rate
-        policy_kwargs = dict(policy_kwargs or {})
-        if env is not None:
-            policy_kwargs.setdefault("row_layout", env.row_layout)
-        policy_kwargs.setdefault("critic_input", self.critic_input)
-        buffer_kwargs = {
-            "row_layout": policy_kwargs.get("row_layout"),
-            "shared_critic": policy_kwargs["critic_input"] == "global",
-        }
+        policy_kwargs = self._policy_arguments(env, policy_kwargs, critic_input=self.critic_input)
+        shared_critic = policy_kwargs["critic_input"] == "global"
+        buffer_kwargs = {"row_layout": policy_kwargs.get("row_layout"), "shared_critic": shared_critic}
         kwargs.setdefault("rollout_buffer_class", SlotRolloutBuffer)
         kwargs.setdefault("rollout_buffer_kwargs", buffer_kwargs)
         rows_in_rollout = n_steps * (1 if env is None else env.num_envs)

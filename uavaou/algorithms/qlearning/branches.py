@@ -71,10 +71,8 @@ class Branches:
 
     def _split(self, values: th.Tensor) -> Iterator[tuple[BranchGroup, th.Tensor]]:
         for group in self.groups:
-            yield (
-                group,
-                values[:, group.columns].reshape(len(values), group.count, group.size),
-            )  # (B, branches, options)
+            options = values[:, group.columns].reshape(len(values), group.count, group.size)  # (B, branches, options)
+            yield group, options
 
     def greedy(self, values: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
         """The best allowed choice, (B, M); the first of equal options.

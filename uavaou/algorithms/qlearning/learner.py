@@ -7,8 +7,6 @@ from typing import Any, ClassVar
 import numpy as np
 import torch as th
 from gymnasium import spaces
-from numpy.typing import NDArray
-from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import LinearSchedule
@@ -17,7 +15,8 @@ from torch.nn import functional
 from uavaou.algorithms.io.save_load import SafeSaveLoad
 from uavaou.algorithms.qlearning.policy import JointQPolicy
 from uavaou.algorithms.qlearning.replay import JointBatch, JointReplay
-from uavaou.errors import InputError
+from uavaou.arrays import Bools
+from uavaou.world.views import Rows
 
 _STATISTICS_INTERVAL = 20  # gradient steps between updates of the targets' statistics
 
@@ -74,18 +73,11 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         _init_setup_model: bool = True,
         **kwargs: Any,
     ) -> None:
-        if env is not None and not hasattr(env, "row_layout"):
-            raise InputError(f"env = {env!r}: expected what uavaou.flatten returns, or a VecEnv with a row_layout")
-        policy_kwargs = dict(policy_kwargs or {})
-        policy_kwargs.setdefault("mixer", self.mixer)
-        if env is not None:
-            policy_kwargs.setdefault("row_layout", env.row_layout)
+        policy_kwargs = self._policy_arguments(env, policy_kwargs, mixer=self.mixer)
+        layout = policy_kwargs.get("row_layout")
         kwargs.setdefault("replay_buffer_class", JointReplay)
-        kwargs.setdefault(
-            "replay_buffer_kwargs",
-            {"row_layout": policy_kwargs.get("row_layout"), "n_steps": n_steps, "gamma": gamma},
-        )
-        uavs = policy_kwargs["row_layout"].uavs if "row_layout" in policy_kwargs else 1
+        kwargs.setdefault("replay_buffer_kwargs", {"row_layout": layout, "n_steps": n_steps, "gamma": gamma})
+        uavs = 1 if layout is None else layout.uavs
         super().__init__(
             policy, env, learning_rate, buffer_size=buffer_size, learning_starts=learning_starts * uavs,
             batch_size=batch_size, tau=tau, gamma=gamma, train_freq=train_freq, gradient_steps=gradient_steps,
@@ -98,9 +90,7 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         if _init_setup_model:
             self._setup_model()
 
-    def _sample_action(
-        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
-    ) -> tuple[NDArray[Any], NDArray[Any]]:
+    def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> tuple[Any, Any]:
         """Epsilon-greedy actions of all rows, one coin an agent."""
         self.policy.epsilon.fill_(self.exploration_schedule(self._current_progress_remaining))
         assert isinstance(self._last_obs, np.ndarray)
@@ -108,13 +98,7 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
         return actions, actions
 
     def _store_transition(  # type: ignore[override]
-        self,
-        replay_buffer: JointReplay,
-        buffer_action: NDArray[Any],
-        new_obs: NDArray[np.float32],
-        reward: NDArray[np.float32],
-        dones: NDArray[np.bool_],
-        infos: list[dict[str, Any]],
+        self, replay_buffer: JointReplay, buffer_action: Any, new_obs: Rows, reward: Rows, dones: Bools, infos: Any
     ) -> None:
         """Store the slot just played; the next call stores its successor."""
         assert isinstance(self._last_obs, np.ndarray)

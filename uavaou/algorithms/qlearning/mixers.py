@@ -32,9 +32,9 @@ class Mixer(nn.Module, ABC):
     def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
         """Team values, (B, V): V is 1, or U without mixing."""
 
-    @abstractmethod
     def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
         """Change the outputs to ``values * ratio + shift`` for the utilities of ``network``, which may change too."""
+        network.rescale(ratio, shift)
 
 
 class NoMixer(Mixer):
@@ -43,10 +43,6 @@ class NoMixer(Mixer):
     def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
         """The utilities, (B, U)."""
         return utilities
-
-    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
-        """Rescale every utility."""
-        network.rescale(ratio, shift)
 
 
 class SumMixer(Mixer):
