@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavaou.reports.audit_checks import Finding, Level, findings, plain
-from uavaou.reports.link_budget import DeviceBudget, device_budgets, link_budget
-from uavaou.scenario import Scenario
+from uavaou.reports.link_budget import LinkBudget, link_budget
+from uavaou.scenario import Layout, Scenario
 
 _LEVELS: tuple[Level, ...] = ("error", "warning", "note")
 _WIDTH = 110  # characters of a line of text
@@ -22,7 +22,8 @@ class Audit:
     """The link budget of a scenario, and the findings: errors first, then warnings, then notes."""
 
     scenario: Scenario
-    devices: tuple[DeviceBudget, ...]
+    layout: Layout
+    budget: LinkBudget
     findings: tuple[Finding, ...]
 
     def of_level(self, level: Level) -> list[Finding]:
@@ -38,7 +39,7 @@ def audit(scenario: Scenario) -> Audit:
     layout = scenario.draw_layout()
     budget = link_budget(scenario, layout)
     found = sorted(findings(scenario, layout, budget), key=lambda finding: _LEVELS.index(finding.level))
-    return Audit(scenario, device_budgets(layout, budget), tuple(found))
+    return Audit(scenario, layout, budget, tuple(found))
 
 
 def audit_lines(result: Audit) -> list[str]:
@@ -62,42 +63,32 @@ def audit_lines(result: Audit) -> list[str]:
         label = f"{finding.level:<8} "
         indent = " " * len(label)
         lines += textwrap.wrap(text, _WIDTH, initial_indent=label, subsequent_indent=indent, break_on_hyphens=False)
-    counts = ", ".join(_count(len(result.of_level(level)), level) for level in _LEVELS)
-    return [*lines, "", counts]
-
-
-def _rows_shown(result: Audit) -> list[DeviceBudget]:
-    """The devices in the table: all, or the hardest to reach where there are very many."""
-    hardest = sorted(result.devices, key=lambda device: device.mean_probability)[:_DEVICES_SHOWN]
-    return sorted(hardest, key=lambda device: device.device)
+    counts = {level: len(result.of_level(level)) for level in _LEVELS}
+    return [*lines, "", ", ".join(f"{n} {level}{'' if n == 1 else 's'}" for level, n in counts.items())]
 
 
 def _table(result: Audit) -> list[str]:
-    """The devices as aligned columns, the heading first."""
-    altitudes = result.scenario.altitudes_m
+    """The devices as aligned columns, the heading first: all, or the hardest to reach where there are very many."""
+    layout, budget, altitudes = result.layout, result.budget, result.scenario.altitudes_m
     each = len(altitudes) <= _RADII_SHOWN
     radii = [f"radius@{plain(altitude)}m" for altitude in altitudes] if each else ["widest radius"]
     heading = ["device", "x m", "y m", "B kHz", "P mW", "k", *radii, "cells", "P mean", "P best"]
     rows = [heading]
-    for device in _rows_shown(result):
-        shown = device.radius_m if each else (float(np.fmax.reduce(device.radius_m)),)
+    for i in sorted(np.argsort(budget.mean, kind="stable")[:_DEVICES_SHOWN]):
+        bandwidth_khz = layout.bandwidth[i] / 1e3
+        radius = budget.radius[:, i] if each else [np.fmax.reduce(budget.radius[:, i])]  # m
         rows.append(
             [
-                str(device.device),
-                f"{device.x_m:.0f}",
-                f"{device.y_m:.0f}",
-                f"{device.bandwidth_hz / 1e3:.4g}" if device.bandwidth_hz < 1e7 else f"{device.bandwidth_hz / 1e3:.0f}",
-                f"{device.transmit_power_w * 1e3:.3g}",
-                str(device.update_period_slots),
-                *("-" if np.isnan(radius) else f"{radius:.0f}" for radius in shown),
-                str(device.cells_in_range),
-                f"{device.mean_probability:.4f}",
-                f"{device.best_probability:.4f}",
+                str(i),
+                *(f"{place:.0f}" for place in layout.positions[i]),
+                f"{bandwidth_khz:.4g}" if bandwidth_khz < 1e4 else f"{bandwidth_khz:.0f}",
+                f"{layout.transmit_power[i] * 1e3:.3g}",
+                str(layout.update_period[i]),
+                *("-" if np.isnan(metres) else f"{metres:.0f}" for metres in radius),
+                str(budget.cells[i]),
+                f"{budget.mean[i]:.4f}",
+                f"{budget.best[:, i].max():.4f}",
             ]
         )
     widths = [max(len(row[column]) for row in rows) for column in range(len(heading))]
     return ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"

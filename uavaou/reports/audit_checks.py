@@ -34,8 +34,7 @@ class Finding:
 
     level: Level
     check: str  # which check it comes from, e.g. "grid step"
-    number: float  # the figure that the message turns on
-    unit: str
+    number: float  # that the message turns on
     message: str
     change: str = ""  # what to change; empty where nothing needs to be
 
@@ -43,8 +42,7 @@ class Finding:
 def findings(scenario: Scenario, layout: Layout, budget: LinkBudget) -> Iterator[Finding]:
     """Everything that the checks find, in the order of the checks."""
     yield from _check_rate(scenario, budget)
-    yield from _check_far_corner(scenario, budget)
-    yield from _check_radio(scenario, layout)
+    yield from _check_radio(scenario, layout, budget)
     yield from _check_gain(scenario)
     yield from _check_grid_step(scenario)
     yield from _check_take_off(scenario)
@@ -52,11 +50,9 @@ def findings(scenario: Scenario, layout: Layout, budget: LinkBudget) -> Iterator
     yield from _check_round_trips(scenario, budget)
     yield from _check_devices(scenario, budget)
     if scenario.layout == "resample":
-        yield Finding(
-            "note", "layout", scenario.layout_seed, "",
-            f"layout: resample draws another layout each mission; this audits the one of layout_seed = "
-            f"{scenario.layout_seed}.",
-        )  # fmt: skip
+        seed = scenario.layout_seed
+        message = f"layout: resample draws another layout each mission; this audits the one of layout_seed = {seed}."
+        yield Finding("note", "layout", seed, message)
 
 
 # -- the radio ---------------------------------------------------------------------------------------
@@ -65,61 +61,53 @@ def findings(scenario: Scenario, layout: Layout, budget: LinkBudget) -> Iterator
 def _check_rate(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     """Whether R_min ever prevents a communication."""
     lowest, at_cds = float(budget.lowest.min()), float(budget.at_cds.min())
+    r_min = f"R_min = {_si(scenario.rate_min_bit_s, 'bit/s')}"
     change = "raise rate_min_bit_s, or lower bandwidth_hz, transmit_power_mw or the reference gain"
     if lowest > _CERTAIN:
-        yield Finding(
-            "error", "rate", lowest, "",
-            f"R_min = {_bit_s(scenario.rate_min_bit_s)} is met with probability {_probability(lowest)} or more from "
-            "every cell to every device: it never binds, collecting everything from the CDS keeps every age at 0, "
-            "and there is nothing to learn.",
-            change,
-        )  # fmt: skip
+        message = (
+            f"{r_min} is met with probability {_probability(lowest)} or more from every cell to every device: it never "
+            "binds, collecting everything from the CDS keeps every age at 0, and there is nothing to learn."
+        )
+        yield Finding("error", "rate", lowest, message, change)
     elif at_cds > _CERTAIN:
-        yield Finding(
-            "error", "rate", at_cds, "",
-            f"every device meets R_min = {_bit_s(scenario.rate_min_bit_s)} with probability {_probability(at_cds)} or "
-            "more from some UAV's CDS: not flying at all keeps every age at 0, and there is nothing to learn.",
-            f"{change}, or enlarge the area",
-        )  # fmt: skip
+        message = (
+            f"every device meets {r_min} with probability {_probability(at_cds)} or more from some UAV's CDS: "
+            "not flying at all keeps every age at 0, and there is nothing to learn."
+        )
+        yield Finding("error", "rate", at_cds, message, f"{change}, or enlarge the area")
     else:
         share = float(budget.mean.mean())
-        yield Finding(
-            "note", "rate", share, "",
-            f"R_min binds: from a cell taken at random, a UAV has a device in range with probability {share:.3f}.",
-        )  # fmt: skip
+        message = f"R_min binds: from a cell taken at random, a UAV has a device in range with probability {share:.3f}."
+        yield Finding("note", "rate", share, message)
 
 
-def _check_far_corner(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
+def _check_radio(scenario: Scenario, layout: Layout, budget: LinkBudget) -> Iterator[Finding]:
+    """The rate at the far corner, bandwidth and noise power, each against what radio allows."""
     far = float(np.median(budget.far_rate))
     margin = far / scenario.rate_min_bit_s
     if margin >= _AMPLE:
-        yield Finding(
-            "warning", "far corner", far, "bit/s",
-            f"at its farthest corner of the grid half of the devices still reach {_bit_s(far)} or more without fading, "
-            f"{margin:,.0f} times R_min.",
-            "lower bandwidth_hz, transmit_power_mw or the reference gain: a battery affords less",
-        )  # fmt: skip
-
-
-def _check_radio(scenario: Scenario, layout: Layout) -> Iterator[Finding]:
-    """Bandwidth and noise power, each against what radio allows."""
+        message = (
+            f"at its farthest corner of the grid half of the devices still reach {_si(far, 'bit/s')} or more "
+            f"without fading, {margin:,.0f} times R_min."
+        )
+        change = "lower bandwidth_hz, transmit_power_mw or the reference gain: a battery affords less"
+        yield Finding("warning", "far corner", far, message, change)
     widest = float(layout.bandwidth.max())
     if widest > _WIDE_HZ:
-        yield Finding(
-            "warning", "bandwidth", widest, "Hz",
+        message = (
             f"bandwidth_hz is up to {_si(widest, 'Hz')} for one device; a whole 5G carrier below 7 GHz has at most "
-            f"{_si(_WIDE_HZ, 'Hz')}, a narrow-band IoT carrier 180 kHz.",
-            "check the unit of bandwidth_hz",
-        )  # fmt: skip
+            f"{_si(_WIDE_HZ, 'Hz')}, a narrow-band IoT carrier 180 kHz."
+        )
+        yield Finding("warning", "bandwidth", widest, message, "check the unit of bandwidth_hz")
     below_db = float(10 * np.log10(THERMAL_NOISE_W_HZ * widest / scenario.noise_power_w))
     if below_db > 0:
         thermal_dbm = scenario.noise_power_dbm + below_db
-        yield Finding(
-            "warning", "noise", below_db, "dB",
+        message = (
             f"noise_power_dbm = {plain(scenario.noise_power_dbm)} lies {below_db:.1f} dB below the thermal noise of "
-            f"{_si(widest, 'Hz')} at 290 K, {thermal_dbm:.1f} dBm.",
-            f"lower bandwidth_hz, or raise noise_power_dbm to at least {_at_least(thermal_dbm)}",
-        )  # fmt: skip
+            f"{_si(widest, 'Hz')} at 290 K, {thermal_dbm:.1f} dBm."
+        )
+        change = f"lower bandwidth_hz, or raise noise_power_dbm to at least {_at_least(thermal_dbm)}"
+        yield Finding("warning", "noise", below_db, message, change)
 
 
 def _check_gain(scenario: Scenario) -> Iterator[Finding]:
@@ -131,11 +119,11 @@ def _check_gain(scenario: Scenario) -> Iterator[Finding]:
         return
     amplifies = gain >= 1 - _RELATIVE
     verdict = "a gain of 1 or more is no free-space gain" if amplifies else "UAV links use higher ones"
-    yield Finding(
-        "error" if amplifies else "warning", "reference gain", gain_db, "dB",
-        f"beta_0 = {plain(gain_db)} dB at 1 m: free space has that at a carrier of {_si(carrier, 'Hz')}; {verdict}.",
-        "state carrier_frequency_hz, or a reference_gain_db that fits it (3.5 GHz: -43.3 dB)",
-    )  # fmt: skip
+    message = (
+        f"beta_0 = {plain(gain_db)} dB at 1 m: free space has that at a carrier of {_si(carrier, 'Hz')}; {verdict}."
+    )
+    change = "state carrier_frequency_hz, or a reference_gain_db that fits it (3.5 GHz: -43.3 dB)"
+    yield Finding("error" if amplifies else "warning", "reference gain", gain_db, message, change)
 
 
 # -- time and flight ---------------------------------------------------------------------------------
@@ -144,21 +132,22 @@ def _check_gain(scenario: Scenario) -> Iterator[Finding]:
 def _check_grid_step(scenario: Scenario) -> Iterator[Finding]:
     """Whether a UAV flies delta in a slot: delta against nu tau."""
     step, per_slot = scenario.grid_step_m, scenario.speed_m_s * scenario.slot_length_s
-    flown = per_slot * scenario.slots
+    at = f"at {plain(scenario.speed_m_s)} m/s a UAV"
     if per_slot < step * (1 - _RELATIVE):
+        message = (
+            f"{at} moves {_metres(per_slot)} in a slot and {_metres(per_slot * scenario.slots)} in the whole mission, "
+            f"but a move is a grid step of {_metres(step)}."
+        )
+        least = f"grid_step_m / speed_m_s = {_at_least(step / scenario.speed_m_s)}"
         yield Finding(
-            "error", "grid step", per_slot, "m",
-            f"at {plain(scenario.speed_m_s)} m/s a UAV moves {_metres(per_slot)} in a slot and {_metres(flown)} in "
-            f"the whole mission, but a move is a grid step of {_metres(step)}.",
-            f"set slot_length_s to at least grid_step_m / speed_m_s = {_at_least(step / scenario.speed_m_s)}, "
-            "or shorten grid_step_m",
-        )  # fmt: skip
+            "error", "grid step", per_slot, message, f"set slot_length_s to at least {least}, or shorten grid_step_m"
+        )
     elif per_slot > step * (1 + _RELATIVE):
-        yield Finding(
-            "note", "grid step", per_slot, "m",
-            f"at {plain(scenario.speed_m_s)} m/s a UAV could move {_metres(per_slot)} in a slot; "
-            f"a move is {_metres(step)}, and the rest of the slot it hovers.",
-        )  # fmt: skip
+        message = (
+            f"{at} could move {_metres(per_slot)} in a slot; a move is {_metres(step)}, "
+            "and the rest of the slot it hovers."
+        )
+        yield Finding("note", "grid step", per_slot, message)
 
 
 def _check_take_off(scenario: Scenario) -> Iterator[Finding]:
@@ -168,63 +157,57 @@ def _check_take_off(scenario: Scenario) -> Iterator[Finding]:
     if longest <= scenario.slot_length_s + ZETA_TOLERANCE_S:
         return
     beyond = longest > mission + ZETA_TOLERANCE_S
-    than = f" and the whole mission of {plain(mission)} s" if beyond else ""
-    yield Finding(
-        "error" if beyond else "warning", "take-off", longest, "s",
-        f"H / nu = {_span(climb)} s exceeds the slot of {plain(scenario.slot_length_s)} s{than}; "
-        "the model assumes that a UAV takes off within a slot.",
-        f"set slot_length_s to at least {_at_least(longest)}, or lower altitudes_m",
-    )  # fmt: skip
+    message = (
+        f"H / nu = {_span(climb)} s exceeds the slot of {plain(scenario.slot_length_s)} s"
+        f"{f' and the whole mission of {plain(mission)} s' if beyond else ''}; "
+        "the model assumes that a UAV takes off within a slot."
+    )
+    change = f"set slot_length_s to at least {_at_least(longest)}, or lower altitudes_m"
+    yield Finding("error" if beyond else "warning", "take-off", longest, message, change)
 
 
 def _check_flight_time(scenario: Scenario) -> Iterator[Finding]:
     """zeta_max against take-off and landing, against K tau, and in moves against the K - 1 that there are."""
     limit, mission = scenario.flight_time_budget_s, scenario.slots * scenario.slot_length_s
     needed = 2 * scenario.altitudes / scenario.speed_m_s  # (U,) s
-    if needed.max() > limit + ZETA_TOLERANCE_S:
+    most = float(needed.max())
+    if most > limit + ZETA_TOLERANCE_S:
+        message = (
+            f"take-off and landing alone need 2 H / nu = {_span(needed)} s, zeta_max is {plain(limit)} s: "
+            "no flight is feasible under constraint (Time)."
+        )
         yield Finding(
-            "error", "flight time", float(needed.max()), "s",
-            f"take-off and landing alone need 2 H / nu = {_span(needed)} s, zeta_max is {plain(limit)} s: no "
-            "flight is feasible under constraint (Time).",
-            f"raise flight_time_budget_s to more than {_at_least(float(needed.max()))}",
-        )  # fmt: skip
+            "error", "flight time", most, message, f"raise flight_time_budget_s to more than {_at_least(most)}"
+        )
     if scenario.flight_time == "ignore":
-        yield Finding("note", "flight time", limit, "s", "flight_time: ignore: constraint (Time) is not enforced.")
+        yield Finding("note", "flight time", limit, "flight_time: ignore: constraint (Time) is not enforced.")
         return
     if abs(limit - mission) > ZETA_TOLERANCE_S:
-        yield Finding(
-            "note", "flight time", limit - mission, "s",
-            f"zeta_max = {plain(limit)} s is {'longer' if limit > mission else 'shorter'} than the mission, "
-            f"K tau = {plain(mission)} s.",
-        )  # fmt: skip
+        than = "longer" if limit > mission else "shorter"
+        message = f"zeta_max = {plain(limit)} s is {than} than the mission, K tau = {plain(mission)} s."
+        yield Finding("note", "flight time", limit - mission, message)
     moves, last = Flight(scenario).budget, scenario.slots - 1  # (U,)
     if (moves < last).any():
-        fewest = int(moves.min())
-        short = _listed("UAV", np.flatnonzero(moves < last))
-        yield Finding(
-            "note", "flight time", fewest, "moves",
-            f"zeta_max binds: it affords {short} as few as {fewest} of the {last} moves of a mission.",
-        )  # fmt: skip
+        fewest, short = int(moves.min()), _listed("UAV", np.flatnonzero(moves < last))
+        message = f"zeta_max binds: it affords {short} as few as {fewest} of the {last} moves of a mission."
+        yield Finding("note", "flight time", fewest, message)
 
 
 def _check_round_trips(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     """Whether UAVs can fly to every cell, and to within range of every device, and come home."""
-    within = there_and_back(scenario)  # (U, X, Y)
-    cells = int((~within).sum(axis=(1, 2)).max())
+    beyond = ~there_and_back(scenario)  # (U, X, Y)
+    cells = int(beyond.sum(axis=(1, 2)).max())
     if cells:
-        short = _listed("UAV", np.flatnonzero((~within).any(axis=(1, 2))))
-        yield Finding(
-            "note", "round trip", cells, "cells",
-            f"{short} cannot fly to the farthest cells and come home in one mission, up to {cells} of "
-            f"{scenario.columns * scenario.rows}.",
-        )  # fmt: skip
+        message = (
+            f"{_listed('UAV', np.flatnonzero(beyond.any(axis=(1, 2))))} cannot fly to the farthest cells and come home "
+            f"in one mission, up to {cells} of {scenario.columns * scenario.rows}."
+        )
+        yield Finding("note", "round trip", cells, message)
     missed = np.flatnonzero(budget.in_range.any(axis=0) & ~budget.in_range_and_back)
     if len(missed):
-        yield Finding(
-            "warning", "round trip", len(missed), "devices",
-            f"{_listed('device', missed)}: no UAV can come within range and fly home in one mission.",
-            "raise slots and flight_time_budget_s, or move a CDS nearer",
-        )  # fmt: skip
+        message = f"{_listed('device', missed)}: no UAV can come within range and fly home in one mission."
+        change = "raise slots and flight_time_budget_s, or move a CDS nearer"
+        yield Finding("warning", "round trip", len(missed), message, change)
 
 
 def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
@@ -232,33 +215,30 @@ def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     nowhere = ~budget.in_range.any(axis=0)  # (I,)
     best = budget.best.max(axis=0)  # (I,)
     hopeless = nowhere & (best * scenario.slots < 1)  # not one success expected from hovering at the best cell
+    lucky = nowhere & ~hopeless
     change = (
         "raise transmit_power_mw or bandwidth_hz, lower altitudes_m or rate_min_bit_s, or choose another layout_seed"
     )
     if hopeless.any():
-        highest = float(best[hopeless].max())
-        yield Finding(
-            "warning", "never served", int(hopeless.sum()), "devices",
-            f"{_listed('device', np.flatnonzero(hopeless))} can never be served: from every cell out of every UAV's "
-            f"range without fading, and with it R_min is met with probability {highest:.2g} a slot at best.",
-            change,
-        )  # fmt: skip
-    lucky = nowhere & ~hopeless
+        message = (
+            f"{_listed('device', np.flatnonzero(hopeless))} can never be served: from every cell out of every UAV's range "
+            f"without fading, and with it R_min is met with probability {best[hopeless].max():.2g} a slot at best."
+        )
+        yield Finding("warning", "never served", int(hopeless.sum()), message, change)
     if lucky.any():
-        yield Finding(
-            "warning", "out of range", int(lucky.sum()), "devices",
+        message = (
             f"{_listed('device', np.flatnonzero(lucky))}: from every cell out of every UAV's range without fading; a "
-            f"lucky fade alone serves them, with probability {_span(best[lucky])} a slot at the best cell.",
-            change,
-        )  # fmt: skip
+            f"lucky fade alone serves them, with probability {_span(best[lucky])} a slot at the best cell."
+        )
+        yield Finding("warning", "out of range", int(lucky.sum()), message, change)
     for u, altitude in enumerate(scenario.altitudes_m):
         partly = np.flatnonzero(~budget.in_range[u] & ~nowhere)
         if len(partly):
-            yield Finding(
-                "note", "out of range", len(partly), "devices",
+            message = (
                 f"{_listed('device', partly)}: from every cell out of range of UAV {u} ({plain(altitude)} m) without "
-                "fading, in range of another UAV.",
-            )  # fmt: skip
+                "fading, in range of another UAV."
+            )
+            yield Finding("note", "out of range", len(partly), message)
 
 
 # -- quantities as text -------------------------------------------------------------------------------
@@ -288,10 +268,6 @@ def _si(value: float, unit: str) -> str:
         if value >= factor:
             return f"{value / factor:.3g} {prefix}{unit}"
     return f"{value:.3g} {unit}"
-
-
-def _bit_s(value: float) -> str:
-    return _si(value, "bit/s")
 
 
 def _probability(value: float) -> str:

@@ -22,7 +22,7 @@ _BLOCK = 2_000_000  # probabilities held at a time
 class LinkBudget:
     """Which UAV reaches which device, reduced over the grid; probabilities are of R >= R_min in one slot."""
 
-    radius: Floats  # (U, I) m
+    radius: Floats  # (U, I) m, without fading; nan where out of range even right below
     best: Floats  # (U, I), over the cells
     mean: Floats  # (I,), over UAVs and cells
     lowest: Floats  # (I,), over UAVs and cells
@@ -33,40 +33,15 @@ class LinkBudget:
     far_rate: Floats  # (I,) bit/s, without fading, at the cell and UAV farthest away
 
 
-@dataclass(frozen=True)
-class DeviceBudget:
-    """The link budget of one device; probabilities are of R >= R_min in one slot, over all UAVs and grid cells."""
-
-    device: int
-    x_m: float
-    y_m: float
-    bandwidth_hz: float
-    transmit_power_w: float
-    update_period_slots: int
-    radius_m: tuple[float, ...]  # U; without fading; NaN where out of range even right below the UAV
-    cells_in_range: int  # grid cells from which some UAV has it in range without fading
-    mean_probability: float
-    lowest_probability: float
-    best_probability: float
-
-
 def link_budget(scenario: Scenario, layout: Layout) -> LinkBudget:
     """Compute the link budget of all devices of ``layout``, some devices at a time."""
     size = max(1, _BLOCK // (scenario.uavs * scenario.columns * scenario.rows))
-    blocks = [
-        _budget_of(
-            scenario,
-            Layout(
-                layout.positions[first : first + size],
-                layout.bandwidth[first : first + size],
-                layout.transmit_power[first : first + size],
-                layout.update_period[first : first + size],
-            ),
-        )
-        for first in range(0, scenario.devices, size)
-    ]
-    names = LinkBudget.__dataclass_fields__
-    return LinkBudget(**{name: np.concatenate([getattr(block, name) for block in blocks], axis=-1) for name in names})
+    blocks = []
+    for first in range(0, scenario.devices, size):
+        part = slice(first, first + size)
+        devices = Layout(*(values[part] for values in vars(layout).values()))
+        blocks.append(vars(_budget_of(scenario, devices)))
+    return LinkBudget(**{name: np.concatenate([block[name] for block in blocks], axis=-1) for name in blocks[0]})
 
 
 def _budget_of(scenario: Scenario, layout: Layout) -> LinkBudget:
@@ -101,23 +76,3 @@ def there_and_back(scenario: Scenario) -> Bools:
     steps = np.abs(cells - scenario.cds_cells[:, :, None, None]).sum(axis=1)  # (U, X, Y)
     moves = np.minimum(Flight(scenario).budget, scenario.slots - 1)  # (U,); the move of slot K has no effect
     return np.asarray(2 * steps <= moves[:, None, None])
-
-
-def device_budgets(layout: Layout, budget: LinkBudget) -> tuple[DeviceBudget, ...]:
-    """The link budget device by device."""
-    return tuple(
-        DeviceBudget(
-            device=i,
-            x_m=float(layout.positions[i, 0]),
-            y_m=float(layout.positions[i, 1]),
-            bandwidth_hz=float(layout.bandwidth[i]),
-            transmit_power_w=float(layout.transmit_power[i]),
-            update_period_slots=int(layout.update_period[i]),
-            radius_m=tuple(budget.radius[:, i].tolist()),
-            cells_in_range=int(budget.cells[i]),
-            mean_probability=float(budget.mean[i]),
-            lowest_probability=float(budget.lowest[i]),
-            best_probability=float(budget.best[:, i].max()),
-        )
-        for i in range(len(layout.bandwidth))
-    )
