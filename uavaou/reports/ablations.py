@@ -11,14 +11,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from uavaou.arrays import Floats
 from uavaou.errors import unknown
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.statistics import Interval, ratio_of_trainings
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
-from numpy.typing import NDArray
 
+from uavaou.arrays import Floats
 from uavaou.envs.map import BLACK
 from uavaou.reports import style
 from uavaou.reports.drawing import Looks
@@ -21,11 +22,6 @@ from uavaou.statistics import (
 )
 from uavaou.studies.results import StudyResults
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
 Scores = Mapping[str, Mapping[str, Floats]]  # variant -> scenario -> (S, M)
 
 OWN = "mappo"  # the variant to compare with where the study names no reference

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Floats, Ints
 from uavaou.reports.link_budget import LinkBudget, there_and_back
 from uavaou.scenario import SPEED_OF_LIGHT_M_S, ZETA_TOLERANCE_S, Layout, Scenario
 from uavaou.world.flight import Flight
 
-Floats = NDArray[np.float64]
 Level = Literal["error", "warning", "note"]
 
 THERMAL_NOISE_W_HZ = 1.380649e-23 * 290  # k_B T at the customary 290 K
@@ -221,8 +220,9 @@ def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     )
     if hopeless.any():
         message = (
-            f"{_listed('device', np.flatnonzero(hopeless))} can never be served: from every cell out of every UAV's range "
-            f"without fading, and with it R_min is met with probability {best[hopeless].max():.2g} a slot at best."
+            f"{_listed('device', np.flatnonzero(hopeless))} can never be served: from every cell out of every UAV's "
+            "range without fading, and with it R_min is met with probability "
+            f"{best[hopeless].max():.2g} a slot at best."
         )
         yield Finding("warning", "never served", int(hopeless.sum()), message, change)
     if lucky.any():
@@ -276,7 +276,7 @@ def _probability(value: float) -> str:
     return f"{value:.4f} (1 - {missing:.1g})" if 0 < missing < 5e-5 else f"{value:.4f}"
 
 
-def _listed(noun: str, indices: NDArray[np.int64]) -> str:
+def _listed(noun: str, indices: Ints) -> str:
     """E.g. ``device 3``, ``devices 1, 2``; long lists are cut."""
     shown = ", ".join(str(index) for index in indices[:10])
     more = f" and {len(indices) - 10} more" if len(indices) > 10 else ""

@@ -10,9 +10,9 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from uavaou.arrays import Floats
 from uavaou.reports.references import best_planner
 from uavaou.reports.training_claims import convergence, last_reward, time_to_level
 from uavaou.reports.verdicts import (
@@ -30,8 +30,6 @@ from uavaou.reports.verdicts import (
 )
 from uavaou.statistics import mean_of_tasks
 from uavaou.studies.results import StudyResults
-
-Floats = NDArray[np.float64]
 
 LOWEST = "the minimum value of AoU is achieved through MAPPO-AoU"
 REDUCED = "Compared to VDN and QMIX, the AoU during the execution is reduced by a factor of 1/2 and 2/3 respectively"

@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from uavaou.arrays import Floats
 from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.files import folder_name
@@ -46,7 +47,7 @@ from uavaou.reports.run_tables import read_runs
 from uavaou.runs.results import PolicyResult
 from uavaou.statistics import Band, Interval, band_over_missions, band_over_trainings, interval_over_missions
 from uavaou.studies.folder import BOUND, PartKey
-from uavaou.studies.results import Floats, StudyResults, Table, read_study
+from uavaou.studies.results import StudyResults, Table, read_study
 
 Evaluations = Mapping[PartKey, PolicyResult]
 

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.channel import rate
 from uavaou.world.coverage import coverage_probability, coverage_radius, mean_snr
 from uavaou.world.flight import Flight
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _BLOCK = 2_000_000  # probabilities held at a time
 
@@ -29,7 +26,7 @@ class LinkBudget:
     at_cds: Floats  # (I,), best over the UAVs, each over its CDS
     in_range: Bools  # (U, I), from some cell, without fading
     in_range_and_back: Bools  # (I,), likewise from a cell that the UAV can fly to and come home from
-    cells: NDArray[np.int64]  # (I,), cells from which some UAV has it in range without fading
+    cells: Ints  # (I,), cells from which some UAV has it in range without fading
     far_rate: Floats  # (I,) bit/s, without fading, at the cell and UAV farthest away
 
 

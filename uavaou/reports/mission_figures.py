@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 
+from uavaou.arrays import Floats
 from uavaou.envs.map import add_age_bar, age_scale, draw_devices, draw_ground
 from uavaou.evaluation.recorded_mission import RecordedMission
 from uavaou.reports import style
@@ -20,13 +22,6 @@ from uavaou.reports.trajectories import (
     fleet_handles,
     legend_of_communications,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
 
 _PANELS_A_ROW = 3
 _MOST_PANELS = 12

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from uavaou.arrays import Floats
 from uavaou.studies.results import StudyResults
-
-Floats = NDArray[np.float64]
 
 _CHANCE = 1e-6  # of a false alarm for one training
 _ROUNDED = 1e-5  # relative error of a mean over missions of six digits

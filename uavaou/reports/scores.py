@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Floats
 from uavaou.statistics import Interval, interquartile_mean, interval_over_missions, interval_over_trainings
 from uavaou.studies.results import StudyResults
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

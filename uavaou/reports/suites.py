@@ -7,9 +7,10 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from uavaou.csv_tables import CsvTable, read_csv
@@ -17,10 +18,6 @@ from uavaou.errors import InputError
 from uavaou.reports import style
 from uavaou.statistics import Interval, interval_over_trainings
 from uavaou.suites.assignment import budget_lines
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _COLUMNS = (
     "suite", "point", "x", "policy", "trained", "seed", "training_slots", "mean_aou_slots", "low", "high", "axis",

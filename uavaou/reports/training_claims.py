@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Floats
 from uavaou.reports.markdown import rounded, with_interval
 from uavaou.reports.verdicts import (
     OWN,
@@ -29,8 +29,6 @@ from uavaou.reports.verdicts import (
 )
 from uavaou.statistics import Interval, ratio_of_trainings
 from uavaou.studies.results import StudyResults, Table
-
-Floats = NDArray[np.float64]
 
 SMOOTHED = 3  # evaluations
 WITHIN = 0.10

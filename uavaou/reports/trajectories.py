@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from uavaou.arrays import Floats, Ints
 from uavaou.envs.map import (
     AGE_COLOURS,
     BLACK,
@@ -34,14 +38,6 @@ from uavaou.reports.style import (
     save,
 )
 from uavaou.scenario import Scenario
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _DEVICE_AREA = (12.0, 75.0)  # square points, of the least and the most collected device
 _LINE_WIDTH = (0.6, 2.4)  # points, of a step flown once and of the one flown most

@@ -16,14 +16,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Floats
 from uavaou.reports.markdown import rounded
 from uavaou.statistics import Interval, ratio_of_trainings
 from uavaou.studies.results import StudyResults
 from uavaou.studies.study import JUDGED
 
-Trainings = Mapping[str, NDArray[np.float64]]  # scenario -> (S,), one value a training; () for an untrained policy
+Trainings = Mapping[str, Floats]  # scenario -> (S,), one value a training; () for an untrained policy
 Verdict = Literal["supported", "partly supported", "not supported", "not measured", "a figure"]
 Decide = Callable[[Interval], Verdict]
 

@@ -16,7 +16,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uavaou.statistics.intervals import UPPER, Band, Floats, Interval
+from uavaou.arrays import Floats
+from uavaou.statistics.intervals import UPPER, Band, Interval
 
 Scores = Mapping[str, ArrayLike]  # task -> (S, M)
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from uavaou.arrays import Floats
 
-CONFIDENCE = 0.95
-UPPER = 0.5 + CONFIDENCE / 2  # the quantile at the upper end of a two-sided interval
+UPPER = 0.975  # the quantile at the upper end of a two-sided interval
 
 
 class Interval(NamedTuple):

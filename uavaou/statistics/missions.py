@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr, stdtrit
 
-from uavaou.statistics.intervals import UPPER, Band, Floats, Interval, table_of, without_interval
+from uavaou.arrays import Floats
+from uavaou.statistics.intervals import UPPER, Band, Interval, table_of, without_interval
 
 RESAMPLES = 4000
 _SEED = 20_240_501  # any fixed number: the same values give the same interval

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from uavaou.statistics.intervals import UPPER, Band, Floats, Interval, table_of, without_interval
+from uavaou.arrays import Floats
+from uavaou.statistics.intervals import UPPER, Band, Interval, table_of, without_interval
 
 Groups = Mapping[str, ArrayLike]  # task -> (n,), one value a training
 
