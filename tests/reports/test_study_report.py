@@ -143,7 +143,7 @@ def test_a_reference_must_be_a_variant(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"reference: no variant 'mapo'.*mappo.*\(variants: mappo, vdn\)"):
         Study.load(path)
     path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}}\nreference: vdn\n")
-    assert Study.load(path).to_dict()["reference"] == "vdn"
+    assert Study.load(path).reference == "vdn"
 
 
 def test_the_claims_are_about_three_variants(tmp_path: Path) -> None:
@@ -176,7 +176,7 @@ def test_what_a_variant_is_held_against_is_another(tmp_path: Path, vdn: str, mor
 
 
 def test_the_ablations_hold_location_against_masks_off(tmp_path: Path) -> None:
-    assert Study.load("ablations").to_dict()["against"] == {"observation location": "masks off"}
+    assert Study.load("ablations").against == {"observation location": "masks off"}
 
 
 def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
