@@ -153,7 +153,7 @@ def test_no_file_is_long() -> None:
         ("import uavaou.planners", "torch ortools highspy"),
         ("import uavaou.evaluation.checker", "torch uavaou.world"),
         ("import uavaou.studies.study, uavaou.studies.results, uavaou.studies.marl_eval", "torch matplotlib"),
-        ("import uavaou.reports.figures, uavaou.reports.trajectories, uavaou.reports.audit", "torch"),
+        ("import uavaou.reports.figures, uavaou.reports.mission_figures, uavaou.reports.audit", "torch"),
         ("import uavaou.reports.claims_table", "torch"),
     ],
 )

@@ -97,7 +97,7 @@ def _plan_and_report(
     from uavaou.planners import make_planner
     from uavaou.planners.bound import lower_bound
     from uavaou.planners.plan import RoutePlanner
-    from uavaou.reports.trajectories import plot_trajectories
+    from uavaou.reports.mission_figures import plot_trajectories
     from uavaou.runs.comparison import compare
 
     planner = make_planner(name, time_limit)

@@ -114,7 +114,7 @@ def trajectories(
     target = out if out is not None else run / "figures"
     writable_folder(target)
     from uavaou.evaluation.recorded_mission import record_mission
-    from uavaou.reports.trajectories import plot_trajectories
+    from uavaou.reports.mission_figures import plot_trajectories
     from uavaou.runs.policy import load_run
 
     recording = record_mission(scenario, load_run(folder), episode_seed)

@@ -102,8 +102,6 @@ def test_an_interval_is_cut_at_possible_values() -> None:
     assert Interval(1.0, -3.0, 5.0).within(0) == (1.0, 0.0, 5.0)
     assert Interval(0.5, -3.0, 5.0).within(-1, 1) == (0.5, -1.0, 1.0)
     assert math.isnan(Interval(0.5, math.nan, math.nan).within(0).low)
-    band = band_over_trainings([[0.0, 1.0], [9.0, 2.0]]).within(0, 10)
-    assert (band.low[0], band.high[0]) == (0.0, 10.0)
 
 
 def test_five_trainings_need_students_interval() -> None:

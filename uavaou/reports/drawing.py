@@ -71,7 +71,10 @@ def measure_figure(
         marks: dict[str, Any] = {"marker": looks[name].marker, "markevery": max(1, len(line.x) // 8)}
         _draw_line(axes, line, sign, looks[name], looks[name].label + seeds, alpha, **marks)
     for name, level in levels.items():
-        _draw_level(axes, level, sign, looks[name])
+        look = looks[name]
+        if np.isfinite(level.low):
+            axes.axhspan(sign * level.low, sign * level.high, color=look.colour, alpha=0.15, linewidth=0)
+        axes.axhline(sign * level.value, color=look.colour, linestyle=look.dash, linewidth=1.0, label=look.label)
     shown = [line.y.value for line in lines.values()] + [np.array([level.value]) for level in levels.values()]
     _scale_y(axes, sign * np.concatenate(shown), measure.log, "\N{MINUS SIGN}" if measure.mirrored else "")
     axes.set_ylabel(measure.label)
@@ -97,13 +100,6 @@ def _draw_line(axes: Axes, line: Line, sign: float, look: style.Look, label: str
     axes.plot(line.x, value, color=look.colour, label=label, **{"linestyle": look.dash} | marks)
 
 
-def _draw_level(axes: Axes, level: Interval, sign: float, look: style.Look) -> None:
-    """A planner's mean as a horizontal line, its interval as a strip."""
-    if np.isfinite(level.low):
-        axes.axhspan(sign * level.low, sign * level.high, color=look.colour, alpha=0.15, linewidth=0)
-    axes.axhline(sign * level.value, color=look.colour, linestyle=look.dash, linewidth=1.0, label=look.label)
-
-
 def _scale_y(axes: Axes, shown: Floats, log: bool, sign: str = "") -> None:
     """Logarithmic where wanted and wide, and then without the empty decades of a band that touches 0; else from 0."""
     if log and style.log_scale_if_wide(axes, shown, sign):
@@ -125,14 +121,7 @@ def label_training(axes: Axes, mission_slots: float) -> None:
 
 def _axis_above(axes: Axes, factor: float, label: str) -> None:
     """A second x axis on top, whose numbers are ``factor`` times those below."""
-
-    def forward(x: Any) -> Any:
-        return x * factor
-
-    def backward(x: Any) -> Any:
-        return x / factor
-
-    above = axes.secondary_xaxis("top", functions=(forward, backward))
+    above = axes.secondary_xaxis("top", functions=(lambda x: np.multiply(x, factor), lambda x: np.divide(x, factor)))
     above.set_xlabel(label, labelpad=4)
     above.xaxis.set_major_locator(MaxNLocator(5, steps=_STEPS))
     above.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.compact(value)))

@@ -1,30 +1,228 @@
-"""Missions of several algorithms side by side: the ways of their UAVs and the age of each device."""
+"""Recorded missions: where the UAVs flew and how the devices aged, of one mission or of several side by side."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
-from uavaou.arrays import Floats
-from uavaou.envs.map import add_age_bar, age_scale, draw_devices, draw_ground
-from uavaou.evaluation.recorded_mission import RecordedMission
-from uavaou.reports import style
-from uavaou.reports.trajectories import (
-    ages_in_slots,
-    device_area,
-    draw_steps,
-    draw_strip,
-    fleet_handles,
-    legend_of_communications,
+from uavaou.arrays import Floats, Ints
+from uavaou.envs.map import (
+    AGE_COLOURS,
+    BLACK,
+    add_age_bar,
+    age_scale,
+    draw_devices,
+    draw_ground,
+    uav_colour,
+    uav_offset,
 )
+from uavaou.evaluation.recorded_mission import RecordedMission, Recording
+from uavaou.reports import style
+from uavaou.scenario import Scenario
 
+_DEVICE_AREA = (12.0, 75.0)  # square points, of the least and the most collected device
+_LINE_WIDTH = (0.6, 2.4)  # points, of a step flown once and of the one flown most
+_LEGEND_UAVS = 8  # colours repeat beyond
+_LEGEND_COLUMNS = 4
 _PANELS_A_ROW = 3
 _MOST_PANELS = 12
+
+
+def plot_trajectories(scenario: Scenario, recording: Recording, out_dir: Path, name: str) -> list[Path]:
+    """Draw a mission's map (``<name>-map``) and its ages (``<name>-ages``), each as PNG and PDF.
+
+    The map shows every step flown, wider where it was flown more often. Each UAV is drawn beside the cell's middle, so
+    that shared ways stay legible. Cells are shaded by the slots spent there. Devices are coloured by mean age and
+    larger with more communications. The ages are the AoU over the mission, and each device's age with a tick in the
+    UAV's colour for each communication.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with style.house_style():
+        paths = style.save(_map(scenario, recording), out_dir, f"{name}-map")
+        return paths + style.save(_ages(scenario, recording), out_dir, f"{name}-ages")
+
+
+def _map(scenario: Scenario, recording: Recording) -> Figure:
+    figure, axes, visit_bar, age_bar = _map_places(scenario)
+    _draw_map(axes, scenario, recording)
+    _shade_visits(figure, axes, visit_bar, scenario, recording)
+    mean_age = _ages_in_slots(scenario, recording).mean(axis=0)  # (I,) slots
+    counts = recording.communications.sum(axis=0)  # (I,)
+    scale = age_scale(scenario, recording.layout, mean_age)
+    draw_devices(axes, recording.layout, mean_age, scale, _device_area(counts, int(counts.max())))
+    add_age_bar(axes, scale, "mean age sum (slots)", cax=age_bar)
+    style.label_log_axis(age_bar.yaxis, *age_bar.get_ylim())
+    figure.legend(handles=_fleet_handles(scenario), loc="upper center", ncols=_LEGEND_COLUMNS, borderpad=0)
+    title = "communications of the device"
+    figure.legend(handles=_count_handles(counts), loc="lower center", ncols=3, title=title, borderpad=0)
+    return figure
+
+
+def _draw_map(axes: Axes, scenario: Scenario, recording: Recording) -> None:
+    """The ground and the steps of each UAV."""
+    axes.spines[["top", "right"]].set_visible(True)
+    draw_ground(axes, scenario)
+    for u in range(scenario.uavs):
+        _draw_steps(axes, scenario, recording.positions[:, u], u)
+
+
+def _map_places(scenario: Scenario) -> tuple[Figure, Axes, Axes, Axes]:
+    """The figure and its axes: map, colour bar of the visits, colour bar of the ages.
+
+    Places are set by hand: matplotlib's layouts let a colour bar below a map of equal scales run into its labels.
+    """
+    left, map_width, bottom, bar_size = 0.62, 2.2, 1.2, 0.09  # in
+    step = scenario.grid_step_m
+    map_height = float(np.clip(map_width * (scenario.area_y_m + step) / (scenario.area_x_m + step), 1.2, 5.5))
+    legend = 0.15 + 0.17 * math.ceil(min(scenario.uavs, _LEGEND_UAVS) / _LEGEND_COLUMNS)
+    height = bottom + map_height + legend
+    figure = style.new_figure(height, layout=None)
+
+    def place(x: float, y: float, width: float, tall: float) -> Axes:
+        return figure.add_axes((x / style.COLUMN_WIDTH_IN, y / height, width / style.COLUMN_WIDTH_IN, tall / height))
+
+    return (
+        figure,
+        place(left, bottom, map_width, map_height),
+        place(left, bottom - 0.5, map_width, bar_size),
+        place(left + map_width + 0.06, bottom, bar_size, map_height),
+    )
+
+
+def _shade_visits(figure: Figure, axes: Axes, bar_axes: Axes, scenario: Scenario, recording: Recording) -> None:
+    """Cells in grey by the slots that UAVs spent there, with a colour bar."""
+    step = scenario.grid_step_m
+    cells = np.rint(recording.positions / step).astype(np.int64).reshape(-1, 2)  # (K U, 2) column, row
+    visits = np.zeros((scenario.rows, scenario.columns))
+    np.add.at(visits, (cells[:, 1], cells[:, 0]), 1)
+    shown = np.ma.masked_equal(visits, 0)
+    edges_x = (np.arange(scenario.columns + 1) - 0.5) * step  # m
+    edges_y = (np.arange(scenario.rows + 1) - 0.5) * step  # m
+    # Only the middle greys: one visit must be visible, and lines on top must stay legible.
+    most = float(visits.max())
+    mesh = axes.pcolormesh(
+        edges_x, edges_y, shown, cmap="Greys", vmin=-0.2 * most, vmax=2.2 * most, zorder=0.5, rasterized=True
+    )
+    bar = figure.colorbar(mesh, cax=bar_axes, orientation="horizontal")
+    bar.set_label("slots spent in the cell, all UAVs", labelpad=2)
+    bar_axes.set_xlim(0, most)
+    bar_axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+
+
+def _draw_steps(axes: Axes, scenario: Scenario, way: Floats, uav: int) -> None:
+    """Each step between two cells once, wider where it was flown more often; ``way`` is (K, 2) m."""
+    ends = np.stack([way[:-1], way[1:]], axis=1)  # (K-1, 2 ends, 2) m
+    ends = ends[np.any(ends[:, 0] != ends[:, 1], axis=1)]  # without the slots stayed
+    if len(ends) == 0:
+        return
+    backwards = (ends[:, 1] - ends[:, 0]).sum(axis=1) < 0
+    ends[backwards] = ends[backwards, ::-1]  # both directions of a step are one line
+    steps, flown = np.unique(ends, axis=0, return_counts=True)  # (S, 2, 2) m, (S,)
+    thin, wide = _LINE_WIDTH
+    widths = thin + (wide - thin) * np.sqrt((flown - 1) / max(int(flown.max()) - 1, 1))
+    places = list(steps + uav_offset(scenario)[uav])
+    lines = LineCollection(places, colors=uav_colour(uav), linewidths=widths, capstyle="round", zorder=3)
+    axes.add_collection(lines, autolim=False)
+
+
+def _device_area(counts: NDArray[Any], most: int) -> Floats:
+    """The area of a device's marker in square points, (I,), from its communications and the ``most`` of any."""
+    small, large = _DEVICE_AREA
+    return np.asarray(small + (large - small) * np.asarray(counts, dtype=np.float64) / max(most, 1))
+
+
+def _fleet_handles(scenario: Scenario, **marks: Any) -> list[Line2D]:
+    """The legend's entry of each UAV; a square unless ``marks`` say otherwise."""
+    drawn = marks or {"marker": "s", "mfc": "none", "ms": 5, "mew": 1.2}
+    shown = range(min(scenario.uavs, _LEGEND_UAVS))
+    return [Line2D([], [], color=uav_colour(u), label=f"UAV {u}", **drawn) for u in shown]
+
+
+def _count_handles(counts: Ints) -> list[Line2D]:
+    """The size of a device for the least, a middle and the largest number of communications."""
+    most = int(counts.max())
+    sizes = np.unique([int(counts.min()), round((int(counts.min()) + most) / 2), most])
+    diameters = np.sqrt(_device_area(sizes, most))
+    return [
+        Line2D([], [], ls="", marker="o", mfc="white", mec=BLACK, mew=0.6, ms=float(d), label=f"{n:,}")
+        for n, d in zip(sizes, diameters, strict=True)
+    ]
+
+
+def _ages(scenario: Scenario, recording: Recording) -> Figure:
+    ages = _ages_in_slots(scenario, recording)  # (K, I) slots
+    devices = ages.shape[1]
+    strip_in = float(np.clip(0.085 * devices, 1.4, 6))
+    figure = style.new_figure(height_in=strip_in + 1.9)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.1, strip_in])
+    slots = np.arange(1, len(ages) + 1)
+    total = ages.sum(axis=1)  # (K,) slots
+    upper.plot(slots, total, color=BLACK, linewidth=0.8)
+    upper.axhline(float(total.mean()), color=style.GREY, linewidth=0.8, linestyle=(0, (4, 1.5)))
+    style.log_scale_if_wide(upper, total)
+    note = f"mean {total.mean():,.4g} slots"
+    upper.annotate(note, (1, 1), (0, 1), "axes fraction", "offset points", ha="right", va="bottom", fontsize=7)
+    upper.set_ylabel("AoU (slots)")
+    upper.set_xlim(0.5, len(slots) + 0.5)
+    scale = age_scale(scenario, recording.layout, ages)
+    _draw_strip(lower, recording, ages, scale)
+    bar = add_age_bar(lower, scale, "age sum (slots)")
+    style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
+    _legend_of_communications(figure, scenario)
+    return figure
+
+
+def _ages_in_slots(scenario: Scenario, recording: Recording) -> Floats:
+    """The age sum of each device at the end of each slot, (K, I) slots."""
+    return np.asarray(recording.age_sum / scenario.slot_length_s)
+
+
+def _legend_of_communications(figure: Figure, scenario: Scenario) -> None:
+    """The legend of the ticks that :func:`_draw_strip` draws."""
+    handles, title = _fleet_handles(scenario, lw=1.5), "tick: communication with"
+    figure.legend(handles=handles, loc="outside lower center", ncols=_LEGEND_COLUMNS, title=title)
+
+
+def _draw_strip(axes: Axes, recording: Recording, ages: Floats, scale: LogNorm) -> None:
+    """The age of each device over the slots, (K, I): devices in rows by update period, a tick a communication."""
+    slots, devices = ages.shape
+    order = np.argsort(recording.layout.update_period, kind="stable")  # (I,)
+    extent = (0.5, slots + 0.5, devices - 0.5, -0.5)
+    axes.imshow(ages.T[order], norm=scale, cmap=AGE_COLOURS, aspect="auto", interpolation="nearest", extent=extent)
+    rows = np.argsort(order)  # (I,) the row of each device
+    for u in np.unique(recording.collected_by[recording.communications]):
+        at, device = np.nonzero(recording.communications & (recording.collected_by == u))
+        axes.vlines(at + 1, rows[device] + 0.12, rows[device] + 0.42, color=uav_colour(int(u)), linewidth=0.5)
+    _label_periods(axes, recording.layout.update_period[order])
+    axes.grid(False)
+    axes.spines[["top", "right"]].set_visible(True)
+    axes.set(xlabel="slot $t$", ylabel="devices by $k_i$ (slots)", ylim=(devices - 0.5, -0.5))
+
+
+def _label_periods(axes: Axes, periods: Ints) -> None:
+    """One label for each run of devices of the same period, and a line between the runs."""
+    values, first, number = np.unique(periods, return_index=True, return_counts=True)
+    if len(values) > 12:
+        return  # more periods than labels that could be read
+    axes.set_yticks(first + (number - 1) / 2, [str(value) for value in values])
+    axes.tick_params(axis="y", length=0)
+    axes.hlines(first[1:] - 0.5, *axes.get_xlim(), color=BLACK, linewidth=0.6)
+
+
+# -- several missions ------------------------------------------------------------------------------------
 
 
 def mission_figures(missions: Sequence[RecordedMission], algorithms: Mapping[str, str]) -> dict[str, Figure]:
@@ -38,12 +236,9 @@ def mission_figures(missions: Sequence[RecordedMission], algorithms: Mapping[str
     if not shown:
         return {}
     labels = {name: look.label for name, look in style.looks([m.policy for m in shown], algorithms).items()}
-    ages = np.concatenate([ages_in_slots(mission.scenario, mission.recording).ravel() for mission in shown])
+    ages = np.concatenate([_ages_in_slots(mission.scenario, mission.recording).ravel() for mission in shown])
     scale = age_scale(shown[0].scenario, shown[0].recording.layout, ages)
-    return {
-        "missions-side-by-side": _maps(shown, labels),
-        "missions-device-ages": _ages(shown, labels, scale),
-    }
+    return {"missions-side-by-side": _maps(shown, labels), "missions-device-ages": _all_ages(shown, labels, scale)}
 
 
 def _title(mission: RecordedMission, labels: Mapping[str, str], between: str) -> str:
@@ -61,34 +256,26 @@ def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Fig
     height = rows * (0.45 + (width - 1.2) / columns * float(np.clip(shape, 0.4, 2))) + 0.8
     figure = style.new_figure(height, width_in=width)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    mean_ages = [ages_in_slots(mission.scenario, mission.recording).mean(axis=0) for mission in missions]  # (I,) each
+    mean_ages = [_ages_in_slots(mission.scenario, mission.recording).mean(axis=0) for mission in missions]  # (I,) each
     scale = age_scale(scenario, missions[0].recording.layout, np.concatenate(mean_ages))
     most = max(int(mission.recording.communications.sum(axis=0).max()) for mission in missions)
     for axes in panels.ravel()[len(missions) :]:
         axes.set_visible(False)
     for axes, mission, ages in zip(panels.ravel(), missions, mean_ages, strict=False):
-        _draw_map(axes, mission, ages, scale, most)
+        counts = mission.recording.communications.sum(axis=0)  # (I,)
+        _draw_map(axes, mission.scenario, mission.recording)
+        draw_devices(axes, mission.recording.layout, ages, scale, _device_area(counts, most) / 2)
         axes.set_title(_title(mission, labels, "\n"))
         axes.label_outer()
     bar = add_age_bar(panels[0, 0], scale, "mean age sum of the device (slots)", ax=panels, fraction=0.03, shrink=0.85)
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
     between = "; " if columns > 1 else "\n"
     title = f"line: wider where flown more often{between}device: larger with more communications"
-    figure.legend(handles=fleet_handles(scenario), loc="outside lower center", ncols=4, title=title)
+    figure.legend(handles=_fleet_handles(scenario), loc="outside lower center", ncols=4, title=title)
     return figure
 
 
-def _draw_map(axes: Axes, mission: RecordedMission, mean_age: Floats, scale: LogNorm, most: int) -> None:
-    scenario, recording = mission.scenario, mission.recording
-    axes.spines[["top", "right"]].set_visible(True)
-    draw_ground(axes, scenario)
-    for u in range(scenario.uavs):
-        draw_steps(axes, scenario, recording.positions[:, u], u)
-    counts = recording.communications.sum(axis=0)  # (I,)
-    draw_devices(axes, recording.layout, mean_age, scale, device_area(counts, most) / 2)
-
-
-def _ages(missions: Sequence[RecordedMission], labels: Mapping[str, str], scale: LogNorm) -> Figure:
+def _all_ages(missions: Sequence[RecordedMission], labels: Mapping[str, str], scale: LogNorm) -> Figure:
     """A strip a mission: each device a row, its age in colour over the slots, a tick for each communication."""
     devices = missions[0].scenario.devices
     strip_in = float(np.clip(0.05 * devices, 0.9, 3.0))
@@ -96,10 +283,10 @@ def _ages(missions: Sequence[RecordedMission], labels: Mapping[str, str], scale:
     figure = style.new_figure(height, width_in=style.PAGE_WIDTH_IN)
     strips = figure.subplots(len(missions), 1, sharex=True, squeeze=False)[:, 0]
     for axes, mission in zip(strips, missions, strict=True):
-        draw_strip(axes, mission.recording, ages_in_slots(mission.scenario, mission.recording), scale)
+        _draw_strip(axes, mission.recording, _ages_in_slots(mission.scenario, mission.recording), scale)
         axes.set_title(_title(mission, labels, ": "), pad=3)
         axes.label_outer()
     bar = add_age_bar(strips[0], scale, "age sum of the device (slots)", ax=list(strips), fraction=0.02, pad=0.01)
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
-    legend_of_communications(figure, missions[0].scenario)
+    _legend_of_communications(figure, missions[0].scenario)
     return figure

@@ -25,7 +25,6 @@ from uavaou.planners import PLANNERS
 
 COLUMN_WIDTH_IN = 3.5  # one column of a two-column paper
 PAGE_WIDTH_IN = 7.16  # both columns
-HEIGHT_IN = 2.5
 PNG_DPI = 200
 _LEGEND_ROWS = 3  # that a figure's height allows for
 _LEGEND_ROW_IN = 0.15
@@ -161,9 +160,7 @@ def house_style() -> Iterator[None]:
 
 
 def new_figure(
-    height_in: float = HEIGHT_IN,
-    layout: Literal["constrained"] | None = "constrained",
-    width_in: float = COLUMN_WIDTH_IN,
+    height_in: float, layout: Literal["constrained"] | None = "constrained", width_in: float = COLUMN_WIDTH_IN
 ) -> Figure:
     """An empty figure, of a column's width unless said otherwise, on the Agg canvas."""
     figure = Figure(figsize=(width_in, height_in), layout=layout)
@@ -171,17 +168,10 @@ def new_figure(
     return figure
 
 
-def new_axes(height_in: float = HEIGHT_IN) -> tuple[Figure, Axes]:
+def new_axes(height_in: float) -> tuple[Figure, Axes]:
     """A figure of a column's width with one set of axes."""
     figure = new_figure(height_in)
     return figure, figure.add_subplot()
-
-
-def figure_of(axes: Axes) -> Figure:
-    """The figure that the axes belong to."""
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    return figure
 
 
 def save(figure: Figure, out_dir: Path, name: str) -> list[Path]:

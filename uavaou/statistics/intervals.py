@@ -32,10 +32,6 @@ class Band(NamedTuple):
     low: Floats  # (M,)
     high: Floats  # (M,)
 
-    def within(self, lowest: float, highest: float = np.inf) -> Band:
-        """The intervals cut at the smallest and the largest possible value; nan stays nan."""
-        return Band(self.value, np.clip(self.low, lowest, highest), np.clip(self.high, lowest, highest))
-
     @property
     def only(self) -> Interval:
         """The interval of a band of one point."""

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 from uavaou.envs.map import FRAME_SHAPE, render_frame
 from uavaou.evaluation.recorded_mission import Recording
 from uavaou.reports import style
-from uavaou.reports.trajectories import plot_trajectories
+from uavaou.reports.mission_figures import plot_trajectories
 from uavaou.scenario import Scenario
 from uavaou.world import World
 
@@ -96,7 +96,7 @@ def test_the_same_figure_gives_the_same_bytes(tmp_path: Path) -> None:
     written = []
     for folder in ("one", "two"):
         with style.house_style():
-            figure, axes = style.new_axes()
+            figure, axes = style.new_axes(height_in=2.5)
             axes.plot([1, 2, 3], label="$x$")
             axes.legend()
             written.append([path.read_bytes() for path in style.save(figure, tmp_path / folder, "line")])
