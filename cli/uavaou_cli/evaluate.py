@@ -107,8 +107,7 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
     lines = wrapped(f"{scenario.name}{changed}: {episodes:,} {missions}, {seeds}")
     heads = [("action", ""), ("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("communi-", "cations")]
     heads += [("devices", f"of {scenario.devices}"), ("viola-", "tions")]
-    actions = comparison.actions
-    rows = [(name, _cells(result, actions[name])) for name, result in comparison.results.items()]
+    rows = [(name, _cells(result, comparison.policies[name])) for name, result in comparison.results.items()]
     lines += ["", *two_line_table(heads, rows)]
     for name, result in comparison.results.items():
         broken = ", ".join(f"{key} {count:,}" for key, count in result.violations.items() if count)
@@ -118,10 +117,10 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
     return [*lines, "", note]
 
 
-def _cells(result: Evaluation, action: str | None) -> list[tuple[str, str]]:
+def _cells(result: Evaluation, policy: Planner) -> list[tuple[str, str]]:
     from uavaou.statistics import interval_over_missions
 
     aou = result.values("mean_aou_s")  # (N,) s
     columns = aou / result.slot_length_s, aou, result.values("communications"), result.values("devices_served")
     figures = [interval_figures(interval_over_missions(values)) for values in columns]
-    return [(action or "-", ""), *figures, (f"{sum(result.violations.values()):,}", "")]
+    return [(getattr(policy, "action", "-"), ""), *figures, (f"{sum(result.violations.values()):,}", "")]

@@ -55,7 +55,7 @@ def test_policies_play_in_order_and_are_written_together(tmp_path: Path) -> None
     comparison = compare(planners, Scenario.load("tiny"), 3, 5, told)
     assert told.names == ["stay", "greedy"]
     assert told.slots == 2 * [3 * slot for slot in range(1, 13)]
-    assert comparison.actions == {"stay": None, "greedy": None}
+    assert [result.action for result in comparison.contents().values()] == [None, None]
     comparison.write(tmp_path / "both.json")
     written = json.loads((tmp_path / "both.json").read_text())
     assert (written["scenario"], written["episodes"], written["seed"]) == ("tiny", 3, 5)

@@ -15,7 +15,6 @@ import pytest
 from tests.studies.tiny_study import TINY, Inline, Write, run_inline, tables
 from uavaou import InputError, Scenario
 from uavaou.csv_tables import number
-from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import one_writer
 from uavaou.studies.condense import update_results
 from uavaou.studies.folder import PartKey, StudyFolder
@@ -195,7 +194,7 @@ def test_a_running_study_is_reported_from_its_tables(
     _, out = copied
     command = ["study", "report", str(out.parent / "mine.yaml"), "--out", str(out)]
     before = tables(out)
-    with one_writer(RunFolder(out / "studies/mine")):
+    with one_writer(out / "studies/mine"):
         assert main(command) == 0
     shown = capsys.readouterr()
     assert shown.err.count("\n") == 1

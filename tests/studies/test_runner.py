@@ -311,7 +311,7 @@ def test_one_command_at_a_time_runs_a_study(copied: tuple[Study, Path], capsys: 
     study, out = copied
     run_folder = study.folder(out, next(iter(study.runs())))
     (out / "studies/mine/runs.csv").unlink()
-    with one_writer(run_folder):
+    with one_writer(run_folder.path):
         assert "process" in str(holder(run_folder.lock))
         (first, *others) = study_status(study, out)
         assert (first.state, first.slots, first.budget) == ("running", 192, 192)
@@ -319,6 +319,6 @@ def test_one_command_at_a_time_runs_a_study(copied: tuple[Study, Path], capsys: 
         assert {part.state for part in others[:3]} == {"trained"}
         assert seconds_left([first, *others]) == 0
     assert holder(run_folder.lock) is None
-    with one_writer(RunFolder(out / "studies/mine")):
+    with one_writer(out / "studies/mine"):
         assert main(["study", "run", str(out.parent / "mine.yaml"), "--out", str(out)]) == 2
     assert "is being written by process" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from uavaou.errors import InputError
 from uavaou.fields import Numbers, Whole, WholeNumbers, reads_schema, validated
@@ -25,13 +25,6 @@ Ints = NDArray[np.int64]
 
 SCHEMA = 1
 _MOST_BYTES = 50_000_000
-_LAYOUT = {
-    "devices_m": "positions",
-    "bandwidth_hz": "bandwidth",
-    "transmit_power_w": "transmit_power",
-    "update_period_slots": "update_period",
-}
-_LAYOUT_TYPES = (np.float64, np.float64, np.float64, np.int64)
 
 
 @dataclass(frozen=True)
@@ -99,7 +92,7 @@ def write_mission(path: Path, mission: RecordedMission) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    recording = mission.recording
+    recording, layout = mission.recording, mission.recording.layout
     ages = np.rint(recording.age_sum / mission.scenario.slot_length_s).astype(np.int64)  # (K, I) whole slots
     content: dict[str, Any] = {
         "schema": SCHEMA,
@@ -107,7 +100,12 @@ def write_mission(path: Path, mission: RecordedMission) -> None:
         "training_seed": mission.training_seed,
         "mission_seed": mission.mission_seed,
         "scenario": mission.scenario.to_dict(),
-        "layout": {name: getattr(recording.layout, field).tolist() for name, field in _LAYOUT.items()},
+        "layout": {
+            "devices_m": layout.positions.tolist(),
+            "bandwidth_hz": layout.bandwidth.tolist(),
+            "transmit_power_w": layout.transmit_power.tolist(),
+            "update_period_slots": layout.update_period.tolist(),
+        },
         "positions_m": recording.positions.tolist(),
         "collected_by": recording.collected_by.tolist(),
         "age_sum_slots": ages.tolist(),
@@ -124,12 +122,15 @@ def _lines(part: Any) -> str:
     return json.dumps(part)
 
 
+_Reals = Annotated[Numbers, AfterValidator(lambda array: array.astype(np.float64))]
+
+
 class _LayoutContent(BaseModel):
     model_config = ConfigDict(arbitrary_types_allowed=True)
 
-    devices_m: Numbers  # (I, 2)
-    bandwidth_hz: Numbers  # (I,)
-    transmit_power_w: Numbers  # (I,)
+    devices_m: _Reals  # (I, 2)
+    bandwidth_hz: _Reals  # (I,)
+    transmit_power_w: _Reals  # (I,)
     update_period_slots: WholeNumbers  # (I,)
 
 
@@ -144,9 +145,9 @@ class _Content(BaseModel):
     mission_seed: Whole
     scenario: dict[str, Any]
     layout: _LayoutContent
-    positions_m: Numbers  # (K, U, 2)
+    positions_m: _Reals  # (K, U, 2)
     collected_by: WholeNumbers  # (K, I)
-    age_sum_slots: Numbers  # (K, I)
+    age_sum_slots: _Reals  # (K, I)
 
 
 def read_mission(path: Path) -> RecordedMission:
@@ -158,22 +159,21 @@ def read_mission(path: Path) -> RecordedMission:
     content = validated(_Content, read_json(path, _MOST_BYTES), str(path))
     scenario, layout = Scenario.from_dict(content.scenario, source=f"{path}: scenario"), content.layout
     slots, uavs, devices = scenario.slots, scenario.uavs, scenario.devices
-    for place, field, shape in (
-        (content, "positions_m", (slots, uavs, 2)),
-        (content, "collected_by", (slots, devices)),
-        (content, "age_sum_slots", (slots, devices)),
-        (layout, "devices_m", (devices, 2)),
-        (layout, "bandwidth_hz", (devices,)),
-        (layout, "transmit_power_w", (devices,)),
-        (layout, "update_period_slots", (devices,)),
-    ):
-        if getattr(place, field).shape != shape:
-            raise InputError(f"{path}: {field}: expected an array of shape {shape}, not {getattr(place, field).shape}")
+    shapes: dict[str, tuple[int, ...]] = {
+        "positions_m": (slots, uavs, 2), "collected_by": (slots, devices), "age_sum_slots": (slots, devices),
+        "devices_m": (devices, 2), "bandwidth_hz": (devices,), "transmit_power_w": (devices,),
+        "update_period_slots": (devices,),
+    }  # fmt: skip
+    arrays = vars(content) | vars(layout)
+    for field, shape in shapes.items():
+        if arrays[field].shape != shape:
+            raise InputError(f"{path}: {field}: expected an array of shape {shape}, not {arrays[field].shape}")
     if not -1 <= content.collected_by.min() <= content.collected_by.max() < uavs:
         raise InputError(f"{path}: collected_by: names UAVs outside 0 to {uavs - 1}")
     if layout.update_period_slots.min() < 1:
         raise InputError(f"{path}: update_period_slots: has a period below 1")
     ages = content.age_sum_slots * scenario.slot_length_s  # (K, I) s
-    flown = Layout(*(getattr(layout, name).astype(kind) for name, kind in zip(_LAYOUT, _LAYOUT_TYPES, strict=True)))
-    recording = Recording(content.positions_m.astype(np.float64), content.collected_by, ages, flown)
+    periods = layout.update_period_slots.astype(np.int64)  # (I,)
+    flown = Layout(layout.devices_m, layout.bandwidth_hz, layout.transmit_power_w, periods)
+    recording = Recording(content.positions_m, content.collected_by, ages, flown)
     return RecordedMission(scenario, content.policy, content.training_seed, content.mission_seed, recording)

@@ -19,7 +19,7 @@ from uavaou.reports.claims_table import claims_markdown, write_claims
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.references import below_bound
 from uavaou.reports.scores import PolicyScores, study_scores
-from uavaou.runs.lock import HeldError, only_writer
+from uavaou.runs.lock import HeldError, one_writer
 from uavaou.studies.condense import gather, refuse_another, update_results
 from uavaou.studies.folder import PartKey, StudyFolder
 from uavaou.studies.marl_eval import to_marl_eval
@@ -57,7 +57,7 @@ def report_study(study: Study, out: Path, remark: Callable[[str], None]) -> None
             raise InputError(f"nothing of study '{study.name}' has been evaluated below '{out}' yet: run it first")
     with ExitStack() as stack:
         try:
-            stack.enter_context(only_writer(folder.path, folder.lock))
+            stack.enter_context(one_writer(folder.path))
         except HeldError as held:  # by the study itself, which keeps the tables up to date
             refuse_another(study, read_begun(folder))
             remark(f"{held.by} is at work on the study: its page is written from the tables as they stand")

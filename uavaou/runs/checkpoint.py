@@ -53,7 +53,8 @@ def save_training(
     """
     arrays = policy_arrays(model) | optimizer_arrays(model)
     arrays |= {_WORLD + name: array for name, array in world.items()}
-    arrays |= {_LEARNER + name: _to_numpy(value) for name, value in _learner_state(model).items()}
+    learner = model.training_state() if hasattr(model, "training_state") else {}  # beside the rest; most keep nothing
+    arrays |= {_LEARNER + name: _to_numpy(value) for name, value in learner.items()}
     arrays |= _streams(model)
     if replay:
         arrays |= _replay_arrays(model)
@@ -112,20 +113,13 @@ def _part(file: ArrayFile, prefix: str) -> Arrays:
     return {name.removeprefix(prefix): file.read(name) for name in file.shapes if name.startswith(prefix)}
 
 
-def _learner_state(model: BaseAlgorithm) -> dict[str, Any]:
-    """What a learner keeps beside weights, optimizer and random streams; most keep nothing."""
-    return model.training_state() if hasattr(model, "training_state") else {}
-
-
 def _replay_arrays(model: BaseAlgorithm) -> Arrays:
     replay = getattr(model, "replay_buffer", None)
     if replay is None:
         return {}
     held = replay.buffer_size if replay.full else replay.pos
-    arrays = {name: array[:held] for name, array in _ring(replay).items()}  # (T, N, ...) up to where it is filled
-    return {_REPLAY + name: array for name, array in arrays.items()} | {
-        _REPLAY + "position": np.array([replay.pos, int(replay.full)])
-    }
+    arrays = {_REPLAY + name: array[:held] for name, array in _ring(replay).items()}  # (T, N, ...), the filled part
+    return arrays | {_REPLAY + "position": np.array([replay.pos, int(replay.full)])}
 
 
 def _load_replay(file: ArrayFile, model: BaseAlgorithm) -> None:
@@ -147,10 +141,8 @@ def _load_replay(file: ArrayFile, model: BaseAlgorithm) -> None:
 
 def _ring(replay: Any) -> Arrays:
     """The arrays (T, ...) of a replay: those it names, or all that an SB3 replay has."""
-    if hasattr(replay, "state_arrays"):
-        named: Arrays = replay.state_arrays()
-        return named
-    return {name: value for name, value in vars(replay).items() if isinstance(value, np.ndarray)}
+    named: Arrays = replay.state_arrays() if hasattr(replay, "state_arrays") else vars(replay)
+    return {name: value for name, value in named.items() if isinstance(value, np.ndarray)}
 
 
 def _streams(model: BaseAlgorithm) -> Arrays:

@@ -70,11 +70,6 @@ class Comparison:
     policies: Mapping[str, Planner]
     results: Mapping[str, Evaluation]
 
-    @property
-    def actions(self) -> dict[str, str | None]:
-        """``greedy`` or ``sample`` of each trained policy; None of planners."""
-        return {name: getattr(policy, "action", None) for name, policy in self.policies.items()}
-
     def contents(self) -> dict[str, PolicyResult]:
         """Each policy's part of an evaluation file."""
         return {
@@ -96,12 +91,9 @@ class Comparison:
         Raises:
             InputError: the file cannot be written.
         """
-        write_evaluation(
-            path,
-            EvaluationFile(
-                scenario=self.scenario.name, episodes=self.episodes, seed=self.seed, policies=self.contents()
-            ),
-        )
+        name, contents = self.scenario.name, self.contents()
+        content = EvaluationFile(scenario=name, episodes=self.episodes, seed=self.seed, policies=contents)
+        write_evaluation(path, content)
 
 
 def compare(

@@ -21,6 +21,7 @@ from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
 from uavaou.fields import Whole, reads_schema, validated
 from uavaou.files import PathIn, read_json, refuse_links
+from uavaou.runs.lock import LOCK
 from uavaou.runs.meta import RunMeta
 from uavaou.scenario import Scenario
 from uavaou.world import Views
@@ -90,7 +91,7 @@ class RunFolder:
     last = PathIn("checkpoints", "last.safetensors")  # what resuming needs
     previous = PathIn("checkpoints", "previous.safetensors")  # the ``last`` before: taken where that one is damaged
     best = PathIn("checkpoints", "best.safetensors")  # the policy that did best on the validation missions
-    lock = PathIn(".lock")  # held by the process that writes the run
+    lock = PathIn(LOCK)  # held by the process that writes the run
 
     @property
     def policy(self) -> Path:

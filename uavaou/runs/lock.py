@@ -1,4 +1,4 @@
-"""One writer for a run folder."""
+"""One writer at a time for the folder of a run or of a study."""
 
 from __future__ import annotations
 
@@ -11,17 +11,13 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from uavaou.errors import InputError
-from uavaou.runs.folder import RunFolder
 
+LOCK = ".lock"  # the file that the writer of a folder holds
 _PATIENCE_S = 1.0  # a writer killed a moment ago may have worker processes that are still ending
 
 
 class HeldError(InputError):
-    """Another process holds the folder.
-
-    Attributes:
-        by: which, as in "process 12 on host".
-    """
+    """Another process holds the folder; ``by`` says which, as in "process 12 on host"."""
 
     def __init__(self, folder: Path, by: str) -> None:
         super().__init__(f"'{folder}' is being written by {by}: wait for it, or stop it")
@@ -29,15 +25,8 @@ class HeldError(InputError):
 
 
 @contextmanager
-def one_writer(folder: RunFolder) -> Iterator[None]:
-    """Hold a run folder as its only writer; see :func:`only_writer`."""
-    with only_writer(folder.path, folder.lock):
-        yield
-
-
-@contextmanager
-def only_writer(folder: Path, path: Path) -> Iterator[None]:
-    """Hold a folder as its only writer, by a lock on the file ``path`` in it.
+def one_writer(folder: Path) -> Iterator[None]:
+    """Hold a folder as its only writer, by a lock on the file ``.lock`` in it.
 
     The operating system holds the lock for the process: it ends with it, however that ends, and the file that is
     left behind means nothing.
@@ -46,6 +35,7 @@ def only_writer(folder: Path, path: Path) -> Iterator[None]:
         HeldError: another process writes there.
         InputError: the folder cannot be written.
     """
+    path = folder / LOCK
     lock = FileLock(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,7 @@ from uavaou.envs.flatten import flatten
 from uavaou.envs.spaces import split_actions
 from uavaou.errors import InputError
 from uavaou.runs.checkpoint_header import read_header
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.folder import RunFolder
 from uavaou.scenario import Scenario
 from uavaou.world import Views, World
 from uavaou.world.views import MOVES
@@ -30,19 +30,12 @@ _STREAM = 3  # spawn key of the policies' random streams, apart from the layouts
 
 @dataclass
 class TrainedPolicy:
-    """A learner's policy in the planners' interface.
-
-    Attributes:
-        model: whose policy acts.
-        views: what its UAVs see.
-        action: ``greedy`` (the likeliest) or ``sample``.
-        digest: SHA-256 of the weights in the checkpoint that they were loaded from; empty where none was.
-    """
+    """A learner's policy in the planners' interface."""
 
     model: BaseAlgorithm
-    views: Views
-    action: str = "greedy"
-    digest: str = ""
+    views: Views  # what its UAVs see
+    action: str = "greedy"  # the likeliest; or "sample"
+    digest: str = ""  # SHA-256 of the weights in the checkpoint that they were loaded from; empty where none was
     _rngs: list[np.random.Generator] = field(default_factory=list)
 
     def reset(self, world: World, seed: int) -> None:
@@ -114,14 +107,22 @@ def load_run(
     folder = RunFolder.at(path)
     config = folder.read_config()
     scenario = config.scenario if scenario is None else Scenario.load(scenario)
-    _check_shape(folder, config, scenario)
+    if not config.fits(scenario):
+        trained = config.scenario
+        raise InputError(
+            f"'{folder.path}' was trained with {trained.uavs} uavs and {trained.devices} devices; "
+            f"scenario '{scenario.name}' has {scenario.uavs} and {scenario.devices}, which its network does not fit"
+        )
     if not folder.policy.is_file():
         raise InputError(f"'{folder.path}' holds no checkpoint yet: its training has not reached the first one")
     checkpoint = ArrayFile(folder.policy)  # opened once: a training at work may put another in its place
     progress = read_header(checkpoint)
     algorithm = config.algorithm
     env = flatten(scenario, missions=1, observation=algorithm.observation, collection=algorithm.collection)
-    _check_size(checkpoint, config)
+    hidden = getattr(algorithm, "hidden", ())
+    if sum(a * b for a, b in pairwise(hidden)) > checkpoint.elements:  # build no networks that it cannot fill
+        numbers = f"{checkpoint.elements:,} numbers"
+        raise InputError(f"{checkpoint.path}: holds {numbers}, too few for hidden = {list(hidden)}")
     try:
         model = make_model(algorithm, env, config.seed, device="cpu")
     except MemoryError as error:
@@ -130,20 +131,3 @@ def load_run(
     model.policy.set_training_mode(False)
     views = Views(scenario, algorithm.observation, algorithm.collection)
     return TrainedPolicy(model, views, action or progress.best_action, checkpoint.digest(POLICY))
-
-
-def _check_size(checkpoint: ArrayFile, config: RunConfig) -> None:
-    """Refuse to build networks larger than the checkpoint that is to fill them."""
-    hidden = getattr(config.algorithm, "hidden", ())
-    elements = checkpoint.elements
-    if sum(a * b for a, b in pairwise(hidden)) > elements:
-        raise InputError(f"{checkpoint.path}: holds {elements:,} numbers, too few for hidden = {list(hidden)}")
-
-
-def _check_shape(path: RunFolder, config: RunConfig, wanted: Scenario) -> None:
-    if not config.fits(wanted):
-        trained = config.scenario
-        raise InputError(
-            f"'{path.path}' was trained with {trained.uavs} uavs and {trained.devices} devices; "
-            f"scenario '{wanted.name}' has {wanted.uavs} and {wanted.devices}, which its network does not fit"
-        )

@@ -1,7 +1,8 @@
-"""The work between the updates of a training: rows of figures, evaluations, checkpoints, and stopping when asked."""
+"""The work between the updates of a training: checks, rows of tables, evaluations, checkpoints, stopping when asked."""
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from collections import deque
@@ -10,16 +11,18 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import torch as th
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from uavaou.envs.vec_env import MissionVecEnv
+from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.files import write_json
 from uavaou.runs.checkpoint import save_policy, save_training
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.health import check_learner, check_rewards
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.meta import RunMeta, describe_machine
 from uavaou.runs.policy import TrainedPolicy
@@ -93,7 +96,7 @@ class Recorder(BaseCallback):
         self._every_s = checkpoint_every_s
         self._uavs = config.scenario.uavs
         self._recent: deque[float] = deque(maxlen=config.algorithm.missions)  # s, mean AoU of the last missions
-        self._episodes = EpisodesCsv(folder.episodes, progress.missions)
+        self.episodes_csv = EpisodesCsv(folder.episodes, progress.missions)
         self._machine = describe_machine()
         self._saved = progress.slots  # slots at the last checkpoint
         self._checkpoints, self._checkpoints_s = 0, 0.0
@@ -137,7 +140,7 @@ class Recorder(BaseCallback):
         if self.locals["dones"].any():
             infos = self.locals["infos"][:: self._uavs]
             missions = [info["mission"] for info in infos if "mission" in info]
-            self._episodes.write(missions, self._slots, self._wall_s)
+            self.episodes_csv.write(missions, self._slots, self._wall_s)
             self._recent.extend(mission["mean_aou_s"] for mission in missions)
             self._advance(missions=self.progress.missions + len(missions))
             self.logger.record("rollout/mean_aou_s", self._mean_aou_s)
@@ -169,14 +172,11 @@ class Recorder(BaseCallback):
         if finished or asked or time.monotonic() >= self._next_checkpoint:
             self._save(finished)
         if self._callback is not None:
-            self._callback(self._status(evaluated=bool(scores)))
+            updates, best = getattr(self.model, "_n_updates", 0), (self.progress.best_score, self.progress.best_action)
+            self._callback(TrainingStatus(self._slots, updates, self._cpu_s, bool(scores), *best, self._mean_aou_s))
         self._cpu_before = time.process_time() - self._cpu_s
         if asked and not finished:
             self._stop()
-
-    def _status(self, evaluated: bool) -> TrainingStatus:
-        updates, best = getattr(self.model, "_n_updates", 0), (self.progress.best_score, self.progress.best_action)
-        return TrainingStatus(self._slots, updates, self._cpu_s, evaluated, *best, self._mean_aou_s)
 
     def _stop(self) -> None:
         self.stopped_by = self._interrupts.received
@@ -233,7 +233,7 @@ class Recorder(BaseCallback):
     def _save(self, finished: bool) -> None:
         """Write a checkpoint; that of a finished training also replaces the previous one, and holds no replay."""
         began = time.monotonic()
-        self._episodes.flush()
+        self.episodes_csv.flush()
         self.progress_csv.flush()
         self.progress = self._present()
         state = self._env.missions_state()
@@ -245,10 +245,6 @@ class Recorder(BaseCallback):
         self._checkpoints += 1
         self._checkpoints_s += now - began
         self._next_checkpoint = now + pause_s(self._every_s, now - began)
-
-    def close(self) -> None:
-        """Close the files."""
-        self._episodes.close()
 
     def write_meta(self) -> None:
         """Write ``meta.json``."""
@@ -284,3 +280,39 @@ def write_meta(
 def pause_s(every_s: float, cost_s: float) -> float:
     """Seconds until the next checkpoint: ``every_s``, and more after one that took a long ``cost_s``."""
     return max(every_s, cost_s / MOST_SHARE) if every_s else 0.0
+
+
+def check_rewards(rewards: Any, slots: int, kept: str) -> None:
+    """Refuse rewards of one slot, (N * U,), that are not finite.
+
+    Args:
+        rewards: of all rows.
+        slots: of all missions, when they were given.
+        kept: where the last good checkpoint is, in words.
+
+    Raises:
+        InputError: naming the first of them.
+    """
+    finite = np.isfinite(rewards)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise _diverged(slots, f"the reward of row {row} is {rewards[row]}", kept)
+
+
+def check_learner(model: BaseAlgorithm, slots: int, kept: str) -> None:
+    """Refuse a learner whose last update left a loss or a weight that is not finite; arguments as above.
+
+    Raises:
+        InputError: naming it.
+    """
+    for name, value in model.logger.name_to_value.items():
+        if "loss" in name and isinstance(value, int | float) and not math.isfinite(value):
+            raise _diverged(slots, f"{name} is {value}", kept)
+    for name, tensor in model.policy.state_dict().items():
+        if not bool(th.isfinite(tensor).all()):
+            bad = tensor[~th.isfinite(tensor)][0].item()
+            raise _diverged(slots, f"the weights hold {bad} in {name}", kept)
+
+
+def _diverged(slots: int, what: str, kept: str) -> InputError:
+    return InputError(f"stopped at slot {slots:,}: {what}; {kept}; a lower algorithm.learning_rate usually helps")

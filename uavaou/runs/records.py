@@ -72,17 +72,7 @@ def _keep_rows(path: Path, rows: int, header: str) -> None:
 
 
 class ProgressCsv(KVWriter):
-    """The learner's own figures; columns sorted, so that the same run gives the same file.
-
-    A resumed training first drops the rows past its checkpoint.
-
-    Args:
-        path: of the file.
-        rows_before: rows that the checkpoint counts.
-
-    Raises:
-        InputError: the file holds fewer.
-    """
+    """The learner's own figures, as :class:`EpisodesCsv`; columns sorted, so that the same run gives the same file."""
 
     def __init__(self, path: Path, rows_before: int) -> None:
         self._path = path

@@ -28,6 +28,10 @@ from uavaou.scenario import Scenario
 from uavaou.statistics import band_over_missions
 
 _PART = re.compile(r"first-\d+")  # the name of an evaluation whose missions are part of default.json's
+_OF_EACH_MISSION = (
+    "mean_aou_s", "communications", "devices_served", "flight_time_s", "rejected_rate", "rejected_association",
+    "device_communications",
+)  # fmt: skip
 
 
 def _of_dimensions(dimensions: int, name: str) -> AfterValidator:
@@ -84,18 +88,11 @@ class PolicyResult(_Model):
         """The part of an evaluation file that belongs to ``policy``, which played ``evaluation`` in ``scenario``."""
         means = band_over_missions(evaluation.aou_over_time_s)  # (K,) each
         several = len(evaluation.aou_over_time_s) > 1  # one mission has no interval
-        values = evaluation.values
         return cls(
-            mean_aou_s=values("mean_aou_s"),
-            communications=values("communications"),
-            devices_served=values("devices_served"),
-            flight_time_s=values("flight_time_s"),
+            **{name: evaluation.values(name) for name in _OF_EACH_MISSION},
             violations=evaluation.violations,
-            rejected_rate=values("rejected_rate"),
-            rejected_association=values("rejected_association"),
             aou_over_time_s=means.value,
-            device_mean_aou_s=values("device_mean_aou_s").mean(axis=0),
-            device_communications=values("device_communications"),
+            device_mean_aou_s=evaluation.values("device_mean_aou_s").mean(axis=0),
             aou_over_time_low_s=means.low if several else None,
             aou_over_time_high_s=means.high if several else None,
             update_period_slots=scenario.draw_layout().update_period if scenario.layout == "fixed" else None,
@@ -171,10 +168,8 @@ def read_evaluations(folder: RunFolder) -> dict[str, dict[str, PolicyResult]]:
     return found
 
 
-def find_evaluation(
-    folder: RunFolder, algorithm: str, episodes: int, seed: int = EVALUATION_SEED
-) -> PolicyResult | None:
-    """The result of a run's policy on these missions; None where there is none that can be read.
+def find_evaluation(folder: RunFolder, algorithm: str, episodes: int) -> PolicyResult | None:
+    """The result of a run's policy on the first ``episodes`` missions; None where there is none that can be read.
 
     Only an evaluation of the present best checkpoint counts, with the action that it was chosen by: ``uavaou eval``
     may have played another action, or the best policy of an earlier time in the training.
@@ -182,23 +177,25 @@ def find_evaluation(
     Raises:
         InputError: there is one, and the checkpoint cannot be read.
     """
-    found = [_result(folder.evaluation(name), algorithm, episodes, seed) for name in ("default", f"first-{episodes}")]
-    if not any(found) or not folder.policy.is_file():
+    files = [_readable(folder.evaluation(name)) for name in ("default", f"first-{episodes}")]
+    found = [
+        file.policies[algorithm]
+        for file in files
+        if isinstance(file, EvaluationFile) and (file.episodes, file.seed) == (episodes, EVALUATION_SEED)
+        if algorithm in file.policies
+    ]
+    if not found or not folder.policy.is_file():
         return None
     checkpoint = ArrayFile(folder.policy)
     present = checkpoint.digest(POLICY), read_header(checkpoint).best_action
-    return next((one for one in found if one is not None and (one.policy_sha256, one.action) == present), None)
+    return next((one for one in found if (one.policy_sha256, one.action) == present), None)
 
 
-def _result(path: Path, algorithm: str, episodes: int, seed: int) -> PolicyResult | None:
-    """A policy's part of an evaluation file; None where that is of other missions, or cannot be read."""
+def _readable(path: Path) -> EvaluationFile | SuiteEvaluationFile | None:
     try:
-        content = read_evaluation(path)
+        return read_evaluation(path)
     except InputError:
         return None
-    if isinstance(content, SuiteEvaluationFile) or (content.episodes, content.seed) != (episodes, seed):
-        return None
-    return content.policies.get(algorithm)
 
 
 def write_evaluation(path: Path, content: EvaluationFile | SuiteEvaluationFile, digits: int | None = None) -> None:
@@ -212,10 +209,9 @@ def write_evaluation(path: Path, content: EvaluationFile | SuiteEvaluationFile, 
     Raises:
         InputError: it cannot be written.
     """
-    if digits is not None:
-        write_json(path, _rounded(content.to_dict(), digits), indent=None)
-    else:
-        write_json(path, content.to_dict(), indent=1 if isinstance(content, EvaluationFile) else None)
+    one_line = digits is not None or isinstance(content, SuiteEvaluationFile)
+    plain = content.to_dict() if digits is None else _rounded(content.to_dict(), digits)
+    write_json(path, plain, indent=None if one_line else 1)
 
 
 def _rounded(value: Any, digits: int) -> Any:
@@ -227,26 +223,15 @@ def _rounded(value: Any, digits: int) -> Any:
 
 
 def keep_evaluation(path: Path, content: EvaluationFile | SuiteEvaluationFile) -> str:
-    """Write an evaluation into a run's folder, unless one of more missions is there.
-
-    Returns:
-        A line for the person who asked for it: whether the file was written.
-    """
-    if _missions_in(path) > content.episodes:
+    """Write an evaluation into a run's folder, unless one of more missions is there; returns a note on what it did."""
+    there = _readable(path)
+    if there is not None and there.episodes > content.episodes:
         return f"kept {path}: it is of more missions"
     try:
         write_evaluation(path, content)
     except InputError as error:
         return str(error)
     return f"wrote {path}"
-
-
-def _missions_in(path: Path) -> int:
-    """The missions of an evaluation file; 0 where there is none that can be read."""
-    try:
-        return read_evaluation(path).episodes
-    except InputError:
-        return 0
 
 
 def write_own_evaluation(folder: RunFolder, config: RunConfig, result: PolicyResult) -> None:
@@ -256,15 +241,13 @@ def write_own_evaluation(folder: RunFolder, config: RunConfig, result: PolicyRes
         InputError: it cannot be written.
     """
     content = own_evaluation(config, result)
-    taken = _missions_in(folder.evaluation()) > content.episodes
+    there = _readable(folder.evaluation())
+    taken = there is not None and there.episodes > content.episodes
     write_evaluation(folder.evaluation(f"first-{content.episodes}" if taken else "default"), content)
 
 
 def own_evaluation(
-    config: RunConfig,
-    result: PolicyResult,
-    seed: int = EVALUATION_SEED,
-    planners: Mapping[str, PolicyResult] | None = None,
+    config: RunConfig, result: PolicyResult, seed: int = EVALUATION_SEED, planners: Mapping[str, PolicyResult] = {}
 ) -> EvaluationFile:
     """The content of a run's ``default.json``.
 
@@ -274,5 +257,5 @@ def own_evaluation(
         seed: of mission 0.
         planners: on the same missions.
     """
-    policies = {config.algorithm.name: result, **(planners or {})}
+    policies = {config.algorithm.name: result, **planners}
     return EvaluationFile(scenario=config.scenario.name, episodes=len(result.mean_aou_s), seed=seed, policies=policies)

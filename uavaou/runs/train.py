@@ -73,36 +73,28 @@ def train(
     folder = RunFolder.at(folder)
     refuse_links(folder.path)
     _check_folder(folder, config, resume)
+    algorithm, first_seed = config.algorithm, training_seeds(config.seed).start
+    shared = ("missions", "processes", "observation", "collection", "reward")
+    settings = {name: getattr(algorithm, name) for name in shared}
     try:
-        env = _make_missions(config, backend)
+        env = flatten(config.scenario, seed=first_seed, backend=backend, **settings)
     except MemoryError as error:
-        raise InputError(f"not enough memory for missions = {config.algorithm.missions}: lower it") from error
+        raise InputError(f"not enough memory for missions = {algorithm.missions}: lower it") from error
     try:
         model = _make_learner(config, env, device)
-        with one_writer(folder):
+        with one_writer(folder.path):
             resuming = _check_folder(folder, config, resume)  # again: another process may have been here
-            _claim(folder, config)
+            with writing(folder.path):
+                folder.last.parent.mkdir(parents=True, exist_ok=True)
+                with replacing(folder.config) as file:
+                    file.write(config.to_yaml())
             # With worker processes, the CPU time of this one says little: it waits for those that step the missions.
-            cpu_s = 0.0 if config.algorithm.processes == 1 else None
-            started = TrainingProgress(next_evaluation=config.algorithm.evaluate_every_slots, cpu_s=cpu_s)
+            cpu_s = 0.0 if algorithm.processes == 1 else None
+            started = TrainingProgress(next_evaluation=algorithm.evaluate_every_slots, cpu_s=cpu_s)
             progress = _restore(folder, model, env, config) if resuming else started
             return _learn(config, folder, model, env, progress, checkpoint_every_s, display, after_update)
     finally:
         env.close()
-
-
-def _make_missions(config: RunConfig, backend: str) -> MissionVecEnv:
-    algorithm = config.algorithm
-    return flatten(
-        config.scenario,
-        missions=algorithm.missions,
-        seed=training_seeds(config.seed).start,
-        processes=algorithm.processes,
-        backend=backend,
-        observation=algorithm.observation,
-        collection=algorithm.collection,
-        reward=algorithm.reward,
-    )
 
 
 def _make_learner(config: RunConfig, env: MissionVecEnv, device: str) -> BaseAlgorithm:
@@ -123,14 +115,6 @@ def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
     if folder.read_config() != config:
         raise InputError(f"'{folder.path}' holds a run with another configuration (see its config.yaml); not resumed")
     return folder.last.is_file() or folder.previous.is_file()
-
-
-def _claim(folder: RunFolder, config: RunConfig) -> None:
-    """Make the folder this run's own."""
-    with writing(folder.path):
-        folder.last.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(folder.config) as file:
-            file.write(config.to_yaml())
 
 
 def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> TrainingProgress:
@@ -174,7 +158,7 @@ def _learn(
         except OSError as error:
             raise InputError(f"cannot write '{folder.path}': {error.strerror or error}; {recorder.kept}") from error
         finally:
-            for end in (recorder.close, model.logger.close, recorder.write_meta):
+            for end in (recorder.episodes_csv.close, model.logger.close, recorder.write_meta):
                 with suppress(OSError, InputError):  # of a full disk, which has been reported above
                     end()
     return Outcome(folder, recorder.progress, model.num_timesteps, recorder.stopped_by)

@@ -169,7 +169,7 @@ class Keeper:
         folder, stack = RunFolder(Path(path)), ExitStack()
         try:
             refuse_links(folder.path)
-            stack.enter_context(one_writer(folder))
+            stack.enter_context(one_writer(folder.path))
         except InputError as problem:
             return str(problem)
         self._open[key] = folder, stack

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from uavaou.csv_tables import CsvTable, read_csv, write_csv
 from uavaou.errors import InputError
 from uavaou.files import PathIn, folder_name, writing
-from uavaou.runs.lock import holder
+from uavaou.runs.lock import LOCK, holder
 
 BOUND = "bound"
 PLAN = "plan"
@@ -64,7 +64,7 @@ class StudyFolder:
         return cls(out / "studies" / name)
 
     study = PathIn("study.yaml")  # the study as resolved
-    lock = PathIn(".lock")  # held by the process that runs the study
+    lock = PathIn(LOCK)  # held by the process that runs the study
     failures = PathIn("failures.csv")  # why parts failed; exists only while some have
     working = PathIn(".working.csv")  # plans, planners and bounds in progress, which have no lock; valid under ``lock``
 

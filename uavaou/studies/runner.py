@@ -14,7 +14,7 @@ from uavaou.files import read_json, write_json
 from uavaou.planners.plan import RoutePlan
 from uavaou.runs.folder import scenario_folder
 from uavaou.runs.interrupt import Interrupts
-from uavaou.runs.lock import only_writer
+from uavaou.runs.lock import one_writer
 from uavaou.runs.results import PolicyResult
 from uavaou.studies.best import keep_best
 from uavaou.studies.condense import bound_rows, condense_run, evaluation_rows, trained_so_far, update_results
@@ -80,7 +80,7 @@ def run_study(
         InputError: the results folder holds another study's, is written by another process, or cannot be written.
     """
     folder = StudyFolder.of(out, study.name)
-    with only_writer(folder.path, folder.lock):
+    with one_writer(folder.path):
         work = _Work(study, out, checkpoint_every_s)
         with (
             Interrupts(quiet) as interrupts,
