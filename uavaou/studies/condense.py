@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -134,7 +132,13 @@ def condense_run(results: StudyResults, study: Study, out: Path, run: StudyRun) 
     rows = evaluation_rows(run.key, scenario, evaluation, str(folder.path))
     rows["curves"] = curve_rows(run.key, scenario, folder.episodes)
     rows["validation"] = validation_rows(run.key, scenario, folder.progress)
-    rows["runs"] = [_run_row(run, folder, evaluation)]
+    meta, tau = folder.read_meta(), scenario.slot_length_s
+    found = interval_over_missions(evaluation.mean_aou_s / tau)
+    best = None if meta.best_score is None else meta.best_score / tau
+    measured = map(number, (meta.wall_s, meta.cpu_s, best, found.value, found.low, found.high))
+    variant, *place = _cells(run.key)
+    steps, violations = (str(meta.slots), str(meta.agent_steps)), str(sum(evaluation.violations.values()))
+    rows["runs"] = [[variant, name, *place, *steps, *measured, violations, meta.commit or ""]]
     results.put(run.key, rows, run.config)
     return True
 
@@ -165,17 +169,7 @@ def validation_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[s
     return [[*_cells(key), str(int(slots)), *map(number, values)] for slots, *values in columns]
 
 
-def _run_row(run: StudyRun, folder: RunFolder, evaluation: PolicyResult) -> list[str]:
-    meta, tau = folder.read_meta(), run.config.scenario.slot_length_s
-    found = interval_over_missions(evaluation.mean_aou_s / tau)
-    best = None if meta.best_score is None else meta.best_score / tau
-    measured = meta.wall_s, meta.cpu_s, best, found.value, found.low, found.high
-    variant, *rest = _cells(run.key)
-    steps, violations = (str(meta.slots), str(meta.agent_steps)), str(sum(evaluation.violations.values()))
-    return [variant, run.config.algorithm.name, *rest, *steps, *map(number, measured), violations, meta.commit or ""]
-
-
-# -- evaluations and bounds ----------------------------------------------------------------------------
+# -- an evaluation -------------------------------------------------------------------------------------
 
 
 def evaluation_rows(key: PartKey, scenario: Scenario, evaluation: PolicyResult, source: str) -> Rows:
@@ -207,11 +201,6 @@ def _device_rows(cells: list[str], scenario: Scenario, evaluation: PolicyResult)
     aou = np.asarray(evaluation.device_mean_aou_s, dtype=np.float64) / scenario.slot_length_s  # (I,)
     columns = zip(*layout.positions.T, layout.update_period, communications, aou, strict=True)
     return [[*cells, str(device), *map(number, row)] for device, row in enumerate(columns)]
-
-
-def bound_rows(key: PartKey, scenario: Scenario, found: Mapping[str, Any]) -> Rows:
-    """The row of a bound."""
-    return {"bounds": [[key.scenario, number(found["bound_s"] / scenario.slot_length_s), str(found["method"])]]}
 
 
 def _cells(key: PartKey) -> list[str]:

@@ -16,17 +16,7 @@ from typing import Any
 
 from uavaou.errors import InputError
 from uavaou.runs.interrupt import children_ignore_ctrl_c, ignore_repeats, interrupt_at_sigterm, was_interrupt
-from uavaou.studies.jobs import (
-    Advanced,
-    Ended,
-    Event,
-    Events,
-    Job,
-    StoppedEarlyError,
-    TakeJob,
-    Tell,
-    TrainingReport,
-)
+from uavaou.studies.jobs import Advanced, Ended, Event, Events, Job, StoppedEarlyError, TakeJob, Tell, TrainingReport
 
 _LOOK_EVERY_S = 0.5
 

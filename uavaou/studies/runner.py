@@ -9,6 +9,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from uavaou.csv_tables import number
 from uavaou.errors import InputError
 from uavaou.files import read_json, write_json
 from uavaou.planners.plan import RoutePlan
@@ -17,7 +18,7 @@ from uavaou.runs.interrupt import Interrupts
 from uavaou.runs.lock import one_writer
 from uavaou.runs.results import PolicyResult
 from uavaou.studies.best import keep_best
-from uavaou.studies.condense import bound_rows, condense_run, evaluation_rows, trained_so_far, update_results
+from uavaou.studies.condense import condense_run, evaluation_rows, trained_so_far, update_results
 from uavaou.studies.folder import ANNEALED, BOUND, PLAN, PartKey, StudyFolder
 from uavaou.studies.jobs import (
     Advanced,
@@ -139,9 +140,8 @@ class _Work:
 
     def _job(self, key: PartKey) -> Job | None:
         if key in self._runs:
-            run = self._runs[key]
-            path = self._study.folder(self._out, run).path
-            return Training(key, run.config, path, self._study.episodes, self._every_s)
+            path = self._study.folder(self._out, self._runs[key]).path
+            return Training(key, self._runs[key].config, path, self._study.episodes, self._every_s)
         scenario = self._study.scenarios[key.scenario]
         if key.variant == BOUND:
             return Bounding(key, scenario)
@@ -232,10 +232,11 @@ class _Work:
         if key in self._runs:
             if not condense_run(self._results, self._study, self._out, self._runs[key]):
                 raise InputError(f"'{self._study.folder(self._out, self._runs[key]).path}' is not finished")
-        elif not isinstance(result, PolicyResult):
-            self._results.put(key, bound_rows(key, scenario, result))
-        else:
+        elif isinstance(result, PolicyResult):
             self._results.put(key, evaluation_rows(key, scenario, result, key.variant))
+        else:
+            bound = number(result["bound_s"] / scenario.slot_length_s)
+            self._results.put(key, {"bounds": [[key.scenario, bound, str(result["method"])]]})
         self._results.write(self._study)
         if key in self._runs:
             keep_best(self._results, self._study, self._out)

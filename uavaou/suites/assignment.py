@@ -178,13 +178,13 @@ def _name_by_layout(assignments: Sequence[Assignment]) -> list[Assignment]:
     layouts: dict[str, set[str]] = {}
     for one in assignments:
         layouts.setdefault(one.policy, set()).update(run.config.scenario.layout for run in one.runs)
-    named = []
-    for one in assignments:
+
+    def name(one: Assignment) -> str:
         resampled = any(run.config.scenario.layout == "resample" for run in one.runs)
         joint = "," if "+" in one.policy else "+"
-        several = resampled and len(layouts[one.policy]) > 1
-        named.append(replace(one, policy=f"{one.policy}{joint}layout=resample") if several else one)
-    return named
+        return f"{one.policy}{joint}layout=resample" if resampled and len(layouts[one.policy]) > 1 else one.policy
+
+    return [replace(one, policy=name(one)) for one in assignments]
 
 
 def differences(one: Scenario, other: Scenario) -> dict[str, tuple[Any, Any]]:
@@ -211,17 +211,13 @@ def missing_trainings(
     wanted: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for one in assignments:
         if one.kind is None:
-            command = _training_command(one.point, _settings(one.policy, assignments, runs), source, base)
+            own = [run for run in runs if run.policy == one.policy]
+            usual = _usual_slots(other.runs for other in assignments if other.policy == one.policy)
+            chosen = next((run for run in own if run.slots == usual), own[0] if own else None)
+            algorithm = chosen.config.algorithm if chosen else load_config(one.policy)
+            command = _training_command(one.point, algorithm, source, base)
             wanted.setdefault((one.policy, command), []).append(one.point.label)
     return [MissingTraining(policy, tuple(labels), command) for (policy, command), labels in wanted.items()]
-
-
-def _settings(policy: str, assignments: Sequence[Assignment], runs: Sequence[SuiteRun]) -> AlgorithmConfig:
-    own = [run for run in runs if run.policy == policy]
-    if not own:
-        return load_config(policy)
-    usual = _usual_slots(one.runs for one in assignments if one.policy == policy)
-    return next((run for run in own if run.slots == usual), own[0]).config.algorithm
 
 
 def _training_command(point: ResolvedPoint, algorithm: AlgorithmConfig, source: str, base: Scenario) -> tuple[str, ...]:

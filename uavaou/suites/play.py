@@ -143,18 +143,15 @@ def plan_suite(
     every = [Assignment(point, "mappo", (), None) for point in points if point.scenario]
     wanted = assignments if configs or planners else every
     missing = missing_trainings(wanted, runs, source, base)
-    name = name_with(suite.name, {**({"scenario": Scenario.load(source).name} if scenario else {}), **changes})
-    flights = [flight for point in points if point.scenario for flight in _flights(point, assignments, planners)]
-    return SuitePlan(suite, name, base, points, runs, assignments, missing, flights)
-
-
-def _flights(
-    point: ResolvedPoint, assignments: Sequence[Assignment], planners: Sequence[str]
-) -> Iterator[PolicyAtPoint]:
-    for one in assignments:
-        if one.point is point and one.kind is not None:
-            yield from (PolicyAtPoint(point, one.policy, one.kind, run) for run in one.runs)
-    yield from (PolicyAtPoint(point, name, "planner", None) for name in planners)
+    named = name_with(suite.name, {**({"scenario": Scenario.load(source).name} if scenario else {}), **changes})
+    flights: list[PolicyAtPoint] = []
+    for point in points:
+        for one in assignments:
+            if one.point is point and one.kind is not None:
+                flights += [PolicyAtPoint(point, one.policy, one.kind, run) for run in one.runs]
+        if point.scenario:
+            flights += [PolicyAtPoint(point, name, "planner", None) for name in planners]
+    return SuitePlan(suite, named, base, points, runs, assignments, missing, flights)
 
 
 def play_suite(
@@ -174,21 +171,21 @@ def play_suite(
     Raises:
         InputError: a run cannot be loaded. A planner's refusal of a point is a result.
     """
+
+    def play(policy: Planner, scenario: Scenario) -> PolicyResult:
+        evaluation = evaluate(policy, scenario, episodes, seed, display.after_slot)
+        return PolicyResult.of(evaluation, scenario, policy)
+
     played: dict[tuple[str, Scenario], tuple[PolicyResult | None, str]] = {}  # by planners
     for flight in plan.flights:
-        scenario = flight.scenario
+        key = flight.policy, flight.scenario
         display.start(flight.name)
-        key = flight.policy, scenario
         if flight.run is not None:
-            policy = _load(flight.run, scenario, action)
-            evaluation = evaluate(policy, scenario, episodes, seed, display.after_slot)
-            yield PointResult(flight, PolicyResult.of(evaluation, scenario, policy))
+            yield PointResult(flight, play(_load(flight.run, flight.scenario, action), flight.scenario))
             continue
         if key not in played:
-            planner = planners[flight.policy]
             try:
-                evaluation = evaluate(planner, scenario, episodes, seed, display.after_slot)
-                played[key] = PolicyResult.of(evaluation, scenario, planner), ""
+                played[key] = play(planners[flight.policy], flight.scenario), ""
             except InputError as error:
                 played[key] = None, str(error)
         yield PointResult(flight, *played[key])

@@ -172,7 +172,16 @@ def write_results(folder: SearchFolder, search: Search, records: Sequence[TrialR
     """Write ``tune.csv``, and ``best.yaml`` when a trial has been played to the end."""
     varied = list(search.space.dimensions)
     columns = ("trial", "state", "mean_aou_s", "action", "slots", "cpu_s", *varied, "reason")
-    write_csv(folder.table, columns, [_row(record, varied) for record in records if record.state != "waiting"])
+    rows = []
+    for record in records:
+        score = None if record.score is None else f"{record.score:.6g}"
+        cpu_s = None if record.cpu_s is None else f"{record.cpu_s:.2f}"
+        values = [str(record.values.get(name, "")) for name in varied]  # every digit
+        if record.state != "waiting":
+            rows.append(
+                [record.number, record.state, score, record.action, record.slots, cpu_s, *values, record.reason]
+            )
+    write_csv(folder.table, columns, rows)
     for record in ranked(records)[:1]:
         settings = search.settings(search.space.restored(record.values)).model_dump(mode="json")
         text = (
@@ -181,10 +190,3 @@ def write_results(folder: SearchFolder, search: Search, records: Sequence[TrialR
             f"# after {record.slots:,} slots. The budget below is not the trial's, but a training's of its own.\n"
         )
         write_text(folder.best, text + to_yaml(settings, default_flow_style=None))
-
-
-def _row(record: TrialRecord, varied: Sequence[str]) -> list[Any]:
-    score = None if record.score is None else f"{record.score:.6g}"
-    cpu_s = None if record.cpu_s is None else f"{record.cpu_s:.2f}"
-    values = [str(record.values.get(name, "")) for name in varied]  # every digit
-    return [record.number, record.state, score, record.action, record.slots, cpu_s, *values, record.reason]

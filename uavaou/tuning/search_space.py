@@ -143,7 +143,16 @@ class SearchSpace:
         """
         if not fields:
             raise InputError(f"{source}: no field to vary")
-        return cls({name: _dimension(content, f"{source}: {name}") for name, content in fields.items()})
+        dimensions: dict[str, Dimension] = {}
+        for name, content in fields.items():
+            where = f"{source}: {name}"
+            if not isinstance(content, dict) or "kind" not in content:
+                raise InputError(f"{where}: expected a mapping such as {{kind: integer, low: 1, high: 9}}")
+            kind = content["kind"]
+            if kind not in KINDS:
+                raise InputError(f"{where}: {unknown('kind', str(kind), KINDS)}")
+            dimensions[name] = validated(KINDS[kind], content, where)
+        return cls(dimensions)
 
     def to_dict(self) -> dict[str, Any]:
         """The mapping that :meth:`from_dict` reads."""
@@ -190,12 +199,3 @@ class SearchSpace:
     def suggest(self, trial: Trial) -> dict[str, Any]:
         """The values that a trial gets, by field."""
         return {name: dimension.suggest(trial, name) for name, dimension in self.dimensions.items()}
-
-
-def _dimension(content: Any, source: str) -> Dimension:
-    if not isinstance(content, dict) or "kind" not in content:
-        raise InputError(f"{source}: expected a mapping such as {{kind: integer, low: 1, high: 9}}")
-    kind = content["kind"]
-    if kind not in KINDS:
-        raise InputError(f"{source}: {unknown('kind', str(kind), KINDS)}")
-    return validated(KINDS[kind], content, source)
