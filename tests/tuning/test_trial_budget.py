@@ -15,10 +15,10 @@ from uavaou.algorithms.registry import load_config
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.recorder import TrainingStatus
 from uavaou.runs.train import train
-from uavaou.tuning import trial_budget
+from uavaou.tuning import trials
 from uavaou.tuning.search import Search
 from uavaou.tuning.search_space import SearchSpace
-from uavaou.tuning.trial_budget import affordable_slots, warm_up
+from uavaou.tuning.trials import affordable_slots, warm_up
 
 
 def statuses(rollout: int, warm_up: int, slow: float, quick: float) -> list[TrainingStatus]:
@@ -40,16 +40,16 @@ def statuses(rollout: int, warm_up: int, slow: float, quick: float) -> list[Trai
     ],
 )
 def test_a_rate_is_measured_after_the_first_update(seconds: float, warm_up: int, expected: int) -> None:
-    rate = trial_budget._watch_rate(seconds)
+    rate = trials._watch_rate(seconds)
     training = statuses(40, warm_up, slow=0.01, quick=0.002)
-    with pytest.raises(trial_budget._Measured) as measured:
+    with pytest.raises(trials._Measured) as measured:
         list(map(rate, training))
     assert abs(measured.value.slots - expected) <= 40
     assert measured.value.slots % 40 == 0
 
 
 def test_a_rollout_longer_than_the_budget_is_no_trial() -> None:
-    rate = trial_budget._watch_rate(1.0)
+    rate = trials._watch_rate(1.0)
     training = statuses(400, 0, slow=0.01, quick=0.01)
     with pytest.raises(InputError, match=r"one rollout of 400 slots takes 4.0 s of CPU, and a trial has 1 s"):
         list(map(rate, training))

@@ -153,10 +153,9 @@ class Study(StudySettings):
 
     def runs(self) -> Iterator[StudyRun]:
         """Every training, all variants with the first seed before any with the second."""
-        for seed in self.seeds:
-            for scenario_name, scenario in self.scenarios.items():
-                for variant, algorithm in self.variants.items():
-                    yield StudyRun(PartKey(variant, scenario_name, seed), RunConfig(scenario, algorithm, seed))
+        every = product(self.seeds, self.scenarios.items(), self.variants.items())
+        for seed, (place, scenario), (variant, algorithm) in every:
+            yield StudyRun(PartKey(variant, place, seed), RunConfig(scenario, algorithm, seed))
 
     def planner_parts(self) -> list[PartKey]:
         """The bound and the planners of each scenario, those that need an annealed plan last."""
