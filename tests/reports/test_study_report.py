@@ -182,5 +182,5 @@ def test_the_ablations_hold_location_against_masks_off(tmp_path: Path) -> None:
 def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
     folder = study_with(tmp_path / "paper")
     (folder / "README.md").mkdir()
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="cannot write"):
         write_report(folder, tmp_path / "README.md")

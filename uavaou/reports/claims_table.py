@@ -10,7 +10,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from uavaou.errors import InputError
-from uavaou.files import read_text, replacing
+from uavaou.files import read_text, write_text
 from uavaou.reports.markdown import rounded, table
 from uavaou.reports.training_claims import SMOOTHED, WITHIN
 from uavaou.reports.verdicts import Claim
@@ -79,11 +79,7 @@ def write_claims(readme: Path, study: str, claims: Sequence[Claim]) -> str:
         before, held, after = _around(text, begins, readme)
         if held not in (None, study):
             return held
-    try:
-        with replacing(readme) as file:
-            file.write(f"{before}{begin_marker(study)}\n\n{claims_markdown(claims)}\n\n{END}{after}")
-    except OSError as error:
-        raise InputError(f"{readme}: cannot be written: {error.strerror or error}") from error
+    write_text(readme, f"{before}{begin_marker(study)}\n\n{claims_markdown(claims)}\n\n{END}{after}")
     return study
 
 

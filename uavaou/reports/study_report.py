@@ -12,7 +12,7 @@ from itertools import product
 from pathlib import Path
 
 from uavaou.errors import InputError
-from uavaou.files import replacing, write_json
+from uavaou.files import write_json, write_text
 from uavaou.reports.ablations import ablation_table, ablations
 from uavaou.reports.claims import judge
 from uavaou.reports.claims_table import claims_markdown, write_claims
@@ -103,13 +103,9 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
     claims = judge(results) if results.settings.get("claims") else None
     if claims is not None:
         parts += ["## The paper's claims", claims_markdown(claims)]
-    try:
-        with replacing(folder / "README.md") as file:
-            file.write("\n\n".join(part for part in parts if part) + "\n")
-        if results.algorithms:
-            write_json(folder / "marl-eval.json", to_marl_eval(results))
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    write_text(folder / "README.md", "\n\n".join(part for part in parts if part) + "\n")
+    if results.algorithms:
+        write_json(folder / "marl-eval.json", to_marl_eval(results))
     if claims is None:
         return remarks
     held = write_claims(results_page, results.name, claims)
