@@ -10,9 +10,6 @@ from uavaou.arrays import Bools, Ints
 from uavaou.world import World
 from uavaou.world.flight import STAY, STEP_OF_MOVE
 
-Moves = Ints
-Selections = Bools
-
 _PLANNER_STREAM = 2  # spawn key: differs from those of missions (no key) and layouts (1)
 
 
@@ -30,7 +27,7 @@ class Planner(Protocol):
         """
         ...
 
-    def act(self, world: World) -> tuple[Moves, Selections | None]:
+    def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Return moves (N, U) and selections (N, U, I) for ``world.slot``; None selects every device in range."""
         ...
 
@@ -48,7 +45,7 @@ class Random:
         """Seed the stream of mission j with ``seed + j``."""
         self._rngs = mission_rngs(world, seed)
 
-    def act(self, world: World) -> tuple[Moves, Selections | None]:
+    def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Draw the moves, (N, U); the World replaces those that are not allowed."""
         return np.stack([rng.integers(len(STEP_OF_MOVE), size=world.scenario.uavs) for rng in self._rngs]), None
 
@@ -59,6 +56,6 @@ class Stay:
     def reset(self, world: World, seed: int) -> None:
         """Prepare nothing."""
 
-    def act(self, world: World) -> tuple[Moves, Selections | None]:
+    def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Stay, (N, U)."""
         return np.full((world.missions, world.scenario.uavs), STAY, dtype=np.int64), None

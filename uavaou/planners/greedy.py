@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavaou.planners.base import Moves, Selections
+from uavaou.arrays import Bools, Ints
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import first_step, grid_cells
@@ -40,7 +40,7 @@ class Greedy:
         self._cells = grid_cells(scenario)  # (C, 2)
         self._steps_home = np.abs(self._cells - world.flight.cds[:, None, :]).sum(axis=-1)  # (U, C)
 
-    def act(self, world: World) -> tuple[Moves, Selections | None]:
+    def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Return the first step of each UAV towards its cell, (N, U)."""
         missions, uavs, cells = world.missions, world.scenario.uavs, len(self._cells)
         mission = np.arange(missions)

@@ -10,18 +10,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from uavaou.arrays import Ints
+from uavaou.arrays import Bools, Ints
 from uavaou.errors import InputError
 from uavaou.files import read_json
-from uavaou.planners.base import Moves, Selections
 from uavaou.planners.search import ExpectedAge, recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
-from uavaou.world.flight import STEP_OF_MOVE, Flight
-
-_MOVE_OF_STEP = np.zeros((3, 3), dtype=np.int64)  # by columns and rows; index -1 is the last
-_MOVE_OF_STEP[STEP_OF_MOVE[:, 0], STEP_OF_MOVE[:, 1]] = np.arange(len(STEP_OF_MOVE))
+from uavaou.world.flight import Flight, first_step
 
 
 @dataclass(frozen=True)
@@ -173,19 +169,12 @@ class RoutePlanner(ABC):
         """Use this plan on this layout instead of planning."""
         self._plans[_key(scenario, layout)] = plan
 
-    def act(self, world: World) -> tuple[Moves, Selections | None]:
+    def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Return the move to the cell of the next slot, (N, U)."""
         there = self._routes[min(world.slot, len(self._routes) - 1)]  # (N, U, 2); row t holds slot t + 1
-        return moves_between(world.cells, there), None
+        return first_step(there - world.cells), None
 
 
 def _key(scenario: Scenario, layout: Layout) -> tuple[str | bytes, ...]:
     devices = (layout.positions, layout.bandwidth, layout.transmit_power, layout.update_period)
     return (scenario.model_dump_json(), *(field.tobytes() for field in devices))
-
-
-def moves_between(here: Ints, there: Ints) -> Moves:
-    """Return the move from each cell to the next, (..., 2) both; the two are equal or neighbours."""
-    step = there - here  # (..., 2)
-    moves: Moves = _MOVE_OF_STEP[step[..., 0], step[..., 1]]
-    return moves

@@ -6,13 +6,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from uavaou.arrays import Floats
+from uavaou.arrays import Bools, Floats, Ints
 from uavaou.planners.anneal import Anneal, flown_steps
-from uavaou.planners.base import Moves, Selections, mission_rngs
-from uavaou.planners.plan import RoutePlan, expected_age, moves_between
+from uavaou.planners.base import mission_rngs
+from uavaou.planners.plan import RoutePlan, expected_age
 from uavaou.planners.search import ExpectedAge, anneal, change, follow
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
+from uavaou.world.flight import first_step
 
 _HORIZON = 25  # slots ahead that may change
 _PROPOSALS = 300  # in each slot
@@ -46,7 +47,7 @@ class Rolling:
         self._expected = [_copy(each[mission % len(each)]) for mission in range(world.missions)]
         self._rngs = mission_rngs(world, seed)
 
-    def act(self, world: World) -> tuple[Moves, Selections | None]:
+    def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Replan the slots ahead and return the first move of each UAV, (N, U)."""
         scenario, slot = world.scenario, world.slot
         if slot < scenario.slots - 1:
@@ -59,7 +60,7 @@ class Rolling:
         next_slot = min(slot + 1, scenario.slots)
         cells = np.stack([expected.routes[:, next_slot] for expected in self._expected])  # (N, U)
         there = np.stack(np.divmod(cells, scenario.rows), axis=-1)  # (N, U, 2)
-        return moves_between(world.cells, there), None
+        return first_step(there - world.cells), None
 
 
 def _copy(expected: ExpectedAge) -> ExpectedAge:

@@ -10,7 +10,6 @@ probability are tried, and the tours with the lowest expected age are taken.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
 from itertools import pairwise
 from typing import ClassVar
 
@@ -39,24 +38,19 @@ class _Tours(RoutePlanner):
         routes = np.tile(Flight(scenario).cds, (scenario.slots, 1, 1))  # (K, U, 2): stay if no device is in reach
         expected = expected_age(scenario, layout, routes)
         least, interrupted = expected.total_age, False
-        rounds = len(_THRESHOLDS) * (1 if self.time_limit_s is None else 2)
+        limits = [None] if self.time_limit_s is None else [None, self.time_limit_s]
         try:
             coverages = [(probability >= share * best) & (best > 0.0) for share in _THRESHOLDS if best.any()]
-            for done, tours in enumerate(self._all_tours(scenario, coverages), start=1):
-                found, age = _with_dwell_times(scenario, expected, tours)
-                routes, least = (found, age) if age < least else (routes, least)
+            found = (tours for limit in limits if coverages for tours in self._tours(scenario, coverages, limit))
+            for done, tours in enumerate(found, start=1):
+                dwelling, age = _with_dwell_times(scenario, expected, tours)
+                routes, least = (dwelling, age) if age < least else (routes, least)
                 if on_progress is not None:
-                    on_progress(PlanningStatus(done / rounds, scenario.slot_length_s * least / scenario.slots))
+                    share = done / (len(limits) * len(_THRESHOLDS))
+                    on_progress(PlanningStatus(share, scenario.slot_length_s * least / scenario.slots))
         except KeyboardInterrupt:
             interrupted = True
         return RoutePlan(self.name, routes, expected_mean_aou(scenario, layout, routes), interrupted=interrupted)
-
-    def _all_tours(self, scenario: Scenario, coverages: list[Bools]) -> Iterator[list[Ints]]:
-        """Yield the tours of each coverage; under a time limit, then those of a search of that duration."""
-        if coverages:
-            yield from self._tours(scenario, coverages, None)
-            if self.time_limit_s is not None:
-                yield from self._tours(scenario, coverages, self.time_limit_s)
 
     @abstractmethod
     def _tours(self, scenario: Scenario, coverages: list[Bools], time_limit_s: float | None) -> list[list[Ints]]:

@@ -128,24 +128,20 @@ class Views:
         """Return the rows ``[local | global]`` of all UAVs, mission-major, (N * U, local + global)."""
         layout, uavs = self.layout, self.scenario.uavs
         rows: Rows = np.empty((world.missions, uavs, layout.local_size + layout.global_size), dtype=np.float32)
-        self.write_local(world, rows)
+        self.local(world, rows)
         rows[:, :, layout.local_size :] = self.state(world)[:, None, :]
         return rows.reshape(world.missions * uavs, -1)
 
-    def local(self, world: World) -> Rows:
-        """Return the local observations, (N, U, local)."""
-        out: Rows = np.empty((world.missions, self.scenario.uavs, self.layout.local_size), dtype=np.float32)
-        self.write_local(world, out)
-        return out
-
-    def write_local(self, world: World, out: Rows) -> None:
-        """Write the local observations into the first columns of ``out``, (N, U, >= local)."""
+    def local(self, world: World, out: Rows | None = None) -> Rows:
+        """Return the local observations, (N, U, local), or write them into the first columns of ``out``."""
         uavs = self.scenario.uavs
+        if out is None:
+            out = np.empty((world.missions, uavs, self.layout.local_size), dtype=np.float32)
         at = {columns.name: out[:, :, columns.slice] for columns in self.layout.local}
         at["position"][...] = world.positions / self._area
         at["uav_id"][...] = self._ids
         if self.observation == "location":
-            return
+            return out
         at["to_cds"][...] = (world.flight.cds - world.cells) * (self.scenario.grid_step_m / self._span)
         at["allowed_moves"][...] = world.allowed_moves
         at["slots_left"][...] = self._slots_left(world)
@@ -160,6 +156,7 @@ class Views:
             scaled = world.positions / self._area  # (N, U, 2)
             at["other_positions"][...] = scaled[:, self._others].reshape(world.missions, uavs, -1)
             at["age_sum"][...] = self._age_sum(world)[:, None]
+        return out
 
     def state(self, world: World) -> Rows:
         """Return the global state, (N, global): positions, slots left, and age sum, pending updates, wait by device."""
