@@ -5,8 +5,6 @@ into a run folder, ``load_run`` loads the best policy of one, ``evaluate`` measu
 ``read_study`` reads the results of a study.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

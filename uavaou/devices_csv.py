@@ -1,7 +1,5 @@
 """The devices of a scenario from a CSV file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Errors that the user can correct: the message is one line written for a person."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 

@@ -3,8 +3,6 @@
 All configuration files are pydantic models. Their number types refuse booleans and text.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import reprlib

@@ -1,7 +1,5 @@
 """Atomic writes, bounded reads, and checks of folders from untrusted sources."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

@@ -1,7 +1,5 @@
 """The shipped YAML configurations, in the repository or inside the wheel, and reading and writing of YAML."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Policies that are not learned: the references for a learner."""
 
-from __future__ import annotations
-
 from importlib import import_module
 
 from uavaou.errors import InputError, unknown

@@ -1,7 +1,5 @@
 """The protocol of a planner, and the two planners that ignore the state of the world."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np

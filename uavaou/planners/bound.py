@@ -11,8 +11,6 @@ The bound is the highest of up to three relaxations:
   short missions it starts from ``prices``, in long ones from the dual of a linear program of its own.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ It is solved as a generalised TSP: each cell that covers a device is a node of t
 one node of each group. Nodes in the same cell have distance 0.
 """
 
-from __future__ import annotations
-
 import pickle
 import subprocess
 import sys

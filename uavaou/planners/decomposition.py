@@ -24,8 +24,6 @@ The process of a copy has the states (cell, own gap), includes fading, and may r
 found by dynamic programming. Every choice of charges and prices gives a valid bound (Guignard and Kim, 1987).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from uavaou.arrays import Floats, Ints

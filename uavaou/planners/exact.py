@@ -12,8 +12,6 @@ If the flows are integers, the polytope of the paths has integer vertices, so on
 counted in slots, so the objective is an integer, and its optimum is exact, not only within a tolerance.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

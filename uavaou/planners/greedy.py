@@ -1,7 +1,5 @@
 """The greedy planner with full information: each UAV flies to the cell with the largest expected age per step."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from uavaou.arrays import Bools, Ints

@@ -1,7 +1,5 @@
 """Linear and mixed-integer programs for the solver HiGHS, through its own Python package."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import highspy

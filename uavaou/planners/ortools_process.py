@@ -4,8 +4,6 @@ The wheels of OR-Tools and of HiGHS each contain a ``libhighs``, and a process f
 (google/or-tools#5246). So no other module imports OR-Tools, and this one imports nothing of the package.
 """
 
-from __future__ import annotations
-
 import pickle
 import sys
 

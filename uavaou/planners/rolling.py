@@ -1,7 +1,5 @@
 """Rolling horizon: start with an annealed plan, and improve it in flight with what the fleet knows by then."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

@@ -14,8 +14,6 @@ All compiled functions are in this one file: Numba's cache notices a change in t
 calls, but not in the files of the functions that it calls.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -8,8 +8,6 @@ UAVs are replaced by their average and each update period by its best phase. Non
 decomposition certifies the result.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints

@@ -1,7 +1,5 @@
 """Subgradient ascent of a concave function that is not smooth, such as a Lagrangian dual (Polyak, 1969)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -7,8 +7,6 @@ A UAV dwells at a stop as long as that lowers the exact expected age of all roun
 probability are tried, and the tours with the lowest expected age are taken.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from itertools import pairwise
 from typing import ClassVar

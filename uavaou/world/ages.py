@@ -4,8 +4,6 @@ All pending updates of a device age together and are delivered together. So two 
 of pending updates, and the sum of their ages in slots. Integers keep the ledger exact.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from uavaou.arrays import Bools, Ints

@@ -1,7 +1,5 @@
 """Which UAV collects which device: constraints (Rate) and (Association) of the paper hold by construction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ The fading of slot t, UAV u and device i is a counter-based random number: a fun
 not be computed.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

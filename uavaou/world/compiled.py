@@ -1,7 +1,5 @@
 """Numba compiles the inner loops: a loop over scalars needs no array between two operations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 

@@ -6,8 +6,6 @@ degrees of freedom and noncentrality 2 Phi, so that P(R >= R_min) = Q_1(sqrt(2 P
 Q_1 being the Marcum Q function.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -5,8 +5,6 @@ if the UAV can still be at its CDS in slot K and stay within its flight-time bud
 allowed becomes a step towards the CDS.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints

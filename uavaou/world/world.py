@@ -4,8 +4,6 @@ There is no other implementation of the physics: the PettingZoo environment is a
 evaluation step Worlds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
