@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import signal
 import weakref
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from functools import partial
 from typing import Any
@@ -47,20 +47,9 @@ class Block(Space[Any]):
     """
 
 
-@iterate.register(Block)
-def _items_of_block(space: Block, items: NDArray[Any]) -> Iterator[NDArray[Any]]:
-    return iter((items,))
-
-
-@create_empty_array.register(Block)
-def _nothing_to_fill(space: Block, n: int = 1, fn: Any = None) -> None:
-    return None
-
-
-@concatenate.register(Block)
-def _only_block(space: Block, items: Iterable[NDArray[Any]], out: None) -> NDArray[Any]:
-    (block,) = items
-    return block
+iterate.register(Block, lambda space, items: iter((items,)))
+create_empty_array.register(Block, lambda space, n=1, fn=None: None)
+concatenate.register(Block, lambda space, items, out: next(iter(items)))
 
 
 class MissionVecEnv(SB3VecEnvWrapper):

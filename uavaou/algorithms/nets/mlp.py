@@ -53,10 +53,10 @@ def mlp(inputs: int, hidden: list[int], activation: str) -> Mlp:
 
 
 @th.no_grad()
-def rescale_linear(layer: nn.Linear, ratio: th.Tensor) -> None:
-    """Multiply the layer's outputs by ``ratio`` from now on."""
+def rescale_linear(layer: nn.Linear, ratio: th.Tensor, shift: th.Tensor | float = 0.0) -> None:
+    """Change the layer's outputs to ``outputs * ratio + shift``."""
     layer.weight.mul_(ratio)
-    layer.bias.mul_(ratio)
+    layer.bias.mul_(ratio).add_(shift)
 
 
 class Layer(NamedTuple):

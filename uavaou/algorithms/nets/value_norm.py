@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch as th
 from torch import nn
 
+from uavaou.algorithms.nets.mlp import rescale_linear
+
 
 class ReturnStatistics(nn.Module):
     """Running mean and variance of returns, by which values are normalised.
@@ -67,10 +69,8 @@ class PopArt(ReturnStatistics):
         normalised: th.Tensor = self.linear(features)
         return normalised
 
-    @th.no_grad()
     def update(self, returns: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
         """Take in the returns of a rollout."""
         ratio, shift = super().update(returns)
-        self.linear.weight.mul_(ratio)
-        self.linear.bias.mul_(ratio).add_(shift)
+        rescale_linear(self.linear, ratio, shift)
         return ratio, shift

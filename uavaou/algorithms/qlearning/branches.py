@@ -145,9 +145,7 @@ class UtilityNetwork(nn.Module):
         values: th.Tensor = self.value(features) + self.branches.centre(self.advantage(features), allowed)
         return values
 
-    @th.no_grad()
     def rescale(self, ratio: th.Tensor, shift: th.Tensor) -> None:
         """Change the outputs to ``values * ratio + shift``."""
-        for head in (self.advantage, self.value):
-            rescale_linear(head, ratio)
-        self.value.bias.add_(shift)
+        rescale_linear(self.advantage, ratio)
+        rescale_linear(self.value, ratio, shift)

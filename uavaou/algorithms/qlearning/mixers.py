@@ -76,13 +76,10 @@ class MonotonicMixer(Mixer):
         mixed: th.Tensor = (hidden * second).sum(dim=1, keepdim=True) + self.value(states)
         return mixed
 
-    @th.no_grad()
     def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
         """Rescale the outer layer of the mixing network; the utilities do not change."""
-        second, value = (cast("Linear", hypernet[-1]) for hypernet in (self.second_weights, self.value))
-        rescale_linear(second, ratio)
-        rescale_linear(value, ratio)
-        value.bias.add_(shift)
+        rescale_linear(cast("Linear", self.second_weights[-1]), ratio)
+        rescale_linear(cast("Linear", self.value[-1]), ratio, shift)
 
 
 def _hypernet(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
