@@ -101,7 +101,8 @@ def load_plugin(place: str) -> None:
         InputError: no such file or module exists, or the file registers nothing.
     """
     if place.endswith(".py"):
-        return _load_file(Path(place))
+        _load_file(Path(place))
+        return
     try:
         import_module(place)
     except (ModuleNotFoundError, ValueError, TypeError) as error:

@@ -221,11 +221,15 @@ class MAPPO(SafeSaveLoad, PPO):
         buffer = self.rollout_buffer
         explained = explained_variance(buffer.values.flatten(), buffer.returns.flatten())
         self.policy.value_net.update(th.from_numpy(buffer.returns).to(self.device))
-        gradient, step = self._gradient_and_step(clip_range, *self._advantage_moments(buffer.advantages))
+        # "none": in units of the normalised value; in units of the reward their scale would be arbitrary.
+        mean, std = 0.0, float(self.policy.value_net.std)
+        if self.advantage_normalization == "rollout":
+            mean, std = float(buffer.advantages.mean()), float(buffer.advantages.std()) + 1e-8
+        gradient, step = self._gradient_and_step(clip_range, mean, std)
         with one_thread() if self._fast and self._fast.workers else nullcontext():  # each process with one thread
             statistics = self._run_epochs(gradient, step)
-        mean = LossStatistics(*th.stack([th.stack(minibatch) for minibatch in statistics]).mean(dim=0))
-        for name, value in mean._asdict().items():
+        means = LossStatistics(*th.stack([th.stack(minibatch) for minibatch in statistics]).mean(dim=0))
+        for name, value in means._asdict().items():
             self.logger.record(f"train/{'policy_gradient_loss' if name == 'policy_loss' else name}", float(value))
         self.logger.record("train/learning_rate", rate)
         self.logger.record("train/explained_variance", float(explained))
@@ -318,12 +322,6 @@ class MAPPO(SafeSaveLoad, PPO):
         for parameters in (self.policy.actor_parameters(), self.policy.critic_parameters()):
             th.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm, foreach=True)
         self.policy.optimizer.step()
-
-    def _advantage_moments(self, advantages: NDArray[np.float32]) -> tuple[float, float]:
-        if self.advantage_normalization == "rollout":
-            return float(advantages.mean()), float(advantages.std()) + 1e-8
-        # "none": in units of the normalised value; in units of the reward their scale would be arbitrary.
-        return 0.0, float(self.policy.value_net.std)
 
 
 class IPPO(MAPPO):

@@ -52,15 +52,12 @@ class JointQPolicy(LocalPolicy):
         masks: bool = True,
         mixer_width: int = 32,
         hypernet_width: int = 64,
-        optimizer_class: type[th.optim.Optimizer] = th.optim.Adam,
-        optimizer_kwargs: dict[str, Any] | None = None,
+        **kwargs: Any,
     ) -> None:
         for name, value, known in (("activation", activation, ACTIVATIONS), ("mixer", mixer, MIXERS)):
             if value not in known:
                 raise unknown(name, value, known)
-        super().__init__(
-            observation_space, action_space, optimizer_class=optimizer_class, optimizer_kwargs=optimizer_kwargs
-        )
+        super().__init__(observation_space, action_space, **kwargs)
         self.row_layout = row_layout
         self.branches = Branches.of_space(action_space)
         self._hidden = list(net_arch or [128, 128])
@@ -74,7 +71,7 @@ class JointQPolicy(LocalPolicy):
         self.returns = ReturnStatistics(decay=0.9)
         self.epsilon: th.Tensor
         self.register_buffer("epsilon", th.zeros(()))  # exploration when the policy was last trained
-        self.optimizer = optimizer_class(self.trained_parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
+        self.optimizer = self.optimizer_class(self.trained_parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     def make_utilities(self) -> UtilityNetwork:
         """The network of the utilities; a policy of one's own may make another."""
