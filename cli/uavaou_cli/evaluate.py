@@ -1,8 +1,10 @@
-"""``uavaou eval``: trained runs and planners on the same missions."""
+"""``uavaou eval``: trained runs and planners on the same missions, of one scenario or of each point of a suite."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import shlex
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,16 +12,19 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou_cli.evaluate_suite import evaluate_suite
 from uavaou_cli.options import Changes, Episodes, Quiet, Seed, choice, given_path, option, seconds, writable_file
-from uavaou_cli.overrides import parse_overrides
+from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import EvaluationDisplay
-from uavaou_cli.tables import interval_figures, say, show, two_line_table, wrapped
+from uavaou_cli.tables import aligned, figure, interval_figures, say, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
     from uavaou.evaluation.evaluate import Evaluation
     from uavaou.planners.base import Planner
     from uavaou.runs.comparison import Comparison
+    from uavaou.runs.folder import RunConfig
+    from uavaou.suites.assignment import MissingTraining
+    from uavaou.suites.play import PointResult, SuitePlan
+    from uavaou.suites.suite import ResolvedPoint
 
 # For the help, which must not import the planners; a test compares it with the registry.
 _PLANNER_NAMES = "random, stay, greedy, best-first, tour, partition-tour, anneal, rolling or exact"
@@ -51,15 +56,14 @@ def evaluate(
     folders, planners = list(dict.fromkeys(run or [])), list(dict.fromkeys(policy or []))
     if suite is None and out is not None:
         raise InputError("--out writes the table of a --suite; without a suite, use --json")
-    _check_names(folders, planners, suite)
-    made = _make_planners(planners, time_limit)  # a misspelled one fails before torch is imported
+    made = _make_planners(planners, folders, time_limit, suite)  # a misspelled one fails before torch is imported
     from uavaou.runs.comparison import common_scenario, compare, load_runs, read_runs
     from uavaou.scenario import Scenario
 
     configs = read_runs(folders)
     overrides.only_of_scenario("a trained run is evaluated as it is")
     if suite is not None:
-        evaluate_suite(suite, scenario, overrides, configs, made, episodes, seed, action, out, json, quiet)
+        _evaluate_suite(suite, scenario, overrides, configs, made, episodes, seed, action, out, json, quiet)
         return
     base = common_scenario(configs) if configs and scenario is None else Scenario.load(scenario or "paper")
     played = overrides.of_scenario(base)
@@ -78,24 +82,22 @@ def evaluate(
     say(notes, quiet)
 
 
-def _check_names(folders: list[str], planners: list[str], suite: str | None) -> None:
-    from uavaou.planners import PLANNERS
+def _make_planners(
+    names: list[str], folders: list[str], limit_s: float | None, suite: str | None
+) -> dict[str, Planner]:
+    """The planners of the command, after a check of all names that it gives."""
+    from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner
 
-    if not folders and not planners and suite is None:
+    if not folders and not names and suite is None:
         raise InputError(f"nothing to evaluate: give run folders, or --policy with one of {', '.join(PLANNERS)}")
     for name in folders:
         if not given_path("RUN", name).exists() and name in PLANNERS:
             raise InputError(f"run folder '{name}' does not exist; for the planner of that name, write --policy {name}")
-        if name in planners:
+        if name in names:
             raise InputError(f"'{name}' is both a run folder and a planner here: write ./{name} for the folder")
-
-
-def _make_planners(names: list[str], time_limit: float | None) -> dict[str, Planner]:
-    from uavaou.planners import PLAN_AHEAD, make_planner
-
-    if time_limit is not None and not any(name in PLAN_AHEAD for name in names):
-        raise InputError(f"--time-limit {time_limit:g}: needs a --policy that plans ahead: {', '.join(PLAN_AHEAD)}")
-    return {name: make_planner(name, time_limit if name in PLAN_AHEAD else None) for name in names}
+    if limit_s is not None and not any(name in PLAN_AHEAD for name in names):
+        raise InputError(f"--time-limit {limit_s:g}: needs a --policy that plans ahead: {', '.join(PLAN_AHEAD)}")
+    return {name: make_planner(name, limit_s if name in PLAN_AHEAD else None) for name in names}
 
 
 def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> list[str]:
@@ -124,3 +126,153 @@ def _cells(result: Evaluation, policy: Planner) -> list[tuple[str, str]]:
     columns = aou / result.slot_length_s, aou, result.values("communications"), result.values("devices_served")
     figures = [interval_figures(interval_over_missions(values)) for values in columns]
     return [(getattr(policy, "action", "-"), ""), *figures, (f"{sum(result.violations.values()):,}", "")]
+
+
+def _evaluate_suite(
+    name: str, scenario: str | None, overrides: Overrides, configs: Mapping[str, RunConfig],
+    planners: Mapping[str, Planner], episodes: int, seed: int, action: str | None, out: Path | None, json: Path | None,
+    quiet: bool,
+) -> None:  # fmt: skip
+    """Play a suite, print its table, and write the files; without policies, print what it needs."""
+    from uavaou.scenario import Scenario
+    from uavaou.suites.play import plan_suite, play_suite, write_suite
+    from uavaou.suites.suite import Suite
+
+    suite = Suite.load(name)
+    base = overrides.of_scenario(Scenario.load(scenario or suite.scenario))
+    plan = plan_suite(suite, configs, list(planners), scenario, base, overrides.scenario)
+    for path in filter(None, (out, json)):
+        writable_file(path)
+    if out is not None and json is not None and out.resolve() == json.resolve():
+        raise InputError(f"--out and --json are both '{out}': give each a file of its own")
+    if not configs and not planners:
+        show(_point_lines(plan))
+        return
+    plan.check_runs(action)
+    slots = episodes * max((flight.scenario.slots for flight in plan.flights), default=0)
+    results: list[PointResult] = []
+    notes: list[str] = []
+    try:
+        with EvaluationDisplay(quiet, [flight.name for flight in plan.flights], slots) as display:
+            for result in play_suite(plan, planners, episodes, seed, display, action):
+                results.append(result)
+        notes = write_suite(plan, results, episodes, seed, out, json)
+    finally:  # what has been played is shown even where Ctrl-C ended it, or a disk has filled
+        show(_suite_lines(plan, results, episodes, seed))
+    say(notes, quiet)
+
+
+def _point_lines(plan: SuitePlan) -> list[str]:
+    """The points of a suite, and the trainings that they need."""
+    from uavaou.zoo import zoo_names
+
+    suite = plan.suite
+    lines = wrapped(f"{suite.name}: {suite.description}")
+    rows = [(suite.axis.title, "")]
+    for point in suite.points:
+        changed = [f"{key}={value}" for key, value in point.set.items()]
+        seen = [f"observation {point.observation}"] if point.observation else []
+        rows.append((point.label, textwrap.shorten(", ".join([*changed, *seen]) or "as it is", 50)))
+    lines += ["", *aligned(rows), *_reasons(plan.points), *_missing_lines(plan.missing)]
+    if f"suite-{suite.name}" in zoo_names("studies"):
+        lines += ["", f"all of them: uavaou study run suite-{suite.name}"]
+    return [*lines, "", f"then: uavaou eval RUN... --suite {suite.name}"]
+
+
+def _suite_lines(plan: SuitePlan, results: Sequence[PointResult], episodes: int, seed: int) -> list[str]:
+    """The table of a suite, with missing trainings, infeasible points and how zero-shot runs were trained."""
+    count = "1 mission" if episodes == 1 else f"{episodes:,} missions"
+    head = f"{plan.name} on {plan.base.name}: {plan.suite.axis.title}; {count} each, seeds from {seed}"
+    heads = (plan.suite.axis.label, "policy", "how", "mean AoU", "interval", "comm.", "served")
+    units = ("", "", "", "(slots)", "95 %", "", "")
+    lines = [*wrapped(head), "", *aligned([heads, units, *_suite_rows(plan, results)], left=3)]
+    refused = _paragraphs(f"{result.flown.name}: {result.refusal}" for result in results if result.refusal)
+    lines += [*_violations(results), *_budgets(results), *_reasons(plan.points), *refused]
+    lines += [*_elsewhere(plan, results), *_missing_lines(plan.missing), *_unused(plan)]
+    if any(point.scenario is None for point in plan.points) or plan.missing:
+        lines += ["", "- not played, see above"]
+    return lines
+
+
+def _suite_rows(plan: SuitePlan, results: Sequence[PointResult]) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    seeds = {result.flown.run.config.seed for result in results if result.flown.run is not None}
+    for point in plan.points:
+        if point.scenario is None:
+            rows.append((point.label, "-", "infeasible", "-", "", "", ""))
+            continue
+        missing = [one for one in plan.assignments if one.point is point and one.kind is None]
+        rows += [(point.label, one.policy, "-", "-", "", "", "") for one in missing]
+        rows += [
+            (point.label, *_suite_cells(result, len(seeds) > 1)) for result in results if result.flown.point is point
+        ]
+    return rows
+
+
+def _suite_cells(result: PointResult, several_seeds: bool) -> tuple[str, ...]:
+    flown = result.flown
+    name = flown.policy if flown.run is None or not several_seeds else f"{flown.policy} #{flown.run.config.seed}"
+    if result.refusal:
+        return name, flown.kind, "-", "", "", ""
+    counts = figure(result.mean("communications")), f"{result.mean('devices_served'):.1f}"
+    return name, flown.kind, *interval_figures(result.mean_aou_slots), *counts
+
+
+def _violations(results: Sequence[PointResult]) -> list[str]:
+    broken = [(one.flown.name, one.violations) for one in results if not one.refusal and one.violations]
+    if not broken:
+        return ["", "constraint violations: none"] if results else []
+    return ["", *(f"{name} broke constraints {count:,} times" for name, count in broken)]
+
+
+def _budgets(results: Sequence[PointResult]) -> list[str]:
+    """The training slots of the policies, where they differ."""
+    from uavaou.suites.assignment import budget_lines
+
+    flights = [one.flown for one in results]
+    flown = [(one.policy, one.point.label, one.run.slots) for one in flights if one.run is not None]
+    lines = [part for line in budget_lines(flown) for part in wrapped(line)]
+    return ["", *lines] if lines else []
+
+
+def _reasons(points: Sequence[ResolvedPoint]) -> list[str]:
+    """Why points are infeasible, and why devices cannot be served; points with one reason together."""
+    labels: dict[str, list[str]] = {}
+    for point in points:
+        if point.problem or point.remark:
+            reason = f"infeasible: {point.problem}" if point.problem else point.remark
+            labels.setdefault(reason, []).append(point.label)
+    return _paragraphs(f"{', '.join(found)}: {reason}" for reason, found in labels.items())
+
+
+def _elsewhere(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
+    """How the training scenario of each zero-shot run differs from the suite's, apart from what all points set."""
+    from uavaou.suites.assignment import differences
+
+    texts = []
+    set_everywhere = set.intersection(*(set(point.set) for point in plan.suite.points))
+    for run in {id(one.flown.run): one.flown.run for one in results if one.flown.kind == "zero-shot"}.values():
+        if run is None:
+            continue
+        changed = differences(run.config.scenario, plan.base).items()
+        parts = ", ".join(f"{k} = {there} (here {here})" for k, (there, here) in changed if k not in set_everywhere)
+        if parts:
+            texts.append(textwrap.shorten(f"{run.folder.path} was trained with {parts}", 400))
+    return _paragraphs(texts)
+
+
+def _missing_lines(missing: Sequence[MissingTraining]) -> list[str]:
+    lines: list[str] = []
+    for one in missing:
+        lines += _paragraphs([f"no run of {one.policy} fits {', '.join(one.labels)}; this trains one:"])
+        lines.append("  " + shlex.join(one.command))
+    return lines
+
+
+def _unused(plan: SuitePlan) -> list[str]:
+    flown = {id(run) for assignment in plan.assignments for run in assignment.runs}
+    return [f"not used: {run.folder.path}" for run in plan.runs if id(run) not in flown]
+
+
+def _paragraphs(texts: Iterable[str]) -> list[str]:
+    return [line for text in texts for line in ("", *wrapped(text))]

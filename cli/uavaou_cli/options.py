@@ -21,10 +21,9 @@ def number(help: str, lowest: float, highest: float = float("inf"), metavar: str
     """An option for a number from ``lowest`` to ``highest``."""
 
     def check(option: typer.CallbackParam, value: Any) -> Any:
-        if value is not None and not value >= lowest:  # nan is in no range
-            raise InputError(f"{option.opts[0]} {value}: must be at least {lowest}")
-        if value is not None and value > highest:
-            raise InputError(f"{option.opts[0]} {value}: must be at most {highest}")
+        if value is not None and not lowest <= value <= highest:  # nan is in no range
+            limit = f"at most {highest}" if value > highest else f"at least {lowest}"
+            raise InputError(f"{option.opts[0]} {value}: must be {limit}")
         return value
 
     return typer.Option(metavar=metavar, help=help, callback=check)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -59,8 +59,14 @@ def train(
     if config is None:
         plan, folder = _plan(scenario or "paper", algorithm or "mappo", seed or 0, slots, out, set_ or [])
     else:
+        from uavaou.runs.folder import config_folder, read_config
+
         given = {"--scenario": scenario, "--algorithm": algorithm, "--seed": seed, "--slots": slots, "--set": set_}
-        plan, folder = _again(config, out, given)
+        for name, value in given.items():
+            if value is not None and value != []:
+                raise InputError(f"--config and {name}: give one of them; the file says everything")
+        plan = read_config(config)
+        folder = config_folder(out, plan)
     writable_folder(folder.path)
     available_device(device)
     if resume and not folder.exists() and not quiet:
@@ -97,17 +103,6 @@ def _plan(
     base = Scenario.load(scenario)
     config = RunConfig(overrides.of_scenario(base), overrides.of_algorithm(algorithm), seed)
     return config, run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)
-
-
-def _again(path: Path, out: Path, given: Mapping[str, object]) -> tuple[RunConfig, RunFolder]:
-    """The training of a ``config.yaml``, unchanged, and its folder."""
-    from uavaou.runs.folder import config_folder, read_config
-
-    for name, value in given.items():
-        if value is not None and value != []:
-            raise InputError(f"--config and {name}: give one of them; the file says everything")
-    config = read_config(path)
-    return config, config_folder(out, config)
 
 
 def _resuming(arguments: list[str], folder: RunFolder) -> list[str]:

@@ -148,14 +148,7 @@ class ConfigFile(BaseModel):
     scenario: dict[str, Any]
 
     def config(self, path: Path) -> RunConfig:
-        """What it states.
-
-        Args:
-            path: of the file, for errors.
-
-        Raises:
-            InputError: a field of the scenario or of the settings cannot be used.
-        """
+        """What the file at ``path`` states; an InputError where a field cannot be used."""
         scenario = Scenario.from_dict(self.scenario, source=f"{path}: scenario")
         return RunConfig(scenario, config_from_dict(self.algorithm, path), self.seed)
 

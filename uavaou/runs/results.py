@@ -249,13 +249,6 @@ def write_own_evaluation(folder: RunFolder, config: RunConfig, result: PolicyRes
 def own_evaluation(
     config: RunConfig, result: PolicyResult, seed: int = EVALUATION_SEED, planners: Mapping[str, PolicyResult] = {}
 ) -> EvaluationFile:
-    """The content of a run's ``default.json``.
-
-    Args:
-        config: of the run.
-        result: of its policy, which the figures know by the algorithm's name.
-        seed: of mission 0.
-        planners: on the same missions.
-    """
+    """The content of a run's ``default.json``: its policy, under the algorithm's name, and planners on its missions."""
     policies = {config.algorithm.name: result, **planners}
     return EvaluationFile(scenario=config.scenario.name, episodes=len(result.mean_aou_s), seed=seed, policies=policies)
