@@ -123,7 +123,11 @@ def _candidates(
 ) -> tuple[list[SuiteRun], PolicyKind | None]:
     """The runs of a policy that may fly a point: all trained for it, else the nearest of each seed."""
     assert point.scenario is not None
-    fitting = [run for run in own if _fits(run, point)]
+    wanted = point.stated.observation
+    fitting = [
+        run for run in own
+        if wanted in (None, run.config.algorithm.observation) and run.config.fits(point.scenario)
+    ]  # fmt: skip
     trained = [run for run in fitting if not differences(run.config.scenario, point.scenario)]
     if trained or not fitting:
         return trained, "trained" if trained else None
@@ -135,12 +139,6 @@ def _candidates(
         for seed in {run.config.seed for run in alike}
     }
     return [run for run in alike if distances[id(run)] == least[run.config.seed]], "zero-shot"
-
-
-def _fits(run: SuiteRun, point: ResolvedPoint) -> bool:
-    assert point.scenario is not None
-    wanted = point.stated.observation
-    return wanted in (None, run.config.algorithm.observation) and run.config.fits(point.scenario)
 
 
 def _distance(trained: Scenario, flown: Scenario, base: Scenario) -> tuple[int, bool]:
