@@ -129,9 +129,7 @@ def _float(cell: str) -> float:
         return math.nan
 
 
-def write_csv(
-    path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any] | Mapping[str, Any]], digits: int = 6
-) -> None:
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any] | Mapping[str, Any]]) -> None:
     """Write a CSV file, whole or not at all; missing folders are made.
 
     Args:
@@ -139,7 +137,6 @@ def write_csv(
         columns: the header.
         rows: a sequence in the order of the columns, or a mapping from column to value, each. Strings and integers are
             written as they are, floats as :func:`number` does, None and nan as empty cells.
-        digits: significant digits of a float.
 
     Raises:
         InputError: the file cannot be written.
@@ -151,16 +148,12 @@ def write_csv(
             writer.writerow(columns)
             for row in rows:
                 values = [row[name] for name in columns] if isinstance(row, Mapping) else row
-                writer.writerow([_cell(value, digits) for value in values])
+                writer.writerow([number(v) if v is None or isinstance(v, float | np.floating) else v for v in values])
 
 
-def _cell(value: Any, digits: int) -> Any:
-    return number(value, digits) if value is None or isinstance(value, float | np.floating) else value
-
-
-def number(value: float | np.floating[Any] | None, digits: int = 6) -> str:
-    """A number with so many significant digits, a whole number with all of its digits; empty for None and nan."""
+def number(value: float | np.floating[Any] | None) -> str:
+    """A number with six significant digits, a whole number with all of its digits; empty for None and nan."""
     if value is None or math.isnan(value):
         return ""
     value = float(value)
-    return str(int(value)) if value.is_integer() and abs(value) < 1e15 else f"{value:.{digits}g}"
+    return str(int(value)) if value.is_integer() and abs(value) < 1e15 else f"{value:.6g}"

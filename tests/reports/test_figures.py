@@ -16,7 +16,7 @@ from matplotlib.image import imread
 from tests.synthetic_study import MAPPO, SLOT_S, K, Variant, record, write_study
 from uavaou.reports import style
 from uavaou.reports.figures import _line, _over_time, plot_study
-from uavaou.reports.references import best_planner, comparable, in_all_scenarios
+from uavaou.reports.scores import best_planner, comparable, in_all_scenarios
 from uavaou.studies.results import read_study
 from uavaou_cli.main import main
 

@@ -13,7 +13,7 @@ from uavaou.arrays import Floats
 from uavaou.envs.map import BLACK
 from uavaou.reports import style
 from uavaou.reports.drawing import Looks
-from uavaou.reports.references import FIXED_RULES, comparable, in_all_scenarios
+from uavaou.reports.scores import FIXED_RULES, comparable, in_all_scenarios
 from uavaou.statistics import (
     Interval,
     interquartile_mean,
@@ -41,7 +41,8 @@ def aggregate_figures(study: StudyResults) -> dict[str, Figure]:
         return {}
     scores, unit = comparable(study, found)
     looks = style.looks([*study.algorithms, *study.planners], study.algorithms)
-    note = f"95 % stratified bootstrap interval over\n{_resampled(study, scores)} of {_counted(study)}"
+    scenarios = f"{len(study.scenarios)} scenario{'s' if len(study.scenarios) > 1 else ''}"
+    note = f"95 % stratified bootstrap interval over\n{_resampled(study, scores)} of {scenarios}"
     figures = {"aou-iqm": _iqm_figure(scores, unit, looks, note)}
     own = next(name for name in (study.reference, OWN, *scores) if name in scores)
     others = [name for name in scores if name != own]
@@ -57,11 +58,6 @@ def _resampled(study: StudyResults, scores: Scores) -> str:
     if not seeds - {1}:
         return "missions (1 seed)" if seeds else "missions"
     return "seeds (where there are several) and missions" if 1 in seeds else "seeds and missions"
-
-
-def _counted(study: StudyResults) -> str:
-    number = len(study.scenarios)
-    return "1 scenario" if number == 1 else f"{number} scenarios"
 
 
 def _iqm_figure(scores: Scores, unit: str, looks: Looks, note: str) -> Figure:

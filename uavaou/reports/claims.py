@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 from uavaou.arrays import Floats
-from uavaou.reports.references import best_planner
+from uavaou.reports.scores import best_planner
 from uavaou.reports.training_claims import convergence, last_reward, time_to_level
 from uavaou.reports.verdicts import (
     BASELINES,
@@ -134,7 +134,7 @@ def _beside_planner(study: StudyResults) -> Claim:
 
 
 def _beside_bound(study: StudyResults) -> Claim:
-    """No claim: every policy is above the bound, or :func:`uavaou.reports.references.below_bound` reports it."""
+    """No claim: every policy is above the bound, or :func:`uavaou.reports.scores.below_bound` reports it."""
     text = "how far MAPPO with local information is from the certified lower bound"
     scenarios = [name for name in common_scenarios(study, "missions", OWN) if study.bounds.get(name, 0) > 0]
     own = _of_missions(study, OWN, "mean_aou_slots", scenarios)

@@ -42,8 +42,8 @@ from uavaou.reports.drawing import (
     time_unit,
 )
 from uavaou.reports.mission_figures import mission_figures
-from uavaou.reports.references import best_planner
 from uavaou.reports.run_tables import read_runs
+from uavaou.reports.scores import best_planner
 from uavaou.runs.results import PolicyResult
 from uavaou.statistics import Band, Interval, band_over_missions, band_over_trainings, interval_over_missions
 from uavaou.studies.folder import BOUND, PartKey

@@ -17,8 +17,7 @@ from uavaou.reports.ablations import ablation_table, ablations
 from uavaou.reports.claims import judge
 from uavaou.reports.claims_table import claims_markdown, write_claims
 from uavaou.reports.markdown import rounded, table, with_interval
-from uavaou.reports.references import below_bound
-from uavaou.reports.scores import PolicyScores, study_scores
+from uavaou.reports.scores import PolicyScores, below_bound, study_scores
 from uavaou.runs.lock import HeldError, one_writer
 from uavaou.studies.condense import gather, refuse_another, update_results
 from uavaou.studies.folder import PartKey, StudyFolder

@@ -140,9 +140,9 @@ def _places(table: SuiteTable) -> dict[str, float]:
 def _draw_policy(
     axes: Axes, table: SuiteTable, places: dict[str, float], rows: Sequence[SuiteRow], shift: float, look: style.Look
 ) -> None:
-    named, above = False, 2.0 if rows and rows[0].how == "planner" else 3.0  # whether filled or hollow must be seen
-    drawn = [(label, [row for row in rows if row.point == label]) for label in places]
-    means = {label: _over_seeds(found) for label, found in drawn if found}
+    above = 2.0 if rows[0].how == "planner" else 3.0  # whether filled or hollow must be seen
+    drawn = {label: found for label in places if (found := [row for row in rows if row.point == label])}
+    means = {label: _over_seeds(found) for label, found in drawn.items()}
     if table.scale != "category":  # categories have no way from one to the next
         apart = {row.point for row in rows if not row.joined}
         along = [label for label in means if label not in apart]
@@ -150,19 +150,15 @@ def _draw_policy(
             [places[label] for label in along], [means[label].value for label in along],
             color=look.colour, linestyle=look.dash, linewidth=1.0, zorder=above,
         )  # fmt: skip
-    for label, found in drawn:
-        if not found:
-            continue
-        aou = means[label]
+    for label, aou in means.items():
         low = np.maximum(aou.low, 1e-9 * aou.value)  # a logarithmic axis shows no 0
         reach = np.nan_to_num(np.array([[aou.value - low], [aou.high - aou.value]]))  # (2, 1)
         axes.errorbar(
             places[label] + shift, aou.value, yerr=reach, color=look.colour, marker=look.marker, markersize=4,
-            markerfacecolor="white" if found[0].how == "zero-shot" else look.colour,
+            markerfacecolor="white" if drawn[label][0].how == "zero-shot" else look.colour,
             linestyle=look.dash if table.scale != "category" else "none", linewidth=1.0, elinewidth=1.0, capsize=1.8,
-            label=None if named else look.label, zorder=above,
+            label=look.label if label == next(iter(means)) else None, zorder=above,
         )  # fmt: skip
-        named = True
 
 
 def _over_seeds(rows: Sequence[SuiteRow]) -> Interval:
@@ -175,8 +171,9 @@ def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
     if table.scale == "log" and min(places.values()) > 0:
         axes.set_xscale("log")
         axes.xaxis.set_minor_locator(NullLocator())
+    crowded = sum(len(label) + 1 for label in places) > 46
     if len(places) <= _MOST_TICKS or table.scale == "category":
-        axes.set_xticks(list(places.values()), list(places), rotation=90 if _crowded(places) else 0)
+        axes.set_xticks(list(places.values()), list(places), rotation=90 if crowded else 0)
     if table.scale == "category":
         axes.set_xlim(-0.6, len(places) - 0.4)
         axes.grid(axis="x", visible=False)
@@ -186,10 +183,6 @@ def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
     else:
         axes.set_ylim(bottom=0)
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.compact(value)))
-
-
-def _crowded(labels: Sequence[str] | dict[str, float]) -> bool:
-    return sum(len(label) + 1 for label in labels) > 46
 
 
 def _meanings(table: SuiteTable) -> list[str]:

@@ -49,8 +49,7 @@ def smooth(aou: Floats) -> Floats:
     total = np.concatenate([[0.0], np.cumsum(aou)])  # (E + 1,)
     end = np.arange(1, len(aou) + 1)
     start = np.maximum(end - SMOOTHED, 0)
-    smoothed: Floats = (total[end] - total[start]) / (end - start)
-    return smoothed
+    return np.asarray((total[end] - total[start]) / (end - start))
 
 
 def converged(aou: Floats) -> Moment:

@@ -51,13 +51,13 @@ def probability_of_improvement(x: Scores, y: Scores) -> Interval:
     Raises:
         ValueError: as :func:`interquartile_mean`, or other tasks in x than in y.
     """
-    tables = _of_same_tasks(x, y)
+    if sorted(x) != sorted(y):
+        raise ValueError(f"scores in the tasks {sorted(x)} cannot be compared with scores in {sorted(y)}")
+    tables = [_tables(x), _tables(y)]
     pairs = [_Pairs(*pair) for pair in zip(*tables, strict=True)]
 
     def wins(of_x: _Draws, of_y: _Draws) -> Floats:
-        each = [pair.wins(a, b) for pair, a, b in zip(pairs, of_x, of_y, strict=True)]
-        shares: Floats = np.mean(each, axis=0)  # (r,)
-        return shares
+        return np.asarray(np.mean([pair.wins(*draws) for pair, *draws in zip(pairs, of_x, of_y, strict=True)], axis=0))
 
     return _interval(wins, tables)
 
@@ -78,8 +78,7 @@ def performance_profile(scores: Scores, thresholds: ArrayLike) -> Band:
     place = np.searchsorted(values[order], np.asarray(thresholds, dtype=np.float64), side="right")  # (T,)
 
     def shares(draws: _Draws) -> Floats:
-        reached: Floats = _cumulative(_pooled(draws)[:, order])[:, place] / len(values)  # (r, T)
-        return reached
+        return np.asarray(_cumulative(_pooled(draws)[:, order])[:, place] / len(values))  # (r, T)
 
     return _bootstrap(shares, [tables])
 
@@ -101,12 +100,6 @@ def _tables(scores: Scores) -> list[Floats]:
         if not np.isfinite(table).all():
             raise ValueError(f"scores of task '{task}' must be finite")
     return tables
-
-
-def _of_same_tasks(x: Scores, y: Scores) -> list[list[Floats]]:
-    if sorted(x) != sorted(y):
-        raise ValueError(f"scores in the tasks {sorted(x)} cannot be compared with scores in {sorted(y)}")
-    return [_tables(x), _tables(y)]
 
 
 def _interval(statistic: Callable[..., Floats], policies: Sequence[list[Floats]]) -> Interval:
@@ -156,8 +149,7 @@ def _draw(shape: tuple[int, ...], side: int, task: int) -> tuple[Floats, Floats]
 
 def _weights(seeds: Floats, missions: Floats) -> Floats:
     """How often each score of one task was drawn, (r, S M)."""
-    weights: Floats = (seeds[:, :, None] * missions[:, None, :]).reshape(len(seeds), -1)
-    return weights
+    return np.asarray((seeds[:, :, None] * missions[:, None, :]).reshape(len(seeds), -1))
 
 
 def _pooled(draws: _Draws) -> Floats:
@@ -178,8 +170,7 @@ def _trimmed_means(tables: list[Floats], draws: _Draws) -> Floats:
     order = np.argsort(values, kind="stable")
     first, last = int(_CUT * len(values)), len(values) - int(_CUT * len(values))
     reached = np.clip(_cumulative(_pooled(draws)[:, order]), first, last)  # (r, n + 1)
-    means: Floats = np.diff(reached, axis=1) @ values[order] / (last - first)
-    return means
+    return np.asarray(np.diff(reached, axis=1) @ values[order] / (last - first))
 
 
 class _Pairs:
@@ -196,5 +187,4 @@ class _Pairs:
         """The share of pairs in which x is lower, ties as halves, (r,)."""
         counted = _cumulative(_weights(*of_x)[:, self._order])  # (r, n_x + 1)
         wins = (counted[:, self._below] + counted[:, self._up_to]) / 2  # (r, n_y)
-        shares: Floats = (wins * _weights(*of_y)).sum(axis=1) / self._pairs
-        return shares
+        return np.asarray((wins * _weights(*of_y)).sum(axis=1) / self._pairs)

@@ -36,15 +36,11 @@ def band_over_missions(values: ArrayLike) -> Band:
     mean: Floats = table.mean(axis=0)
     if len(table) == 1:
         return without_interval(mean)
-    tail = _expanded_tail(len(table))
+    rows = len(table)
+    tail = float(ndtr(-float(stdtrit(rows - 1, UPPER)) * np.sqrt(rows / (rows - 1))))  # narrower for small n
     low, high = np.quantile(_resampled_means(table), [tail, 1 - tail], axis=0)  # (M,) each
     # Rounding may put the ends of a constant column beside its mean.
     return Band(mean, np.minimum(low, mean), np.maximum(high, mean))
-
-
-def _expanded_tail(rows: int) -> float:
-    """The share of resamples left out on each side, narrowed for small n."""
-    return float(ndtr(-float(stdtrit(rows - 1, UPPER)) * np.sqrt(rows / (rows - 1))))
 
 
 def _resampled_means(table: Floats) -> Floats:
@@ -59,5 +55,4 @@ def _resampled_means(table: Floats) -> Floats:
         rng.multinomial(rows, share, size=min(step, RESAMPLES - start)) @ deviations / rows
         for start in range(0, RESAMPLES, step)
     ]
-    means: Floats = centre + np.concatenate(parts)
-    return means
+    return np.asarray(centre + np.concatenate(parts))
