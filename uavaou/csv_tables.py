@@ -20,7 +20,7 @@ import numpy as np
 from uavaou.arrays import Floats, Ints
 from uavaou.errors import InputError
 from uavaou.fields import short
-from uavaou.files import read_text, replacing, writing
+from uavaou.files import read_text, write_text
 
 _MOST_BYTES = 1_000_000_000
 
@@ -141,14 +141,13 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any] |
     Raises:
         InputError: the file cannot be written.
     """
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns)
-            for row in rows:
-                values = [row[name] for name in columns] if isinstance(row, Mapping) else row
-                writer.writerow([number(v) if v is None or isinstance(v, float | np.floating) else v for v in values])
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for row in rows:
+        values = [row[name] for name in columns] if isinstance(row, Mapping) else row
+        writer.writerow([number(v) if v is None or isinstance(v, float | np.floating) else v for v in values])
+    write_text(path, text.getvalue())
 
 
 def number(value: float | np.floating[Any] | None) -> str:

@@ -223,5 +223,5 @@ def test_no_runs_is_an_input_error(tmp_path: Path) -> None:
 def test_figures_into_a_file_is_an_input_error(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     run = write_run(tmp_path / "results", missions=4, evaluation=False)
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="cannot write"):
         plot_runs([run], tmp_path / "taken")

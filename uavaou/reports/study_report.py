@@ -97,8 +97,8 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
         _unfinished(results),
         *(f"**Something is wrong: {line}.**" for line in remarks),
         *_results(results),
+        *_comparison(results),
     ]
-    parts += _comparison(results)
     claims = judge(results) if results.settings.get("claims") else None
     if claims is not None:
         parts += ["## The paper's claims", claims_markdown(claims)]

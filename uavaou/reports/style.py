@@ -19,8 +19,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
 from uavaou.envs.map import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, YELLOW
-from uavaou.errors import InputError
-from uavaou.files import replacing
+from uavaou.files import replacing, writing
 from uavaou.planners import PLANNERS
 
 COLUMN_WIDTH_IN = 3.5  # one column of a two-column paper
@@ -186,15 +185,13 @@ def save(figure: Figure, out_dir: Path, name: str) -> list[Path]:
     written = []
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # one layout serves both files; finding it costs as much as drawing
-    try:
+    with writing(out_dir):
         out_dir.mkdir(parents=True, exist_ok=True)
         for suffix, metadata in ((".png", {"Software": None}), (".pdf", {"CreationDate": None, "Producer": None})):
             path = out_dir / f"{name}{suffix}"
             with replacing(path, "wb") as file:
                 figure.savefig(file, format=suffix[1:], dpi=PNG_DPI, metadata=metadata)
             written.append(path)
-    except OSError as error:
-        raise InputError(f"{out_dir}: figures cannot be written: {error.strerror or error}") from error
     return written
 
 
