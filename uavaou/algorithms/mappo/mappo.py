@@ -215,6 +215,7 @@ class MAPPO(SafeSaveLoad, PPO):
         """Update actor and critic from the rollout just collected."""
         self.policy.set_training_mode(True)
         rate = self.lr_schedule(self._current_progress_remaining)
+        self.logger.record("train/learning_rate", rate)
         actor, critic = self.policy.optimizer.param_groups
         actor["lr"], critic["lr"] = rate, rate * self.critic_learning_rate
         clip_range = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
@@ -231,7 +232,6 @@ class MAPPO(SafeSaveLoad, PPO):
         means = LossStatistics(*th.stack([th.stack(minibatch) for minibatch in statistics]).mean(dim=0))
         for name, value in means._asdict().items():
             self.logger.record(f"train/{'policy_gradient_loss' if name == 'policy_loss' else name}", float(value))
-        self.logger.record("train/learning_rate", rate)
         self.logger.record("train/explained_variance", float(explained))
         self.logger.record("train/clip_range", clip_range)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
