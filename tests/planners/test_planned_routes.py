@@ -17,14 +17,13 @@ from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal
 from uavaou.planners.bound import LagrangianRelaxation, lower_bound
-from uavaou.planners.cetsp import close_enough_tours
 from uavaou.planners.decomposition import LagrangianDecomposition
 from uavaou.planners.exact import Exact, Program, gap_ages
 from uavaou.planners.plan import PlanningStatus, RoutePlan, RoutePlanner, broken_rule, expected_age, expected_mean_aou
 from uavaou.planners.rolling import Rolling
 from uavaou.planners.search import trial_age
 from uavaou.planners.stationary_duals import stationary_duals
-from uavaou.planners.tour import fleet_routes
+from uavaou.planners.tour import close_enough_tours, fleet_routes
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.ages import AgeLedger

@@ -1,27 +1,32 @@
 """Tours: the fleet repeats a closed tour that passes every device at a cell where it is probably in range.
 
-The tours solve a close-enough travelling salesman problem (:mod:`uavaou.planners.cetsp`). ``tour`` spaces the UAVs
-evenly in time on one tour; its largest latency is within 2 (1 - 1/k) of the best cyclic schedule of k agents (Afshani
-et al., 2022). ``partition-tour`` cuts that tour into parts and plans a tour for each UAV over the devices of its part.
-A UAV dwells at a stop as long as that lowers the exact expected age of all rounds. Several thresholds of coverage
-probability are tried, and the tours with the lowest expected age are taken.
+The tours solve a close-enough travelling salesman problem (CETSP) by the routing solver of OR-Tools. ``tour`` spaces
+the UAVs evenly in time on one tour; its largest latency is within 2 (1 - 1/k) of the best cyclic schedule of k agents
+(Afshani et al., 2022). ``partition-tour`` cuts that tour into parts and plans a tour for each UAV over the devices of
+its part. A UAV dwells at a stop as long as that lowers the exact expected age of all rounds. Several thresholds of
+coverage probability are tried, and the tours with the lowest expected age are taken.
 """
 
+import pickle
+import subprocess
+import sys
 from abc import abstractmethod
+from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from uavaou.arrays import Bools, Ints
-from uavaou.planners.cetsp import close_enough_tours
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner, expected_age, expected_mean_aou
 from uavaou.planners.search import ExpectedAge, recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import coverage_probability
 from uavaou.world.flight import Flight
 
+_SOLVER = Path(__file__).with_name("ortools_process.py")
 # P(R >= R_min) from which a cell covers a device, as a fraction of the best of any cell; each is tried.
 _THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
@@ -173,3 +178,53 @@ def _route(flight: Flight, slots: int, uav: int, loop: Ints) -> Ints:
     for path, first in ((_path(home, at[meeting])[:-1], meeting - away[meeting] + 1), (_path(at[end - 1], home), end)):
         route[first : first + len(path)] = path
     return route[1:]
+
+
+def close_enough_tours(coverages: list[Bools], time_limit_s: float | None = None) -> list[tuple[Ints, Ints]]:
+    """Return a short closed tour for each coverage, over cells that cover every device that any cell covers.
+
+    A close-enough travelling salesman problem is solved as a generalised one: each cell that covers a device is a node
+    of that device's group, and the tour visits one node of each group. Nodes in the same cell have distance 0.
+
+    Args:
+        coverages: whether a cell covers a device, (X, Y, I) each; at least one does.
+        time_limit_s: for all tours together; None ends each at a local optimum, the same on every run.
+
+    Returns:
+        The cells of each tour in order, (V, 2), and the device that each cell is visited for, (V,). A tour starts in a
+        cell of the device that has the fewest; that stop also covers all other devices in its reach, which have no
+        stop of their own.
+    """
+    if time_limit_s is not None:
+        return _solve(coverages, time_limit_s / len(coverages))
+    return _local_optima(tuple((covered.shape, covered.tobytes()) for covered in coverages))
+
+
+@lru_cache(maxsize=64)  # planners share tours, and a solver process takes longer to start than most tours to find
+def _local_optima(coverages: tuple[tuple[tuple[int, ...], bytes], ...]) -> list[tuple[Ints, Ints]]:
+    return _solve([np.frombuffer(content, dtype=np.bool_).reshape(shape) for shape, content in coverages], None)
+
+
+def _solve(coverages: list[Bools], seconds: float | None) -> list[tuple[Ints, Ints]]:
+    """Run the solver in its own process, for so many seconds a tour."""
+    nodes = [_nodes(covered) for covered in coverages]
+    problems = [(np.abs(cells[:, None] - cells).sum(axis=-1), device) for cells, device in nodes]  # (N, N) steps, (N,)
+    solved = subprocess.run(  # -P: no import from the script's own folder
+        [sys.executable, "-P", str(_SOLVER)], input=pickle.dumps((problems, seconds)), capture_output=True
+    )
+    if solved.returncode:
+        raise RuntimeError(f"OR-Tools ended with {solved.returncode}:\n{solved.stderr.decode(errors='replace')}")
+    orders: list[list[int]] = pickle.loads(solved.stdout)
+    return [(cells[order], device[order]) for (cells, device), order in zip(nodes, orders, strict=True)]
+
+
+def _nodes(covered: Bools) -> tuple[Ints, Ints]:
+    """Return the candidate cells, (N, 2), and the device of each, (N,); the tour starts at the first."""
+    device, column, row = np.nonzero(np.moveaxis(covered, -1, 0))  # (M,) each
+    choices = np.bincount(device, minlength=covered.shape[-1])  # (I,)
+    hardest = np.where(choices > 0, choices, len(device) + 1).argmin()
+    own = np.flatnonzero(device == hardest)
+    start = own[covered[column[own], row[own]].sum(axis=-1).argmax()]  # the cell that covers most other devices too
+    at_start = covered[column[start], row[start]]  # (I,)
+    nodes = np.concatenate([[start], np.flatnonzero(~at_start[device])])  # (N,)
+    return np.stack([column, row], axis=1)[nodes], device[nodes]
