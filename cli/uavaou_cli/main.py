@@ -3,8 +3,6 @@
 No heavy module is imported here or at the top of a command's module, so that ``uavaou --help`` answers at once.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """The options that several commands share, and the checks of values, paths and devices before anything is computed."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Annotated, Any

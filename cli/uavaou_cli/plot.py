@@ -1,7 +1,5 @@
 """``uavaou plot``: the figures of studies and training runs, and the pictures of one mission."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

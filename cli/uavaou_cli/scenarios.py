@@ -1,7 +1,5 @@
 """``uavaou scenarios``: the presets, and ``uavaou audit``: whether the numbers of one fit together."""
 
-from __future__ import annotations
-
 from uavaou_cli.options import ScenarioName
 from uavaou_cli.tables import aligned, show, wrapped
 

@@ -1,7 +1,5 @@
 """What the policies of all learners share: they act on the local part of a row."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar, Self
 
 import numpy as np

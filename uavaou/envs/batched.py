@@ -4,8 +4,6 @@
 same rows, rewards and ends for a whole World of missions at once.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ With ``backend="supersuit"`` the first stage is SuperSuit's own, on the PettingZ
 an order of magnitude slower, with the same rows bit for bit. What SuperSuit lacks is in :mod:`uavaou.envs.vec_env`.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The map of a mission: devices coloured by age, coverage, UAVs with their trails; a frame is an array."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any

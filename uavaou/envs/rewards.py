@@ -4,8 +4,6 @@ The age sum of a device grows with the square of the time since its last visit. 
 five orders of magnitude between an untrained and a trained fleet.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The spaces of rows and actions. An action is a move and, in ``select`` collection, a subset of the devices."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -11,8 +11,6 @@ SuperSuit                      lacks                                            
 =============================  ===============================================  ================================
 """
 
-from __future__ import annotations
-
 import signal
 import weakref
 from collections.abc import Sequence

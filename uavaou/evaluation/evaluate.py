@@ -1,7 +1,5 @@
 """Evaluation: every policy plays the same missions, and an independent checker counts constraint violations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 A light module, so that the command line can name the defaults in its help without importing the simulator.
 """
 
-from __future__ import annotations
-
 EVALUATION_SEEDS = range(10_000, 20_000)  # of the missions that results are measured on
 VALIDATION_SEEDS = range(900_000, 910_000)  # of the missions that choose a training's best checkpoint
 TRAINING_SEEDS = 1_000_000  # mission seeds that one training has for its own

@@ -5,8 +5,6 @@ Each training seed counts with the mean AoU of its missions. The ratio of two va
 the finding is then about that ratio.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """A study's policies over all its scenarios: interquartile means, probability of improvement, performance profiles."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The audit of a scenario: its link budget device by device, and what the checks find, as lines of text."""
 
-from __future__ import annotations
-
 import textwrap
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Every finding follows from the scenario's numbers; no check knows a preset.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 :mod:`uavaou.statistics.trainings`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

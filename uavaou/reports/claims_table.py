@@ -1,7 +1,5 @@
 """The verdicts as Markdown, in a README between two markers."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

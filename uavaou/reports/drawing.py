@@ -1,7 +1,5 @@
 """The paper's figures 3 to 8 as drawings of lines with bands, levels and points."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

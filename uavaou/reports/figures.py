@@ -6,8 +6,6 @@ of a single run, are bootstrap intervals over missions. Figures of a study show 
 planners that were evaluated beside them. Ages are in slots.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Iterable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """The link budget of a scenario: which device each UAV reaches from which cell, and with what probability."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables and figures in Markdown, for every page that is written."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 

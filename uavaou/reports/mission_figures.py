@@ -1,7 +1,5 @@
 """Recorded missions: where the UAVs flew and how the devices aged, of one mission or of several side by side."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Run folders as the tables of a study, in memory, so that one set of figures serves runs and studies."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

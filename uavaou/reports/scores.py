@@ -1,7 +1,5 @@
 """The scores of the policies of a study, and what they are compared with: the best planner and the lower bound."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,8 +4,6 @@
 with the study's reference where it names one, and the verdicts on the paper's claims where it judges them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from itertools import product

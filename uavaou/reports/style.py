@@ -1,7 +1,5 @@
 """The style of every figure: sizes, fonts, a colour and a marker for each algorithm, reproducible files."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The figure of an evaluation suite: mean AoU of each policy over the suite's points, from its CSV table."""
 
-from __future__ import annotations
-
 import textwrap
 from collections import Counter
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ lowest smoothed value. It **reaches** a level at the first evaluation whose smoo
 does neither counts with its whole budget. That flatters MAPPO, whose claim is then weakened, and not the others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ and supports a claim partly at best.
 An estimate that nobody made a claim about is **a figure**: it has no verdict.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal

@@ -4,8 +4,6 @@
 learner's own state, its replay and the missions in progress; ``previous`` is the ``last`` before it.
 """
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What a checkpoint's header says: the schema of the file and where its training stands. Reading it needs no torch."""
 
-from __future__ import annotations
-
 import json
 from typing import Annotated, Literal, Self
 

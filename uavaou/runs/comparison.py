@@ -1,7 +1,5 @@
 """A comparison: trained runs and planners play the same missions of one scenario."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM while training: the first asks for a last checkpoint, the second gets its way at once."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """One writer at a time for the folder of a run or of a study."""
 
-from __future__ import annotations
-
 import os
 import platform
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """``meta.json`` of a run: versions, machine, budgets, and where the training stands."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

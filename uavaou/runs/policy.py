@@ -1,7 +1,5 @@
 """The policy of a run, with the interface of planners; it reads local observations alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path

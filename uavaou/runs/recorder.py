@@ -1,7 +1,5 @@
 """The work between the updates of a training: checks, rows of tables, evaluations, checkpoints, stopping when asked."""
 
-from __future__ import annotations
-
 import math
 import signal
 import time

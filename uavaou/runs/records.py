@@ -1,7 +1,5 @@
 """The tables that a training writes while it runs: episodes.csv and progress.csv."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Trains a policy into a run folder, and resumes a training from its last checkpoint."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from contextlib import closing, nullcontext, suppress

@@ -9,8 +9,6 @@ crossed bootstrap of Owen, Annals of Applied Statistics 1(2), 2007), and compari
 mission a run this is the bootstrap of Agarwal et al. and of rliable: runs resampled within each task.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np

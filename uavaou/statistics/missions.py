@@ -1,7 +1,5 @@
 """The mean over missions of one policy, with a bootstrap interval that is the same on every call."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr, stdtrit

@@ -11,8 +11,6 @@ the interval is exp(d -+ t s), with t of Student's distribution with Welch and S
 reference that is one number, such as a planner's mean, has no part in s: the interval is then Student's of one sample.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -3,8 +3,6 @@
 Runs are ranked by validation: the missions of the final evaluation choose nothing.
 """
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from urllib.parse import unquote

@@ -5,8 +5,6 @@ to the keeper, an actor beside the study's own process, which writes them into t
 When a worker dies, Ray starts its job again elsewhere, from the last checkpoint that was sent.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Condenses what a study has produced: run folders and evaluations become rows of the study's tables."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

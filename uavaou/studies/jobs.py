@@ -4,8 +4,6 @@ A job is a training, an annealed plan, a planner's evaluation or a bound. Import
 performing a training does.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 from abc import ABC, abstractmethod

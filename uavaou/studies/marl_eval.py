@@ -4,8 +4,6 @@ The format is that of Gorsane et al. (NeurIPS 2022, arXiv 2209.10485), as https:
 describes it: environment, task, algorithm, run, then one entry for each evaluation and ``absolute_metrics``.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from uavaou.studies.folder import PartKey

@@ -1,7 +1,5 @@
 """The engine that performs a study's jobs in processes of this machine, one core each."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

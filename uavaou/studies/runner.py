@@ -1,7 +1,5 @@
 """Runs a study: does what is left, in order, and updates the condensed results after each part."""
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The states of a study's parts, read from the disk while other processes may be at work on them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

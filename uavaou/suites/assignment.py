@@ -4,8 +4,6 @@ Runs that were trained for a point fly it. Where there are none, runs whose netw
 runs of one policy at one point have the same training budget.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence

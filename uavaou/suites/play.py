@@ -4,8 +4,6 @@
 of each run, one JSON file of all, and the CSV table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ A search's folder holds ``search.yaml`` (what is searched; processes that join r
 (Optuna's, which all of them write), ``trials/<number>/`` (a run folder each), ``tune.csv`` and ``best.yaml``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ what it was playing is then tried again. Trials are compared at equal fractions 
 seconds becomes slots by a short training before each trial, so that every schedule ends with it.
 """
 
-from __future__ import annotations
-
 import math
 import multiprocessing
 import shutil

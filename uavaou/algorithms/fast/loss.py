@@ -4,8 +4,6 @@
 same numbers.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

@@ -4,8 +4,6 @@ SB3's own ``save`` writes a zip of pickles, and its ``load`` runs the code in th
 and optimizer in safetensors, with its constructor arguments as JSON. Loading checks every shape.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 from itertools import pairwise

@@ -4,8 +4,6 @@ Any reader of safetensors reads these files. This module writes them itself: it 
 without a copy in memory, and raises an ``OSError`` when the disk is full.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import stat

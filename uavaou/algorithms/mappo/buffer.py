@@ -1,7 +1,5 @@
 """A rollout of whole slots: a slot's UAVs stay together, and what they share is stored once."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

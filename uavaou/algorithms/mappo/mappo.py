@@ -1,7 +1,5 @@
 """MAPPO-AoU: SB3's PPO with a centralised critic, whole slots in a minibatch, and value normalisation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any, ClassVar, NamedTuple, Self

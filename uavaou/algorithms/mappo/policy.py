@@ -1,7 +1,5 @@
 """Actor and critic of MAPPO in SB3's form: the actor reads ``local``, the critic the global state."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch as th

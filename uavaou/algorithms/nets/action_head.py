@@ -3,8 +3,6 @@
 It is computed as two tensors. SB3's MultiCategoricalDistribution builds 1 + I Categorical objects a call.
 """
 
-from __future__ import annotations
-
 from typing import Self
 
 import torch as th

@@ -1,7 +1,5 @@
 """Fully connected networks, shared by all algorithms."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Value normalisation: the critic learns returns of mean 0 and variance 1 (van Hasselt et al. 2016, PopArt)."""
 
-from __future__ import annotations
-
 import torch as th
 from torch import nn
 

@@ -1,7 +1,5 @@
 """VDN, QMIX and IQL: Q-learning of a team from a joint replay, in SB3's form. They differ in the mixer alone."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Mixers: from the agents' utilities to the team's value, which is monotone in each of them."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections import OrderedDict
 from typing import cast

@@ -1,7 +1,5 @@
 """The policy of VDN, QMIX and IQL in SB3's form: utilities with one branch a component, a mixer, target networks."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from typing import Any
 

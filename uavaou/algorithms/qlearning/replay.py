@@ -5,8 +5,6 @@ observation twice, as an observation and as a next one. Here a slot of a mission
 is the next entry in time.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from typing import Any
