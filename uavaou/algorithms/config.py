@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
@@ -66,17 +65,12 @@ class LearnerConfig(AlgorithmConfig):
         from uavaou.algorithms.mappo import IPPO, MAPPO  # torch only where a learner is built
         from uavaou.algorithms.qlearning import IQL, QMIX, VDN
 
-        learners: dict[str, Callable[..., BaseAlgorithm]] = {
-            "mappo": MAPPO,
-            "ippo": IPPO,
-            "vdn": VDN,
-            "qmix": QMIX,
-            "iql": IQL,
-        }
-        return learners[self.name](
+        learners: dict[str, Any] = {"mappo": MAPPO, "ippo": IPPO, "vdn": VDN, "qmix": QMIX, "iql": IQL}
+        learner: BaseAlgorithm = learners[self.name](
             env=env, seed=seed, device=device, learning_rate=self._learning_rate_at, gamma=self.gamma,
             max_grad_norm=self.max_gradient_norm, policy_kwargs=self._policy_arguments(), **self._learner_arguments(),
         )  # fmt: skip
+        return learner
 
     def _learner_arguments(self) -> dict[str, Any]:
         raise NotImplementedError
@@ -175,5 +169,4 @@ class QmixConfig(JointQConfig):
     hypernet_width: Annotated[PositiveWhole, Field(le=4096)]
 
     def _policy_arguments(self) -> dict[str, Any]:
-        sizes = {"mixer_width": self.mixer_width, "hypernet_width": self.hypernet_width}
-        return super()._policy_arguments() | sizes
+        return super()._policy_arguments() | {"mixer_width": self.mixer_width, "hypernet_width": self.hypernet_width}

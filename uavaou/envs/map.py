@@ -138,30 +138,24 @@ def _draw_uavs(axes: Axes, scenario: Scenario, positions: Floats) -> None:
         number.set(ha="center", va="center", zorder=8, fontweight="bold", annotation_clip=False)
 
 
-def _draw_links(
-    axes: Axes, scenario: Scenario, layout: Layout, positions: Floats, collected_by: NDArray[np.int64]
-) -> None:
-    collected = np.flatnonzero(collected_by >= 0)
-    by = collected_by[collected]
-    start = (positions + uav_offset(scenario))[by]  # (links, 2) m
+def _draw_links(axes: Axes, scenario: Scenario, layout: Layout, positions: Floats, uavs: NDArray[np.int64]) -> None:
+    """A line from each UAV to the devices that it collects: ``uavs`` (I,) hold the UAV of each, or -1."""
+    collected = np.flatnonzero(uavs >= 0)
+    start = (positions + uav_offset(scenario))[uavs[collected]]  # (links, 2) m
     lines = np.stack([start, layout.positions[collected]], axis=1)  # (links, 2 ends, 2) m
-    colours = [uav_colour(int(u)) for u in by]
+    colours = [uav_colour(int(u)) for u in uavs[collected]]
     axes.add_collection(LineCollection(list(lines), colors=colours, linewidths=1.0, linestyles=":", zorder=4), False)
 
 
 def render_frame(
     scenario: Scenario, layout: Layout, snapshot: dict[str, Any], trails: Floats | None = None
 ) -> NDArray[np.uint8]:
-    """The map of one slot as an RGB array.
+    """The map of one slot as an RGB array of ``FRAME_SHAPE``, uint8.
 
     Args:
-        scenario: the scenario of the mission.
-        layout: its devices.
+        scenario, layout: of the mission.
         snapshot: as :meth:`uavaou.world.World.snapshot` gives it.
         trails: positions in slots 1 to T, (T, U, 2) m; those after the snapshot's slot are left out.
-
-    Returns:
-        ``FRAME_SHAPE``, uint8.
     """
     figure, axes = _frame()
     devices = (layout.positions, layout.bandwidth, layout.transmit_power, layout.update_period)

@@ -1,14 +1,9 @@
 """SuperSuit 3.11's vector environments, with what they lack for this use.
 
-=============================  ===============================================  ================================
-SuperSuit                      lacks                                            mended by
-=============================  ===============================================  ================================
-``concat_vec_envs_v1``         copies rows and actions one at a time            :class:`Block`
-``SB3VecEnvWrapper``           seeds, attributes, methods and pictures          :class:`MissionVecEnv`
-``ProcConcatVec``              different seeds in its processes, a way to save  :class:`WorkerProcesses`
-                               and restore missions, a clean end
-``pettingzoo_env_to_vec_env``  the mark of a truncation                         :mod:`uavaou.envs.flatten`
-=============================  ===============================================  ================================
+- ``concat_vec_envs_v1`` copies rows and actions one at a time; :class:`Block` avoids it.
+- ``SB3VecEnvWrapper`` lacks seeds, attributes, methods and pictures: :class:`MissionVecEnv`.
+- ``ProcConcatVec`` lacks different seeds, missions to save and restore, and a clean end: :class:`WorkerProcesses`.
+- ``pettingzoo_env_to_vec_env`` lacks the mark of a truncation: :mod:`uavaou.envs.flatten`.
 """
 
 import signal
@@ -175,12 +170,9 @@ class MissionVecEnv(SB3VecEnvWrapper):
 
 
 class LocalRows(VecEnvWrapper):
-    """The local part of rows ``[local | global]``, for learners without a centralised critic.
+    """The local part of the rows that :func:`uavaou.flatten` returns, for learners without a centralised critic.
 
     A UAV can fly the policy of any SB3 algorithm that learns on these rows: they are what it observes.
-
-    Args:
-        env: what :func:`uavaou.flatten` returns.
     """
 
     def __init__(self, env: MissionVecEnv) -> None:

@@ -41,9 +41,7 @@ class LossCoefficients(NamedTuple):
 class GradientShard:
     """The gradient of a minibatch's loss, as far as it comes from some of the minibatch's slots.
 
-    Args:
-        policy: the policy to differentiate.
-        buffer: the rollout; its arrays are read anew for each minibatch.
+    The arrays of ``buffer`` are read anew for each minibatch.
     """
 
     def __init__(self, policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> None:

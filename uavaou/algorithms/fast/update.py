@@ -39,13 +39,7 @@ _ALIGNMENT = 16  # elements, 64 bytes, as of torch's own tensors: MKL sums in an
 
 
 class FastUpdate:
-    """Gradients and optimizer steps on the minibatches of a rollout.
-
-    Args:
-        policy: the policy to train.
-        buffer: its rollout.
-        batch_size: rows (agent steps) in a minibatch.
-    """
+    """Gradients and optimizer steps on the minibatches of a rollout, of ``batch_size`` rows (agent steps) each."""
 
     def __init__(self, policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer, batch_size: int) -> None:
         keep_freed_memory()

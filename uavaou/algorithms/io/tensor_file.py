@@ -59,9 +59,6 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], text: Mapping[s
 class ArrayFile:
     """A safetensors file opened for reading, after a check of its checksum if it has one.
 
-    Args:
-        path: of the file.
-
     Raises:
         InputError: the file is missing, damaged, or not a safetensors file.
     """

@@ -134,8 +134,6 @@ class MAPPO(SafeSaveLoad, PPO):
             self._fast.close()
         self._fast = None
 
-    # -- the rollout ---------------------------------------------------------------------------------
-
     def collect_rollouts(
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
     ) -> bool:
@@ -206,8 +204,6 @@ class MAPPO(SafeSaveLoad, PPO):
             distribution = self.policy.distribution_of(th.cat(logits[part]), local)
             buffer.log_probs[part].reshape(-1)[:] = distribution.log_prob(actions).cpu().numpy()
             buffer.values[part].reshape(-1)[:] = self.policy.critic_values(critic_rows).cpu().numpy()
-
-    # -- the update ----------------------------------------------------------------------------------
 
     def train(self) -> None:
         """Update actor and critic from the rollout just collected."""

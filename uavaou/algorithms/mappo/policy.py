@@ -108,8 +108,6 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         """Parameters of both, the actor's first."""
         return [*self.actor_parameters(), *self.critic_parameters()]
 
-    # -- the two networks ----------------------------------------------------------------------------
-
     def action_distribution(self, local: th.Tensor) -> MoveSelectionDistribution:
         """The policy of UAVs that observe ``local`` (B, local)."""
         return self.distribution_of(self.logits(local), local)
@@ -139,8 +137,6 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     def critic_values(self, critic_rows: th.Tensor) -> th.Tensor:
         """Values in units of the training reward, (B,)."""
         return self.value_net.denormalise(self.normalised_values(critic_rows))
-
-    # -- SB3's interface, on rows --------------------------------------------------------------------
 
     def forward(self, obs: th.Tensor, deterministic: bool = False) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
         """Actions (B, 1 + I), values (B, 1) and log-probabilities (B,) of rows (B, local + global)."""

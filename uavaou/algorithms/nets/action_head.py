@@ -17,13 +17,10 @@ FORBIDDEN = -1e9  # a logit that leaves no probability in float32
 
 
 class MoveSelectionDistribution(MultiCategoricalDistribution):
-    """A move among five and a subset of devices, with masks.
+    """A move among five and a subset of I ``devices``, with masks; I is 0 where the action is the move alone.
 
     A masked move has probability 0. A masked device is never selected, and adds nothing to the log-probability or
     the entropy.
-
-    Args:
-        devices: I; 0 where the action is the move alone.
     """
 
     def __init__(self, devices: int) -> None:

@@ -67,13 +67,10 @@ class Layer(NamedTuple):
 
 
 class FullyConnected:
-    """The forward pass of fully connected layers and its gradient, with few operations.
+    """The forward pass of fully connected ``layers``, the first first, and its gradient, with few operations.
 
     oneDNN applies the activation inside of the product. :meth:`backward` needs no autograd graph, and recording one
     costs up to a tenth of an update.
-
-    Args:
-        layers: from the first to the last.
     """
 
     def __init__(self, layers: list[Layer]) -> None:

@@ -7,11 +7,7 @@ from uavaou.algorithms.nets.mlp import rescale_linear
 
 
 class ReturnStatistics(nn.Module):
-    """Running mean and variance of returns, by which values are normalised.
-
-    Args:
-        decay: weight of the old statistics in an update.
-    """
+    """Running mean and variance of returns, to normalise values; ``decay`` weights the old ones in an update."""
 
     mean: th.Tensor
     mean_square: th.Tensor

@@ -35,11 +35,7 @@ class BranchGroup:
 
 
 class Branches:
-    """The branches of a composite action.
-
-    Args:
-        sizes: options of each branch, n_b.
-    """
+    """The branches of a composite action; ``sizes`` are the numbers of options of each branch, n_b."""
 
     def __init__(self, sizes: Sequence[int]) -> None:
         self.sizes = tuple(int(size) for size in sizes)

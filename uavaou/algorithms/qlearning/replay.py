@@ -94,8 +94,7 @@ class JointReplay(BaseBuffer):
 
     def sample(self, batch_size: int, env: Any = None) -> JointBatch:
         """Draw joint transitions uniformly from all slots whose n-th successor is held."""
-        held = self.buffer_size if self.full else self.pos
-        return self._get_samples(np.random.randint(0, (held - self.n_steps) * self.missions, batch_size))
+        return self._get_samples(np.random.randint(0, self.slots - self.n_steps * self.missions, batch_size))
 
     def _get_samples(self, batch_inds: NDArray[np.int64], env: Any = None) -> JointBatch:  # type: ignore[override]
         """The joint transitions (B,) counted from the oldest slot on, its missions in order."""
