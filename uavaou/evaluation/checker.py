@@ -1,8 +1,7 @@
 """An independent check of the paper's constraints, by watching a World from outside.
 
-The world holds (Rate), (Association), (Time) and (CDS) by construction. This module shares no code with
-that construction: it looks at where the UAVs were and whom they collected, derives the constraints again
-from the scenario, and counts what does not hold. A zero from it therefore says something.
+The world holds (Rate), (Association), (Time) and (CDS) by construction. This module shares no code with it: from where
+the UAVs were and whom they collected, it derives the constraints again, and counts what does not hold.
 """
 
 from __future__ import annotations
@@ -35,11 +34,10 @@ class ViolationCounter:
 
     Call :meth:`observe` after every ``world.step`` of a mission and :meth:`finish` after slot K.
 
-    The keys of the counts: ``rate`` (collected pairs with R < R_min, or whose SNR the stated channel
-    cannot give at that distance), ``association`` (devices and slots without exactly one collecting UAV
-    where a collection is claimed), ``flight_time`` (UAVs over zeta_max), ``bounds`` (UAVs and slots off
-    the area, off the grid, or more than one grid step along one axis from the slot before) and ``cds``
-    (UAVs away from their CDS in slot 1 or in slot K).
+    The keys of the counts: ``rate`` (collected pairs with R < R_min, or whose SNR the stated channel cannot give at
+    that distance), ``association`` (devices and slots without exactly one collecting UAV where a collection is
+    claimed), ``flight_time`` (UAVs over zeta_max), ``bounds`` (UAVs and slots off the area, off the grid, or more than
+    one grid step along one axis from the slot before) and ``cds`` (UAVs away from their CDS in slot 1 or in slot K).
 
     Args:
         scenario: what the world claims to simulate.
@@ -143,9 +141,7 @@ class ViolationCounter:
         broken = outside | off_grid
         if self._last_slot > 1:
             moved = np.abs(positions - self._last_positions)  # (N, U, 2) m
-            far = (moved > step + slack).any(axis=-1)
-            diagonal = (moved > slack).all(axis=-1)
-            broken |= far | diagonal
+            broken |= (moved > step + slack).any(axis=-1) | (moved > slack).all(axis=-1)  # far, or diagonal
             self._distance += np.linalg.norm(moved, axis=-1)
         self._counts["bounds"] += broken.sum(axis=-1)
 
@@ -176,7 +172,6 @@ def _gain_limits(scenario: Scenario) -> tuple[float, float]:
     """
     if scenario.fading == "none":
         return 1 - _RELATIVE_SLACK, 1 + _RELATIVE_SLACK
-    factor = scenario.rician_factor
-    tail = math.sqrt(_SCATTER_TAIL)
+    factor, tail = scenario.rician_factor, math.sqrt(_SCATTER_TAIL)
     least = max(math.sqrt(factor) - tail, 0.0) ** 2 / (factor + 1)
     return least, (math.sqrt(factor) + tail) ** 2 / (factor + 1)

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaou.evaluation.checker import ViolationCounter
-from uavaou.evaluation.checker import total as total_violations
+from uavaou.evaluation.checker import ViolationCounter, total
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.planners import make_planner
 from uavaou.planners.base import Planner
@@ -84,4 +83,4 @@ def evaluate(
         violations += checker.finish()
         batches.append(world.metrics())
         ages.append(aou)
-    return Evaluation(batches, total_violations(violations), np.concatenate(ages), scenario.slot_length_s)
+    return Evaluation(batches, total(violations), np.concatenate(ages), scenario.slot_length_s)

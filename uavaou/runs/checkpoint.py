@@ -40,9 +40,7 @@ def save_training(
     """Write everything that resuming needs; the checkpoint before it is kept.
 
     Args:
-        folder: of the run.
-        model: the learner.
-        progress: where it stands.
+        folder, model, progress: of the run, its learner and where it stands.
         world: :meth:`uavaou.envs.vec_env.MissionVecEnv.missions_state`.
         replay: include the replay; a finished training has no more use for it.
 
@@ -95,8 +93,7 @@ def _load_state(file: ArrayFile, model: BaseAlgorithm) -> Arrays:
     load_policy_arrays(file, model)
     try:
         load_optimizer_arrays(file, model)
-        state = _part(file, _LEARNER)
-        if state:
+        if state := _part(file, _LEARNER):
             model.load_training_state(state)  # type: ignore[attr-defined]
         _load_replay(file, model)
         _load_streams(file, model)

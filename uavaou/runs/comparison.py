@@ -76,12 +76,10 @@ class Comparison:
 
     def keep(self, runs: Mapping[str, RunConfig]) -> list[str]:
         """Write ``eval/default.json`` of each run, with the planners beside its policy; returns a note on each."""
-        contents, notes = self.contents(), []
+        contents = self.contents()
         planners = {name: result for name, result in contents.items() if result.action is None}
-        for name, config in runs.items():
-            content = own_evaluation(config, contents[name], self.seed, planners)
-            notes.append(keep_evaluation(RunFolder.at(name).evaluation(), content))
-        return notes
+        own = {name: own_evaluation(config, contents[name], self.seed, planners) for name, config in runs.items()}
+        return [keep_evaluation(RunFolder.at(name).evaluation(), content) for name, content in own.items()]
 
     def write(self, path: Path) -> None:
         """Write the figures of every policy and mission into one file.

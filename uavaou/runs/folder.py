@@ -1,15 +1,19 @@
 """A run on disk: its folder's name, its configuration, and what else lies in it.
 
-``results/<scenario>[+<overrides>]/<algorithm>[+<overrides>]/seed-<n>/`` holds ``config.yaml``,
-``meta.json``, ``episodes.csv``, ``progress.csv``, ``checkpoints/`` and ``eval/``.
+``results/<scenario>[+<overrides>]/<algorithm>[+<overrides>]/seed-<n>/`` holds the files that :class:`RunFolder` lists.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
+import platform
+import subprocess
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import quote
@@ -19,16 +23,16 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
-from uavaou.fields import Whole, reads_schema, validated
+from uavaou.fields import Number, Whole, reads_schema, validated
 from uavaou.files import PathIn, read_json, refuse_links
 from uavaou.runs.lock import LOCK
-from uavaou.runs.meta import RunMeta
 from uavaou.scenario import Scenario
 from uavaou.world import Views
 from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_folder, zoo_names
 
 SCHEMA = 1
 _LONGEST_NAME = 120
+_PACKAGES = ("uavaou", "torch", "stable-baselines3", "supersuit", "pettingzoo", "gymnasium", "numpy")
 EPISODE_COLUMNS = ("mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
 
 
@@ -64,13 +68,37 @@ class RunConfig:
 
     def to_yaml(self) -> str:
         """The content of ``config.yaml``."""
-        content = {
-            "schema": SCHEMA,
-            "seed": self.seed,
-            "algorithm": self.algorithm.model_dump(mode="json"),
-            "scenario": self.scenario.to_dict(),
-        }
-        return to_yaml(content)
+        algorithm, scenario = self.algorithm.model_dump(mode="json"), self.scenario.to_dict()
+        return to_yaml({"schema": SCHEMA, "seed": self.seed, "algorithm": algorithm, "scenario": scenario})
+
+
+class RunMeta(BaseModel):
+    """The content of ``meta.json``; what follows ``checkpoints`` is a training's progress at its last checkpoint."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    versions: dict[str, str | None] = {}
+    commit: str | None = None  # of the repository that the package ran from
+    python: str | None = None
+    system: str | None = None
+    processor: str | None = None
+    cores: Whole | None = None
+    slots: Whole
+    agent_steps: Whole
+    slots_budget: Whole | None = None
+    finished: bool
+    device: str | None = None
+    checkpoints: dict[str, Whole | Number] = {}  # written, and the seconds that it took of the wall-clock
+    missions: Whole | None = None
+    wall_s: Number
+    updates: Whole | None = None
+    next_evaluation: Whole | None = None
+    best_score: Number | None = None  # mean AoU on the validation missions, s
+    best_action: str = "greedy"
+    rows: Whole | None = None
+    row_slots: Whole | None = None
+    budget_left: Number | None = None
+    cpu_s: Number | None = None
 
 
 @dataclass(frozen=True)
@@ -175,25 +203,20 @@ def run_folder(
         algorithm: its name.
         seed: of the training.
     """
-    first = _scenario_folder(scenario, scenario_overrides)
-    return RunFolder(out / first / _folder_name(algorithm, algorithm_overrides) / f"seed-{seed}")
+    place = out / _scenario_folder(scenario, scenario_overrides)
+    return RunFolder(place / _folder_name(algorithm, algorithm_overrides) / f"seed-{seed}")
 
 
 def _scenario_folder(scenario: Scenario, overrides: Mapping[str, str]) -> str:
     base = scenario.name
     preset = zoo_folder("scenarios") / f"{base}.yaml"
     if base not in zoo_names("scenarios") or Scenario.load(preset) != scenario:
-        digest = hashlib.sha256(scenario.to_yaml().encode()).hexdigest()[:8]
-        base = f"{base}~{digest}"
+        base = f"{base}~{hashlib.sha256(scenario.to_yaml().encode()).hexdigest()[:8]}"
     return _folder_name(base, overrides)
 
 
 def config_folder(out: Path, config: RunConfig) -> RunFolder:
     """The folder that ``uavaou train`` gives a run: named by what differs from the preset and the published settings.
-
-    Args:
-        out: the folder of all results.
-        config: of the run.
 
     Raises:
         InputError: the algorithm is not registered.
@@ -260,3 +283,39 @@ def name_with(base: str, changes: Mapping[str, str]) -> str:
     if len(name) > _LONGEST_NAME:  # file systems end at 255 bytes
         name = f"{name[:_LONGEST_NAME]}~{hashlib.sha256(name.encode()).hexdigest()[:12]}"
     return name
+
+
+def describe_machine() -> dict[str, Any]:
+    """Versions, commit and machine, the first fields of :class:`RunMeta`."""
+    return {
+        "versions": {package: _version(package) for package in _PACKAGES},
+        "commit": _commit(),
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+    }
+
+
+def _version(package: str) -> str | None:
+    with suppress(PackageNotFoundError):
+        return version(package)
+    return None
+
+
+def _commit() -> str | None:
+    """The commit of the repository that the package runs from; None for an installed wheel."""
+    root = Path(__file__).resolve().parents[2]
+    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
+    with suppress(OSError, subprocess.CalledProcessError):
+        if (root / ".git").exists():
+            return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    return None
+
+
+def _processor() -> str:
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor()

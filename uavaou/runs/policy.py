@@ -43,8 +43,7 @@ class TrainedPolicy:
 
     def act(self, world: World) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
         """Moves (N, U) and selections (N, U, I), None for every device in range."""
-        uavs = world.scenario.uavs
-        device = self.model.device
+        uavs, device = world.scenario.uavs, self.model.device
         local = th.from_numpy(self.views.local(world).reshape(world.missions * uavs, -1)).to(device)
         uniforms = None if self.action == "greedy" else self._uniforms(uavs).to(device)
         actions = _act(self.model, local, uniforms).cpu().numpy()
@@ -127,5 +126,4 @@ def load_run(
         raise InputError(f"{folder.config}: states a learner that does not fit the memory") from error
     load_policy_arrays(checkpoint, model)
     model.policy.set_training_mode(False)
-    views = Views(scenario, algorithm.observation, algorithm.collection)
-    return TrainedPolicy(model, views, action or progress.best_action, checkpoint.digest(POLICY))
+    return TrainedPolicy(model, env.views, action or progress.best_action, checkpoint.digest(POLICY))

@@ -20,9 +20,8 @@ from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.files import write_json
 from uavaou.runs.checkpoint import save_policy, save_training
 from uavaou.runs.checkpoint_header import TrainingProgress
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.folder import RunConfig, RunFolder, RunMeta, describe_machine
 from uavaou.runs.interrupt import Interrupted, Interrupts
-from uavaou.runs.meta import RunMeta, describe_machine
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.runs.records import EpisodesCsv, ProgressCsv, plain
 
@@ -67,8 +66,7 @@ class Recorder(BaseCallback):
     """Writes episodes and figures, evaluates on the validation missions, keeps the best and the last checkpoint.
 
     Args:
-        config: of the run.
-        folder: of the run.
+        config, folder: of the run.
         env: the training missions.
         progress: where the training stands.
         display: shows the training; None where nobody looks.
@@ -217,13 +215,12 @@ class Recorder(BaseCallback):
 
     def _present(self) -> TrainingProgress:
         """Where the training stands now."""
-        figures = {name: plain(value) for name, value in self.logger.name_to_value.items() if value is not None}
         now = {
             "slots": self._slots,
             "wall_s": self._wall_s,
             "cpu_s": None if self._cpu_s_earlier is None else self._cpu_s_earlier + self._cpu_s,
             "updates": getattr(self.model, "_n_updates", 0),
-            "figures": figures,
+            "figures": {name: plain(value) for name, value in self.logger.name_to_value.items() if value is not None},
             "budget_left": self.model._current_progress_remaining,
         }
         return self.progress.model_copy(update=now)
@@ -281,12 +278,7 @@ def pause_s(every_s: float, cost_s: float) -> float:
 
 
 def check_rewards(rewards: Any, slots: int, kept: str) -> None:
-    """Refuse rewards of one slot, (N * U,), that are not finite.
-
-    Args:
-        rewards: of all rows.
-        slots: of all missions, when they were given.
-        kept: where the last good checkpoint is, in words.
+    """Refuse ``rewards`` (N * U,) at ``slots`` of all missions that are not finite; ``kept`` says what is left.
 
     Raises:
         InputError: naming the first of them.
@@ -308,8 +300,7 @@ def check_learner(model: BaseAlgorithm, slots: int, kept: str) -> None:
             raise _diverged(slots, f"{name} is {value}", kept)
     for name, tensor in model.policy.state_dict().items():
         if not bool(th.isfinite(tensor).all()):
-            bad = tensor[~th.isfinite(tensor)][0].item()
-            raise _diverged(slots, f"the weights hold {bad} in {name}", kept)
+            raise _diverged(slots, f"the weights hold {tensor[~th.isfinite(tensor)][0].item()} in {name}", kept)
 
 
 def _diverged(slots: int, what: str, kept: str) -> InputError:

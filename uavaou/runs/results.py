@@ -177,10 +177,9 @@ def find_evaluation(folder: RunFolder, algorithm: str, episodes: int) -> PolicyR
     Raises:
         InputError: there is one, and the checkpoint cannot be read.
     """
-    files = [_readable(folder.evaluation(name)) for name in ("default", f"first-{episodes}")]
     found = [
         file.policies[algorithm]
-        for file in files
+        for file in (_readable(folder.evaluation(name)) for name in ("default", f"first-{episodes}"))
         if isinstance(file, EvaluationFile) and (file.episodes, file.seed) == (episodes, EVALUATION_SEED)
         if algorithm in file.policies
     ]

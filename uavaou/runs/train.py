@@ -17,10 +17,9 @@ from uavaou.evaluation.seeds import training_seeds
 from uavaou.files import refuse_links, replacing, writing
 from uavaou.runs.checkpoint import load_training
 from uavaou.runs.checkpoint_header import TrainingProgress
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.folder import RunConfig, RunFolder, describe_machine
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.lock import one_writer
-from uavaou.runs.meta import describe_machine
 from uavaou.runs.recorder import CHECKPOINT_EVERY_S, AfterUpdate, Display, Recorder, write_meta
 
 
@@ -71,11 +70,11 @@ def train(
     folder = RunFolder.at(folder)
     refuse_links(folder.path)
     _check_folder(folder, config, resume)
-    algorithm, first_seed = config.algorithm, training_seeds(config.seed).start
+    algorithm = config.algorithm
     shared = ("missions", "processes", "observation", "collection", "reward")
     settings = {name: getattr(algorithm, name) for name in shared}
     try:
-        env = flatten(config.scenario, seed=first_seed, backend=backend, **settings)
+        env = flatten(config.scenario, seed=training_seeds(config.seed).start, backend=backend, **settings)
     except MemoryError as error:
         raise InputError(f"not enough memory for missions = {algorithm.missions}: lower it") from error
     try:

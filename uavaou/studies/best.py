@@ -11,8 +11,7 @@ from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import RecordedMission, read_mission, record_mission, write_mission
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.files import folder_name, replacing, write_text, writing
-from uavaou.runs.folder import RunFolder
-from uavaou.runs.meta import RunMeta
+from uavaou.runs.folder import RunFolder, RunMeta
 from uavaou.runs.results import find_evaluation, own_evaluation, write_evaluation
 from uavaou.studies.results import StudyResults
 from uavaou.studies.study import Study, StudyRun

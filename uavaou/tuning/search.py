@@ -115,16 +115,9 @@ class SearchFolder:
         if not self.config.is_file():
             raise InputError(f"'{self.path}' holds no search: it has no search.yaml")
         stated = validated(_SearchFile, read_yaml_mapping(self.config), str(self.config))
-        config = stated.config(self.config)
-        return Search(
-            scenario=config.scenario,
-            algorithm=config.algorithm,
-            space=SearchSpace.from_dict(stated.space, f"{self.config}: space"),
-            seconds=stated.budget.seconds,
-            slots=stated.budget.slots,
-            seed=config.seed,
-            first=tuple(stated.first),
-        )
+        config, seconds, slots = stated.config(self.config), stated.budget.seconds, stated.budget.slots
+        space = SearchSpace.from_dict(stated.space, f"{self.config}: space")
+        return Search(config.scenario, config.algorithm, space, seconds, slots, config.seed, tuple(stated.first))
 
     def claim(self, search: Search) -> None:
         """Make the folder this search's own, or join the same search that it holds.
@@ -171,14 +164,11 @@ def write_results(folder: SearchFolder, search: Search, records: Sequence[TrialR
     varied = list(search.space.dimensions)
     columns = ("trial", "state", "mean_aou_s", "action", "slots", "cpu_s", *varied, "reason")
     rows = []
-    for record in records:
+    for record in (record for record in records if record.state != "waiting"):
         score = None if record.score is None else f"{record.score:.6g}"
         cpu_s = None if record.cpu_s is None else f"{record.cpu_s:.2f}"
         values = [str(record.values.get(name, "")) for name in varied]  # every digit
-        if record.state != "waiting":
-            rows.append(
-                [record.number, record.state, score, record.action, record.slots, cpu_s, *values, record.reason]
-            )
+        rows.append([record.number, record.state, score, record.action, record.slots, cpu_s, *values, record.reason])
     write_csv(folder.table, columns, rows)
     for record in ranked(records)[:1]:
         settings = search.settings(search.space.restored(record.values)).model_dump(mode="json")

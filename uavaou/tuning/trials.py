@@ -71,9 +71,8 @@ def run_search(
     """
     study = _study(folder)
     jobs = min(jobs, trials - sum(record.counts for record in _records(study)))
-    context = multiprocessing.get_context("spawn")  # torch's threads do not survive a fork
-    arguments = (folder.path, trials, list(plugins))
-    workers = [context.Process(target=_worker, args=arguments, daemon=True) for _ in range(jobs)]
+    start = multiprocessing.get_context("spawn").Process  # torch's threads do not survive a fork
+    workers = [start(target=_worker, args=(folder.path, trials, list(plugins)), daemon=True) for _ in range(jobs)]
     with children_ignore_ctrl_c():
         for worker in workers:
             worker.start()
@@ -93,9 +92,8 @@ def run_search(
         raise
     for code in (worker.exitcode for worker in workers):
         if code is not None and code < 0:
-            raise InputError(
-                f"a worker was ended by {signal.Signals(-code).name}: the same command goes on without loss"
-            )
+            ended_by = signal.Signals(-code).name
+            raise InputError(f"a worker was ended by {ended_by}: the same command goes on without loss")
         if code:
             raise RuntimeError(f"a worker ended with code {code}; its error stands above")
     return _records(study)
@@ -222,9 +220,6 @@ def _records(study: optuna.Study) -> list[TrialRecord]:
         )
         for trial in study.get_trials(deepcopy=False)
     ]
-
-
-# -- the slots that a trial can afford ------------------------------------------------------------------
 
 
 class _Measured(Exception):  # noqa: N818 - the way out of a training that has shown its rate
