@@ -154,7 +154,7 @@ def test_no_file_is_long() -> None:
         ("import uavaou.evaluation.checker", "torch uavaou.world"),
         ("import uavaou.studies.study, uavaou.studies.results, uavaou.studies.marl_eval", "torch matplotlib"),
         ("import uavaou.reports.figures, uavaou.reports.mission_figures, uavaou.reports.audit", "torch"),
-        ("import uavaou.reports.claims_table", "torch"),
+        ("import uavaou.reports.study_report", "torch"),
     ],
 )
 def test_nothing_heavy_is_imported_unasked(statement: str, absent: str) -> None:

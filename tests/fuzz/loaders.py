@@ -22,7 +22,7 @@ with atheris.instrument_imports(include=["uavaou"]):
     from uavaou.algorithms.registry import load_config
     from uavaou.devices_csv import read_devices_csv
     from uavaou.errors import InputError
-    from uavaou.reports.run_tables import read_runs
+    from uavaou.reports.figures import read_runs
     from uavaou.runs.checkpoint_header import TrainingProgress, read_header, write_header
     from uavaou.runs.folder import RunConfig, RunFolder
     from uavaou.runs.results import read_evaluation

@@ -13,7 +13,7 @@ from scipy.stats import gmean, spearmanr, ttest_1samp
 from tests.synthetic_study import BUDGET, DEFAULT, MAPPO, PLANNERS, QMIX, VDN, Variant, write_study
 from uavaou.errors import InputError
 from uavaou.reports.claims import judge
-from uavaou.reports.claims_table import END, begin_marker, claims_markdown, write_claims
+from uavaou.reports.study_report import END, begin_marker, claims_markdown, write_claims
 from uavaou.reports.training_claims import converged, reached, smooth
 from uavaou.reports.verdicts import Claim, Decide, higher, lower, reduced_to
 from uavaou.statistics import Interval, ratio_of_trainings

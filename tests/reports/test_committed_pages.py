@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from uavaou.reports.claims_table import END, begin_marker
-from uavaou.reports.study_report import write_report
+from uavaou.reports.study_report import END, begin_marker, write_report
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
 STUDIES = sorted(path.parent for path in RESULTS.glob("studies/*/study.yaml"))

@@ -13,8 +13,7 @@ import pytest
 
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
-from uavaou.reports.figures import plot_runs
-from uavaou.reports.run_tables import read_runs
+from uavaou.reports.figures import plot_runs, read_runs
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.statistics import interval_over_missions

@@ -11,9 +11,8 @@ import yaml
 
 from tests.synthetic_study import MAPPO, VDN, Variant, write_study
 from uavaou import InputError
-from uavaou.reports.claims_table import begin_marker
 from uavaou.reports.scores import study_scores
-from uavaou.reports.study_report import write_report
+from uavaou.reports.study_report import begin_marker, write_report
 from uavaou.statistics import interval_over_missions
 from uavaou.studies.results import read_study
 from uavaou.studies.study import Study

@@ -102,7 +102,7 @@ def test_malformed_tables_name_the_place(tmp_path: Path, old: str, new: str, wor
 
 
 def test_suites_in_a_run_folder_do_not_change_its_figures(capsys: pytest.CaptureFixture[str], place: Path) -> None:
-    from uavaou.reports.run_tables import read_runs
+    from uavaou.reports.figures import read_runs
 
     call(capsys, "eval run --suite own.yaml --episodes 2 --quiet")
     assert not read_runs([place / "run"])[0].table("missions")["mission"].size

@@ -16,45 +16,33 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.arrays import Floats
+from uavaou.csv_tables import read_csv
 from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.files import folder_name
-from uavaou.reports import style
+from uavaou.reports import drawing, style
 from uavaou.reports.aggregate_figures import aggregate_figures
-from uavaou.reports.drawing import (
-    AOU,
-    COMMUNICATIONS,
-    DEVICES_SERVED,
-    OVER_MISSIONS,
-    REWARD,
-    VALIDATION_AOU,
-    ByPeriod,
-    Line,
-    Measure,
-    execution_figure,
-    label_training,
-    measure_figure,
-    over_seeds,
-    period_figure,
-    time_unit,
-)
 from uavaou.reports.mission_figures import mission_figures
-from uavaou.reports.run_tables import read_runs
 from uavaou.reports.scores import best_planner
-from uavaou.runs.results import PolicyResult
+from uavaou.runs.folder import RunFolder
+from uavaou.runs.results import PolicyResult, read_evaluations
+from uavaou.scenario import Scenario
 from uavaou.statistics import Band, Interval, band_over_missions, band_over_trainings, interval_over_missions
-from uavaou.studies.folder import BOUND, PartKey
+from uavaou.studies.condense import VALIDATION_COLUMNS, curve_rows, evaluation_rows, validation_rows
+from uavaou.studies.folder import BOUND, PartKey, StudyFolder
 from uavaou.studies.results import StudyResults, Table, read_study
 
 Evaluations = Mapping[PartKey, PolicyResult]
 
+_LEARNED_NAMES = ("policy", "model", "learned")  # what an evaluation may call the run's own policy
 _TIMES = 100  # points of a curve over wall-clock time
 _TRAINING_FIGURES = {
-    "figure-3-reward": REWARD,
-    "figure-4-aou": AOU,
-    "figure-5-communications": COMMUNICATIONS,
-    "figure-6-devices-served": DEVICES_SERVED,
+    "figure-3-reward": drawing.REWARD,
+    "figure-4-aou": drawing.AOU,
+    "figure-5-communications": drawing.COMMUNICATIONS,
+    "figure-6-devices-served": drawing.DEVICES_SERVED,
 }
 
 
@@ -121,6 +109,58 @@ def plot_runs(folders: Iterable[Path], out_dir: Path) -> list[Path]:
     return _plot_scenarios(*read_runs(folders), out_dir=Path(out_dir))
 
 
+def read_runs(folders: Iterable[Path]) -> tuple[StudyResults, dict[PartKey, PolicyResult]]:
+    """Condense training runs as a study does; runs of one name on one scenario become its seeds.
+
+    Planners come from the evaluations: they play the same missions beside every run, so that one result is taken.
+
+    Args:
+        folders: of the runs, ``.../<scenario>/<algorithm>/seed-<n>``; finished, evaluated, or neither.
+
+    Returns:
+        The tables, and the evaluations, which also hold values of each mission.
+
+    Raises:
+        InputError: there is no run, or a file of one is missing or malformed.
+    """
+    results = StudyResults(StudyFolder(Path("runs")), {"scenarios": {}, "variants": {}}, {})
+    evaluations: dict[PartKey, PolicyResult] = {}
+    for path in folders:
+        _add_run(results, evaluations, RunFolder(Path(path)))
+    if not results.parts:
+        raise InputError("no run folders to draw figures from")
+    return results, evaluations
+
+
+def _add_run(results: StudyResults, evaluations: dict[PartKey, PolicyResult], folder: RunFolder) -> None:
+    config = folder.read_config()
+    scenario = config.scenario
+    place, variant = _name(scenario, folder.path.parent.parent), _name(config.algorithm, folder.path.parent)
+    results.settings["scenarios"].setdefault(place, scenario.to_dict())
+    results.settings["variants"].setdefault(variant, {"name": variant})
+    seeds = sum(key[:2] == (variant, place) for key in results.parts)
+    key = PartKey(variant, place, seeds)  # a number for each run: runs from two folders may have the same seed
+    rows = {"curves": curve_rows(key, scenario, folder.episodes)}
+    progress = folder.path / "progress.csv"
+    if progress.is_file() and set(VALIDATION_COLUMNS) <= set(read_csv(progress).columns):
+        rows["validation"] = validation_rows(key, scenario, progress)
+    own, found = {style.base_name(variant), *_LEARNED_NAMES}, read_evaluations(folder)
+    # The run's own evaluation, or that of a suite whose one point is the run's scenario.
+    for policy, result in (found.get("default") or next(iter(found.values()), {})).items():
+        if policy in own:
+            rows |= evaluation_rows(key, scenario, result, str(folder.path))
+            evaluations[key] = result
+        elif (planner := PartKey(policy, place)) not in results.parts:
+            results.put(planner, evaluation_rows(planner, scenario, result, str(folder.path)))
+            evaluations[planner] = result
+    results.put(key, rows)
+
+
+def _name(stated: Scenario | AlgorithmConfig, folder: Path) -> str:
+    """The name in the configuration; the folder's where that adds overrides to it."""
+    return folder.name if folder.name.split("+", 1)[0] == stated.name else stated.name
+
+
 def _plot_scenarios(study: StudyResults, evaluations: Evaluations, out_dir: Path) -> list[Path]:
     paths = []
     with style.house_style():
@@ -159,36 +199,36 @@ class _Scenario:
         """The rows of each run of the policies that have any."""
         return {name: runs for name in names if (runs := self._study.runs(table, name, self._scenario))}
 
-    def _training_figure(self, curves: Mapping[str, list[Table]], measure: Measure) -> Figure:
+    def _training_figure(self, curves: Mapping[str, list[Table]], measure: drawing.Measure) -> Figure:
         """Figures 3 to 6: a measure of the training missions over training."""
         slots = self._study.scenarios[self._scenario]["slots"]
         points = {name: [(run["slots"] / slots, run[measure.column]) for run in runs] for name, runs in curves.items()}
         figure, axes = self._measure_figure({name: _line(runs) for name, runs in points.items()}, measure)
-        label_training(axes, slots)
+        drawing.label_training(axes, slots)
         return figure
 
     def _wall_clock_figure(self, validations: Mapping[str, list[Table]]) -> Figure:
         """The AoU of each run's latest validation against the time since its training began."""
         lines = {name: _over_time(runs) for name, runs in validations.items()}
-        unit, seconds = time_unit(max(float(line.x[-1]) for line in lines.values()))
-        lines = {name: Line(line.x / seconds, line.y, line.seeds) for name, line in lines.items()}
-        figure, axes = self._measure_figure(lines, VALIDATION_AOU)
+        unit, seconds = drawing.time_unit(max(float(line.x[-1]) for line in lines.values()))
+        lines = {name: drawing.Line(line.x / seconds, line.y, line.seeds) for name, line in lines.items()}
+        figure, axes = self._measure_figure(lines, drawing.VALIDATION_AOU)
         axes.set_xlabel(f"wall-clock time of training ({unit})")
         return figure
 
-    def _measure_figure(self, lines: Mapping[str, Line], measure: Measure) -> tuple[Figure, Axes]:
+    def _measure_figure(self, lines: Mapping[str, drawing.Line], measure: drawing.Measure) -> tuple[Figure, Axes]:
         """Lines beside the levels of planners and of the bound, which bounds AoU and reward alone."""
         study, scenario, levels = self._study, self._scenario, {}
         for planner in self._planners:
             if planner != "stay":  # its AoU is so high that the differences between the others would not be visible
                 missions = study.missions(planner, measure.column, [scenario])[scenario][0]
                 levels[planner] = interval_over_missions(missions)
-        note = f"\nplanners: {OVER_MISSIONS}" if levels else ""
+        note = f"\nplanners: {drawing.OVER_MISSIONS}" if levels else ""
         if scenario in study.bounds and measure.column in ("mean_aou_slots", "reward_s"):
             value = study.bounds[scenario] * (-study.mission_s(scenario) if measure.column == "reward_s" else 1.0)
             levels[BOUND] = Interval(value, np.nan, np.nan)
-        figure, axes = measure_figure(lines, levels, self._looks, measure, study.scenarios[scenario]["devices"])
-        style.legend_below(figure, axes, f"bands: {over_seeds([line.seeds for line in lines.values()])}{note}")
+        figure, axes = drawing.measure_figure(lines, levels, self._looks, measure, study.scenarios[scenario]["devices"])
+        style.legend_below(figure, axes, f"bands: {drawing.over_seeds([line.seeds for line in lines.values()])}{note}")
         return figure, axes
 
     def _execution_figure(self, executed: Mapping[str, list[Table]]) -> Figure:
@@ -199,8 +239,8 @@ class _Scenario:
             band, alone = band_over_trainings(table), self._alone(name)
             if alone and alone.aou_over_time_low_s is not None and alone.aou_over_time_high_s is not None:
                 band = Band(band.value, alone.aou_over_time_low_s / tau, alone.aou_over_time_high_s / tau)
-            lines[name] = Line(runs[0]["slot"], band, len(table))
-        figure, axes = execution_figure(lines, self._looks, tau)
+            lines[name] = drawing.Line(runs[0]["slot"], band, len(table))
+        figure, axes = drawing.execution_figure(lines, self._looks, tau)
         style.legend_below(figure, axes, f"bands: {self._over(executed)}")
         return figure
 
@@ -213,8 +253,8 @@ class _Scenario:
             band, alone = band_over_trainings(_by_period(counts, period)), self._alone(name)
             if alone and alone.device_communications is not None:
                 band = band_over_missions(_by_period(alone.device_communications, period))
-            groups[name] = ByPeriod(period, counts.mean(axis=0), np.unique(period), band)
-        figure, axes = period_figure(groups, self._looks)
+            groups[name] = drawing.ByPeriod(period, counts.mean(axis=0), np.unique(period), band)
+        figure, axes = drawing.period_figure(groups, self._looks)
         style.legend_below(figure, axes, f"dot: one device; bar: {self._over(counted)}")
         return figure
 
@@ -227,9 +267,9 @@ class _Scenario:
         """What the intervals of figures 7 and 8 are over."""
         seeds = [len(runs) for name, runs in found.items() if name in self._study.algorithms]
         if not self._results:
-            return over_seeds(seeds)
-        planners = f"\nplanners: {OVER_MISSIONS}" if found.keys() - self._study.algorithms.keys() else ""
-        return over_seeds(seeds, OVER_MISSIONS) + planners
+            return drawing.over_seeds(seeds)
+        planners = f"\nplanners: {drawing.OVER_MISSIONS}" if found.keys() - self._study.algorithms.keys() else ""
+        return drawing.over_seeds(seeds, drawing.OVER_MISSIONS) + planners
 
 
 def _by_period(counts: Floats, period: Floats) -> Floats:
@@ -237,7 +277,7 @@ def _by_period(counts: Floats, period: Floats) -> Floats:
     return np.stack([counts[:, period == value].mean(axis=1) for value in np.unique(period)], axis=1)
 
 
-def _line(runs: list[tuple[Floats, Floats]]) -> Line:
+def _line(runs: list[tuple[Floats, Floats]]) -> drawing.Line:
     """The mean over seeds at the points of the first one, up to the end of the shortest."""
     runs = [_one_value_each(x, y) for x, y in runs]
     reach = min(float(x[-1]) for x, _ in runs)
@@ -245,7 +285,7 @@ def _line(runs: list[tuple[Floats, Floats]]) -> Line:
     grid = runs[0][0]
     grid = grid[(grid >= start) & (grid <= reach)]
     grid = grid if len(grid) else np.array([reach])
-    return Line(grid, band_over_trainings([np.interp(grid, x, y) for x, y in runs]), len(runs))
+    return drawing.Line(grid, band_over_trainings([np.interp(grid, x, y) for x, y in runs]), len(runs))
 
 
 def _one_value_each(x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -254,7 +294,7 @@ def _one_value_each(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return ends, np.bincount(place, y) / np.bincount(place)
 
 
-def _over_time(runs: list[Table]) -> Line:
+def _over_time(runs: list[Table]) -> drawing.Line:
     """The latest validation AoU of each seed at each time, from when all have one to when the first ends."""
     times = [run["wall_s"] for run in runs]
     start = max(float(time[0]) for time in times)
@@ -263,4 +303,4 @@ def _over_time(runs: list[Table]) -> Line:
         run["mean_aou_slots"][np.searchsorted(time, grid, side="right") - 1]
         for run, time in zip(runs, times, strict=True)
     ]
-    return Line(grid, band_over_trainings(latest), len(runs))
+    return drawing.Line(grid, band_over_trainings(latest), len(runs))

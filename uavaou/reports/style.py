@@ -139,12 +139,8 @@ def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> 
 
 def _spare(turn: int, label: str) -> Look:
     """The look of an unknown algorithm."""
-    return Look(
-        _SPARE_COLOURS[turn % len(_SPARE_COLOURS)],
-        _SPARE_MARKERS[turn % len(_SPARE_MARKERS)],
-        _VARIANT_DASHES[(turn // len(_SPARE_COLOURS)) % len(_VARIANT_DASHES)],
-        label,
-    )
+    again, place = divmod(turn, len(_SPARE_COLOURS))  # there are as many markers
+    return Look(_SPARE_COLOURS[place], _SPARE_MARKERS[place], _VARIANT_DASHES[again % len(_VARIANT_DASHES)], label)
 
 
 @contextmanager
