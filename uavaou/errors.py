@@ -28,5 +28,4 @@ def nearest(word: str, allowed: Iterable[str]) -> str:
 def unknown(kind: str, word: str, allowed: Iterable[str]) -> InputError:
     """Return the error for a name that is not ``allowed``; it gives the nearest spelling."""
     names = list(allowed)
-    listing = ", ".join(names)
-    return InputError(f"unknown {kind} '{word}'{nearest(word, names)} (known: {listing})")
+    return InputError(f"unknown {kind} '{word}'{nearest(word, names)} (known: {', '.join(names)})")

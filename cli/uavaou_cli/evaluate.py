@@ -203,9 +203,8 @@ def _suite_rows(plan: SuitePlan, results: Sequence[PointResult]) -> list[tuple[s
             continue
         missing = [one for one in plan.assignments if one.point is point and one.kind is None]
         rows += [(point.label, one.policy, "-", "-", "", "", "") for one in missing]
-        rows += [
-            (point.label, *_suite_cells(result, len(seeds) > 1)) for result in results if result.flown.point is point
-        ]
+        here = [result for result in results if result.flown.point is point]
+        rows += [(point.label, *_suite_cells(result, len(seeds) > 1)) for result in here]
     return rows
 
 

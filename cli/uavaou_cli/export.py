@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from uavaou.errors import InputError
+from uavaou.files import writing
 from uavaou_cli.options import choice, given_path, option, writable_file
 
 
@@ -33,9 +34,7 @@ def export(
     if format == "safetensors" and not ours:
         raise InputError(f"'{run}': a {type(model).__name__} has no format but its own: --format sb3")
     write = model.save_sb3 if ours and format == "sb3" else model.save
-    try:
+    with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         write(out)
-    except OSError as error:
-        raise InputError(f"cannot write '{out}': {error.strerror or error}") from error
     print(out)

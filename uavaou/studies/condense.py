@@ -18,9 +18,7 @@ from uavaou.studies.results import Rows, StudyResults, read_begun
 from uavaou.studies.study import Study, StudyRun
 
 MOST_GROUPS = 200  # of a learning curve
-VALIDATION_COLUMNS = (
-    "time/slots", "time/wall_s", "evaluation/mean_aou_greedy_s", "evaluation/mean_aou_sample_s",
-)  # fmt: skip
+VALIDATION_COLUMNS = ("time/slots", "time/wall_s", "evaluation/mean_aou_greedy_s", "evaluation/mean_aou_sample_s")
 _CURVE = ("reward_s", "mean_aou_s", "communications", "devices_served")
 
 

@@ -176,4 +176,3 @@ class Engine(Protocol):
         Raises:
             KeyboardInterrupt: by a second signal; running jobs are killed.
         """
-        ...

@@ -15,21 +15,10 @@ from uavaou.runs.folder import scenario_folder
 from uavaou.runs.interrupt import Interrupts
 from uavaou.runs.lock import one_writer
 from uavaou.runs.results import PolicyResult
+from uavaou.studies import jobs
 from uavaou.studies.best import keep_best
 from uavaou.studies.condense import condense_run, evaluation_rows, trained_so_far, update_results
 from uavaou.studies.folder import ANNEALED, BOUND, PLAN, PartKey, StudyFolder
-from uavaou.studies.jobs import (
-    Advanced,
-    Bounding,
-    Ended,
-    Engine,
-    Job,
-    JobResult,
-    Planning,
-    Playing,
-    Training,
-    TrainingReport,
-)
 from uavaou.studies.study import Study
 
 
@@ -40,7 +29,7 @@ class StudyState:
     total: int  # trainings, planners and bounds
     done: int  # those that have results
     failed: dict[PartKey, str] = field(default_factory=dict)  # and why
-    running: dict[PartKey, TrainingReport | None] = field(default_factory=dict)  # the last report of a training
+    running: dict[PartKey, jobs.TrainingReport | None] = field(default_factory=dict)  # the last report of a training
     slots: int = 0  # trained by this command
     left: int = 0  # slots still to be trained
     busy_s: float = 0.0  # how long trainings have been running
@@ -62,7 +51,7 @@ class StudyState:
 
 
 def run_study(
-    study: Study, out: Path, engine: Engine, show: Callable[[StudyState], None], quiet: bool = False,
+    study: Study, out: Path, engine: jobs.Engine, show: Callable[[StudyState], None], quiet: bool = False,
     checkpoint_every_s: float | None = None,
 ) -> StudyState:  # fmt: skip
     """Do what is left of a study; returns how far it is then.
@@ -87,9 +76,9 @@ def run_study(
         ):
             show(work.state)
             for event in events:
-                if isinstance(event, Advanced):
+                if isinstance(event, jobs.Advanced):
                     work.advance(event.key, event.report)
-                elif isinstance(event, Ended):
+                elif isinstance(event, jobs.Ended):
                     work.end(event)
                 work.state.tick()
                 show(work.state)
@@ -118,7 +107,7 @@ class _Work:
     def _slots_left(self, key: PartKey) -> int:
         return max(self._runs[key].config.algorithm.slots - self._trained[key], 0)
 
-    def take(self) -> Job | None:
+    def take(self) -> jobs.Job | None:
         """The next job that can start: one that needs no plan, or whose plan is made."""
         for key in list(self._todo):
             try:
@@ -128,7 +117,7 @@ class _Work:
                 self._fail(key, str(problem))
                 continue
             if job is not None:
-                if not isinstance(job, Planning):
+                if not isinstance(job, jobs.Planning):
                     self._todo.remove(key)
                 self.state.running[job.key] = None
                 if job.key.seed is None:
@@ -136,23 +125,23 @@ class _Work:
                 return job
         return None
 
-    def _job(self, key: PartKey) -> Job | None:
+    def _job(self, key: PartKey) -> jobs.Job | None:
         if key in self._runs:
             path = self._study.folder(self._out, self._runs[key]).path
-            return Training(key, self._runs[key].config, path, self._study.episodes, self._every_s)
+            return jobs.Training(key, self._runs[key].config, path, self._study.episodes, self._every_s)
         scenario = self._study.scenarios[key.scenario]
         if key.variant == BOUND:
-            return Bounding(key, scenario)
+            return jobs.Bounding(key, scenario)
         plan = None
         if key.variant in ANNEALED:
             if key.scenario not in self._plans:
                 self._plans[key.scenario] = self._saved_plan(key.scenario)
                 if self._plans[key.scenario] is None:
-                    return Planning(PartKey(PLAN, key.scenario), scenario, self._study.planning_seconds)
+                    return jobs.Planning(PartKey(PLAN, key.scenario), scenario, self._study.planning_seconds)
             plan = self._plans[key.scenario]
             if plan is None:
                 return None  # it is being made
-        return Playing(key, scenario, self._study.episodes, self._study.planning_seconds, plan)
+        return jobs.Playing(key, scenario, self._study.episodes, self._study.planning_seconds, plan)
 
     def _plan_path(self, scenario: str) -> Path:  # for all studies
         return self._out / "planners" / "plans" / f"{scenario_folder(self._study.scenarios[scenario])}.json"
@@ -168,7 +157,7 @@ class _Work:
         enough = isinstance(seconds, int | float) and seconds >= wanted_s
         return plan if enough and not plan.interrupted and planned_for == self._study.scenarios[scenario] else None
 
-    def advance(self, key: PartKey, report: TrainingReport) -> None:
+    def advance(self, key: PartKey, report: jobs.TrainingReport) -> None:
         """A training has made an update."""
         self.state.running[key] = report
         step = max(report.slots - self._trained[key], 0)
@@ -176,7 +165,7 @@ class _Work:
         self.state.slots += step
         self.state.left = max(self.state.left - step, 0)
 
-    def end(self, event: Ended) -> None:
+    def end(self, event: jobs.Ended) -> None:
         """A job has ended: keep its result before anything else is started."""
         key = event.key
         self.state.running.pop(key, None)
@@ -195,7 +184,7 @@ class _Work:
         except InputError as problem:
             self._fail(key, str(problem))
 
-    def _end_plan(self, event: Ended) -> None:
+    def _end_plan(self, event: jobs.Ended) -> None:
         waiting = [key for key in self._todo if key.scenario == event.key.scenario and key.variant in ANNEALED]
         reason = event.reason
         if event.result is not None:
@@ -225,7 +214,7 @@ class _Work:
         with suppress(InputError):
             self._results.folder.write_working(key for key in self.state.running if key.seed is None)
 
-    def _condense(self, key: PartKey, result: JobResult) -> None:
+    def _condense(self, key: PartKey, result: jobs.JobResult) -> None:
         scenario = self._study.scenarios[key.scenario]
         if key in self._runs:
             if not condense_run(self._results, self._study, self._out, self._runs[key]):

@@ -69,7 +69,6 @@ def _run_status(
 def seconds_left(parts: list[PartStatus]) -> float | None:
     """Until the trainings of a study end at the rate of those that run now; None where none does."""
     rate = sum(part.rate for part in parts)
-    left = sum(
-        max((part.budget or 0) - (part.slots or 0), 0) for part in parts if part.state not in ("finished", "failed")
-    )
+    open_parts = [part for part in parts if part.state not in ("finished", "failed")]
+    left = sum(max((part.budget or 0) - (part.slots or 0), 0) for part in open_parts)
     return left / rate if rate else None

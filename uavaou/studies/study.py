@@ -247,10 +247,8 @@ def _check(study: Study, source: str) -> None:
             raise InputError(f"{source}: planners: {unknown('planner', planner, PLANNERS)}")
     _check_distinct(study.planners, f"{source}: planners")
     _check_comparisons(study, source)
-    planned = [
-        *(["bound: true"] if study.bound else []),
-        *(f"planners: {n}" for n in study.planners if n in _PLAN_AHEAD),
-    ]
+    planned = ["bound: true"] if study.bound else []
+    planned += [f"planners: {name}" for name in study.planners if name in _PLAN_AHEAD]
     for name, scenario in study.scenarios.items():
         if scenario.layout == "resample" and planned:  # plans and bounds are for one layout
             raise InputError(f"{source}: {planned[0]}: scenario '{name}' draws a new layout for each mission")
@@ -297,7 +295,6 @@ def _usable_name(name: str, source: str) -> str:
     """Refuse a name that cannot name a folder and fill a table cell; returns it."""
     usable = name.isprintable() and name == name.strip() and not name.startswith(".") and not set(name) & set("/\\")
     if not usable or not 0 < len(name) <= _LONGEST_NAME:
-        raise InputError(
-            f"{source} = {short(name)}: expected 1 to {_LONGEST_NAME} characters, no slash and no leading dot"
-        )
+        expected = f"1 to {_LONGEST_NAME} characters, no slash and no leading dot"
+        raise InputError(f"{source} = {short(name)}: expected {expected}")
     return name

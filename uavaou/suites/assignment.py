@@ -244,9 +244,7 @@ def budget_lines(flown: Iterable[tuple[str, str, int]]) -> list[str]:
         return []
     lines = []
     for policy, budgets in found.items():
-        at = [
-            f"{slots:,} at {', '.join(labels)}" if len(budgets) > 1 else f"{slots:,}"
-            for slots, labels in budgets.items()
-        ]
+        several = len(budgets) > 1
+        at = [f"{slots:,}" + (f" at {', '.join(labels)}" if several else "") for slots, labels in budgets.items()]
         lines.append(f"{policy}: trained with slots = {'; '.join(at)}")
     return lines

@@ -18,15 +18,8 @@ from uavaou.runs.folder import RunConfig, name_with
 from uavaou.runs.results import PolicyResult, SuiteEvaluationFile, SuitePoint, keep_evaluation, write_evaluation
 from uavaou.scenario import Scenario
 from uavaou.statistics import Interval, interval_over_missions
-from uavaou.suites.assignment import (
-    Assignment,
-    MissingTraining,
-    PolicyKind,
-    SuiteRun,
-    assign,
-    missing_trainings,
-    name_runs,
-)
+from uavaou.suites import assignment
+from uavaou.suites.assignment import Assignment, MissingTraining, PolicyKind, SuiteRun
 from uavaou.suites.suite import ResolvedPoint, Suite, resolve_points
 
 CSV_COLUMNS = (
@@ -136,11 +129,11 @@ def plan_suite(
         if key.split(".")[0] in varied:
             raise InputError(f"scenario.{key} cannot be changed: the points of the suite '{suite.name}' set it")
     points = resolve_points(suite, base)
-    runs = name_runs({Path(folder): config for folder, config in configs.items()}, suite)
-    assignments = assign(points, runs, base)
+    runs = assignment.name_runs({Path(folder): config for folder, config in configs.items()}, suite)
+    assignments = assignment.assign(points, runs, base)
     every = [Assignment(point, "mappo", (), None) for point in points if point.scenario]
     wanted = assignments if configs or planners else every
-    missing = missing_trainings(wanted, runs, source, base)
+    missing = assignment.missing_trainings(wanted, runs, source, base)
     named = name_with(suite.name, {**({"scenario": Scenario.load(source).name} if scenario else {}), **changes})
     flights: list[PolicyAtPoint] = []
     for point in points:
@@ -245,13 +238,9 @@ def suite_evaluation(
         if not own:
             continue
         shown = {_policy_key(result, run): result for result in [*own, *planners]}
-        points.append(
-            SuitePoint(
-                **point.stated.model_dump(exclude={"joined"}),
-                how={name: result.flown.kind for name, result in shown.items()},
-                policies={name: result.played for name, result in shown.items()},
-            )
-        )
+        how = {name: result.flown.kind for name, result in shown.items()}
+        policies = {name: result.played for name, result in shown.items()}
+        points.append(SuitePoint(**point.stated.model_dump(exclude={"joined"}), how=how, policies=policies))
     return SuiteEvaluationFile(
         suite=plan.suite.name, scenario=plan.base.name, episodes=episodes, seed=seed, points=points
     )
@@ -265,25 +254,11 @@ def _policy_key(result: PointResult, own: SuiteRun | None) -> str:
     return run.config.algorithm.name if run is own else str(run.folder.path)
 
 
-def _row(plan: SuitePlan, result: PointResult) -> dict[str, Any]:
+def _row(plan: SuitePlan, result: PointResult) -> list[Any]:
+    """A row of the table, in the order of ``CSV_COLUMNS``."""
     flown, point, axis = result.flown, result.flown.point.stated, plan.suite.axis
-    mean, low, high = result.mean_aou_slots
-    return {
-        "suite": plan.name,
-        "point": point.label,
-        "x": point.x,
-        "policy": flown.policy,
-        "trained": flown.kind,
-        "seed": None if flown.run is None else flown.run.config.seed,
-        "training_slots": None if flown.run is None else flown.run.slots,
-        "missions": len(result.played.mean_aou_s),
-        "mean_aou_slots": mean,
-        "low": low,
-        "high": high,
-        "communications": result.mean("communications"),
-        "devices_served": result.mean("devices_served"),
-        "violations": result.violations,
-        "axis": axis.title,
-        "scale": axis.scale,
-        "joined": "yes" if point.joined else "no",
-    }
+    which = plan.name, point.label, point.x, flown.policy, flown.kind
+    training = (None, None) if flown.run is None else (flown.run.config.seed, flown.run.slots)
+    aou = len(result.played.mean_aou_s), *result.mean_aou_slots
+    counts = result.mean("communications"), result.mean("devices_served"), result.violations
+    return [*which, *training, *aou, *counts, axis.title, axis.scale, "yes" if point.joined else "no"]
