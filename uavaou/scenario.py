@@ -211,8 +211,7 @@ class Scenario(BaseModel):
         if rng is None:
             # With a spawn key, the streams of mission seeds and layout seeds differ.
             rng = np.random.default_rng(np.random.SeedSequence(self.layout_seed, spawn_key=(1,)))
-        area = np.array([self.area_x_m, self.area_y_m])  # (2,)
-        drawn = rng.random((self.devices, 2)) * area  # (I, 2) m
+        drawn = rng.random((self.devices, 2)) * [self.area_x_m, self.area_y_m]  # (I, 2) m
         positions = drawn if self.devices_m is None else np.asarray(self.devices_m, dtype=np.float64)
         return Layout(
             positions=positions,
@@ -249,15 +248,14 @@ class Scenario(BaseModel):
         return self
 
     def _check_grid(self) -> None:
+        step = self.grid_step_m
         for field, length in (("area_x_m", self.area_x_m), ("area_y_m", self.area_y_m)):
-            steps = length / self.grid_step_m
+            steps = length / step
             if abs(steps - round(steps)) > _GRID_TOLERANCE * max(1.0, steps) or round(steps) < 1:
-                raise ValueError(
-                    f"grid_step_m = {self.grid_step_m:g}: does not divide {field} = {length:g} into whole steps"
-                )
+                raise ValueError(f"grid_step_m = {step:g}: does not divide {field} = {length:g} into whole steps")
         if self.columns * self.rows > _MAX_CELLS:
             raise ValueError(
-                f"grid_step_m = {self.grid_step_m:g}: gives {self.columns} x {self.rows} cells, "
+                f"grid_step_m = {step:g}: gives {self.columns} x {self.rows} cells, "
                 f"at most {_MAX_CELLS:,} are supported"
             )
 

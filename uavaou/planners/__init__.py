@@ -1,6 +1,6 @@
 """Policies that are not learned: the references for a learner."""
 
-from importlib import import_module
+from pkgutil import resolve_name
 
 from uavaou.errors import InputError, unknown
 from uavaou.planners.base import Planner
@@ -39,8 +39,7 @@ def make_planner(name: str, time_limit_s: float | None = None) -> Planner:
         raise unknown("planner", name, PLANNERS)
     if time_limit_s is not None and name not in PLAN_AHEAD:
         raise InputError(f"planner '{name}' decides slot by slot and takes no time limit")
-    module, _, found = PLANNERS[name].partition(":")
-    kind = getattr(import_module(module), found)
+    kind = resolve_name(PLANNERS[name])
     planner: Planner = kind() if time_limit_s is None else kind(time_limit_s)
     return planner
 

@@ -43,13 +43,11 @@ class Anneal(RoutePlanner):
         starts = [tour().plan(scenario, layout).routes for tour in (Tour, PartitionTour)]
         starts.append(best_first_routes(scenario, layout))
         start = min(starts, key=lambda routes: expected_mean_aou(scenario, layout, routes))
-        search = _Annealing(scenario, layout, start)
-        interrupted = False
+        search, interrupted = _Annealing(scenario, layout, start), False
         try:
             for done in self._cool(search, started):
                 if on_progress is not None:
-                    incumbent_s = scenario.slot_length_s * search.best_age / scenario.slots
-                    on_progress(PlanningStatus(done, incumbent_s))
+                    on_progress(PlanningStatus(done, scenario.slot_length_s * search.best_age / scenario.slots))
         except KeyboardInterrupt:
             interrupted = True
         routes = search.best_routes()
@@ -126,5 +124,4 @@ class _Annealing:
 
     def best_routes(self) -> Ints:
         """Return the best routes met, (K, U, 2)."""
-        cells = self._best[:, 1:].T  # (K, U)
-        return np.stack(np.divmod(cells, self._grid[1]), axis=-1)
+        return np.stack(np.divmod(self._best[:, 1:].T, self._grid[1]), axis=-1)

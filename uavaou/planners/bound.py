@@ -17,10 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavaou.arrays import Floats, Ints
-from uavaou.planners.decomposition import LagrangianDecomposition
+from uavaou.planners.decomposition import LagrangianDecomposition, subgradient_ascent
 from uavaou.planners.exact import Program, gap_ages, program_size
 from uavaou.planners.stationary_duals import stationary_duals
-from uavaou.planners.subgradient import subgradient_ascent
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.coverage import cell_coverage

@@ -105,7 +105,7 @@ def gap_ages(update_period: int, slots: int) -> Ints:
 class Flow:
     """The steps of one UAV in the time-expanded grid."""
 
-    slot: Ints  # (E,) slot in which the step begins, 1 to K-1
+    slot: Ints  # (E,) slot in which the step begins, 1 to K-1, in ascending order
     here: Ints  # (E,) cell
     there: Ints  # (E,) cell of the next slot
 
@@ -197,25 +197,22 @@ class Program:
         cells = np.empty((scenario.slots, scenario.uavs), dtype=np.int64)
         for u, (flow, steps) in enumerate(zip(self._flows, self._steps, strict=True)):
             taken = solution[steps] > 0.5
-            order = np.argsort(flow.slot[taken])
-            cells[:-1, u] = flow.here[taken][order]
-            cells[-1, u] = flow.there[taken][order][-1]
+            cells[:-1, u], cells[-1, u] = flow.here[taken], flow.there[taken][-1]
         return np.stack(np.divmod(cells, scenario.rows), axis=-1)
 
     def _add_flow(self, uav: int) -> None:
         """Add one unit of flow from the CDS in slot 1 to the CDS in slot K, within the budget."""
         flow, steps, scenario, program = self._flows[uav], self._steps[uav], self._scenario, self._program
-        cells = scenario.columns * scenario.rows
+        flight, cells = Flight(scenario), scenario.columns * scenario.rows
         leaves, arrives = flow.slot * cells + flow.here, (flow.slot + 1) * cells + flow.there  # nodes
         nodes, node = np.unique(np.concatenate([leaves, arrives]), return_inverse=True)
         net = np.zeros(len(nodes))
-        x, y = Flight(scenario).cds[uav]
-        home = x * scenario.rows + y
+        home = flight.cds[uav] @ [scenario.rows, 1]  # cell
         net[np.searchsorted(nodes, cells + home)] += 1.0
         net[np.searchsorted(nodes, scenario.slots * cells + home)] -= 1.0
         conserved = program.add_constraints(len(nodes), net, net)
         program.add_terms(conserved[node], np.concatenate([steps, steps]), np.repeat([1.0, -1.0], len(steps)))
-        within_budget = program.add_constraints(1, -np.inf, float(Flight(scenario).budget[uav]))
+        within_budget = program.add_constraints(1, -np.inf, float(flight.budget[uav]))
         program.add_terms(within_budget, steps[flow.here != flow.there], 1.0)
 
     def _add_collections(self, device: int, gap_age: Ints) -> None:

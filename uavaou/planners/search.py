@@ -145,8 +145,7 @@ def _update_miss(e: ExpectedAge, t: int) -> None:
 @compiled_fast
 def _forward(e: ExpectedAge, t: int) -> bool:
     """Compute slot t of the recursion from slot t - 1; return whether the result is as before."""
-    total = 0.0
-    settled = True
+    total, settled = 0.0, True
     for i in range(e.fleet_miss.shape[1]):
         waiting = e.pending[t - 1, i] + e.generated[t, i]
         age = e.fleet_miss[t, i] * (e.age[t - 1, i] + waiting)
@@ -162,8 +161,7 @@ def _forward(e: ExpectedAge, t: int) -> bool:
 @compiled_fast
 def _backward(e: ExpectedAge, t: int) -> bool:
     """Compute the cost to go before slot t from that after it; return whether it is as before."""
-    total = 0.0
-    settled = True
+    total, settled = 0.0, True
     for i in range(e.fleet_miss.shape[1]):
         age = e.fleet_miss[t, i] * (1.0 + e.to_go_per_age[t, i])
         pending = age + e.fleet_miss[t, i] * e.to_go_per_pending[t, i]
@@ -194,8 +192,7 @@ def _walk(trial: Ints, slot: int, here: int, there: int, rows: int, rng: Rng) ->
     x, y, to_x, to_y = here // rows, here % rows, there // rows, there % rows
     lean = rng.integers(0, 3)  # along x first, along y first, or mixed
     while x != to_x or y != to_y:
-        along_x = x != to_x and (y == to_y or lean == 0 or (lean == 2 and rng.random() < 0.5))
-        if along_x:
+        if x != to_x and (y == to_y or lean == 0 or (lean == 2 and rng.random() < 0.5)):
             x += 1 if to_x > x else -1
         else:
             y += 1 if to_y > y else -1
@@ -231,20 +228,13 @@ def _fill(trial: Ints, slot: int, here: int, there: int, moves: int, grid: Pair,
     early = wait if rng.random() < 0.5 else rng.integers(0, wait + 1)  # stays at that cell
     late = wait - early  # stays at either end
     if rng.random() < 0.5:
-        slot = _stay(trial, slot, here, late)
-        late = 0
+        trial[slot : slot + late] = here
+        slot, late = slot + late, 0
     slot = _walk(trial, slot, here, via, rows, rng)
-    slot = _stay(trial, slot, via, early)
-    slot = _walk(trial, slot, via, there, rows, rng)
-    _stay(trial, slot, there, late)
+    trial[slot : slot + early] = via
+    slot = _walk(trial, slot + early, via, there, rows, rng)
+    trial[slot : slot + late] = there
     return True
-
-
-@compiled_fast
-def _stay(trial: Ints, slot: int, cell: int, stays: int) -> int:
-    """Write a number of stays in a cell, from ``slot`` on; return the slot after them."""
-    trial[slot : slot + stays] = cell
-    return slot + stays
 
 
 @compiled_fast
@@ -334,10 +324,8 @@ def anneal(
         flown: grid steps of each route, (U,); changed in place.
         between: low and high; slots low <= t < high may change.
         temperatures: the first and the last, in slots of total age.
-        proposals: their number.
         best: the best routes, (U, K+1); changed in place.
         best_age: their total age, in slots squared.
-        rng: source of all draws.
     """
     uavs, slots = len(e.routes), len(e.cumulative) - 1
     trial = np.empty(2 * slots + 64, dtype=np.int64)  # beyond slot K: space for paths that are too long

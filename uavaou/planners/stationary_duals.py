@@ -10,7 +10,7 @@ decomposition certifies the result.
 
 import numpy as np
 
-from uavaou.arrays import Bools, Floats, Ints
+from uavaou.arrays import Floats, Ints
 from uavaou.planners.decomposition import LagrangianDecomposition
 from uavaou.planners.exact import gap_ages
 from uavaou.planners.highs import LinearProgram
@@ -34,7 +34,7 @@ def stationary_duals(
     if per_gap * gaps > _MOST_VARIABLES:
         return None
     program = LinearProgram()
-    moves = program.add_variables(_upper(problem.on_grid))  # f, (C, 5)
+    moves = program.add_variables(np.where(problem.on_grid, np.inf, 0.0))  # f, (C, 5)
     program.add_terms(program.add_constraints(1, 1.0, 1.0), moves, 1.0)
     rows = [_add_device(program, problem, layout, i, gaps, moves) for i in range(devices)]
     solver = program.solver()
@@ -60,7 +60,7 @@ def _add_device(
     there, uavs = problem.neighbours, len(problem.probability)
     hit = problem.probability[:, :, device].mean(axis=0)  # (C,)
     hit = np.where(hit < _UNLIKELY, 0.0, hit)[there]  # (C, 5) after each move
-    flow = program.add_variables(_upper(np.broadcast_to(problem.on_grid, (gaps, *there.shape))))  # (G, C, 5) by own gap
+    flow = program.add_variables(np.tile(np.where(problem.on_grid, np.inf, 0.0), (gaps, 1, 1)))  # (G, C, 5) by own gap
     conserved = program.add_constraints(gaps * len(there), 0.0, 0.0).reshape(gaps, -1)  # (G, C)
     older = np.minimum(np.arange(gaps) + 1, gaps - 1)[:, None, None]  # (G, 1, 1)
     program.add_terms(conserved[..., None], flow, 1.0)
@@ -80,10 +80,6 @@ def _add_device(
         program.add_terms(allowed[gap], collected[gap:], 1.0)
         program.add_terms(allowed[gap], flow[gap:], -uavs * hit)
     return int(charge[0]), links
-
-
-def _upper(exists: Bools) -> Floats:
-    return np.where(exists, np.inf, 0.0)
 
 
 def _gap_costs(period: int) -> Floats:

@@ -103,10 +103,7 @@ def _cut(cells: Ints, parts: int) -> Ints:
 def _with_dwell_times(scenario: Scenario, expected: ExpectedAge, tours: list[Ints]) -> tuple[Ints, float]:
     """Lengthen the stay at one stop after another while that lowers the age; return routes (K, U, 2) and their age.
 
-    Args:
-        scenario: its rules of flight hold.
-        expected: of any routes; overwritten.
-        tours: stops (S, 2), one tour for the whole fleet or one for each UAV.
+    ``tours`` are the stops (S, 2) of one tour for the whole fleet or of one for each UAV; ``expected`` is overwritten.
     """
     dwell = [np.ones(len(tour), dtype=np.int64) for tour in tours]  # slots at each stop, (S,) each
     routes = fleet_routes(scenario, tours, dwell)
@@ -143,9 +140,8 @@ def fleet_routes(scenario: Scenario, tours: list[Ints], dwell: list[Ints]) -> In
 
 def _loop(stops: Ints, dwell: Ints) -> Ints:
     """Return the cells of one round over the stops (S, 2) with ``dwell`` (S,) slots at each, (L, 2)."""
-    round_trip = pairwise([*stops, stops[0]])
     cells = []
-    for (here, there), slots in zip(round_trip, dwell, strict=True):
+    for (here, there), slots in zip(pairwise([*stops, stops[0]]), dwell, strict=True):
         cells += [np.tile(here, (slots, 1)), _path(here, there)[:-1]]
     return np.concatenate(cells)
 

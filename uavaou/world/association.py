@@ -29,8 +29,7 @@ def associate(in_range: Bools, snr: Floats, selected: Bools | None) -> Associati
     """
     missions, _, devices = in_range.shape
     collected_by = np.full((missions, devices), -1, dtype=np.int64)  # (N, I)
-    rejected_rate = np.zeros(missions, dtype=np.int64)  # (N,)
-    rejected_association = np.zeros(missions, dtype=np.int64)  # (N,)
+    rejected_rate, rejected_association = np.zeros((2, missions), dtype=np.int64)  # (N,) each
     candidates = in_range if selected is None else selected
     _associate(in_range, snr, candidates, collected_by, rejected_rate, rejected_association)
     return Association(collected_by, rejected_rate, rejected_association)

@@ -54,8 +54,7 @@ def best_probability(scenario: Scenario, layout: Layout) -> Floats:
     size = max(1, _BLOCK // (scenario.uavs * scenario.columns * scenario.rows))  # devices at a time
     parts = []
     for first in range(0, scenario.devices, size):
-        some = slice(first, first + size)
-        few = Layout(**{name: values[some] for name, values in vars(layout).items()})
+        few = Layout(**{name: values[first : first + size] for name, values in vars(layout).items()})
         parts.append(coverage_probability(scenario, few).max(axis=(0, 1, 2)))
     return np.concatenate(parts)
 

@@ -21,19 +21,17 @@ class Flight:
 
     def __init__(self, scenario: Scenario) -> None:
         self._last_cell: Ints = np.array([scenario.columns - 1, scenario.rows - 1])  # (2,)
-        self._slots = scenario.slots
-        self._speed = scenario.speed_m_s
-        self._step = scenario.grid_step_m
+        self._scenario = scenario
         self._vertical = 2 * scenario.altitudes  # (U,) m, take-off and landing
         self.cds: Ints = scenario.cds_cells  # (U, 2)
-        affordable = (scenario.flight_time_budget_s + ZETA_TOLERANCE_S) * self._speed - self._vertical
-        moves = np.minimum(np.floor(affordable / self._step), _UNLIMITED).astype(np.int64)
+        affordable = (scenario.flight_time_budget_s + ZETA_TOLERANCE_S) * scenario.speed_m_s - self._vertical
+        moves = np.minimum(np.floor(affordable / scenario.grid_step_m), _UNLIMITED).astype(np.int64)
         # Without (Time), the budget is the number of slots, so it never binds.
         self.budget: Ints = moves if scenario.flight_time == "enforce" else np.full_like(moves, scenario.slots)  # (U,)
 
     def flight_time(self, flown: Ints) -> Floats:
         """Return zeta_u in s after ``flown`` grid steps (..., U), with take-off and landing (eq. flighttime)."""
-        time: Floats = (self._vertical + flown * self._step) / self._speed
+        time: Floats = (self._vertical + flown * self._scenario.grid_step_m) / self._scenario.speed_m_s
         return time
 
     def allowed(self, cells: Ints, flown: Ints, slot: int) -> tuple[Bools, Bools]:
@@ -48,7 +46,7 @@ class Flight:
             Two (N, U, 5) arrays: allowed (on the grid, and by (CDS) and (Time)); on the grid.
         """
         allowed, on_grid = np.empty((2, *cells.shape[:2], len(STEP_OF_MOVE)), dtype=np.bool_)  # (N, U, 5) each
-        _allowed(cells, flown, slot, self._slots, self._last_cell, self.cds, self.budget, allowed, on_grid)
+        _allowed(cells, flown, slot, self._scenario.slots, self._last_cell, self.cds, self.budget, allowed, on_grid)
         return allowed, on_grid
 
     def resolve(self, moves: Ints, cells: Ints, allowed: Bools, on_grid: Bools) -> Ints:

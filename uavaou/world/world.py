@@ -321,12 +321,8 @@ class World:
 
 @compiled
 def _record_collections(collected_by: Ints, slot: int, last_collection: Ints, last_collection_by: Ints) -> None:
-    missions, uavs, devices = last_collection_by.shape
+    missions, devices = collected_by.shape
     for n in range(missions):
         for i in range(devices):
             if collected_by[n, i] >= 0:
-                last_collection[n, i] = slot
-        for u in range(uavs):
-            for i in range(devices):
-                if collected_by[n, i] == u:
-                    last_collection_by[n, u, i] = slot
+                last_collection[n, i] = last_collection_by[n, collected_by[n, i], i] = slot
