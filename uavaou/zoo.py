@@ -42,7 +42,8 @@ def zoo_or_file(kind: str, source: str | Path) -> Path:
     singular = "study" if kind == "studies" else kind.removesuffix("s")
     if name in names:
         return zoo_path(kind, name)
-    if isinstance(source, str) and not name.endswith((".yaml", ".yml")) and "/" not in name:
+    looks_like_file = name.endswith((".yaml", ".yml")) or "/" in name
+    if isinstance(source, str) and (not looks_like_file or os.path.isdir(name)):
         known = f"{', '.join(names)}; or a path ending in .yaml"
         raise InputError(f"unknown {singular} '{name[:40]}'{nearest(name, names)} ({kind}: {known})")
     if not os.path.lexists(name):

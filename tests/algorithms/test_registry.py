@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch as th
+import yaml
 from safetensors.torch import load_file
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import VecNormalize
@@ -291,3 +292,10 @@ def test_local_rows_are_the_first_columns_at_the_end_of_a_mission_too() -> None:
 def test_help_names_every_algorithm(capsys: pytest.CaptureFixture[str]) -> None:
     _, out, _ = call(capsys, "train --help")
     assert all(name in out for name in registry._ALGORITHMS)
+
+
+@pytest.mark.parametrize("name", ["mappo", "ippo", "vdn", "qmix"])
+def test_fields_keep_the_order_of_the_committed_configurations(name: str) -> None:
+    path = Path(__file__).resolve().parents[2] / f"results/studies/paper/configs/paper/{name}/seed-0.yaml"
+    committed = yaml.safe_load(path.read_text())["algorithm"]
+    assert list(RunConfig.load(name).algorithm.model_dump()) == list(committed)

@@ -121,3 +121,8 @@ def test_changes_are_part_of_the_name() -> None:
     assert name_with("fading", {}) == "fading"
     assert name_with("fading", {"scenario": "tiny", "area_x_m": "1/2"}) == "fading+area_x_m=1%2F2,scenario=tiny"
     assert len(name_with("fading", {"cds_m": "[" * 300})) < 200
+
+
+def test_a_folder_is_no_suite_and_the_names_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="unknown suite .*suites: devices, fading"):
+        Suite.load(str(tmp_path))

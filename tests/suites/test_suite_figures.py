@@ -101,6 +101,13 @@ def test_malformed_tables_name_the_place(tmp_path: Path, old: str, new: str, wor
         read_suite(tmp_path / "s.csv")
 
 
+def test_a_table_from_before_the_newer_columns_is_read(tmp_path: Path) -> None:
+    head = "suite,point,x,policy,trained,seed,missions,mean_aou_slots,low,high,axis,scale\n"
+    (tmp_path / "s.csv").write_text(head + "s,1,1,mappo,trained,0,9,7,6,8,x,linear\n")
+    (row,) = read_suite(tmp_path / "s.csv").rows
+    assert (row.training_slots, row.joined, row.aou) == (None, True, (7, 6, 8))
+
+
 def test_suites_in_a_run_folder_do_not_change_its_figures(capsys: pytest.CaptureFixture[str], place: Path) -> None:
     from uavaou.reports.figures import read_runs
 

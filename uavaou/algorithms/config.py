@@ -48,17 +48,17 @@ class AlgorithmConfig(BaseModel):
 
 
 class LearnerConfig(AlgorithmConfig):
-    """What MAPPO, IPPO, VDN, QMIX and IQL share: network, masks, learning rate."""
+    """What MAPPO, IPPO, VDN, QMIX and IQL share: network and masks.
+
+    Fields that are not first in every algorithm's file are declared by each algorithm: the order of declaration is
+    the order in ``config.yaml``.
+    """
 
     adam: ClassVar[dict[str, Any]] = {"fused": True}  # options of the optimizer
     hidden: HiddenSizes  # units of each hidden layer; MAPPO: of actor and critic alike
     activation: Literal["relu", "tanh"]
     masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
     selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit or advantage of selecting a device in range
-    learning_rate: Positive
-    final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
-    gamma: Fraction
-    max_gradient_norm: Positive
 
     def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
         """The learner on ``env``."""
@@ -67,9 +67,8 @@ class LearnerConfig(AlgorithmConfig):
 
         learners: dict[str, Any] = {"mappo": MAPPO, "ippo": IPPO, "vdn": VDN, "qmix": QMIX, "iql": IQL}
         learner: BaseAlgorithm = learners[self.name](
-            env=env, seed=seed, device=device, learning_rate=self._learning_rate_at, gamma=self.gamma,
-            max_grad_norm=self.max_gradient_norm, policy_kwargs=self._policy_arguments(), **self._learner_arguments(),
-        )  # fmt: skip
+            env=env, seed=seed, device=device, policy_kwargs=self._policy_arguments(), **self._learner_arguments()
+        )
         return learner
 
     def _learner_arguments(self) -> dict[str, Any]:
@@ -84,11 +83,6 @@ class LearnerConfig(AlgorithmConfig):
             "optimizer_kwargs": self.adam,
         }
 
-    def _learning_rate_at(self, progress_remaining: float) -> float:
-        # The last rollout may exceed the budget: SB3 then calls with less than nothing remaining.
-        left = max(progress_remaining, 0.0)
-        return self.learning_rate * (self.final_learning_rate + (1 - self.final_learning_rate) * left)
-
 
 class MappoConfig(LearnerConfig):
     """MAPPO and IPPO; the fields are the arguments of :class:`uavaou.MAPPO` and its policy."""
@@ -98,15 +92,22 @@ class MappoConfig(LearnerConfig):
     rollout_slots: Annotated[PositiveWhole, Field(le=1_000_000)]  # slots a mission between updates
     batch_rows: PositiveWhole  # agent steps in a minibatch
     epochs: Annotated[PositiveWhole, Field(le=1000)]
+    learning_rate: Positive
+    final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
     critic_learning_rate: Positive  # as a multiple of learning_rate
+    gamma: Fraction
     gae_lambda: Fraction
     clip_range: Positive
     entropy: NonNegative
     value_loss: NonNegative
+    max_gradient_norm: Positive
     advantage_normalization: Literal["none", "rollout", "batch"]
 
     def _learner_arguments(self) -> dict[str, Any]:
         return {
+            "learning_rate": _linear_schedule(self.learning_rate, self.final_learning_rate),
+            "gamma": self.gamma,
+            "max_grad_norm": self.max_gradient_norm,
             "n_steps": self.rollout_slots,
             "batch_size": self.batch_rows,
             "n_epochs": self.epochs,
@@ -130,9 +131,13 @@ class JointQConfig(LearnerConfig):
     target_update: PositiveWhole  # gradient steps between updates of the target networks
     target_fraction: Annotated[Fraction, Field(gt=0)]  # Polyak step of such an update; 1 copies
     n_step: Annotated[PositiveWhole, Field(le=1000)]  # slots of reward before the bootstrap
+    learning_rate: Positive
+    final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
+    gamma: Fraction
     epsilon_start: Fraction
     epsilon_end: Fraction
     epsilon_fraction: Annotated[Fraction, Field(gt=0)]  # of the budget, over which epsilon falls linearly
+    max_gradient_norm: Positive
 
     @model_validator(mode="after")
     def _updates_fit_missions(self) -> Self:
@@ -147,6 +152,9 @@ class JointQConfig(LearnerConfig):
 
     def _learner_arguments(self) -> dict[str, Any]:
         return {
+            "learning_rate": _linear_schedule(self.learning_rate, self.final_learning_rate),
+            "gamma": self.gamma,
+            "max_grad_norm": self.max_gradient_norm,
             "buffer_size": self.replay_slots,
             "learning_starts": self.learning_starts,
             "batch_size": self.batch_slots,
@@ -169,4 +177,17 @@ class QmixConfig(JointQConfig):
     hypernet_width: Annotated[PositiveWhole, Field(le=4096)]
 
     def _policy_arguments(self) -> dict[str, Any]:
+<<<<<<< HEAD
         return super()._policy_arguments() | {"mixer_width": self.mixer_width, "hypernet_width": self.hypernet_width}
+=======
+        sizes = {"mixer_width": self.mixer_width, "hypernet_width": self.hypernet_width}
+        return super()._policy_arguments() | sizes
+
+
+def _linear_schedule(start: float, final_fraction: float) -> Callable[[float], float]:
+    def learning_rate(progress_remaining: float) -> float:
+        # The last rollout may exceed the budget: SB3 then calls with less than nothing remaining.
+        return start * (final_fraction + (1 - final_fraction) * max(progress_remaining, 0.0))
+
+    return learning_rate
+>>>>>>> 7a5e6e3 (config.yaml keeps the order of its fields; suite tables without the newer columns are read; a study's folder given as its name gets the names)

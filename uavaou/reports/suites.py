@@ -18,8 +18,7 @@ from uavaou.statistics import Interval, interval_over_trainings
 from uavaou.suites.assignment import budget_lines
 
 _COLUMNS = (
-    "suite", "point", "x", "policy", "trained", "seed", "training_slots", "mean_aou_slots", "low", "high", "axis",
-    "scale", "joined",
+    "suite", "point", "x", "policy", "trained", "seed", "mean_aou_slots", "low", "high", "axis", "scale",
 )  # fmt: skip
 _ALLOWED = {
     "scale": ("linear", "log", "category"),
@@ -41,7 +40,7 @@ class SuiteRow:
     policy: str
     how: str
     aou: Interval  # slots, over missions; low and high are nan for one mission
-    training_slots: int | None = None  # None for a planner
+    training_slots: int | None = None  # None for a planner, and where the table does not say
     joined: bool = True  # whether a line leads to the point
 
 
@@ -68,7 +67,7 @@ def read_suite(path: Path) -> SuiteTable:
     Raises:
         InputError: it cannot be read, or a column is missing or malformed; the message names the line.
     """
-    table = read_csv(path, _COLUMNS)
+    table = read_csv(path, _COLUMNS).filled("training_slots", "").filled("joined", "yes")  # older tables lack both
     if not len(table):
         raise InputError(f"{path}: holds no row: nothing was played")
     for column in ("suite", "axis", "scale"):
