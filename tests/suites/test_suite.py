@@ -124,5 +124,5 @@ def test_changes_are_part_of_the_name() -> None:
 
 
 def test_a_folder_is_no_suite_and_the_names_are_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="unknown suite .*suites: devices, fading"):
+    with pytest.raises(InputError, match=r"unknown suite .*suites: devices, fading"):
         Suite.load(str(tmp_path))

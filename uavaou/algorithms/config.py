@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
@@ -177,11 +178,7 @@ class QmixConfig(JointQConfig):
     hypernet_width: Annotated[PositiveWhole, Field(le=4096)]
 
     def _policy_arguments(self) -> dict[str, Any]:
-<<<<<<< HEAD
         return super()._policy_arguments() | {"mixer_width": self.mixer_width, "hypernet_width": self.hypernet_width}
-=======
-        sizes = {"mixer_width": self.mixer_width, "hypernet_width": self.hypernet_width}
-        return super()._policy_arguments() | sizes
 
 
 def _linear_schedule(start: float, final_fraction: float) -> Callable[[float], float]:
@@ -190,4 +187,3 @@ def _linear_schedule(start: float, final_fraction: float) -> Callable[[float], f
         return start * (final_fraction + (1 - final_fraction) * max(progress_remaining, 0.0))
 
     return learning_rate
->>>>>>> 7a5e6e3 (config.yaml keeps the order of its fields; suite tables without the newer columns are read; a study's folder given as its name gets the names)
