@@ -176,6 +176,11 @@ class Channel:
         _mean_snr(positions, self._device_x, self._device_y, self._altitude_squared, self._snr_at_1_m, snr)
         return snr
 
+    def mean_snr_above(self) -> Floats:
+        """Return the SNR without fading of each UAV right above each device, (L, U, I)."""
+        above: Floats = self._snr_at_1_m[:, None, :] / self._altitude_squared[:, None]
+        return above
+
     def snr(self, positions: Floats, slot: int, all_pairs: bool = True) -> Floats:
         """Return the SNR Gamma_iu in a slot, for UAVs at ``positions`` (N, U, 2) m; (N, U, I).
 

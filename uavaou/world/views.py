@@ -1,11 +1,14 @@
 """Observations: the local ones of the UAVs, with their masks, and the global state of the critic.
 
 The row of a learner is ``[local | global]``. :class:`RowLayout` names the columns of both parts. So a policy finds its
-masks in its own observation.
+masks in its own observation. The rows of :class:`Views` have a size that belongs to a fleet and its devices;
+:mod:`uavaou.world.entities` has rows of tokens, which fit any.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,21 +24,38 @@ from uavaou.world.world import World
 
 Observation = Literal["location", "local", "shared"]
 Collection = Literal["select", "auto"]
+RowFormat = Literal["flat", "entities"]
 OBSERVATIONS: tuple[Observation, ...] = ("location", "local", "shared")
 COLLECTIONS: tuple[Collection, ...] = ("select", "auto")
+ROW_FORMATS: tuple[RowFormat, ...] = ("flat", "entities")
 
 Rows = NDArray[np.float32]
 MOVES = len(STEP_OF_MOVE)
-_RECENT_SLOTS = 20.0  # the scaled waiting time has its best resolution around this many slots
+RECENT_SLOTS = 20.0  # the scaled waiting time has its best resolution around this many slots
+
+# The features of the tokens in a local observation of entities; distances in grid steps, times in slots, scaled.
+OWN = (
+    "present", "home_x", "home_y", "slots_left", "slots_to_spare", "altitude", "devices", "uavs",
+)  # fmt: skip
+TEAMMATE = (
+    "present", "x", "y", "distance", "altitude", "home_x", "home_y",
+)  # fmt: skip
+DEVICE = (
+    "present", "x", "y", "distance", "steps_to_coverage", "coverage_radius", "in_range", "update_period",
+    "since_own_collection", "age", "since_collection", "steps_of_nearest_other", "lead_of_nearest_other",
+    "age_over_steps", "own_part",
+)  # fmt: skip
+_LOCAL_TOKENS = {"own": OWN, "teammates": TEAMMATE, "devices": DEVICE}
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Consecutive columns of a row, with a name."""
+    """Consecutive columns of a row, with a name: one token after the other, ``width`` features each."""
 
     name: str
     start: int
     stop: int
+    width: int = 1
 
     @property
     def slice(self) -> slice:
@@ -45,13 +65,17 @@ class Columns:
 
 @dataclass(frozen=True)
 class RowLayout:
-    """The named columns of a row; the global part begins at ``local_size``."""
+    """The named columns of a row; the global part begins at ``local_size``.
+
+    For rows of entities, ``uavs`` and ``devices`` are the most that a row holds.
+    """
 
     uavs: int
     devices: int
     collection: str
     local: tuple[Columns, ...]
     state: tuple[Columns, ...]
+    rows: RowFormat = "flat"
 
     @property
     def local_size(self) -> int:
@@ -68,25 +92,87 @@ class RowLayout:
         """Whether an action has a selection of devices beside the move."""
         return self.collection == "select"
 
+    @property
+    def present_column(self) -> int | None:
+        """The column of a row that is 1 for a UAV that is there and 0 in padding; None for flat rows."""
+        return self.local[0].start if self.rows == "entities" else None
+
     def fits(self, other: RowLayout, depends_on_sizes: bool = True) -> bool:
         """Whether a policy for these rows can read ``other``: the same columns, in number or in meaning alone."""
         if depends_on_sizes:
             return self == other
-        names = [[columns.name for columns in (*layout.local, *layout.state)] for layout in (self, other)]
-        return names[0] == names[1] and self.collection == other.collection
+        kinds = [[(columns.name, columns.width) for columns in (*of.local, *of.state)] for of in (self, other)]
+        return kinds[0] == kinds[1] and (self.collection, self.rows) == (other.collection, other.rows)
 
     def local_columns(self, name: str) -> slice | None:
         """Return the columns of a local feature, or None if the observation lacks it."""
         return next((columns.slice for columns in self.local if columns.name == name), None)
 
+    def token_feature(self, name: str, feature: str) -> slice:
+        """Return the columns of one feature of all tokens of a kind, such as ``in_range`` of ``devices``.
 
-def _columns(*sizes: tuple[str, int]) -> tuple[Columns, ...]:
-    ends = np.cumsum([size for _, size in sizes])
-    return tuple(Columns(name, int(end) - size, int(end)) for (name, size), end in zip(sizes, ends, strict=True))
+        Raises:
+            KeyError: the layout has no such tokens, or they have no such feature.
+        """
+        tokens = next((columns for columns in self.local if columns.name == name), None)
+        if tokens is None or self.rows == "flat" or feature not in _LOCAL_TOKENS[name]:
+            raise KeyError(f"{name}.{feature}")
+        return slice(tokens.start + _LOCAL_TOKENS[name].index(feature), tokens.stop, tokens.width)
 
 
-class Views:
-    """Write local observations and global states of a World, scaled to the order of 1, as float32.
+def consecutive(*sizes: tuple[str, int, int]) -> tuple[Columns, ...]:
+    """Return columns that follow each other, from a name, a number of tokens and the width of one for each."""
+    ends = [0, *np.cumsum([count * width for _, count, width in sizes]).tolist()]
+    return tuple(Columns(name, ends[j], ends[j + 1], width) for j, (name, _, width) in enumerate(sizes))
+
+
+class RowViews(ABC):
+    """Writes local observations and global states of a World, scaled to the order of 1, as float32.
+
+    Args:
+        scenario: the scenario of the Worlds.
+        observation: one of ``known``.
+        collection: ``select`` (the agent chooses devices) or ``auto`` (it collects every device in range).
+        known: the observations in this format.
+    """
+
+    layout: RowLayout
+
+    def __init__(self, scenario: Scenario, observation: str, collection: str, known: Sequence[str]) -> None:
+        if observation not in known:
+            raise unknown("observation", observation, known)
+        if collection not in COLLECTIONS:
+            raise unknown("collection", collection, COLLECTIONS)
+        self.scenario = scenario
+        self.observation = observation
+        self.collection = collection
+        slots = np.arange(scenario.slots + 1)
+        self._waiting: Rows = (slots / (slots + RECENT_SLOTS)).astype(np.float32)  # (K+1,) 0 for now, towards 1
+
+    @abstractmethod
+    def local(self, world: World, out: Rows | None = None) -> Rows:
+        """Return the local observations, (N, U, local), or write them into the first columns of ``out``."""
+
+    @abstractmethod
+    def state(self, world: World) -> Rows:
+        """Return the global state, (N, global)."""
+
+    def rows(self, world: World) -> Rows:
+        """Return the rows ``[local | global]`` of all UAVs, mission-major, (N * U, local + global)."""
+        layout, uavs = self.layout, self.scenario.uavs
+        rows = self._new(world.missions, layout.uavs, layout.local_size + layout.global_size)
+        self.local(world, rows)
+        rows[:, :uavs, layout.local_size :] = self.state(world)[:, None, :]
+        return rows.reshape(world.missions * layout.uavs, -1)
+
+    def _new(self, *shape: int) -> Rows:
+        """Return memory to write to."""
+        memory: Rows = np.empty(shape, dtype=np.float32)
+        return memory
+
+
+class Views(RowViews):
+    """Views of a fixed size, float32.
 
     Args:
         scenario: the scenario of the Worlds.
@@ -97,13 +183,7 @@ class Views:
     """
 
     def __init__(self, scenario: Scenario, observation: str = "local", collection: str = "select") -> None:
-        if observation not in OBSERVATIONS:
-            raise unknown("observation", observation, OBSERVATIONS)
-        if collection not in COLLECTIONS:
-            raise unknown("collection", collection, COLLECTIONS)
-        self.scenario = scenario
-        self.observation = observation
-        self.collection = collection
+        super().__init__(scenario, observation, collection, OBSERVATIONS)
         uavs, devices = scenario.uavs, scenario.devices
         local = [("position", 2), ("uav_id", uavs)]
         if observation != "location":
@@ -114,29 +194,20 @@ class Views:
             local += [("other_positions", 2 * (uavs - 1)), ("age_sum", devices)]
         state = [("positions", 2 * uavs), ("slots_left", 1)]
         state += [(name, devices) for name in ("age_sum", "pending", "since_collection")]
-        self.layout = RowLayout(uavs, devices, collection, _columns(*local), _columns(*state))
+        columns, of_state = (consecutive(*((name, size, 1) for name, size in part)) for part in (local, state))
+        self.layout = RowLayout(uavs, devices, collection, columns, of_state)
         self._area = np.array([scenario.area_x_m, scenario.area_y_m])  # (2,) m
         self._span = max(scenario.area_x_m, scenario.area_y_m)  # m
         period = scenario.update_period_slots
         self._longest_period = float(period.high if isinstance(period, WholeRange) else np.max(period))  # slots
-        slots = np.arange(scenario.slots + 1)
-        self._waiting: Rows = (slots / (slots + _RECENT_SLOTS)).astype(np.float32)  # (K+1,) 0 for now, towards 1
         self._ids: Rows = np.eye(uavs, dtype=np.float32)  # (U, U)
         self._others = np.array([[v for v in range(uavs) if v != u] for u in range(uavs)], dtype=np.int64)  # (U, U-1)
-
-    def rows(self, world: World) -> Rows:
-        """Return the rows ``[local | global]`` of all UAVs, mission-major, (N * U, local + global)."""
-        layout, uavs = self.layout, self.scenario.uavs
-        rows: Rows = np.empty((world.missions, uavs, layout.local_size + layout.global_size), dtype=np.float32)
-        self.local(world, rows)
-        rows[:, :, layout.local_size :] = self.state(world)[:, None, :]
-        return rows.reshape(world.missions * uavs, -1)
 
     def local(self, world: World, out: Rows | None = None) -> Rows:
         """Return the local observations, (N, U, local), or write them into the first columns of ``out``."""
         uavs = self.scenario.uavs
         if out is None:
-            out = np.empty((world.missions, uavs, self.layout.local_size), dtype=np.float32)
+            out = self._new(world.missions, uavs, self.layout.local_size)
         at = {columns.name: out[:, :, columns.slice] for columns in self.layout.local}
         at["position"][...] = world.positions / self._area
         at["uav_id"][...] = self._ids
@@ -160,7 +231,7 @@ class Views:
 
     def state(self, world: World) -> Rows:
         """Return the global state, (N, global): positions, slots left, and age sum, pending updates, wait by device."""
-        out: Rows = np.empty((world.missions, self.layout.global_size), dtype=np.float32)
+        out = self._new(world.missions, self.layout.global_size)
         at = {columns.name: out[:, columns.slice] for columns in self.layout.state}
         at["positions"][...] = (world.positions / self._area).reshape(world.missions, -1)
         at["slots_left"][...] = self._slots_left(world)
@@ -175,7 +246,7 @@ class Views:
 
     def _age_sum(self, world: World) -> Floats:
         # An age sum grows with the square of the waiting time; its root is linear.
-        scaled: Floats = np.sqrt(world.ages.age_slots) / _RECENT_SLOTS
+        scaled: Floats = np.sqrt(world.ages.age_slots) / RECENT_SLOTS
         return scaled
 
 

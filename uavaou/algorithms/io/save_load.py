@@ -101,6 +101,8 @@ class LearnerHeader(BaseModel):
             ends = [0, *(columns.stop for columns in part)]
             if not part or [columns.start for columns in part] != ends[:-1] or ends != sorted(ends):
                 raise ValueError("layout: expected runs of columns that follow each other")
+            if any(columns.width < 1 or (columns.stop - columns.start) % columns.width for columns in part):
+                raise ValueError("layout: expected columns of whole tokens")
         uavs, most = self.layout.uavs, 65_536 * self.layout.uavs
         if not 1 <= uavs <= self.rows <= most or self.rows % uavs:
             raise ValueError(f"rows = {self.rows}: expected a multiple of uavs = {uavs} up to {most}")

@@ -1,0 +1,327 @@
+"""Rows of entities: what a UAV sees as tokens of itself, its teammates and the devices, in units that no map changes.
+
+A network over sets reads such rows of any number of UAVs and devices. Distances are in grid steps and times in slots;
+no token holds an id. Tokens of a kind follow each other. The first feature of each is 1, and a token of padding is all
+zero. :mod:`uavaou.world.views` names the features of the local observation and has the other format.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uavaou.arrays import Bools, Floats, Ints
+from uavaou.errors import InputError, unknown
+from uavaou.scenario import Scenario
+from uavaou.world.compiled import compiled
+from uavaou.world.flight import STAY
+from uavaou.world.partition import partition
+from uavaou.world.views import (
+    DEVICE,
+    MOVES,
+    OWN,
+    RECENT_SLOTS,
+    ROW_FORMATS,
+    TEAMMATE,
+    RowLayout,
+    Rows,
+    RowViews,
+    Views,
+    consecutive,
+)
+from uavaou.world.world import World
+
+ENTITY_OBSERVATIONS = ("local", "shared")
+# The features of the tokens in the global state; positions are seen from the middle of the devices.
+STATE_MISSION = ("slots_left", "devices", "uavs", "cells")
+STATE_UAV = ("present", "x", "y", "home_x", "home_y", "slots_to_spare", "altitude")
+STATE_DEVICE = (
+    "present", "x", "y", "coverage_radius", "update_period", "age", "pending", "since_collection",
+    "steps_of_nearest", "steps_of_second_nearest", "in_range", "age_over_steps",
+)  # fmt: skip
+
+_TEAMMATE, _DEVICE, _STATE_UAV, _STATE_DEVICE = len(TEAMMATE), len(DEVICE), len(STATE_UAV), len(STATE_DEVICE)
+_STEPS = 5.0  # grid steps that become 1
+_FAR = 20.0  # grid steps from which another UAV is as good as absent
+_LEFT_SLOTS = 100.0  # the slots left have their best resolution around this many
+_AGE = RECENT_SLOTS  # the root of an age sum in slots that becomes 1
+
+
+def make_views(
+    scenario: Scenario,
+    observation: str = "local",
+    collection: str = "select",
+    rows: str = "flat",
+    most: tuple[int, int] | None = None,
+) -> RowViews:
+    """Make the views of a scenario in one of the two formats.
+
+    Args:
+        scenario: the scenario of the Worlds.
+        observation: ``location`` (flat rows alone), ``local`` or ``shared``.
+        collection: ``select`` or ``auto``.
+        rows: ``flat`` or ``entities``.
+        most: UAVs and devices that a row of entities holds; None for those of the scenario.
+
+    Raises:
+        InputError: an argument has none of these values.
+    """
+    if rows not in ROW_FORMATS:
+        raise unknown("rows", rows, ROW_FORMATS)
+    if rows == "entities":
+        return EntityViews(scenario, observation, collection, most)
+    return Views(scenario, observation, collection)
+
+
+class EntityViews(RowViews):
+    """Views of tokens, float32.
+
+    Args:
+        scenario: the scenario of the Worlds.
+        observation: ``local`` (what a UAV measures, or is told before take-off) or ``shared`` (also the positions of
+            the other UAVs and the true age sum of every device).
+        collection: ``select`` (the agent chooses devices) or ``auto`` (it collects every device in range).
+        most: UAVs and devices that a row holds, for rows of several scenarios side by side; the rest is padding. A UAV
+            of padding may stay, its row is zero otherwise.
+
+    Raises:
+        InputError: an argument has none of these values, or ``most`` is less than the scenario has.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        observation: str = "local",
+        collection: str = "select",
+        most: tuple[int, int] | None = None,
+    ) -> None:
+        super().__init__(scenario, observation, collection, ENTITY_OBSERVATIONS)
+        own = (scenario.uavs, scenario.devices)
+        uavs, devices = most or own
+        if uavs < own[0] or devices < own[1]:
+            raise InputError(f"most = {(uavs, devices)}: the scenario has {own[0]} UAVs and {own[1]} devices")
+        local = consecutive(
+            ("own", 1, len(OWN)), ("allowed_moves", MOVES, 1), ("teammates", uavs - 1, _TEAMMATE),
+            ("devices", devices, _DEVICE),
+        )  # fmt: skip
+        state = consecutive(
+            ("mission", 1, len(STATE_MISSION)), ("uavs", uavs, _STATE_UAV), ("devices", devices, _STATE_DEVICE)
+        )
+        self.layout = RowLayout(uavs, devices, collection, local, state, "entities")
+        self._pads = (uavs, devices) != own
+        cells = scenario.columns * scenario.rows
+        self._sizes = np.log([own[1] / 25, own[0] / 3, cells / 121]).astype(np.float32)  # (3,) those of the paper are 0
+        self._placed: Floats | None = None  # the positions of the devices that the arrays below are of
+        self._devices: Floats = np.empty(0)  # (L, I, 2) grid steps
+        self._radius: Floats = np.empty(0)  # (L, U, I) grid steps
+        self._part: Ints = np.empty(0, dtype=np.int64)  # (L, I) the UAV whose part of the map a device belongs to
+
+    def local(self, world: World, out: Rows | None = None) -> Rows:
+        """Return the local observations, (N, U, local), or write them into the first columns of ``out``."""
+        self._place(world)
+        layout, scenario, uavs = self.layout, self.scenario, self.scenario.uavs
+        out = self._new(world.missions, layout.uavs, layout.local_size) if out is None else out
+        at = {columns.name: out[:, :, columns.slice] for columns in layout.local}
+        at["allowed_moves"][:, :uavs] = world.allowed_moves
+        at["allowed_moves"][:, uavs:, STAY] = 1.0
+        shared, cds = self.observation == "shared", world.flight.cds
+        _write_own(world.cells, cds, self._spare(world), scenario.altitudes, self._mission(world), at["own"])
+        _write_teammates(world.cells, cds, scenario.altitudes, shared, at["teammates"])
+        _write_devices(
+            self._devices, world.cells, cds, self._radius, self._part, world.in_range, world.update_period, world.slot,
+            world.last_collection_by, world.last_collection, world.ages.age_slots, self._waiting, shared,
+            at["devices"],
+        )  # fmt: skip
+        return out
+
+    def state(self, world: World) -> Rows:
+        """Return the global state, (N, global): the mission, and a token for each UAV and each device."""
+        self._place(world)
+        out = self._new(world.missions, self.layout.global_size)
+        at = {columns.name: out[:, columns.slice] for columns in self.layout.state}
+        at["mission"][...] = self._mission(world)
+        middle = self._devices.mean(axis=1)  # (L, 2) grid steps
+        _write_uavs(world.cells, world.flight.cds, self._spare(world), self.scenario.altitudes, middle, at["uavs"])
+        _write_state(
+            self._devices, middle, world.cells, self._radius, world.in_range, world.update_period, world.slot,
+            world.last_collection, world.pending, world.ages.age_slots, self._waiting, at["devices"],
+        )  # fmt: skip
+        return out
+
+    def _new(self, *shape: int) -> Rows:
+        return np.zeros(shape, dtype=np.float32) if self._pads else super()._new(*shape)
+
+    def _mission(self, world: World) -> Rows:
+        """Slots left and the sizes of the mission, (4,)."""
+        left = self.scenario.slots + 1 - world.slot
+        return np.array([left / (left + _LEFT_SLOTS), *self._sizes], dtype=np.float32)
+
+    def _spare(self, world: World) -> Ints:
+        """Grid steps that each UAV can fly beside its way home, (N, U): what slots and flight time leave."""
+        home = np.abs(world.flight.cds - world.cells).sum(axis=-1)  # (N, U)
+        left = np.minimum(self.scenario.slots - world.slot, world.flight.budget - world.flown)
+        spare: Ints = np.maximum(left - home, 0)
+        return spare
+
+    def _place(self, world: World) -> None:
+        """Compute what depends on the map alone, once for each."""
+        if self._placed is world.device_positions:
+            return
+        self._placed = world.device_positions
+        step = self.scenario.grid_step_m
+        self._devices = world.device_positions / step
+        headroom = world.channel.mean_snr_above() / world.channel.snr_min[:, None, :]  # (L, U, I)
+        # The radius of coverage.coverage_radius; where that is NaN, 0.
+        self._radius = self.scenario.altitudes[:, None] * np.sqrt(np.maximum(headroom - 1.0, 0.0)) / step
+        self._part = partition(self._devices, world.flight.cds.astype(np.float64), self._radius)
+
+
+@compiled
+def _write_own(cells: Ints, cds: Ints, spare: Ints, altitude: Floats, mission: Rows, own: Rows) -> None:
+    """Write (N, U, features): what each UAV knows of itself."""
+    for n in range(len(cells)):
+        for u in range(cells.shape[1]):
+            token = own[n, u]
+            token[0] = 1.0
+            token[1] = (cds[u, 0] - cells[n, u, 0]) / _STEPS
+            token[2] = (cds[u, 1] - cells[n, u, 1]) / _STEPS
+            token[3] = mission[0]
+            token[4] = min(float(spare[n, u]), 2 * _FAR) / _FAR
+            token[5] = altitude[u] / 100.0
+            token[6] = mission[1]
+            token[7] = mission[2]
+
+
+@compiled
+def _write_teammates(cells: Ints, cds: Ints, altitude: Floats, shared: bool, tokens: Rows) -> None:
+    """Write (N, U, (U - 1) * features): where the others are, if that is shared, and where their CDSs are."""
+    uavs = cells.shape[1]
+    for n in range(len(cells)):
+        for u in range(uavs):
+            at = 0
+            for v in range(uavs):
+                if v == u:
+                    continue
+                token = tokens[n, u, at : at + _TEAMMATE]
+                at += _TEAMMATE
+                x = float(cells[n, v, 0] - cells[n, u, 0]) if shared else 0.0
+                y = float(cells[n, v, 1] - cells[n, u, 1]) if shared else 0.0
+                token[0] = 1.0
+                token[1] = x / _STEPS
+                token[2] = y / _STEPS
+                token[3] = math.sqrt(x * x + y * y) / _STEPS
+                token[4] = (altitude[v] - altitude[u]) / 20.0
+                token[5] = (cds[v, 0] - cells[n, u, 0]) / _STEPS
+                token[6] = (cds[v, 1] - cells[n, u, 1]) / _STEPS
+
+
+@compiled
+def _steps_to_coverage(device: Floats, cell: Ints, radius: float) -> float:
+    """Grid steps, as the crow flies, until a UAV at ``cell`` covers a device."""
+    x, y = device[0] - cell[0], device[1] - cell[1]
+    return max(math.sqrt(x * x + y * y) - radius, 0.0)
+
+
+@compiled
+def _own_age(slot: int, last: int, period: int) -> float:
+    """The age sum in slots, before a slot, of a device that only this UAV collects, which it did in slot ``last``.
+
+    By eq. (1): of the pending updates, generated in slots n k, each has aged slot - n k; update 0 counts from slot 1.
+    """
+    first, newest = last // period, (slot - 1) // period
+    total = (newest - first) * slot - period * (newest * (newest + 1) - first * (first + 1)) // 2
+    return float(total + (slot - 1 if last == 0 else 0))
+
+
+@compiled
+def _write_devices(
+    devices: Floats, cells: Ints, cds: Ints, radius: Floats, part: Ints, in_range: Bools, period: Ints, slot: int,
+    last_by: Ints, last: Ints, age_slots: Ints, waiting: Rows, shared: bool, tokens: Rows,
+) -> None:  # fmt: skip
+    """Write (N, U, I * features): what each UAV knows of each device."""
+    missions, uavs = cells.shape[:2]
+    steps = np.empty(uavs)  # until each UAV, seen from where the others know it to be, covers the device
+    for n in range(missions):
+        layout = min(n, len(devices) - 1)  # a common one, or one for each mission
+        for i in range(devices.shape[1]):
+            device, k = devices[layout, i], period[layout, i]
+            for v in range(uavs):
+                steps[v] = _steps_to_coverage(device, cells[n, v] if shared else cds[v], radius[layout, v, i])
+            for u in range(uavs):
+                token = tokens[n, u, _DEVICE * i : _DEVICE * (i + 1)]
+                x, y = device[0] - cells[n, u, 0], device[1] - cells[n, u, 1]
+                distance = math.sqrt(x * x + y * y)
+                away = max(distance - radius[layout, u, i], 0.0)
+                other = _FAR
+                for v in range(uavs):
+                    if v != u:
+                        other = min(other, steps[v])
+                own_last = last_by[n, u, i]
+                age = math.sqrt(float(age_slots[n, i]) if shared else _own_age(slot, own_last, k)) / _AGE
+                token[0] = 1.0
+                token[1] = x / _STEPS
+                token[2] = y / _STEPS
+                token[3] = distance / _STEPS
+                token[4] = away / _STEPS
+                token[5] = radius[layout, u, i] / 2.0
+                token[6] = in_range[n, u, i]
+                token[7] = k / 5.0
+                token[8] = waiting[min(slot - own_last, len(waiting) - 1)]
+                token[9] = age
+                token[10] = waiting[min(slot - (last[n, i] if shared else own_last), len(waiting) - 1)]
+                token[11] = other / _STEPS
+                token[12] = min(max(away - other, -2 * _STEPS), 2 * _STEPS) / _STEPS
+                token[13] = age / (1.0 + away)
+                token[14] = part[layout, i] == u
+
+
+@compiled
+def _write_uavs(cells: Ints, cds: Ints, spare: Ints, altitude: Floats, middle: Floats, tokens: Rows) -> None:
+    """Write (N, U * features): a token of the state for each UAV."""
+    for n in range(len(cells)):
+        layout = min(n, len(middle) - 1)
+        for u in range(cells.shape[1]):
+            token = tokens[n, _STATE_UAV * u : _STATE_UAV * (u + 1)]
+            token[0] = 1.0
+            token[1] = (cells[n, u, 0] - middle[layout, 0]) / _STEPS
+            token[2] = (cells[n, u, 1] - middle[layout, 1]) / _STEPS
+            token[3] = (cds[u, 0] - cells[n, u, 0]) / _STEPS
+            token[4] = (cds[u, 1] - cells[n, u, 1]) / _STEPS
+            token[5] = min(float(spare[n, u]), 2 * _FAR) / _FAR
+            token[6] = altitude[u] / 100.0
+
+
+@compiled
+def _write_state(
+    devices: Floats, middle: Floats, cells: Ints, radius: Floats, in_range: Bools, period: Ints, slot: int, last: Ints,
+    pending: Ints, age_slots: Ints, waiting: Rows, tokens: Rows,
+) -> None:  # fmt: skip
+    """Write (N, I * features): a token of the state for each device."""
+    missions, uavs = cells.shape[:2]
+    for n in range(missions):
+        layout = min(n, len(devices) - 1)
+        for i in range(devices.shape[1]):
+            nearest, second, widest, served = _FAR, _FAR, 0.0, False
+            for u in range(uavs):
+                away = _steps_to_coverage(devices[layout, i], cells[n, u], radius[layout, u, i])
+                if away < nearest:
+                    nearest, second = away, nearest
+                elif away < second:
+                    second = away
+                widest = max(widest, radius[layout, u, i])
+                served = served or in_range[n, u, i]
+            age = math.sqrt(float(age_slots[n, i])) / _AGE
+            token = tokens[n, _STATE_DEVICE * i : _STATE_DEVICE * (i + 1)]
+            token[0] = 1.0
+            token[1] = (devices[layout, i, 0] - middle[layout, 0]) / _STEPS
+            token[2] = (devices[layout, i, 1] - middle[layout, 1]) / _STEPS
+            token[3] = widest / 2.0
+            token[4] = period[layout, i] / 5.0
+            token[5] = age
+            token[6] = math.sqrt(float(pending[n, i])) / 4.0
+            token[7] = waiting[min(slot - last[n, i], len(waiting) - 1)]
+            token[8] = nearest / _STEPS
+            token[9] = second / _STEPS
+            token[10] = served
+            token[11] = age / (1.0 + nearest)
