@@ -22,6 +22,7 @@ LAYERS = (
     "csv_tables",
     "devices_csv",
     "scenario",
+    "family",
     "statistics",
     "world",
     "envs",

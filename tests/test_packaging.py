@@ -25,6 +25,8 @@ def test_a_wheel_carries_the_zoo(tmp_path: Path) -> None:
     assert tops == {"uavaou", "uavaou_cli"}
     assert (site / "uavaou" / "py.typed").is_file()
     ours = [str(ROOT), str(ROOT / "cli")]
+    kinds = {path.name for path in (ROOT / "zoo_configs").iterdir()}
+    assert kinds == {path.name for path in (site / "uavaou" / "zoo_configs").iterdir()}
     code = (
         f"import sys; sys.path[:] = [{str(site)!r}] + [p for p in sys.path if p not in {ours!r}]\n"
         "import uavaou; assert uavaou.__file__.startswith(sys.path[0]), uavaou.__file__\n"

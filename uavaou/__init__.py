@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from uavaou.envs.vec_env import LocalRows as LocalRows
     from uavaou.errors import InputError as InputError
     from uavaou.evaluation.evaluate import evaluate as evaluate
+    from uavaou.family import Family as Family
     from uavaou.runs.folder import RunConfig as RunConfig
     from uavaou.runs.policy import load_run as load_run
     from uavaou.runs.train import train as train
@@ -32,6 +33,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Scenario": "uavaou.scenario",
+    "Family": "uavaou.family",
     "World": "uavaou.world",
     "flatten": "uavaou.envs.flatten",
     "MAPPO": "uavaou.algorithms.mappo",

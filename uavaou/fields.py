@@ -44,6 +44,15 @@ Period = Annotated[Whole, Field(ge=1, le=10**6)]  # slots
 Point = tuple[Coordinate, Coordinate]
 
 
+def _fits_a_folder(value: str) -> str:
+    if not value or value.startswith(".") or any(c in value for c in "/\\\0"):
+        raise ValueError("must be usable as a folder name: not empty, no slash, no leading dot")
+    return value
+
+
+FolderName = Annotated[str, AfterValidator(_fits_a_folder)]
+
+
 def _numbers(value: Any) -> NDArray[Any]:
     try:
         array = np.asarray(value)
@@ -138,6 +147,8 @@ def _message(detail: Any) -> str:
         "tuple_type": "expected a list, such as [1, 2]",
         "list_type": "expected a list, such as [a, b]",
         "dict_type": "expected a mapping, such as {name: value}",
+        "model_type": "expected a mapping, such as {name: value}",
+        "extra_forbidden": "unknown key",
         "bool_type": "expected true or false",
         "string_type": "expected text" + (", in quotes" if isinstance(detail["input"], bool | int | float) else ""),
     }

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from uavaou.arrays import Floats, Ints
 from uavaou.devices_csv import read_devices_csv
@@ -20,6 +20,7 @@ from uavaou.errors import InfeasibleError, InputError, nearest
 from uavaou.fields import (
     DEVICE_COLUMNS,
     Decibels,
+    FolderName,
     Length,
     NonNegative,
     Number,
@@ -81,7 +82,7 @@ class Scenario(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    name: str = "custom"
+    name: FolderName = "custom"
     description: str = ""
     area_x_m: Length
     area_y_m: Length
@@ -230,13 +231,6 @@ class Scenario(BaseModel):
         return np.broadcast_to(np.asarray(spec, dtype=np.float64), (self.devices,)).copy()
 
     # -- validation ----------------------------------------------------------------------------------
-
-    @field_validator("name")
-    @classmethod
-    def _name_fits_a_folder(cls, value: str) -> str:
-        if not value or value.startswith(".") or any(c in value for c in "/\\\0"):
-            raise ValueError("must be usable as a folder name: not empty, no slash, no leading dot")
-        return value
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

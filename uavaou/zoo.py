@@ -39,7 +39,7 @@ def zoo_or_file(kind: str, source: str | Path) -> Path:
         InputError: no configuration has the name, or there is no such file.
     """
     name, names = str(source), zoo_names(kind)
-    singular = "study" if kind == "studies" else kind.removesuffix("s")
+    singular = kind.removesuffix("ies") + "y" if kind.endswith("ies") else kind.removesuffix("s")
     if name in names:
         return zoo_path(kind, name)
     looks_like_file = name.endswith((".yaml", ".yml")) or "/" in name

@@ -1,0 +1,150 @@
+"""Families of scenarios: draws depend on their number alone, lie within the bounds, and errors are one line."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uavaou import Family, InputError, Scenario
+from uavaou.family import Draw, WholeDraw
+from uavaou.zoo import zoo_names
+
+DRAWS = range(300)
+
+
+def test_a_draw_depends_on_its_number_alone() -> None:
+    one, other = Family.load("any"), Family.load("any")
+    backwards = {n: other.draw(n) for n in reversed(DRAWS)}
+    assert all(one.draw(n) == backwards[n] for n in DRAWS)
+    assert len({backwards[n].to_yaml() for n in DRAWS}) == len(DRAWS)  # the name holds the number
+
+
+def test_the_draws_stay_what_they_were() -> None:
+    """Trainings resume with the same scenarios: a change of these numbers changes every family."""
+    text = "".join(f"{Family.load('any').draw(n).to_dict()}" for n in range(20))
+    assert hashlib.sha256(text.encode()).hexdigest()[:16] == "5598b503275b2220"
+
+
+def test_a_field_more_does_not_shift_the_others() -> None:
+    family = Family.load("any")
+    more = Family.from_dict(family.to_dict() | {"rician_factor": {"among": [7]}, "slots": {"low": 50, "high": 60}})
+    same = ("uavs", "devices", "area_x_m", "cds_m", "altitudes_m", "rate_min_bit_s", "update_period_slots")
+    for n in DRAWS:
+        one, other = family.draw(n), more.draw(n)
+        assert all(getattr(one, name) == getattr(other, name) for name in same)
+
+
+@pytest.mark.parametrize("name", zoo_names("families"))
+def test_shipped_families_are_what_their_files_say(name: str) -> None:
+    family = Family.load(name)
+    assert family.name == name
+    assert family.description
+    assert Family.from_dict(family.to_dict()) == family
+    drawn = [family.draw(n) for n in DRAWS]
+    assert all(scenario.layout == "resample" for scenario in drawn)
+    for position, of in enumerate(("uavs", "devices")):
+        assert max(getattr(scenario, of) for scenario in drawn) <= family.most[position]
+
+
+def test_any_draws_widely_and_often_the_base() -> None:
+    family = Family.load("any")
+    drawn = [family.draw(n) for n in range(1000)]
+    paper = Scenario.load("paper").to_dict() | {"layout": "resample"}
+    share = np.mean([scenario.to_dict() | {"name": "paper"} == paper for scenario in drawn])
+    assert share == pytest.approx(0.35, abs=0.04)
+    for name, low, high in (
+        ("uavs", 1, 10), ("devices", 5, 120), ("area_x_m", 450, 3000), ("slots", 150, 600), ("rician_factor", 0, 30),
+        ("rate_min_bit_s", 1e5, 1.8e5), ("grid_step_m", 75, 150),
+    ):  # fmt: skip
+        values = [getattr(scenario, name) for scenario in drawn]
+        assert low <= min(values) < low * 1.1 + 10
+        assert high * 0.9 < max(values) <= high
+    assert any(len(set(scenario.cds_m)) == 1 < scenario.uavs for scenario in drawn)
+    assert any(scenario.area_x_m != scenario.area_y_m for scenario in drawn)
+    altitudes = [altitude for scenario in drawn for altitude in scenario.altitudes_m]
+    assert 70 <= min(altitudes) < 75
+    assert 105 < max(altitudes) <= 110
+
+
+def test_slots_and_steps_take_time_in_proportion() -> None:
+    family = Family.from_dict({"base": "paper", "slots": {"among": [250]}, "grid_step_m": {"among": [50]}})
+    base, drawn = family.base, family.draw(3)
+    assert drawn.slot_length_s == pytest.approx(base.slot_length_s / 2)
+    assert drawn.flight_time_budget_s == pytest.approx(base.flight_time_budget_s / 4)
+    assert (drawn.columns, drawn.rows) == (21, 21)
+
+
+@pytest.mark.parametrize("kind", ["corners", "edges", "common", "scattered"])
+def test_cdss_lie_where_they_should(kind: str) -> None:
+    family = Family.from_dict({"base": "paper", "uavs": {"among": [6]}, "cds": {kind: 1}})
+    for n in range(50):
+        scenario = family.draw(n)
+        cells = scenario.cds_cells  # (U, 2)
+        at_end = (cells == 0) | (cells == [scenario.columns - 1, scenario.rows - 1])
+        if kind == "corners":
+            assert at_end.all()
+            assert len({tuple(cell) for cell in cells[:4].tolist()}) == 4
+        elif kind == "edges":
+            assert at_end.any(axis=1).all()
+        elif kind == "common":
+            assert len(set(scenario.cds_m)) == 1
+
+
+def test_draws_are_uniform_or_log_uniform() -> None:
+    rng = np.random.default_rng(0)
+    values = [WholeDraw(low=1, high=4).value(rng) for _ in range(4000)]
+    np.testing.assert_allclose(np.bincount(np.array(values, int), minlength=5)[1:] / 4000, 0.25, atol=0.03)
+    logarithms = np.log([Draw(low=10, high=1000, log=True).value(rng) for _ in range(4000)])
+    assert np.mean(logarithms < np.log(100)) == pytest.approx(0.5, abs=0.03)
+    some = [Draw(among=(0, 7), weights=(3, 1)).value(rng) for _ in range(4000)]
+    assert np.mean(some) == pytest.approx(7 / 4, abs=0.15)
+
+
+def test_a_base_may_be_a_file_or_fields(tmp_path: Path) -> None:
+    own = Scenario.load("tiny").replace(name="own")
+    (tmp_path / "own.yaml").write_text(own.to_yaml())
+    (tmp_path / "few.yaml").write_text(f"base: {tmp_path / 'own.yaml'}\ndevices: {{low: 2, high: 3}}\n")
+    family = Family.load(tmp_path / "few.yaml")
+    assert (family.name, family.base, family.most) == ("few", own, (2, 4))
+    assert family.varies_in_size
+    assert not Family.load("layouts").varies_in_size
+    assert Family.load(family) is family
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"devics": {"low": 1, "high": 2}}, "unknown field 'devics'; did you mean 'devices'?"),
+        ({"uavs": {"lwo": 1, "high": 2}}, "uavs.lwo = 1: unknown key"),
+        ({"uavs": 3}, "uavs = 3: expected a mapping"),
+        ({"uavs": {"low": 3}}, "give low and high, or among"),
+        ({"uavs": {"low": 3, "high": 2}}, "low (3) must not exceed high (2)"),
+        ({"uavs": {"low": 0, "high": 2}}, "uavs.low = 0: input should be greater than or equal to 1"),
+        ({"uavs": {"among": [1, 2], "weights": [1]}}, "weights: has 1 entries, needs one for each value of among"),
+        ({"area_m": {"low": 0, "high": 9, "log": True}}, "log: needs a low above 0"),
+        ({"cds": {"corners": 0}}, "expected a weight above 0"),
+        ({"base": "papr"}, "did you mean 'paper'?"),
+        ({"base_share": 2}, "base_share = 2: input should be less than or equal to 1"),
+        ({"name": "a/b"}, "must be usable as a folder name"),
+        ({"slots": {"low": 1, "high": 5}}, "draw 3 cannot be flown: scenario 'paper': slots = 1"),
+        ({"altitudes_m": {"low": 80, "high": 80}}, "draw 0 cannot be flown: scenario 'paper': altitudes_m = [80.0"),
+        ({"altitudes_m": {"low": 4e4, "high": 5e4}}, "breaks constraint (Time)"),
+    ],
+)
+def test_errors_are_one_line(fields: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        Family.from_dict({"base": "paper"} | fields)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_names_and_numbers_are_refused() -> None:
+    with pytest.raises(InputError, match="unknown family 'anny'; did you mean 'any'"):
+        Family.load("anny")
+    for n in (-1, 1.5):
+        with pytest.raises(InputError, match="expected a whole number from 0 on"):
+            Family.load("layouts").draw(n)  # type: ignore[arg-type]

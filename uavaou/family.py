@@ -1,0 +1,266 @@
+"""A family of scenarios: a base, and what is drawn anew for each member.
+
+``zoo_configs/families/*.yaml`` and a user's own files have the fields of :class:`Family`. What a family does not name
+stays that of its base. All draws have ``layout: resample``, so that each mission has devices of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, StrictStr, model_validator
+
+from uavaou.arrays import Floats
+from uavaou.errors import InputError
+from uavaou.fields import FolderName, NonNegative, Positive, PositiveWhole, validated
+from uavaou.scenario import Range, Scenario
+from uavaou.zoo import read_yaml_mapping, zoo_or_file
+
+_TRIED = 64  # draws that are made when a family is read
+_LEAST_SPAN = 0.25  # the part of the range of altitudes that a fleet takes at least
+
+Share = Annotated[NonNegative, Field(le=1)]  # of the draws
+
+
+class Draw(BaseModel):
+    """A quantity: between two ends, ``{low: 5, high: 120, log: true}``, or one of some values, ``{among: [0, 3]}``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    low: NonNegative | None = None
+    high: NonNegative | None = None  # included
+    log: StrictBool = False  # the logarithm is uniform
+    among: Annotated[tuple[NonNegative, ...], Field(min_length=1)] | None = None
+    weights: tuple[Positive, ...] | None = None  # of the values in ``among``; None for equal ones
+    share: Share = 1.0  # the other draws keep the value of the base
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if (self.low is None) != (self.high is None) or (self.low is None) == (self.among is None):
+            raise ValueError("give low and high, or among")
+        if self.low is not None and self.high is not None and self.low > self.high:
+            raise ValueError(f"low ({self.low:.10g}) must not exceed high ({self.high:.10g})")
+        if self.log and not self.low:
+            raise ValueError("log: needs a low above 0")
+        if self.weights is not None and len(self.weights) != len(self.among or ()):
+            raise ValueError(f"weights: has {len(self.weights)} entries, needs one for each value of among")
+        return self
+
+    @property
+    def greatest(self) -> float:
+        """The largest value that is drawn."""
+        return max(self.among) if self.among is not None else float(self.high or 0)
+
+    def value(self, rng: np.random.Generator) -> float:
+        """Draw a value."""
+        unit = rng.random()
+        if self.among is not None:
+            return self.among[_chosen(self.weights or (1,) * len(self.among), unit)]
+        assert self.low is not None
+        assert self.high is not None
+        return self._between(self.low, self.high, unit)
+
+    def _between(self, low: float, high: float, unit: float) -> float:
+        value = low * (high / low) ** unit if self.log else low + (high - low) * unit
+        return float(f"{value:.6g}")  # the same on every machine, whatever the last bits of its powers
+
+
+class WholeDraw(Draw):
+    """A whole number, by the same rules."""
+
+    low: PositiveWhole | None = None
+    high: PositiveWhole | None = None
+    among: Annotated[tuple[PositiveWhole, ...], Field(min_length=1)] | None = None
+
+    def _between(self, low: float, high: float, unit: float) -> float:
+        return float(min(math.floor(super()._between(low, high + 1, unit)), high))
+
+
+class AltitudeDraw(Range):
+    """Altitudes of a fleet, evenly apart in a part of the range, in a random order."""
+
+    share: Share = 1.0  # the other fleets take the range of the base
+
+
+class CdsDraw(BaseModel):
+    """How often the CDSs lie in which way; the four numbers are weights."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    corners: NonNegative = 0.0  # in the corners, in a random order; from the fifth UAV on again
+    edges: NonNegative = 0.0  # anywhere at the edges of the area
+    common: NonNegative = 0.0  # all in one place, anywhere
+    scattered: NonNegative = 0.0  # anywhere
+
+    @model_validator(mode="after")
+    def _some(self) -> Self:
+        if not any(vars(self).values()):
+            raise ValueError("expected a weight above 0")
+        return self
+
+    def cells(self, rng: np.random.Generator, uavs: int, steps: tuple[int, int]) -> list[tuple[int, int]]:
+        """Draw the grid cell of the CDS of each UAV, on a grid of ``steps`` along x and y."""
+        kind = list(vars(self))[_chosen(tuple(vars(self).values()), rng.random())]
+        x, y = steps
+        if kind == "corners":
+            order = rng.permutation(4)
+            return [((0, x)[order[u % 4] % 2], (0, y)[order[u % 4] // 2]) for u in range(uavs)]
+        anywhere = [(int(rng.integers(x + 1)), int(rng.integers(y + 1))) for _ in range(uavs)]
+        if kind == "common":
+            return anywhere[:1] * uavs
+        if kind == "scattered":
+            return anywhere
+        sides = rng.integers(4, size=uavs)  # left, right, below, above
+        ends = (0, x, 0, y)
+        return [(ends[s], b) if s < 2 else (a, ends[s]) for s, (a, b) in zip(sides, anywhere, strict=True)]
+
+
+def _base(value: Any) -> Any:
+    if isinstance(value, str):
+        return Scenario.load(value)
+    return value
+
+
+class Family(BaseModel):
+    """A base scenario and what is drawn anew; each field that is not given stays that of the base.
+
+    :meth:`load` reads a family, :meth:`draw` makes a member.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: FolderName = "custom"
+    description: StrictStr = ""
+    base: Annotated[Scenario, BeforeValidator(_base)]  # in a file: a name or a path, or the fields
+    base_share: Share = 0.0  # of the draws: the base itself, on new layouts
+    uavs: WholeDraw | None = None
+    devices: WholeDraw | None = None
+    grid_step_m: Draw | None = None  # a slot takes as long for each step as in the base
+    area_m: Draw | None = None  # of a side, rounded to whole grid steps
+    square: Share = 1.0  # of the drawn areas have equal sides
+    cds: CdsDraw = CdsDraw(corners=1)
+    altitudes_m: AltitudeDraw | None = None
+    slots: WholeDraw | None = None  # the flight-time budget is in proportion
+    longest_update_period_slots: WholeDraw | None = None  # the periods are drawn from 1 to it
+    rate_min_bit_s: Draw | None = None
+    rician_factor: Draw | None = None
+
+    @classmethod
+    def load(cls, source: str | Path | Family) -> Family:
+        """Load a shipped family by name or a YAML file by path; return a :class:`Family` as it is.
+
+        Raises:
+            InputError: the name is unknown, the file or a value in it cannot be used, or a draw cannot be flown.
+        """
+        if isinstance(source, Family):
+            return source
+        path = zoo_or_file("families", source)
+        return cls.from_dict({"name": path.stem} | read_yaml_mapping(path), source=str(path))
+
+    @classmethod
+    def from_dict(cls, fields: dict[str, Any], source: str = "family") -> Family:
+        """Validate a mapping of field names to values.
+
+        Raises:
+            InputError: it names the field, its value and what is allowed; or the draw that cannot be flown, and why.
+        """
+        family = validated(cls, fields, source)
+        for n in range(_TRIED):
+            family.draw(n)
+        return family
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as plain values, the base in full, without those that are None."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    @property
+    def most(self) -> tuple[int, int]:
+        """The most UAVs and devices that a draw has."""
+        uavs, devices = self.uavs, self.devices
+        return (
+            max(self.base.uavs, int(uavs.greatest) if uavs else 0),
+            max(self.base.devices, int(devices.greatest) if devices else 0),
+        )
+
+    @property
+    def varies_in_size(self) -> bool:
+        """Whether the numbers of UAVs and devices differ from draw to draw."""
+        return self.uavs is not None or self.devices is not None
+
+    def draw(self, n: int) -> Scenario:
+        """Return draw ``n``, which depends on the family and on ``n`` alone.
+
+        Raises:
+            InputError: ``n`` is no whole number from 0 on, or the draw cannot be flown; the message says why.
+        """
+        if not isinstance(n, int | np.integer) or n < 0:
+            raise InputError(f"draw = {n!r}: expected a whole number from 0 on")
+        # With a spawn key of their own, these streams differ from those of mission seeds and layout seeds.
+        rng = np.random.default_rng(np.random.SeedSequence(int(n), spawn_key=(2,)))
+        changes = {} if rng.random() < self.base_share else self._changes(rng)
+        try:
+            return self.base.replace(name=f"{self.name}-{n}", layout="resample", devices_m=None, **changes)
+        except InputError as error:
+            raise type(error)(f"family '{self.name}': draw {n} cannot be flown: {error}") from None
+
+    def _changes(self, rng: np.random.Generator) -> dict[str, Any]:
+        """Draw the fields that differ from the base's; a field more in a file does not shift the others."""
+        base = self.base
+        streams = dict(zip(("fleet", "area", "cds", "altitudes", *_PLAIN), rng.spawn(4 + len(_PLAIN)), strict=True))
+        fleet = streams["fleet"]
+        uavs = int(_drawn(self.uavs, fleet, base.uavs))
+        devices = int(_drawn(self.devices, fleet, base.devices))
+        plain = {name: _drawn(getattr(self, name), streams[name], getattr(base, name, None)) for name in _PLAIN}
+        step, slots, longest = plain["grid_step_m"], plain["slots"], plain.pop("longest_update_period_slots")
+        sides = self._sides(streams["area"], step)
+        slot_length_s = base.slot_length_s * step / base.grid_step_m
+        in_proportion = slots * slot_length_s / (base.slots * base.slot_length_s)
+        return plain | {
+            "uavs": uavs,
+            "devices": devices,
+            "area_x_m": sides[0] * step,
+            "area_y_m": sides[1] * step,
+            "cds_m": [(x * step, y * step) for x, y in self.cds.cells(streams["cds"], uavs, sides)],
+            "altitudes_m": self._altitudes(streams["altitudes"], uavs),
+            "slot_length_s": slot_length_s,
+            "flight_time_budget_s": base.flight_time_budget_s * in_proportion,
+            "update_period_slots": base.update_period_slots if longest is None else {"low": 1, "high": int(longest)},
+        }
+
+    def _sides(self, rng: np.random.Generator, step: float) -> tuple[int, int]:
+        """Draw the grid steps along x and y."""
+        area, square, sides = self.area_m, rng.random() < self.square, (self.base.area_x_m, self.base.area_y_m)
+        if area is not None and rng.random() < area.share:
+            x = area.value(rng)
+            sides = (x, x if square else area.value(rng))
+        return max(round(sides[0] / step), 1), max(round(sides[1] / step), 1)
+
+    def _altitudes(self, rng: np.random.Generator, uavs: int) -> list[float]:
+        """Draw the altitude of each UAV in m, (U,)."""
+        low, high = min(self.base.altitudes_m), max(self.base.altitudes_m)
+        share, place, part = rng.random(3)
+        if self.altitudes_m is not None and share < self.altitudes_m.share:
+            drawn = self.altitudes_m
+            span = (drawn.high - drawn.low) * ((_LEAST_SPAN + (1 - _LEAST_SPAN) * part) if uavs > 1 else 0.0)
+            low = drawn.low + place * (drawn.high - drawn.low - span)
+            high = low + span
+        even: Floats = np.linspace(low, high, uavs)
+        return [float(altitude) for altitude in rng.permutation(even.round(2))]
+
+
+# Fields drawn on their own, each with a stream; new ones go to the end.
+_PLAIN = ("grid_step_m", "slots", "longest_update_period_slots", "rate_min_bit_s", "rician_factor")
+
+
+def _drawn(draw: Draw | None, rng: np.random.Generator, of_base: Any) -> Any:
+    """Draw a value, or keep the base's."""
+    return of_base if draw is None or rng.random() >= draw.share else draw.value(rng)
+
+
+def _chosen(weights: tuple[float, ...], unit: float) -> int:
+    """The index that a uniform number chooses by the weights."""
+    ends = np.cumsum(weights)
+    return min(int(np.searchsorted(ends, unit * ends[-1], side="right")), len(weights) - 1)
