@@ -12,7 +12,7 @@ from tests.documents import ROOT, blocks, code_spans
 from uavaou_cli.main import app
 
 README = ROOT / "README.md"
-COMMANDS = ("train", "eval", "gap", "plan", "plot", "study", "tune", "audit", "export", "scenarios")
+COMMANDS = ("fly", "train", "eval", "gap", "plan", "plot", "study", "tune", "audit", "export", "scenarios")
 
 
 @pytest.fixture

@@ -12,7 +12,17 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou_cli.options import Changes, Episodes, Quiet, Seed, choice, given_path, option, seconds, writable_file
+from uavaou_cli.options import (
+    RUNS,
+    Changes,
+    Episodes,
+    Quiet,
+    Seed,
+    choice,
+    option,
+    seconds,
+    writable_file,
+)
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import EvaluationDisplay
 from uavaou_cli.tables import aligned, figure, interval_figures, say, show, two_line_table, wrapped
@@ -31,7 +41,7 @@ _PLANNER_NAMES = "random, stay, greedy, best-first, tour, partition-tour, anneal
 
 
 def evaluate(
-    run: Annotated[list[str] | None, typer.Argument(help="Folders of training runs.")] = None,
+    run: Annotated[list[str] | None, typer.Argument(help=RUNS)] = None,
     policy: Annotated[list[str] | None, option(f"Also play {_PLANNER_NAMES}. Repeatable.", "PLANNER")] = None,
     scenario: Annotated[str | None, option("A preset or a YAML file. [default: the runs' own, else paper]")] = None,
     episodes: Episodes = 100,
@@ -91,7 +101,7 @@ def _make_planners(
     if not folders and not names and suite is None:
         raise InputError(f"nothing to evaluate: give run folders, or --policy with one of {', '.join(PLANNERS)}")
     for name in folders:
-        if not given_path("RUN", name).exists() and name in PLANNERS:
+        if name in PLANNERS and not Path(name).exists():
             raise InputError(f"run folder '{name}' does not exist; for the planner of that name, write --policy {name}")
         if name in names:
             raise InputError(f"'{name}' is both a run folder and a planner here: write ./{name} for the folder")
@@ -256,7 +266,7 @@ def _elsewhere(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
         changed = differences(run.config.scenario, plan.base).items()
         parts = ", ".join(f"{k} = {there} (here {here})" for k, (there, here) in changed if k not in set_everywhere)
         if parts:
-            texts.append(textwrap.shorten(f"{run.folder.path} was trained with {parts}", 400))
+            texts.append(textwrap.shorten(f"{run.folder} was trained with {parts}", 400))
     return _paragraphs(texts)
 
 
@@ -270,7 +280,7 @@ def _missing_lines(missing: Sequence[MissingTraining]) -> list[str]:
 
 def _unused(plan: SuitePlan) -> list[str]:
     flown = {id(run) for assignment in plan.assignments for run in assignment.runs}
-    return [f"not used: {run.folder.path}" for run in plan.runs if id(run) not in flown]
+    return [f"not used: {run.folder}" for run in plan.runs if id(run) not in flown]
 
 
 def _paragraphs(texts: Iterable[str]) -> list[str]:

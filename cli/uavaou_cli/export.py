@@ -3,15 +3,13 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from uavaou.errors import InputError
 from uavaou.files import writing
-from uavaou_cli.options import choice, given_path, option, writable_file
+from uavaou_cli.options import RunName, choice, option, writable_file
 
 
 def export(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="The folder of a training run.")],
+    run: RunName,
     out: Annotated[Path, option("The file to write.", "FILE")],
     format: Annotated[
         str, choice("safetensors: for LEARNER.load; sb3: Stable-Baselines3's zip.", "safetensors", "sb3")
@@ -28,7 +26,7 @@ def export(
     from uavaou.runs.folder import RunFolder
     from uavaou.runs.policy import load_run
 
-    folder = RunFolder(given_path("RUN", run))
+    folder = RunFolder.at(run)
     model: Any = load_run(folder).model
     ours = hasattr(model, "save_sb3")
     if format == "safetensors" and not ours:

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
-from uavaou_cli import evaluate, export, plan, plot, scenarios, study, train, tune
+from uavaou_cli import evaluate, export, fly, plan, plot, scenarios, study, train, tune
 from uavaou_cli.options import option
 
 BAD_INPUT = 2
@@ -39,6 +39,7 @@ _STYLE: dict[str, Any] = {
     "rich_markup_mode": None,  # rich alone takes longer to import than the help takes to print
 }
 app = typer.Typer(**_STYLE, add_completion=False, pretty_exceptions_enable=False)
+app.command("fly", short_help="Fly one mission of a scenario and draw its map.")(fly.fly)
 app.command("train", short_help="Train a policy.")(train.train)
 app.command("tune", short_help="Search for better settings of an algorithm.")(tune.tune)
 app.command("eval", short_help="Play trained runs and planners on the same missions.")(evaluate.evaluate)
@@ -79,7 +80,7 @@ def _root(
 ) -> None:
     """Train, evaluate and explain teams of UAVs that keep IoT data fresh.
 
-    Start with:  uavaou train --scenario quickstart --slots 200000
+    Start with:  uavaou fly paper
     """
     _help_when_alone(ctx)
     ctx.obj["plugins"] = plugin or []

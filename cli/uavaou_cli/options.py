@@ -49,6 +49,10 @@ def choice(help: str, *allowed: str) -> Any:
     return typer.Option(metavar="|".join(allowed), help=help, callback=check)
 
 
+RUNS = "Folders of training runs, or names of released policies."
+RunName = Annotated[
+    str, typer.Argument(metavar="RUN", help="The folder of a training run, or the name of a released policy.")
+]
 ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A preset's name, or the path of a YAML file.")]
 StudyName = Annotated[str, typer.Argument(metavar="STUDY", help="A study's name (paper, smoke), or a YAML file.")]
 Episodes = Annotated[int, number("Missions that each policy plays.", 1, MOST_EPISODES)]

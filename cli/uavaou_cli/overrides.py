@@ -39,10 +39,17 @@ class Overrides:
         """
         from uavaou.algorithms.registry import load_config
 
-        published = load_config(name).model_dump(mode="json")
+        return load_config(name, self.changes_of(load_config(name)))
+
+    def changes_of(self, settings: AlgorithmConfig) -> dict[str, Any]:
+        """The fields of an algorithm's ``settings`` that the overrides change, with their new values.
+
+        Raises:
+            InputError: a key is unknown.
+        """
         if "name" in self.algorithm:
             raise InputError("--set algorithm.name: choose the algorithm with --algorithm")
-        return load_config(name, _changes("algorithm", self.algorithm, published))
+        return _changes("algorithm", self.algorithm, settings.model_dump(mode="json"))
 
     def only_of_scenario(self, why: str) -> None:
         """Refuse changes of an algorithm, saying ``why``."""

@@ -12,7 +12,18 @@ import typer
 from uavaou.errors import InputError, unknown
 from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
 from uavaou_cli.evaluate import evaluation_lines
-from uavaou_cli.options import Changes, Episodes, Quiet, ScenarioName, Seed, number, option, seconds, writable_folder
+from uavaou_cli.options import (
+    RUNS,
+    Changes,
+    Episodes,
+    Quiet,
+    ScenarioName,
+    Seed,
+    number,
+    option,
+    seconds,
+    writable_folder,
+)
 from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import EvaluationDisplay, PlanningDisplay
 from uavaou_cli.tables import duration, figure, show, two_line_table, wrapped
@@ -54,7 +65,7 @@ def plan(
 
 def gap(
     scenario: ScenarioName,
-    run: Annotated[list[str] | None, typer.Argument(help="Folders of training runs to stand beside.")] = None,
+    run: Annotated[list[str] | None, typer.Argument(help=RUNS)] = None,
     time_limit: Annotated[
         float | None, seconds("Seconds that annealing may take. [default: a fixed amount of work]")
     ] = None,

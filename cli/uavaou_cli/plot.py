@@ -8,7 +8,7 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED
-from uavaou_cli.options import number, option, writable_folder
+from uavaou_cli.options import RunName, number, option, writable_folder
 from uavaou_cli.tables import show
 
 
@@ -100,16 +100,20 @@ def suite(
 
 
 def trajectories(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a training run.")],
+    run: RunName,
     episode_seed: Annotated[int, number("The seed of the mission.", 0, LARGEST_SEED)] = EVALUATION_SEED,
-    out: Annotated[Path | None, option("Where the pictures go. [default: RUN/figures]", "DIR")] = None,
+    out: Annotated[
+        Path | None,
+        option("Where the pictures go. [default: RUN/figures; results/NAME/figures]", "DIR"),
+    ] = None,
 ) -> None:
     """Draw one mission of a run's best policy, as PNG and PDF: where the UAVs flew, how the devices aged."""
     from uavaou.runs.folder import RunFolder
 
-    folder = RunFolder(run)
+    folder = RunFolder.at(run)
     scenario = folder.read_config().scenario
-    target = out if out is not None else run / "figures"
+    default = (Path("results") / str(folder) if folder.is_released else folder.path) / "figures"
+    target = default if out is None else out
     writable_folder(target)
     from uavaou.evaluation.recorded_mission import record_mission
     from uavaou.reports.mission_figures import plot_trajectories

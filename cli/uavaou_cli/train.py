@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +13,7 @@ import typer
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import LARGEST_SEED
 from uavaou_cli.options import Quiet, Results, available_device, choice, number, option, writable_folder
-from uavaou_cli.overrides import parse_overrides
+from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TrainingDisplay, stopped
 from uavaou_cli.tables import duration, figure, show
 
@@ -37,6 +37,12 @@ def train(
     ] = None,
     slots: Annotated[int | None, number("Budget, in slots of all missions. [default: as published]", 1)] = None,
     config: Annotated[Path | None, option("Train the config.yaml of a run again as it was.", "FILE")] = None,
+    from_: Annotated[
+        str | None, option("Begin with the weights of a run or a released policy, and its settings.", "RUN", "--from")
+    ] = None,
+    continue_: Annotated[
+        str | None, option("Go on with a finished run in its folder, to more --slots.", "RUN", "--continue")
+    ] = None,
     out: Results = Path("results"),
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")] = False,
     checkpoint_every: Annotated[
@@ -56,19 +62,21 @@ def train(
 
     Writes DIR/<scenario>/<algorithm>/seed-<N>/, and prints what to type next.
     """
-    if config is None:
-        plan, folder = _plan(scenario or "paper", algorithm or "mappo", seed or 0, slots, out, set_ or [])
+    given = {"--scenario": scenario, "--algorithm": algorithm, "--seed": seed, "--set": set_ or None}
+    if continue_ is not None:
+        _refuse("--continue", given | {"--from": from_, "--config": config}, "the run goes on with its own settings")
+        plan, folder = _continued(continue_, slots, resume)
+    elif config is not None:
+        _refuse("--config", given | {"--slots": slots}, "the file says everything")
+        plan, folder = _again(config, out)
+    elif from_ is not None:
+        _refuse("--from", {"--algorithm": algorithm}, "the run's settings are taken")
+        plan, folder = _following(from_, scenario, seed or 0, slots, out, set_ or [])
     else:
-        from uavaou.runs.folder import config_folder, read_config
-
-        given = {"--scenario": scenario, "--algorithm": algorithm, "--seed": seed, "--slots": slots, "--set": set_}
-        for name, value in given.items():
-            if value is not None and value != []:
-                raise InputError(f"--config and {name}: give one of them; the file says everything")
-        plan = read_config(config)
-        folder = config_folder(out, plan)
+        plan, folder = _plan(scenario or "paper", algorithm or "mappo", seed or 0, slots, out, set_ or [])
     writable_folder(folder.path)
     available_device(device)
+    resume = resume or continue_ is not None
     if resume and not folder.exists() and not quiet:
         print(f"no run in '{folder.path}' yet: starting one", file=sys.stderr)
     again = ctx.obj["arguments"]
@@ -76,7 +84,8 @@ def train(
         from uavaou.runs.train import train as run_training
 
         outcome = run_training(
-            plan, folder, device=device, backend=backend, resume=resume, checkpoint_every_s=checkpoint_every,
+            plan, folder, start=from_, device=device, backend=backend, resume=resume,
+            checkpoint_every_s=checkpoint_every,
             display=None if quiet else TrainingDisplay(plan.scenario.slot_length_s),
         )  # fmt: skip
     except KeyboardInterrupt:
@@ -88,6 +97,13 @@ def train(
     show(_lines(outcome, plan, ctx.obj["plugins"]))
 
 
+def _refuse(option: str, others: Mapping[str, object], why: str) -> None:
+    """Refuse options that cannot stand beside ``option``, saying ``why``."""
+    for name, value in others.items():
+        if value is not None:
+            raise InputError(f"{option} and {name}: give one of them; {why}")
+
+
 def _plan(
     scenario: str, algorithm: str, seed: int, slots: int | None, out: Path, items: list[str]
 ) -> tuple[RunConfig, RunFolder]:
@@ -95,14 +111,51 @@ def _plan(
     from uavaou.runs.folder import RunConfig, run_folder
     from uavaou.scenario import Scenario
 
+    overrides = _overrides(items, slots)
+    base = Scenario.load(scenario)
+    config = RunConfig(overrides.of_scenario(base), overrides.of_algorithm(algorithm), seed)
+    return config, run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)
+
+
+def _following(
+    run: str, scenario: str | None, seed: int, slots: int | None, out: Path, items: list[str]
+) -> tuple[RunConfig, RunFolder]:
+    """The training that begins with the weights of ``run``, and its folder."""
+    from uavaou.runs.folder import config_folder
+    from uavaou.runs.start import Start
+    from uavaou.scenario import Scenario
+
+    start, overrides = Start.at(run), _overrides(items, slots)
+    base = start.config.scenario if scenario is None else Scenario.load(scenario)
+    changes = overrides.changes_of(start.config.algorithm)
+    config = start.training(overrides.of_scenario(base), changes, seed)
+    return config, config_folder(out, config)
+
+
+def _overrides(items: list[str], slots: int | None) -> Overrides:
     overrides = parse_overrides(items)
     if slots is not None:
         if "slots" in overrides.algorithm:
             raise InputError("--slots and --set algorithm.slots: give one of them")
         overrides.algorithm["slots"] = str(slots)
-    base = Scenario.load(scenario)
-    config = RunConfig(overrides.of_scenario(base), overrides.of_algorithm(algorithm), seed)
-    return config, run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)
+    return overrides
+
+
+def _again(path: Path, out: Path) -> tuple[RunConfig, RunFolder]:
+    """The training of a ``config.yaml``, and its folder."""
+    from uavaou.runs.folder import config_folder, read_config
+
+    config = read_config(path)
+    return config, config_folder(out, config)
+
+
+def _continued(run: str, slots: int | None, resume: bool) -> tuple[RunConfig, RunFolder]:
+    """The run that goes on to more ``slots``, and its folder."""
+    from uavaou.runs.folder import RunFolder
+    from uavaou.runs.start import continued
+
+    folder = RunFolder.at(run)
+    return continued(folder, slots, resume), folder
 
 
 def _resuming(arguments: list[str], folder: RunFolder) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
@@ -36,4 +37,17 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (fresh / "episodes.csv").unlink()
         for checkpoint in (fresh / "checkpoints").iterdir():
             checkpoint.unlink()
+    return place
+
+
+@pytest.fixture
+def released(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder, beside a package with one released policy, ``any-map``, that fits tiny."""
+    policy, place, run = tmp_path / "policies" / "any-map", tmp_path / "place", trained / runs(trained)["run"]
+    policy.mkdir(parents=True)
+    place.mkdir()
+    shutil.copy(run / "config.yaml", policy)
+    shutil.copy(run / "checkpoints" / "best.safetensors", policy / "policy.safetensors")
+    monkeypatch.setattr("uavaou.runs.released.zoo_folder", lambda kind: tmp_path / kind)
+    monkeypatch.chdir(place)
     return place

@@ -17,10 +17,11 @@ from uavaou_cli.tables import WIDTH
 # Scripts and docs rely on every one of these.
 COMMANDS = {
     "": "--version --plugin",
-    "train": "--scenario --algorithm --seed --slots --config --out --resume --checkpoint-every --device --backend "
-    "--set --quiet",
+    "train": "--scenario --algorithm --seed --slots --config --from --continue --out --resume "
+    "--checkpoint-every --device --backend --set --quiet",
     "tune": "--scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out --set --quiet",
     "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --json --out --set --quiet",
+    "fly": "SCENARIO --policy --seed --out --set --quiet",
     "plan": "SCENARIO --planner --time-limit --episodes --seed --out --set --quiet",
     "gap": "SCENARIO RUN --time-limit --episodes --seed --set --quiet",
     "audit": "SCENARIO",

@@ -58,7 +58,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"variants": {"mappo": {"set": {"name": "ippo"}}}}, "choose the algorithm with algorithm"),
     ({"slots": 5, "variants": {"mappo": {"set": {"slots": 6}}}}, "give one of them"),
     ({"variants": {"mappo": {}, "again": {"algorithm": "mappo"}}}, "'mappo' and 'again' are the same training"),
-    ({"variants": {"greedy": {"algorithm": "mappo"}}}, "a planner or the bound has that name"),
+    ({"variants": {"greedy": {"algorithm": "mappo"}}}, "a planner, a released policy or the bound has that name"),
     ({"variants": {"../up": {"algorithm": "mappo"}}}, "no slash"),
     ({"planners": ["greddy"]}, "planners: unknown planner 'greddy'; did you mean 'greedy'? (known: random, "),
     ({"planners": "greedy"}, "planners = 'greedy': expected a list, such as [greedy, random]"),

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from uavaou.errors import InputError
 from uavaou.fields import Numbers, Whole, WholeNumbers, reads_schema, validated
-from uavaou.files import read_json, replacing, writing
+from uavaou.files import read_json, write_text
 from uavaou.planners.base import Planner
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
@@ -111,8 +111,7 @@ def write_mission(path: Path, mission: RecordedMission) -> None:
         "age_sum_slots": ages.tolist(),
     }
     parts = [f"{json.dumps(name)}: {_lines(part)}" for name, part in content.items()]
-    with writing(path), replacing(path) as file:
-        file.write("{\n" + ",\n".join(parts) + "\n}\n")
+    write_text(path, "{\n" + ",\n".join(parts) + "\n}\n")
 
 
 def _lines(part: Any) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from uavaou.arrays import Floats
+from uavaou.planners import PLANNERS
 from uavaou.statistics import Interval, interquartile_mean, interval_over_missions, interval_over_trainings
 from uavaou.studies.results import StudyResults
 
@@ -83,12 +84,12 @@ def _of_scenario(results: StudyResults, scenario: str) -> list[PolicyScores]:
 def best_planner(study: StudyResults, scenarios: Sequence[str]) -> str | None:
     """The full-information planner of the lowest AoU, by the geometric mean over the scenarios; None without one.
 
-    Planners without missions in one of the scenarios are left out.
+    Released policies, and planners without missions in one of the scenarios, are left out.
     """
     levels = {}
     for name in study.planners:
         flown = study.missions(name, "mean_aou_slots", scenarios)
-        if name not in FIXED_RULES and scenarios and len(flown) == len(scenarios):
+        if name in PLANNERS and name not in FIXED_RULES and scenarios and len(flown) == len(scenarios):
             means = np.array([table.mean() for table in flown.values()])
             levels[name] = float(np.log(np.maximum(means, 1e-300)).mean())
     return min(levels, key=lambda name: levels[name]) if levels else None

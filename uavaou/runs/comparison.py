@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from uavaou.errors import InputError
+from uavaou.errors import InputError, unknown
 from uavaou.evaluation.evaluate import Evaluation, evaluate
+from uavaou.planners import PLANNERS, make_planner
 from uavaou.planners.base import Planner
 from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.released import released_names
 from uavaou.runs.results import EvaluationFile, PolicyResult, keep_evaluation, own_evaluation, write_evaluation
 from uavaou.scenario import Scenario
 from uavaou.world import World
@@ -32,7 +34,7 @@ def read_runs(folders: Iterable[str]) -> dict[str, RunConfig]:
     """
     spellings: dict[Path, str] = {}
     for name in folders:
-        spellings.setdefault(Path(name).resolve(), name)
+        spellings.setdefault(RunFolder.at(name).path.resolve(), name)
     return {name: RunFolder.at(name).read_config() for name in spellings.values()}
 
 
@@ -58,6 +60,24 @@ def load_runs(folders: Iterable[str], scenario: Scenario, action: str | None = N
     return {name: load_run(name, scenario, action) for name in folders}
 
 
+def make_policy(name: str, scenario: Scenario, time_limit_s: float | None = None) -> Planner:
+    """The planner, released policy or run of that name, to act in ``scenario``.
+
+    Args:
+        name: of a planner (:func:`uavaou.planners.make_planner`), of a released policy, or the path of a run's folder.
+        scenario: which a trained policy must fit.
+        time_limit_s: of planners that plan before take-off.
+
+    Raises:
+        InputError: there is none of that name, or the policy does not fit the scenario.
+    """
+    if name in PLANNERS:
+        return make_planner(name, time_limit_s)
+    if RunFolder.at(name).path.exists():
+        return load_runs([name], scenario)[name]
+    raise unknown("policy", name, [*released_names(), *PLANNERS])
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Policies on the same missions, by name: that of a run is its folder."""
@@ -75,11 +95,18 @@ class Comparison:
         }
 
     def keep(self, runs: Mapping[str, RunConfig]) -> list[str]:
-        """Write ``eval/default.json`` of each run, with the planners beside its policy; returns a note on each."""
-        contents = self.contents()
+        """Write ``eval/default.json`` of each run, with the planners beside its policy; returns a note on each.
+
+        Released policies are left as they are.
+        """
+        contents, notes = self.contents(), []
         planners = {name: result for name, result in contents.items() if result.action is None}
-        own = {name: own_evaluation(config, contents[name], self.seed, planners) for name, config in runs.items()}
-        return [keep_evaluation(RunFolder.at(name).evaluation(), content) for name, content in own.items()]
+        for name, config in runs.items():
+            folder = RunFolder.at(name)
+            if not folder.is_released:
+                own = own_evaluation(config, contents[name], self.seed, planners)
+                notes.append(keep_evaluation(folder.evaluation(), own))
+        return notes
 
     def write(self, path: Path) -> None:
         """Write the figures of every policy and mission into one file.

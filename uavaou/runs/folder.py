@@ -12,8 +12,9 @@ import platform
 import subprocess
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import quote
@@ -23,9 +24,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
-from uavaou.fields import Number, Whole, reads_schema, validated
+from uavaou.fields import Number, PositiveWhole, Whole, reads_schema, short, validated
 from uavaou.files import PathIn, read_json, refuse_links
 from uavaou.runs.lock import LOCK
+from uavaou.runs.released import nearest_released, released_folder, run_path
 from uavaou.scenario import Scenario
 from uavaou.world import Views
 from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_folder, zoo_names
@@ -43,6 +45,8 @@ class RunConfig:
     scenario: Scenario
     algorithm: AlgorithmConfig
     seed: int = 0
+    start: str | None = None  # digest of the weights that it begins with; None: drawn anew
+    budgets: tuple[int, ...] = ()  # slots of a run that went on: the algorithm's, then larger ones
 
     @classmethod
     def load(
@@ -61,15 +65,42 @@ class RunConfig:
         """
         return cls(Scenario.load(scenario), load_config(algorithm, settings), seed)
 
+    @property
+    def slots(self) -> int:
+        """The training budget, in slots of all missions together."""
+        return self.budgets[-1] if self.budgets else self.algorithm.slots
+
+    def stages(self) -> list[RunConfig]:
+        """The run as it was at each of its budgets, itself last."""
+        earlier = [self.budgets[:count] if count > 1 else () for count in range(1, len(self.budgets))]
+        return [*(replace(self, budgets=budgets) for budgets in earlier), self]
+
     def fits(self, scenario: Scenario) -> bool:
         """Whether the policy can be flown in ``scenario``: rows of the same columns, or of the same meaning."""
         seen = self.algorithm.observation, self.algorithm.collection
         return Views(self.scenario, *seen).layout.fits(Views(scenario, *seen).layout, self.algorithm.depends_on_sizes)
 
+    def check_fits(self, scenario: Scenario, name: str) -> None:
+        """Refuse a ``scenario`` in which the policy called ``name`` cannot be flown.
+
+        Raises:
+            InputError: it says which sizes differ, and what would fit.
+        """
+        if not self.fits(scenario):
+            uavs, devices = self.scenario.uavs, self.scenario.devices
+            raise InputError(
+                f"'{name}' was trained with {uavs} uavs and {devices} devices; scenario '{scenario.name}' has "
+                f"{scenario.uavs} and {scenario.devices}, which its network does not fit: choose scenario.uavs={uavs} "
+                f"and scenario.devices={devices}, or a policy with algorithm.network=set, which fits all numbers"
+            )
+
     def to_yaml(self) -> str:
         """The content of ``config.yaml``."""
+        content: dict[str, Any] = {"schema": SCHEMA, "seed": self.seed}
+        content |= {"start": self.start} if self.start else {}
+        content |= {"budgets": list(self.budgets)} if self.budgets else {}
         algorithm, scenario = self.algorithm.model_dump(mode="json"), self.scenario.to_dict()
-        return to_yaml({"schema": SCHEMA, "seed": self.seed, "algorithm": algorithm, "scenario": scenario})
+        return to_yaml(content | {"algorithm": algorithm, "scenario": scenario})
 
 
 class RunMeta(BaseModel):
@@ -109,8 +140,8 @@ class RunFolder:
 
     @classmethod
     def at(cls, place: RunFolder | Path | str) -> RunFolder:
-        """The run folder at a path."""
-        return place if isinstance(place, RunFolder) else cls(Path(place))
+        """The run folder that ``place`` means: text may name a released policy (:func:`run_path`)."""
+        return place if isinstance(place, RunFolder) else cls(run_path(place))
 
     config = PathIn("config.yaml")  # everything resolved: running it again gives the same run
     meta = PathIn("meta.json")  # see RunMeta
@@ -119,12 +150,22 @@ class RunFolder:
     last = PathIn("checkpoints", "last.safetensors")  # what resuming needs
     previous = PathIn("checkpoints", "previous.safetensors")  # the ``last`` before: taken where that one is damaged
     best = PathIn("checkpoints", "best.safetensors")  # the policy that did best on the validation missions
+    weights = PathIn("policy.safetensors")  # of a released policy, which has no checkpoints
     lock = PathIn(LOCK)  # held by the process that writes the run
+
+    def __str__(self) -> str:
+        """The name of a released policy, the path of any other run."""
+        return self.path.name if self.is_released else str(self.path)
+
+    @property
+    def is_released(self) -> bool:
+        """Whether the folder holds a released policy; nothing is written into it."""
+        return self.path.parent == released_folder()
 
     @property
     def policy(self) -> Path:
-        """The checkpoint whose policy is flown: ``best``, and ``last`` until there is one."""
-        return self.best if self.best.exists() else self.last
+        """The file whose policy is flown: a released one, else ``best``, and ``last`` until there is one."""
+        return next((path for path in (self.weights, self.best) if path.exists()), self.last)
 
     def evaluation(self, name: str = "default") -> Path:
         """An evaluation's file; see :mod:`uavaou.runs.results`."""
@@ -157,11 +198,12 @@ class RunFolder:
             InputError: the folder is no run, or its configuration cannot be used.
         """
         if not self.path.is_dir():
-            problem = "is not a folder" if self.path.exists() else "does not exist"
+            problem = "is not a folder" if self.path.exists() else f"does not exist{nearest_released(self.path)}"
             raise InputError(f"run folder '{self.path}' {problem}")
         if not self.exists():
             raise InputError(f"'{self.path}' is not a run folder: it holds no config.yaml")
-        refuse_links(self.path)
+        if not self.is_released:  # installers may link the files of a package
+            refuse_links(self.path)
         return read_config(self.config)
 
 
@@ -172,13 +214,19 @@ class ConfigFile(BaseModel):
 
     schema_: Annotated[int, BeforeValidator(reads_schema(SCHEMA))] = Field(alias="schema")
     seed: Annotated[Whole, Field(ge=0)]
+    start: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
+    budgets: Annotated[tuple[PositiveWhole, ...], Field(min_length=2, max_length=10_000)] | None = None
     algorithm: dict[str, Any]
     scenario: dict[str, Any]
 
     def config(self, path: Path) -> RunConfig:
         """What the file at ``path`` states; an InputError where a field cannot be used."""
         scenario = Scenario.from_dict(self.scenario, source=f"{path}: scenario")
-        return RunConfig(scenario, config_from_dict(self.algorithm, path), self.seed)
+        algorithm, budgets = config_from_dict(self.algorithm, path), self.budgets or ()
+        if budgets and (budgets[0] != algorithm.slots or any(a >= b for a, b in pairwise(budgets))):
+            expected = f"algorithm.slots = {algorithm.slots}, then larger and larger ones"
+            raise InputError(f"{path}: budgets = {short(list(budgets))}: expected {expected}")
+        return RunConfig(scenario, algorithm, self.seed, self.start, budgets)
 
 
 def read_config(path: Path) -> RunConfig:
@@ -224,6 +272,7 @@ def config_folder(out: Path, config: RunConfig) -> RunFolder:
     name = config.algorithm.name
     published = load_config(name).model_dump(mode="json")
     overrides = _differences(published, config.algorithm.model_dump(mode="json"))
+    overrides |= {"from": config.start[:12]} if config.start else {}
     return RunFolder(out / scenario_folder(config.scenario) / _folder_name(name, overrides) / f"seed-{config.seed}")
 
 

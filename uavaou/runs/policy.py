@@ -88,7 +88,7 @@ def load_run(
     """Load the best policy of a run.
 
     Args:
-        path: the run's folder.
+        path: the run's folder, or the name of a released policy.
         scenario: to act in, which the policy must fit: a name, the path of a YAML file, or the scenario itself; None
             for the one trained on.
         action: ``greedy`` or ``sample``; None for the one that the best checkpoint was chosen by.
@@ -104,14 +104,9 @@ def load_run(
     folder = RunFolder.at(path)
     config = folder.read_config()
     scenario = config.scenario if scenario is None else Scenario.load(scenario)
-    if not config.fits(scenario):
-        trained = config.scenario
-        raise InputError(
-            f"'{folder.path}' was trained with {trained.uavs} uavs and {trained.devices} devices; "
-            f"scenario '{scenario.name}' has {scenario.uavs} and {scenario.devices}, which its network does not fit"
-        )
+    config.check_fits(scenario, str(folder))
     if not folder.policy.is_file():
-        raise InputError(f"'{folder.path}' holds no checkpoint yet: its training has not reached the first one")
+        raise InputError(f"'{folder}' holds no checkpoint yet: its training has not reached the first one")
     checkpoint = ArrayFile(folder.policy)  # opened once: a training at work may put another in its place
     progress = read_header(checkpoint)
     algorithm = config.algorithm

@@ -3,11 +3,12 @@
 import signal
 import sys
 from contextlib import closing, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import flatten
@@ -21,6 +22,7 @@ from uavaou.runs.folder import RunConfig, RunFolder, describe_machine
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.lock import one_writer
 from uavaou.runs.recorder import CHECKPOINT_EVERY_S, AfterUpdate, Display, Recorder, write_meta
+from uavaou.runs.start import Start
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,7 @@ def train(
     config: RunConfig,
     folder: RunFolder | Path | str,
     *,
+    start: RunFolder | Path | str | None = None,
     device: str = "auto",
     backend: str = "batched",
     resume: bool = False,
@@ -47,8 +50,10 @@ def train(
     """Train to the budget, writing the run folder on the way.
 
     Args:
-        config: scenario, algorithm and seed.
+        config: scenario, algorithm and seed; with several budgets, the run reaches one after the other.
         folder: of the run; must not hold one unless ``resume``.
+        start: the run, or the name of the released policy, whose weights the training begins with. The optimizer
+            begins anew.
         device: ``auto``, ``cpu`` or ``cuda``, for the networks.
         backend: ``batched``, or ``supersuit`` for SuperSuit's own stage.
         resume: go on from the last checkpoint.
@@ -59,7 +64,8 @@ def train(
 
     Raises:
         InputError: the folder holds a run already, holds another one, is written by another process or cannot be
-            written; or a loss, a reward or a weight is no longer finite. What the last checkpoint holds is kept.
+            written; the weights of ``start`` do not fit; or a loss, a reward or a weight is no longer finite. What the
+            last checkpoint holds is kept.
 
     >>> from uavaou import RunConfig, train
     >>> config = RunConfig.load("mappo", "quickstart", slots=2000, evaluate_every_slots=1000)
@@ -67,9 +73,27 @@ def train(
     >>> outcome.folder.finished
     True
     """
-    folder = RunFolder.at(folder)
+    folder = folder if isinstance(folder, RunFolder) else RunFolder(Path(folder))
     refuse_links(folder.path)
-    _check_folder(folder, config, resume)
+    source = None if start is None else Start.at(start)
+    if source is not None and config.start is None:
+        config = replace(config, start=source.digest)
+    stages = config.stages()
+    held = folder.read_config() if resume and folder.exists() else None
+    for stage in stages[stages.index(held) if held in stages else 0 :]:
+        outcome = _train(stage, folder, source, device, backend, resume, checkpoint_every_s, display, after_update)
+        if outcome.stopped_by is not None:
+            break
+        resume = True
+    return outcome
+
+
+def _train(
+    config: RunConfig, folder: RunFolder, source: Start | None, device: str, backend: str, resume: bool,
+    checkpoint_every_s: float, display: Display | None, after_update: AfterUpdate | None,
+) -> Outcome:  # fmt: skip
+    """Train to the last budget of ``config``; those before it have been reached."""
+    resuming = _check_folder(folder, config, resume)
     algorithm = config.algorithm
     shared = ("missions", "processes", "observation", "collection", "reward")
     settings = {name: getattr(algorithm, name) for name in shared}
@@ -79,6 +103,8 @@ def train(
         raise InputError(f"not enough memory for missions = {algorithm.missions}: lower it") from error
     try:
         model = _make_learner(config, env, device)
+        if not resuming and config.start is not None:
+            _begin_with(config.start, source, model)
         with one_writer(folder.path):
             resuming = _check_folder(folder, config, resume)  # again: another process may have been here
             with writing(folder.path):
@@ -92,6 +118,14 @@ def train(
             return _learn(config, folder, model, env, progress, checkpoint_every_s, display, after_update)
     finally:
         env.close()
+
+
+def _begin_with(digest: str, source: Start | None, model: BaseAlgorithm) -> None:
+    """Give a learner the weights of ``source``, which must have the ``digest``."""
+    if source is None or source.digest != digest:
+        found = "" if source is None else f", and those of '{source.folder}' have {source.digest[:12]}"
+        raise InputError(f"the training begins with weights of digest {digest[:12]}{found}: name their run with --from")
+    source.load_into(model)
 
 
 def _make_learner(config: RunConfig, env: MissionVecEnv, device: str) -> BaseAlgorithm:
@@ -109,7 +143,10 @@ def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
         return False
     if not resume:
         raise InputError(f"'{folder.path}' already holds a run: add --resume to go on with it, or choose another --out")
-    if folder.read_config() != config:
+    held = folder.read_config()
+    if config != held and config in held.stages():
+        raise InputError(f"'{folder.path}' went on to {held.slots:,} slots: use --continue {folder.path} --resume")
+    if held not in config.stages()[-2:]:  # as it is, or as it was at the budget before
         raise InputError(f"'{folder.path}' holds a run with another configuration (see its config.yaml); not resumed")
     return folder.last.is_file() or folder.previous.is_file()
 
@@ -133,14 +170,18 @@ def _learn(
     checkpoint_every_s: float, display: Display | None, after_update: AfterUpdate | None,
 ) -> Outcome:  # fmt: skip
     uavs = config.scenario.uavs
-    remaining = config.algorithm.slots - progress.slots
+    remaining = config.slots - progress.slots
     if remaining <= 0:  # resumed, but finished before
         if not folder.finished:  # killed between its last checkpoint and its meta.json
             write_meta(folder, config, progress, describe_machine(), str(model.device), {})
         return Outcome(folder, progress, model.num_timesteps)
+    if config.budgets:
+        _go_on(model, config.budgets[-2] * uavs)
+    if folder.finished:  # with a smaller budget
+        write_meta(folder, config, progress, describe_machine(), str(model.device), {})
     with Interrupts(quiet=display is None) as interrupts, closing(display) if display is not None else nullcontext():
         if display is not None:
-            display.start(config.algorithm.slots, progress.slots, uavs)
+            display.start(config.slots, progress.slots, uavs)
         recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s, after_update)
         writers: list[KVWriter] = [recorder.progress_csv, TensorBoardOutputFormat(str(folder.path / "tensorboard"))]
         model.set_logger(Logger(str(folder.path), writers))
@@ -159,3 +200,18 @@ def _learn(
                 with suppress(OSError, InputError):  # of a full disk, which has been reported above
                     end()
     return Outcome(folder, recorder.progress, model.num_timesteps, recorder.stopped_by)
+
+
+def _go_on(model: BaseAlgorithm, steps: int) -> None:
+    """Prepare a learner for slots beyond its first budget, after ``steps`` rows of the budgets before.
+
+    Schedules stay where the first budget ended: SB3 would spread them over all slots, also those done. A replay, which
+    the checkpoint of a finished run lacks, is filled as at the beginning.
+    """
+
+    def update(num_timesteps: int, total_timesteps: int) -> None:
+        model._current_progress_remaining = 0.0
+
+    model._update_current_progress_remaining = update  # type: ignore[method-assign]
+    if isinstance(model, OffPolicyAlgorithm):
+        model.learning_starts += steps

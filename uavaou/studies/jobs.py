@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from uavaou.evaluation.evaluate import evaluate
-from uavaou.planners import make_planner
 from uavaou.planners.anneal import Anneal
 from uavaou.planners.plan import RoutePlan
 from uavaou.planners.rolling import Rolling
+from uavaou.runs.comparison import make_policy
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.results import PolicyResult, find_evaluation, write_own_evaluation
 from uavaou.scenario import Scenario
@@ -109,7 +109,7 @@ class Planning(Job):
 
 @dataclass(frozen=True)
 class Playing(Job):
-    """Evaluate a planner; those that start from an annealed plan are given it."""
+    """Evaluate a planner or a released policy; those that start from an annealed plan are given it."""
 
     scenario: Scenario
     episodes: int
@@ -118,7 +118,7 @@ class Playing(Job):
 
     def perform(self, tell: Tell) -> JobResult:  # noqa: D102
         name = self.key.variant
-        planner = make_planner(name, self.seconds if name == "exact" else None)
+        planner = make_policy(name, self.scenario, self.seconds if name == "exact" else None)
         if isinstance(planner, Anneal | Rolling):
             assert self.plan is not None
             planner.keep(self.plan, self.scenario, self.scenario.draw_layout())

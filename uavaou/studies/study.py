@@ -21,6 +21,7 @@ from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED, MOST_EPISODES
 from uavaou.fields import Positive, PositiveWhole, short, validated
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
+from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.studies.folder import ANNEALED, BOUND, PartKey
 from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_or_file
@@ -74,7 +75,7 @@ class StudySettings(BaseModel, frozen=True, extra="forbid"):
 
     description: StrictStr = ""
     seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)]  # of the trainings
-    planners: Annotated[list[StrictStr], _expecting(list, "[greedy, random]")] = []  # evaluated on each scenario
+    planners: Annotated[list[StrictStr], _expecting(list, "[greedy, random]")] = []  # or released policies, evaluated
     bound: StrictBool = False  # whether each scenario's certified bound is computed
     planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of annealing, once a scenario
     episodes: Annotated[PositiveWhole, Field(le=MOST_EPISODES)] = 100  # missions of the final evaluation
@@ -217,8 +218,8 @@ def _scenario(entry: Any, source: str, path: Path) -> tuple[str, Scenario]:
 
 def _variant(name: str, stated: VariantEntry, slots: int | None, source: str) -> AlgorithmConfig:
     _usable_name(name, source)
-    if name in PLANNERS or name == BOUND:
-        raise InputError(f"{source}: a planner or the bound has that name: choose another")
+    if name in (*PLANNERS, *released_names(), BOUND):
+        raise InputError(f"{source}: a planner, a released policy or the bound has that name: choose another")
     if "name" in stated.set:
         raise InputError(f"{source}: set.name: choose the algorithm with algorithm")
     if slots is not None and "slots" in stated.set:
@@ -242,9 +243,14 @@ def _check(study: Study, source: str) -> None:
         raise InputError(f"{source}: more than {_MOST_RUNS:,} runs")
     if not study.name.isprintable() or study.name.startswith("."):
         raise InputError(f"{source}: the study's name, that of the file, cannot be a folder's")
+    released = released_names()
     for planner in study.planners:
-        if planner not in PLANNERS:
-            raise InputError(f"{source}: planners: {unknown('planner', planner, PLANNERS)}")
+        if planner in released and planner not in PLANNERS:
+            policy = RunFolder.at(planner).read_config()
+            for scenario in study.scenarios.values():
+                policy.check_fits(scenario, planner)
+        elif planner not in PLANNERS:
+            raise InputError(f"{source}: planners: {unknown('planner', planner, [*PLANNERS, *released])}")
     _check_distinct(study.planners, f"{source}: planners")
     _check_comparisons(study, source)
     planned = ["bound: true"] if study.bound else []

@@ -56,7 +56,8 @@ class MissingTraining:
 def name_runs(configs: Mapping[Path, RunConfig], suite: Suite) -> list[SuiteRun]:
     """Name the policy of each run: its algorithm, and the settings in which runs of one algorithm differ.
 
-    Budgets, and an observation level that the suite varies, do not make another policy.
+    Budgets, and an observation level that the suite varies, do not make another policy. A released policy keeps its own
+    name.
 
     Args:
         configs: by run folder.
@@ -67,22 +68,28 @@ def name_runs(configs: Mapping[Path, RunConfig], suite: Suite) -> list[SuiteRun]
     settings = {
         path: {k: v for k, v in config.algorithm.model_dump(mode="json").items() if k not in apart}
         for path, config in configs.items()
+        if not RunFolder(path).is_released
     }
-    found = []
-    for path, config in configs.items():
-        own = settings[path]
-        alike = [other for other in settings.values() if other["name"] == own["name"]]
-        differing = [k for k, v in own.items() if any(other.get(k) != v for other in alike)]
-        changes = ",".join(f"{k}={quote(_plain(own[k]), safe='.-_')}" for k in differing)
-        policy = f"{own['name']}+{changes}" if changes else str(own["name"])
-        found.append(SuiteRun(RunFolder(path), config, policy, _trained_slots(path, config)))
-    return found
+    names = {path: _policy_name(own, settings.values()) for path, own in settings.items()}
+    return [
+        SuiteRun(folder, config, names.get(path, str(folder)), _trained_slots(folder, config))
+        for path, config in configs.items()
+        for folder in (RunFolder(path),)
+    ]
 
 
-def _trained_slots(path: Path, config: RunConfig) -> int:
-    budget = config.algorithm.slots
+def _policy_name(own: Mapping[str, Any], every: Iterable[Mapping[str, Any]]) -> str:
+    """The name of the policy with these settings, given those of all runs."""
+    alike = [other for other in every if other["name"] == own["name"]]
+    differing = [k for k, v in own.items() if any(other.get(k) != v for other in alike)]
+    changes = ",".join(f"{k}={quote(_plain(own[k]), safe='.-_')}" for k in differing)
+    return f"{own['name']}+{changes}" if changes else str(own["name"])
+
+
+def _trained_slots(folder: RunFolder, config: RunConfig) -> int:
+    budget = config.slots
     try:
-        meta = RunFolder(path).read_meta()
+        meta = folder.read_meta()
     except InputError:  # nothing is known but the budget
         return budget
     return budget if meta.finished else min(meta.slots, budget)
@@ -200,14 +207,14 @@ def missing_trainings(
     Args:
         assignments: of every policy to every point.
         runs: those given. A further training takes their settings, with the budget that most points are flown with; a
-            policy that is not among them is trained as published.
+            policy that is not among them is trained as published. A released policy is not trained again.
         source: the scenario's name on the command line.
         base: the suite's scenario, overrides included.
     """
     wanted: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for one in assignments:
-        if one.kind is None:
-            own = [run for run in runs if run.policy == one.policy]
+        own = [run for run in runs if run.policy == one.policy]
+        if one.kind is None and not any(run.folder.is_released for run in own):
             usual = _usual_slots(other.runs for other in assignments if other.policy == one.policy)
             chosen = next((run for run in own if run.slots == usual), own[0] if own else None)
             algorithm = chosen.config.algorithm if chosen else load_config(one.policy)

@@ -14,7 +14,7 @@ from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners.base import Planner
 from uavaou.runs.comparison import Display
-from uavaou.runs.folder import RunConfig, name_with
+from uavaou.runs.folder import RunConfig, RunFolder, name_with
 from uavaou.runs.results import PolicyResult, SuiteEvaluationFile, SuitePoint, keep_evaluation, write_evaluation
 from uavaou.scenario import Scenario
 from uavaou.statistics import Interval, interval_over_missions
@@ -129,7 +129,7 @@ def plan_suite(
         if key.split(".")[0] in varied:
             raise InputError(f"scenario.{key} cannot be changed: the points of the suite '{suite.name}' set it")
     points = resolve_points(suite, base)
-    runs = assignment.name_runs({Path(folder): config for folder, config in configs.items()}, suite)
+    runs = assignment.name_runs({RunFolder.at(folder).path: config for folder, config in configs.items()}, suite)
     assignments = assignment.assign(points, runs, base)
     every = [Assignment(point, "mappo", (), None) for point in points if point.scenario]
     wanted = assignments if configs or planners else every
@@ -192,7 +192,7 @@ def write_suite(
     plan: SuitePlan, results: Sequence[PointResult], episodes: int, seed: int, table: Path | None = None,
     json: Path | None = None,
 ) -> list[str]:  # fmt: skip
-    """Write ``eval/<suite>.json`` of each run that flew a point, and the files asked for.
+    """Write ``eval/<suite>.json`` of each run that flew a point, released policies apart, and the files asked for.
 
     Args:
         plan: what was played.
@@ -211,7 +211,7 @@ def write_suite(
     notes = []
     for run in plan.runs:
         content = suite_evaluation(plan, results, episodes, seed, run)
-        if content.points:
+        if content.points and not run.folder.is_released:
             notes.append(keep_evaluation(run.folder.evaluation(plan.name), content))
     if json is not None:
         write_evaluation(json, suite_evaluation(plan, results, episodes, seed))
@@ -251,7 +251,7 @@ def _policy_key(result: PointResult, own: SuiteRun | None) -> str:
     run = result.flown.run
     if run is None:
         return result.flown.policy
-    return run.config.algorithm.name if run is own else str(run.folder.path)
+    return run.config.algorithm.name if run is own else str(run.folder)
 
 
 def _row(plan: SuitePlan, result: PointResult) -> list[Any]:

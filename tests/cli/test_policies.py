@@ -1,0 +1,171 @@
+"""Released policies by name in every command, ``uavaou fly``, and trainings that follow on another."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.cli.commands import TINY, call, contents, runs
+from uavaou.evaluation.recorded_mission import read_mission
+from uavaou.runs.released import released_folder, released_names
+from uavaou_cli.tables import WIDTH
+
+SUITE = """
+description: Two points
+scenario: tiny
+axis: {label: seed of the layout}
+points:
+  - {label: as it is, x: 0}
+  - {label: "5", x: 5, set: {layout_seed: 5}}
+  - {label: more devices, x: 6, set: {devices: 6}}
+"""
+STUDY = """
+slots: 96
+seeds: 1
+scenarios: [tiny]
+variants: {mappo: {set: {missions: 8, rollout_slots: 12, hidden: [8], evaluation_missions: 2}}}
+planners: [any-map, greedy]
+episodes: 2
+"""
+
+# -- names -------------------------------------------------------------------------------------------------
+
+
+def test_every_shipped_policy_can_be_read() -> None:
+    from uavaou import load_run
+
+    for name in released_names():
+        assert load_run(name).digest
+        assert sum(path.stat().st_size for path in (released_folder() / name).iterdir()) < 1_000_000
+
+
+def test_commands_take_a_released_policy_by_name(capsys: pytest.CaptureFixture[str], released: Path) -> None:
+    before = contents(released_folder())
+    (released / "own.yaml").write_text(SUITE)
+    commands = {
+        "eval any-map --episodes 2 --json e.json": "any-map",
+        "eval any-map --episodes 2 --scenario tiny --set scenario.layout_seed=4": "any-map",
+        "gap tiny any-map --episodes 1 --time-limit 1": "any-map",
+        "eval any-map --policy greedy --suite own.yaml --episodes 2 --json s.json": "any-map",
+        "plot trajectories any-map": "results/any-map/figures/mission-10000-map.png",
+        "export any-map --out policy.safetensors": "policy.safetensors",
+    }
+    for command, shown in commands.items():
+        code, out, err = call(capsys, f"{command}{'' if command.startswith(('plot', 'export')) else ' --quiet'}")
+        assert (code, err) == (0, ""), command
+        assert shown in out, command
+        assert str(released_folder()) not in out
+    assert contents(released_folder()) == before  # nothing is written into the package
+    assert list(json.loads((released / "e.json").read_text())["policies"]) == ["any-map"]
+    points = json.loads((released / "s.json").read_text())["points"]
+    assert [list(point["policies"]) for point in points] == [["any-map", "greedy"]] * 2 + [["greedy"]]
+
+
+@pytest.mark.slow
+def test_a_study_evaluates_a_released_policy(capsys: pytest.CaptureFixture[str], released: Path) -> None:
+    from tests.studies.tiny_study import Inline, run_inline
+    from uavaou.studies.study import Study
+
+    (released / "mine.yaml").write_text(STUDY)
+    ended = run_inline(Study.load(released / "mine.yaml"), released / "out", Inline())
+    assert (ended.done, ended.failed) == (3, {})
+    assert call(capsys, "study report mine.yaml --out out")[0] == 0
+    assert "any-map" in (released / "out" / "studies" / "mine" / "README.md").read_text()
+    (released / "mine.yaml").write_text(STUDY.replace("[tiny]", "[quickstart]"))
+    code, _, err = call(capsys, "study status mine.yaml --out out")
+    assert (code, "'any-map' was trained with 2 uavs and 4 devices" in err) == (2, True)
+
+
+def test_a_folder_goes_before_it_only_with_a_path_separator(
+    capsys: pytest.CaptureFixture[str], released: Path, trained: Path
+) -> None:
+    shutil.copytree(trained / runs(trained)["other"], released / "any-map")
+    code, out, err = call(capsys, "eval any-map ./any-map --episodes 2 --quiet")
+    assert (code, "different scenarios" in err) == (2, True)  # ./any-map was trained on another layout
+    code, out, err = call(capsys, "eval any-map ./any-map --episodes 2 --quiet --scenario tiny")
+    assert (code, err) == (0, "")
+    rows = [line.split() for line in out.splitlines() if "any-map" in line]
+    assert [row[0] for row in rows] == ["any-map", "./any-map"]
+
+
+@pytest.mark.parametrize(
+    "command", ["eval any-mpa", "gap tiny any-mpa", "plot trajectories any-mpa", "train --from any-mpa"]
+)
+def test_a_misspelt_name_gets_the_nearest(command: str, capsys: pytest.CaptureFixture[str], released: Path) -> None:
+    code, out, err = call(capsys, command)
+    assert (code, out, err) == (2, "", "uavaou: run folder 'any-mpa' does not exist; did you mean 'any-map'?\n")
+    assert not list(released.iterdir())
+
+
+# -- fly ---------------------------------------------------------------------------------------------------
+
+
+def test_fly_shows_a_mission_and_says_where_its_files_are(capsys: pytest.CaptureFixture[str], released: Path) -> None:
+    (released / "mine.yaml").write_text("base: tiny\nlayout_seed: 3\n")
+    code, out, err = call(capsys, "fly mine.yaml --seed 7 --quiet")
+    assert (code, err) == (0, "")
+    table, files = out.split("one mission alone gives no interval\n")
+    assert all(len(line) <= WIDTH for line in table.splitlines())
+    assert [line.split()[0] for line in table.splitlines()[-3:] if line] == ["any-map", "best-first"]
+    written = [Path(line) for line in files.split()]
+    assert len(written) == 5
+    assert all(path.parent == Path("results/mine/fly/any-map") and path.stat().st_size > 500 for path in written)
+    mission = read_mission(written[0])
+    assert (mission.policy, mission.mission_seed, mission.scenario.layout_seed) == ("any-map", 7, 3)
+    assert f"{mission.mean_aou_slots:.2f}" in table  # the mission drawn is the one in the table
+
+
+def test_fly_takes_runs_and_planners(
+    capsys: pytest.CaptureFixture[str], trained: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(trained)
+    for name, reference in ((runs(trained)["run"], "best-first"), ("best-first", "greedy"), ("stay", "best-first")):
+        code, out, err = call(capsys, f"fly tiny --policy {name} --out {tmp_path} --quiet")
+        assert (code, err) == (0, "")
+        assert reference in out
+    code, out, err = call(capsys, f"fly quickstart --policy {runs(trained)['run']}")
+    assert (code, out) == (2, "")
+    assert "trained with 2 uavs and 4 devices; scenario 'quickstart' has 2 and 8" in err
+    code, _, err = call(capsys, "fly tiny --policy gredy")
+    assert (code, "unknown policy 'gredy'; did you mean 'greedy'?" in err) == (2, True)
+
+
+def test_without_a_released_policy_fly_says_which_planner_flies(
+    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavaou.runs.released.zoo_folder", lambda kind: workplace)
+    code, out, err = call(capsys, "fly tiny --set scenario.layout_seed=2")
+    assert (code, err.splitlines()[-1]) == (0, "flown by best-first: no policy 'any-map' comes with this version")
+    assert "results/tiny+layout_seed=2/fly/best-first/mission-10000-map.png" in out
+
+
+# -- trainings that follow on another ----------------------------------------------------------------------
+
+
+def test_train_begins_with_a_released_policy(capsys: pytest.CaptureFixture[str], released: Path) -> None:
+    code, out, err = call(capsys, "train --from any-map --set scenario.layout_seed=9 --slots 96 --quiet")
+    assert (code, err) == (0, "")
+    (folder,) = released.glob("results/tiny+layout_seed=9/mappo+*from=*/seed-0")
+    assert str(folder.relative_to(released)) in out
+    again = f"train --config {folder}/config.yaml --quiet --out other"
+    code, _, err = call(capsys, again)
+    assert (code, "name their run with --from" in err) == (2, True)
+    assert call(capsys, f"{again} --from any-map")[0] == 0
+    assert (next(released.glob("other/*/*/seed-0")) / "config.yaml").read_text() == (folder / "config.yaml").read_text()
+
+
+def test_train_goes_on_with_a_finished_run(
+    capsys: pytest.CaptureFixture[str], trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(trained / runs(trained)["run"], tmp_path / "run")
+    monkeypatch.chdir(tmp_path)
+    code, out, err = call(capsys, "train --continue run --slots 192 --quiet")
+    assert (code, err) == (0, "")
+    assert "192 slots" in out
+    assert json.loads((tmp_path / "run" / "meta.json").read_text())["slots_budget"] == 192
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    code, _, err = call(capsys, f"{TINY} --out . --continue run")
+    assert (code, "--continue and --scenario: give one of them" in err) == (2, True)

@@ -1,0 +1,215 @@
+"""Trainings that follow on another: from its weights, or to a larger budget, resumed as exactly as any other."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from tests.scenario_files import refusal
+from uavaou import Scenario
+from uavaou.algorithms.registry import load_config
+from uavaou.runs import recorder
+from uavaou.runs.folder import RunConfig, RunFolder, config_folder, read_config
+from uavaou.runs.start import Start, continued
+from uavaou.runs.train import train
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+SMALL = {"slots": 192, "missions": 4, "evaluate_every_slots": 96, "evaluation_missions": 2, "hidden": [8]}
+ON_POLICY = {"rollout_slots": 12, "batch_rows": 48}
+REPLAY = {"replay_slots": 96, "learning_starts": 24, "batch_slots": 8, "slots_per_update": 8, "epsilon_fraction": 1.0}
+
+
+def small(algorithm: str = "mappo", **changes: Any) -> RunConfig:
+    own = ON_POLICY if algorithm in ("mappo", "ippo") else REPLAY
+    return RunConfig(Scenario.load("tiny"), load_config(algorithm, SMALL | own | changes))
+
+
+def without_wall(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return [{name: value for name, value in row.items() if "wall" not in name} for row in csv.DictReader(file)]
+
+
+def assert_same(one: RunFolder, other: RunFolder) -> None:
+    """Two runs that ended with the same weights, optimizer, streams and tables."""
+    for name in ("best", "last"):
+        a, b = load_file(getattr(one, name)), load_file(getattr(other, name))
+        assert a.keys() == b.keys()
+        for key in a:
+            np.testing.assert_array_equal(a[key], b[key], err_msg=f"{name} {key}")
+    for table in ("episodes", "progress"):
+        assert without_wall(getattr(one, table)) == without_wall(getattr(other, table))
+    assert one.read_config() == other.read_config()
+
+
+def stop_at(patch: pytest.MonkeyPatch, slots: int) -> None:
+    """Let a training die in the first update after that many slots."""
+    check = recorder.check_learner
+
+    def dying(model: Any, done: int, kept: str) -> None:
+        check(model, done, kept)
+        if done >= slots:
+            raise ConnectionError
+
+    patch.setattr(recorder, "check_learner", dying)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    folder = RunFolder(tmp_path_factory.mktemp("finished") / "run")
+    train(small(), folder)
+    return folder
+
+
+@pytest.fixture
+def run(finished: RunFolder, tmp_path: Path) -> RunFolder:
+    return RunFolder(Path(shutil.copytree(finished.path, tmp_path / "run")))
+
+
+# -- from the weights of another -----------------------------------------------------------------------
+
+
+def test_a_training_begins_with_the_weights_of_another(finished: RunFolder, tmp_path: Path) -> None:
+    other = Scenario.load("tiny").replace(layout_seed=3)
+    start = Start.at(finished)
+    config = start.training(other, {"slots": 48, "learning_rate": 1e-12, "critic_learning_rate": 1e-9}, seed=5)
+    assert (config.start, config.algorithm.slots, config.seed) == (start.digest, 48, 5)
+    outcome = train(config, tmp_path / "new", start=finished)
+    assert outcome.progress.slots == 48
+    before, after = load_file(finished.best), load_file(outcome.folder.last)
+    weights = [name for name in before if "body" in name]
+    assert len(weights) >= 4
+    for name in weights:
+        np.testing.assert_allclose(after[name], before[name], atol=1e-9)
+    steps = {float(array) for name, array in after.items() if name.endswith(".step")}
+    assert steps == {10.0}  # of an optimizer of its own: 5 epochs of two minibatches
+    assert outcome.folder.read_config() == read_config(outcome.folder.config) == config
+
+
+def test_its_settings_are_those_of_the_run_and_its_budget_is_the_published_one(finished: RunFolder) -> None:
+    config = Start.at(finished).training(Scenario.load("tiny"), {}, seed=0)
+    own = finished.read_config().algorithm
+    assert config.algorithm == own.model_copy(update={"slots": load_config("mappo").slots})
+
+
+def test_the_digest_of_the_weights_is_in_the_name_of_the_folder(finished: RunFolder) -> None:
+    config = Start.at(finished).training(Scenario.load("tiny"), {}, seed=0)
+    assert config.start is not None
+    assert f"from={config.start[:12]}" in config_folder(Path("r"), config).path.parent.name
+    plain = config_folder(Path("r"), replace(config, start=None))
+    assert "from=" not in str(plain.path)
+
+
+def test_a_stopped_one_resumes_as_if_it_had_not_stopped(finished: RunFolder, tmp_path: Path) -> None:
+    config = Start.at(finished).training(Scenario.load("tiny"), {"slots": 192}, seed=1)
+    whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
+    train(config, whole, start=finished)
+    with pytest.MonkeyPatch.context() as patch:
+        stop_at(patch, 96)
+        assert "worker process" in refusal(lambda: train(config, parted, start=finished, checkpoint_every_s=0))
+    train(config, parted, resume=True)  # the weights are in its checkpoint
+    assert_same(parted, whole)
+
+
+def test_weights_that_do_not_fit_are_refused_with_their_sizes(finished: RunFolder, tmp_path: Path) -> None:
+    start = Start.at(finished)
+    said = refusal(lambda: start.training(Scenario.load("quickstart"), {}, seed=0))
+    assert "trained with 2 uavs and 4 devices; scenario 'quickstart' has 2 and 8" in said
+    assert "scenario.devices=4" in said
+    config = start.training(Scenario.load("tiny"), {"hidden": [9]}, seed=0)
+    said = refusal(lambda: train(config, tmp_path / "new", start=finished))
+    assert "actor_body.0.weight has shape (8, " in said
+    assert "need (9, " in said
+    assert "keep the settings of its network" in said
+    assert not (tmp_path / "new").exists()
+
+
+def test_other_weights_than_those_of_the_configuration_are_refused(finished: RunFolder, tmp_path: Path) -> None:
+    config = replace(small(), start="0" * 64)
+    assert "digest 000000000000: name their run with --from" in refusal(lambda: train(config, tmp_path / "new"))
+    said = refusal(lambda: train(config, tmp_path / "new", start=finished))
+    assert f"those of '{finished.path}' have {Start.at(finished).digest[:12]}" in said
+    assert not (tmp_path / "new").exists()
+
+
+# -- to a larger budget --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "qmix"])
+def test_a_finished_run_goes_on_and_resumes_as_exactly(algorithm: str, tmp_path: Path) -> None:
+    whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
+    train(small(algorithm), whole)
+    shutil.copytree(whole.path, parted.path)
+    larger = continued(whole, 384, resume=False)
+    assert larger.budgets == (192, 384)
+    outcome = train(larger, whole, resume=True)
+    assert outcome.progress.slots == 384
+    assert (whole.finished, whole.read_meta().slots_budget, whole.read_config()) == (True, 384, larger)
+    with pytest.MonkeyPatch.context() as patch:
+        stop_at(patch, 288)
+        refusal(lambda: train(continued(parted, 384, resume=False), parted, resume=True, checkpoint_every_s=0))
+    assert not parted.finished
+    assert "of 384 slots are done; first: uavaou train --continue" in refusal(lambda: continued(parted, 500, False))
+    train(continued(parted, None, resume=True), parted, resume=True)
+    assert_same(parted, whole)
+
+
+def test_schedules_stay_at_their_final_values(tmp_path: Path) -> None:
+    for algorithm, column in (("mappo", "train/learning_rate"), ("qmix", "train/epsilon")):
+        folder = RunFolder(tmp_path / algorithm)
+        train(small(algorithm, final_learning_rate=0.25), folder)
+        first = len(without_wall(folder.progress))
+        train(continued(folder, 384, resume=False), folder, resume=True)
+        values = [float(row[column] or "nan") for row in without_wall(folder.progress)]
+        settings: Any = folder.read_config().algorithm
+        final = settings.learning_rate / 4 if algorithm == "mappo" else settings.epsilon_end
+        assert np.nanmax(values) > 2 * final
+        learning = np.array(values[first:])  # QMIX first fills its replay again
+        assert len(learning) > 1
+        np.testing.assert_allclose(learning[~np.isnan(learning)], final)
+        assert learning[-1] == pytest.approx(final)
+
+
+def test_each_budget_is_recorded_and_the_file_gives_the_same_run_again(run: RunFolder, tmp_path: Path) -> None:
+    for slots in (288, 384):
+        train(continued(run, slots, resume=False), run, resume=True)
+    config = read_config(run.config)
+    assert "budgets:\n- 192\n- 288\n- 384\n" in run.config.read_text()
+    assert (config.budgets, config.slots, config.algorithm.slots) == ((192, 288, 384), 384, 192)
+    again = RunFolder(tmp_path / "again")
+    train(config, again)
+    assert_same(again, run)
+
+
+def test_a_kill_between_configuration_and_training_is_made_good(run: RunFolder, tmp_path: Path) -> None:
+    larger = continued(run, 384, resume=False)
+    whole = RunFolder(Path(shutil.copytree(run.path, tmp_path / "whole")))
+    train(larger, whole, resume=True)
+    run.config.write_text(larger.to_yaml())  # meta.json still says that it has finished
+    assert "192 of 384 slots are done" in refusal(lambda: continued(run, 500, resume=False))
+    train(continued(run, None, resume=True), run, resume=True)
+    assert_same(run, whole)
+
+
+def test_budgets_that_cannot_be_used_are_refused(run: RunFolder) -> None:
+    for slots in (None, 100, 192):
+        said = refusal(lambda slots=slots: continued(run, slots, resume=False))  # type: ignore[misc]
+        assert "has finished its 192 slots: give a larger budget with --slots" in said
+    assert continued(run, 192, resume=True) == run.read_config()  # nothing is left to do
+    for wrong in ("[192]", "[100, 300]", "[192, 192]", "[192, many]"):
+        text = small().to_yaml().replace("algorithm:", f"budgets: {wrong}\nalgorithm:", 1)
+        run.config.write_text(text)
+        assert "budgets" in refusal(run.read_config)
+
+
+def test_the_first_command_does_not_resume_a_run_that_went_on(run: RunFolder) -> None:
+    train(continued(run, 288, resume=False), run, resume=True)
+    said = refusal(lambda: train(small(), run, resume=True))
+    assert f"went on to 288 slots: use --continue {run.path} --resume" in said

@@ -1,0 +1,102 @@
+"""A training that follows on another: it begins with that one's weights, or goes on where that one ended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
+from uavaou.algorithms.registry import config_from_dict, load_config
+from uavaou.errors import InputError
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.scenario import Scenario
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+
+@dataclass(frozen=True)
+class Start:
+    """The policy that a training begins with: that of a run, or a released one."""
+
+    folder: RunFolder
+    config: RunConfig
+
+    @classmethod
+    def at(cls, place: RunFolder | Path | str) -> Start:
+        """The policy of a run's folder, or the released one of that name.
+
+        Raises:
+            InputError: there is none.
+        """
+        folder = RunFolder.at(place)
+        return cls(folder, folder.read_config())
+
+    @cached_property
+    def _file(self) -> ArrayFile:
+        return ArrayFile(self.folder.policy)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the weights."""
+        return self._file.digest(POLICY)
+
+    def training(self, scenario: Scenario, changes: Mapping[str, Any], seed: int) -> RunConfig:
+        """The training that begins with these weights: with the run's settings, and the published budget.
+
+        Args:
+            scenario: to train on.
+            changes: fields of the algorithm's settings with other values.
+            seed: of the training.
+
+        Raises:
+            InputError: the weights do not fit the scenario, or a value cannot be used.
+        """
+        own = self.config.algorithm.model_dump(mode="json")
+        published = {"slots": load_config(self.config.algorithm.name).slots}
+        algorithm = config_from_dict(own | published | dict(changes), self.folder.config)
+        self.config.check_fits(scenario, str(self.folder))
+        return RunConfig(scenario, algorithm, seed, start=self.digest)
+
+    def load_into(self, model: BaseAlgorithm) -> None:
+        """Give a learner the weights; its optimizer stays new.
+
+        Raises:
+            InputError: the learner's networks have other sizes.
+        """
+        from uavaou.algorithms.io.save_load import load_policy_arrays
+
+        try:
+            load_policy_arrays(self._file, model)
+        except InputError as error:
+            raise InputError(f"--from {self.folder}: {error}; keep the settings of its network") from None
+
+
+def continued(folder: RunFolder, slots: int | None, resume: bool) -> RunConfig:
+    """The configuration with which a run goes on in its own folder.
+
+    Args:
+        folder: of the run.
+        slots: the larger budget; None for the present one.
+        resume: finish the present budget, where that has not been reached.
+
+    Raises:
+        InputError: the folder is no run, or a released policy; or the budget cannot be used now.
+    """
+    config = folder.read_config()
+    if folder.is_released:
+        raise InputError(
+            f"'{folder}' is a released policy, which has no optimizer to go on with: train --from {folder}"
+        )
+    meta = folder.read_meta() if folder.meta.is_file() else None
+    if meta is None or not meta.finished or meta.slots < config.slots:
+        if not resume or slots not in (None, config.slots):
+            done = f"{0 if meta is None else meta.slots:,} of {config.slots:,} slots are done"
+            raise InputError(f"'{folder}' is not finished: {done}; first: uavaou train --continue {folder} --resume")
+        return config
+    if slots is None or slots < config.slots or (slots == config.slots and not resume):
+        raise InputError(f"'{folder}' has finished its {config.slots:,} slots: give a larger budget with --slots")
+    return replace(config, budgets=(*(config.budgets or (config.slots,)), slots)) if slots > config.slots else config
