@@ -26,7 +26,7 @@ def test_a_draw_depends_on_its_number_alone() -> None:
 def test_the_draws_stay_what_they_were() -> None:
     """Trainings resume with the same scenarios: a change of these numbers changes every family."""
     text = "".join(f"{Family.load('any').draw(n).to_dict()}" for n in range(20))
-    assert hashlib.sha256(text.encode()).hexdigest()[:16] == "5598b503275b2220"
+    assert hashlib.sha256(text.encode()).hexdigest()[:16] == "28da99cc1781ef83"
 
 
 def test_a_field_more_does_not_shift_the_others() -> None:
@@ -130,7 +130,7 @@ def test_a_base_may_be_a_file_or_fields(tmp_path: Path) -> None:
         ({"base": "papr"}, "did you mean 'paper'?"),
         ({"base_share": 2}, "base_share = 2: input should be less than or equal to 1"),
         ({"name": "a/b"}, "must be usable as a folder name"),
-        ({"slots": {"low": 1, "high": 5}}, "draw 3 cannot be flown: scenario 'paper': slots = 1"),
+        ({"slots": {"low": 1, "high": 5}}, "cannot be flown: scenario 'paper': slots = 1"),
         ({"altitudes_m": {"low": 80, "high": 80}}, "draw 0 cannot be flown: scenario 'paper': altitudes_m = [80.0"),
         ({"altitudes_m": {"low": 4e4, "high": 5e4}}, "breaks constraint (Time)"),
     ],

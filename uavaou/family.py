@@ -19,6 +19,7 @@ from uavaou.fields import FolderName, NonNegative, Positive, PositiveWhole, vali
 from uavaou.scenario import Range, Scenario
 from uavaou.zoo import read_yaml_mapping, zoo_or_file
 
+_STREAM = 4  # spawn key of the draws, apart from the layouts' (1), the planners' (2) and the policies' (3)
 _TRIED = 64  # draws that are made when a family is read
 _LEAST_SPAN = 0.25  # the part of the range of altitudes that a fleet takes at least
 
@@ -198,8 +199,7 @@ class Family(BaseModel):
         """
         if not isinstance(n, int | np.integer) or n < 0:
             raise InputError(f"draw = {n!r}: expected a whole number from 0 on")
-        # With a spawn key of their own, these streams differ from those of mission seeds and layout seeds.
-        rng = np.random.default_rng(np.random.SeedSequence(int(n), spawn_key=(2,)))
+        rng = np.random.default_rng(np.random.SeedSequence(int(n), spawn_key=(_STREAM,)))
         changes = {} if rng.random() < self.base_share else self._changes(rng)
         try:
             return self.base.replace(name=f"{self.name}-{n}", layout="resample", devices_m=None, **changes)

@@ -66,11 +66,14 @@ def test_every_way_gives_the_same_rows(way: dict[str, Any], layout: str) -> None
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("observation", ["location", "local", "shared"])
+@pytest.mark.parametrize(
+    ("observation", "rows"),
+    [("location", "flat"), ("local", "flat"), ("shared", "flat"), ("local", "entities"), ("shared", "entities")],
+)
 @pytest.mark.parametrize("collection", ["select", "auto"])
 @pytest.mark.parametrize("reward", ["aou", "root"])
-def test_backends_agree_in_every_mode(observation: str, collection: str, reward: str) -> None:
-    mode = {"observation": observation, "collection": collection, "reward": reward}
+def test_backends_agree_in_every_mode(observation: str, rows: str, collection: str, reward: str) -> None:
+    mode = {"observation": observation, "rows": rows, "collection": collection, "reward": reward}
     for one, other in zip(played(small(), **mode), played(small(), backend="supersuit", **mode), strict=True):
         np.testing.assert_array_equal(one, other)
 

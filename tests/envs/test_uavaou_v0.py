@@ -10,13 +10,15 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 
 from uavaou import InputError, Scenario, uavaou_v0
 
-MODES = [(o, c) for o in ("location", "local", "shared") for c in ("select", "auto")]
+FORMATS = [("location", "flat"), ("local", "flat"), ("shared", "flat"), ("local", "entities"), ("shared", "entities")]
 
 
-@pytest.mark.parametrize(("observation", "collection"), MODES)
-def test_pettingzoo_api(observation: str, collection: str) -> None:
-    parallel_api_test(uavaou_v0.parallel_env("tiny", observation, collection), num_cycles=50)
-    parallel_seed_test(lambda: uavaou_v0.parallel_env("tiny", observation, collection))
+@pytest.mark.parametrize("collection", ["select", "auto"])
+@pytest.mark.parametrize(("observation", "rows"), FORMATS)
+def test_pettingzoo_api(observation: str, rows: str, collection: str) -> None:
+    settings = {"observation": observation, "collection": collection, "rows": rows}
+    parallel_api_test(uavaou_v0.parallel_env("tiny", **settings), num_cycles=50)
+    parallel_seed_test(lambda: uavaou_v0.parallel_env("tiny", **settings))
 
 
 def test_pettingzoo_turn_based_api() -> None:

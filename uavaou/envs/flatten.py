@@ -3,8 +3,10 @@
 ``World (N) -> BatchedMissions (N * U rows) -> supersuit.concat_vec_envs_v1 -> SuperSuit's SB3 wrapper``.
 With ``backend="supersuit"`` the first stage is SuperSuit's own, on the PettingZoo environment: the reference,
 an order of magnitude slower, with the same rows bit for bit. What SuperSuit lacks is in :mod:`uavaou.envs.vec_env`.
+A family of scenarios has a World for each of several draws, and SuperSuit joins them.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +16,21 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo.utils import BaseParallelWrapper
 
-from uavaou.envs.batched import BatchedMissions
+from uavaou.envs.batched import BatchedDraws, BatchedMissions
 from uavaou.envs.rewards import REWARDS, training_reward
 from uavaou.envs.spaces import row_space
 from uavaou.envs.uavaou_v0 import UavAouEnv, check_render_mode
 from uavaou.envs.vec_env import Block, MissionVecEnv, WorkerProcesses
 from uavaou.errors import InputError, unknown
+from uavaou.family import Family
 from uavaou.scenario import Scenario
-from uavaou.world import Views
+from uavaou.world.entities import make_views
 
 BACKENDS = ("batched", "supersuit")
 
 
 def flatten(
-    scenario: str | Path | Scenario = "paper",
+    scenario: str | Path | Scenario | Family = "paper",
     missions: int = 64,
     seed: int = 0,
     processes: int = 1,
@@ -36,49 +39,93 @@ def flatten(
     collection: str = "select",
     reward: str = "root",
     render_mode: str | None = None,
+    rows: str = "flat",
+    worlds: int = 1,
 ) -> MissionVecEnv:
     """Flatten N missions of U UAVs into an SB3 ``VecEnv`` of N * U rows ``[local | global]``.
 
     Rows are mission-major, then UAV. Mission j is seeded with ``seed + j`` for any number of processes and backend.
+    With a family, World g of G plays draws ``seed + g``, ``seed + g + G``, ..., N / G missions of each; U is the most
+    UAVs of a draw, and those that a draw lacks are rows of padding (:attr:`RowLayout.present_column`).
 
     Args:
-        scenario: a preset's name, a YAML path, or a :class:`~uavaou.Scenario`.
+        scenario: a preset's name, a YAML path, a :class:`~uavaou.Scenario`, or a :class:`~uavaou.Family`.
         missions: N.
-        seed: of mission 0.
-        processes: worker processes; must divide ``missions``.
+        seed: of mission 0, or the first draw.
+        processes: worker processes; must divide ``missions``, or ``worlds``.
         backend: ``batched``, or ``supersuit`` for SuperSuit's own stage, mission by mission.
         observation: ``location``, ``local`` or ``shared``.
         collection: ``select`` or ``auto``.
         reward: the transform to train on, ``root`` or ``aou``.
         render_mode: None or ``rgb_array``.
+        rows: ``flat``, or ``entities`` for tokens of UAVs and devices.
+        worlds: G, of a family; must divide ``missions``.
 
     Raises:
-        InputError: an argument has none of these values, or ``processes`` does not divide ``missions``.
+        InputError: an argument has none of these values, or does not divide another that it must divide; or flat rows
+            are asked for a family whose draws differ in size.
     """
-    scenario = Scenario.load(scenario)
+    family = scenario if isinstance(scenario, Family) else None
+    base = family.base if family else Scenario.load(scenario)  # type: ignore[arg-type]
     check_render_mode(render_mode)
     for name, word, known in (("reward", reward, REWARDS), ("backend", backend, BACKENDS)):
         if word not in known:
             raise unknown(name, word, known)
-    for name, value, least in (("missions", missions, 1), ("processes", processes, 1), ("seed", seed, 0)):
+    counts = (("missions", missions, 1), ("processes", processes, 1), ("seed", seed, 0), ("worlds", worlds, 1))
+    for name, value, least in counts:
         if not isinstance(value, int | np.integer) or value < least:
             raise InputError(f"{name} = {value!r}: expected a whole number from {least} on")
-    if missions % processes:
-        raise InputError(f"processes = {processes}: must divide missions = {missions}")
-    views = Views(scenario, observation, collection)
+    views_of = partial(make_views, observation=observation, collection=collection, rows=rows)
+    views = views_of(base)
+    draws: BatchedDraws | None = None
     stage: Any
+    if family:
+        _check_family(family, backend, rows)
+        _check_divides("worlds", worlds, "missions", missions)
+        _check_divides("processes", processes, "worlds", worlds)
+        padded = partial(views_of, most=family.most) if rows == "entities" else views_of
+        stage = draws = BatchedDraws(family, worlds, padded, missions // worlds, reward, render_mode)
+        venv = _concatenated(stage, worlds, processes, worlds)
+        return MissionVecEnv(venv, views, missions, seed, draws)
+    _check_divides("processes", processes, "missions", missions)
     if backend == "supersuit":
         environment = _TrainingView(UavAouEnv(views, render_mode), reward)
         stage, copies = supersuit.pettingzoo_env_to_vec_env_v1(environment), missions
     else:
         stage, copies = BatchedMissions(views, missions // processes, reward, render_mode), processes
-        if processes == 1:
-            stage.observation_space, stage.action_space = Block(), Block()
+    return MissionVecEnv(_concatenated(stage, copies, processes, missions), views, missions, seed)
+
+
+def _concatenated(stage: Any, copies: int, processes: int, seeds: int) -> Any:
+    """SuperSuit's concatenation of copies of a stage, which are seeded with ``seeds`` numbers together."""
     if processes > 1:
-        venv = WorkerProcesses(stage, copies, processes, missions)
-    else:
-        venv = supersuit.concat_vec_envs_v1(stage, copies, num_cpus=1, base_class="gymnasium")
-    return MissionVecEnv(venv, views, missions, seed)
+        return WorkerProcesses(stage, copies, processes, seeds)
+    if not isinstance(stage, BatchedMissions):
+        return supersuit.concat_vec_envs_v1(stage, copies, num_cpus=1, base_class="gymnasium")
+    layout = stage.views.layout
+    block = Block(stage.num_envs, copies, layout.local_size + layout.global_size)
+    stage.observation_space = stage.action_space = block
+    venv = supersuit.concat_vec_envs_v1(stage, copies, num_cpus=1, base_class="gymnasium")
+    if isinstance(stage, BatchedDraws):
+        venv.observation_space = block  # SuperSuit has copied it with the stage
+        for number, world in enumerate(venv.vec_envs):
+            world.memory = partial(block.part, number)
+    return venv
+
+
+def _check_divides(name: str, value: int, what: str, total: int) -> None:
+    if total % value:
+        raise InputError(f"{name} = {value}: must divide {what} = {total}")
+
+
+def _check_family(family: Family, backend: str, rows: str) -> None:
+    if backend != "batched":
+        raise InputError(f"backend = '{backend}': plays one scenario; a family needs backend 'batched'")
+    if rows != "entities" and family.varies_in_size:
+        raise InputError(
+            f"rows = '{rows}': draws of family '{family.name}' differ in their numbers of UAVs or devices, which needs "
+            "rows 'entities' (network: set)"
+        )
 
 
 class _TrainingView(BaseParallelWrapper[str, NDArray[np.float32], Any]):

@@ -22,7 +22,9 @@ from pettingzoo.utils.env import AECEnv
 from uavaou.envs.spaces import action_space, split_actions, vector_space
 from uavaou.errors import unknown
 from uavaou.scenario import Scenario
-from uavaou.world import Views, World
+from uavaou.world import World
+from uavaou.world.entities import make_views
+from uavaou.world.views import RowViews
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
@@ -34,6 +36,7 @@ def parallel_env(
     observation: str = "local",
     collection: str = "select",
     render_mode: str | None = None,
+    rows: str = "flat",
 ) -> UavAouEnv:
     """Make the environment.
 
@@ -42,11 +45,12 @@ def parallel_env(
         observation: ``location``, ``local`` or ``shared``.
         collection: ``select`` (the agent chooses the devices) or ``auto`` (every device in range).
         render_mode: None or ``rgb_array``.
+        rows: ``flat``, or ``entities`` for observations and state as tokens of UAVs and devices.
 
     Raises:
         InputError: an argument has none of these values.
     """
-    return UavAouEnv(Views(Scenario.load(scenario), observation, collection), render_mode)
+    return UavAouEnv(make_views(Scenario.load(scenario), observation, collection, rows), render_mode)
 
 
 def env(**kwargs: Any) -> AECEnv[str, NDArray[np.float32], Any]:
@@ -70,7 +74,7 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         "is_parallelizable": True,
     }
 
-    def __init__(self, views: Views, render_mode: str | None = None) -> None:
+    def __init__(self, views: RowViews, render_mode: str | None = None) -> None:
         check_render_mode(render_mode)
         self.scenario = views.scenario
         self.views = views

@@ -6,11 +6,14 @@
 - ``pettingzoo_env_to_vec_env`` lacks the mark of a truncation: :mod:`uavaou.envs.flatten`.
 """
 
+from __future__ import annotations
+
 import signal
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
 from functools import partial
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -23,26 +26,53 @@ from supersuit.vector.concat_vec_env import ConcatVecEnv
 from supersuit.vector.multiproc_vec import ProcConcatVec, decompress_info
 from supersuit.vector.sb3_vector_wrapper import SB3VecEnvWrapper
 
+from uavaou.envs.batched import BatchedDraws
+from uavaou.envs.missions_state import State, check, joined, numbered, split, split_numbered
 from uavaou.envs.spaces import action_space, row_space, vector_space
-from uavaou.errors import InputError
-from uavaou.scenario import Scenario
-from uavaou.world import Views
-from uavaou.world.views import Rows
-
-State = dict[str, NDArray[Any]]  # arrays with missions along axis 0
+from uavaou.world.views import Rows, RowViews
 
 
 class Block(Space[Any]):
-    """The space of one stage whose batch is a single item to SuperSuit: it goes through without a copy.
+    """The space of environments whose rows SuperSuit is to pass on as one item: those of one need no copy.
 
     SuperSuit takes batches apart and joins them by Gymnasium's ``iterate``, ``create_empty_array`` and
     ``concatenate``, which are dispatched on the space. Those of ``Box`` and ``MultiDiscrete`` work row by row.
+    SuperSuit counts rows between the two, so that an item is the rows of an environment and then None, less one times
+    as often.
+
+    Args:
+        rows: of one environment.
+        environments: that write their rows side by side into :meth:`part`, so that joining them needs no copy.
+        columns: of a row.
     """
 
+    def __init__(self, rows: int, environments: int, columns: int) -> None:
+        super().__init__()
+        self.rows = rows
+        self._size = (environments * rows, columns)
+        self._memory: Rows = np.zeros((0, columns), dtype=np.float32)
 
-iterate.register(Block, lambda space, items: iter((items,)))
+    def part(self, number: int) -> Rows:
+        """Memory for the rows of an environment, all zero; that of the first environment begins a new slot."""
+        if number == 0:
+            self._memory = np.zeros(self._size, dtype=np.float32)
+        return self._memory[number * self.rows : (number + 1) * self.rows]
+
+    def items(self, rows: Any) -> Iterator[Any]:
+        """The rows of each environment, as SuperSuit counts them."""
+        for first in range(0, len(rows), self.rows):
+            yield rows if len(rows) == self.rows else rows[first : first + self.rows]
+            yield from repeat(None, self.rows - 1)
+
+    def joined(self, items: Iterable[Any]) -> Any:
+        """The rows of all environments."""
+        parts = [item for item in items if item is not None]
+        return parts[0] if len(parts) == 1 else self._memory
+
+
+iterate.register(Block, Block.items)
 create_empty_array.register(Block, lambda space, n=1, fn=None: None)
-concatenate.register(Block, lambda space, items, out: next(iter(items)))
+concatenate.register(Block, lambda space, items, out: space.joined(items))
 
 
 class MissionVecEnv(SB3VecEnvWrapper):
@@ -50,23 +80,27 @@ class MissionVecEnv(SB3VecEnvWrapper):
 
     Args:
         venv: of SuperSuit, over all missions.
-        views: what is seen of a World, in rows.
+        views: what is seen of a World of the scenario.
         missions: N.
-        seed: of mission 0 at the first reset; mission j gets ``seed + j``.
+        seed: of mission 0 at the first reset; mission j gets ``seed + j``, or World g of a family.
+        draws: of a family, an environment like those in ``venv``.
 
     Attributes:
-        row_layout: which columns of a row hold what.
+        scenario: that all missions play, or the family's base.
+        views: of that scenario, without padding.
+        row_layout: which columns of a row hold what, with padding.
         local_size, global_size: a row is ``[local | global]``.
     """
 
-    def __init__(self, venv: Any, views: Views, missions: int, seed: int) -> None:
+    def __init__(self, venv: Any, views: RowViews, missions: int, seed: int, draws: BatchedDraws | None = None) -> None:
         super().__init__(venv)
+        self._draws = draws
         self.scenario = views.scenario
         self.views = views
-        self.row_layout = views.layout
+        self.row_layout = layout = views.layout if draws is None else draws.views.layout
         self.missions = missions
-        self.local_size, self.global_size = views.layout.local_size, views.layout.global_size
-        self.observation_space, self.action_space = row_space(views.layout), action_space(views.layout)
+        self.local_size, self.global_size = layout.local_size, layout.global_size
+        self.observation_space, self.action_space = row_space(layout), action_space(layout)
         self._next_seed: int | None = seed
         # SB3's own constructor, which SuperSuit does not call, sets these.
         self._seeds: list[int | None] = [None] * self.num_envs
@@ -74,11 +108,12 @@ class MissionVecEnv(SB3VecEnvWrapper):
         self.metadata = getattr(venv, "metadata", {})
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seed the missions at the next reset: mission j gets ``seed + j``. Returns each row's mission seed."""
+        """Seed the missions at the next reset: mission j gets ``seed + j``, or World g. Returns each row's seed."""
         if seed is None:
             seed = int(np.random.SeedSequence().generate_state(1)[0])
         self._next_seed = seed
-        return [seed + row // self.scenario.uavs for row in range(self.num_envs)]
+        rows = self.row_layout.uavs if self._draws is None else self.num_envs // self._draws.worlds  # of one seed
+        return [seed + row // rows for row in range(self.num_envs)]
 
     def reset(self, seed: int | None = None, options: Any = None) -> Rows:
         """Start all missions: with the seed given here or to :meth:`seed`, else the next of each mission's stream."""
@@ -95,26 +130,35 @@ class MissionVecEnv(SB3VecEnvWrapper):
         return rows, rewards, dones.astype(bool, copy=False), infos
 
     def missions_state(self) -> State:
-        """The state of all missions, for :meth:`load_missions_state`."""
-        if isinstance(self.venv, WorkerProcesses):
-            return self.venv.missions_state()
-        return _missions_state(self._environments())
+        """The state of all missions, for :meth:`load_missions_state`; of a family also the numbers of the draws."""
+        states = self._workers.states() if self._workers else [_state(each) for each in self._environments()]
+        return joined(states) if self._draws is None else numbered(states)
 
     def load_missions_state(self, state: State) -> Rows:
         """Continue the missions of :meth:`missions_state`; returns their last rows.
 
         Raises:
-            InputError: the arrays do not describe as many missions of this scenario.
+            InputError: the arrays do not describe as many missions of this scenario or family.
         """
         self.reset(0)  # makes the Worlds, whose state is then replaced
-        _check_missions_state(state, self.missions_state(), self.scenario)
-        if isinstance(self.venv, WorkerProcesses):
-            return self.venv.load_missions_state(state)
-        return _load_missions_state(self._environments(), state)
+        environments = self._workers.copies if self._workers else len(self._environments())
+        if self._draws is None:
+            check(state, self.missions_state(), self.scenario)
+            states = split(state, environments)
+        else:
+            states = split_numbered(state, environments)
+            for number, part in enumerate(states):
+                self._draws.start_draw(part["draw"])
+                check(part, _state(self._draws), self._draws.scenario, f"missions of World {number}")
+        return self._workers.load_states(states) if self._workers else _load_states(self._environments(), states)
+
+    @property
+    def _workers(self) -> WorkerProcesses | None:
+        return self.venv if isinstance(self.venv, WorkerProcesses) else None
 
     def _environments(self) -> list[Any]:
         """The environments in this process."""
-        return [] if isinstance(self.venv, WorkerProcesses) else _environments(self.venv)
+        return [] if self._workers else _environments(self.venv)
 
     def _targets(self, indices: VecEnvIndices = None) -> list[Any]:
         """The environment behind each row."""
@@ -201,39 +245,39 @@ class WorkerProcesses(ProcConcatVec):
         stage: an environment of one mission or more; each process steps ``copies / processes`` copies of it.
         copies: of the stage, in all processes together.
         processes: how many.
-        missions: in all processes together.
+        seeds: of all processes together: one for each mission, or for each draw of a family.
     """
 
-    def __init__(self, stage: Any, copies: int, processes: int, missions: int) -> None:
+    def __init__(self, stage: Any, copies: int, processes: int, seeds: int) -> None:
         start = partial(_Worker, stage, copies // processes)
         rows = copies * stage.num_envs
         super().__init__([start] * processes, stage.observation_space, stage.action_space, rows, stage.metadata)
-        self._missions_each = missions // processes
+        self.copies = copies
+        self._seeds_each = seeds // processes
         # SuperSuit's processes are no daemons: without this, a program that forgets close() would wait for them.
         for process in self.procs:
             weakref.finalize(self, process.kill)
 
     def reset(self, seed: int | None = None, options: Any = None) -> tuple[Rows, list[dict[str, Any]]]:
-        """Start all missions; mission j is seeded with ``seed + j``.
+        """Start all missions; mission j is seeded with ``seed + j``, or World g of a family.
 
         SuperSuit seeds process p with ``seed + p``, so that processes repeat each other's missions.
         """
         for process, pipe in enumerate(self.pipes):
-            pipe.send(("reset", (None if seed is None else seed + process * self._missions_each, options)))
+            pipe.send(("reset", (None if seed is None else seed + process * self._seeds_each, options)))
         infos = decompress_info(self.num_envs, self.idx_starts, self._receive_info())
         return self.observations_buffers.copy(), infos
 
-    def missions_state(self) -> State:
-        """The state of all missions."""
-        return _concatenated(self._ask([None] * len(self.pipes)))
+    def states(self) -> list[State]:
+        """The state of each environment."""
+        return [state for states in self._ask([None] * len(self.pipes)) for state in states]
 
-    def load_missions_state(self, state: State) -> Rows:
-        """Continue the missions of :meth:`missions_state`; returns their rows."""
-        parts = {name: np.split(array, len(self.pipes)) for name, array in state.items()}
-        each = [{name: split[process] for name, split in parts.items()} for process in range(len(self.pipes))]
-        return np.concatenate(self._ask(each))
+    def load_states(self, states: Sequence[State]) -> Rows:
+        """Continue the missions of :meth:`states`; returns their rows."""
+        each = len(states) // len(self.pipes)
+        return np.concatenate(self._ask([states[first : first + each] for first in range(0, len(states), each)]))
 
-    def _ask(self, requests: Sequence[State | None]) -> list[Any]:
+    def _ask(self, requests: Sequence[Sequence[State] | None]) -> list[Any]:
         """One answer of each worker. SuperSuit's one request with an argument and an answer is ``env_is_wrapped``."""
         for pipe, request in zip(self.pipes, requests, strict=True):
             pipe.send(("env_is_wrapped", request))
@@ -262,10 +306,12 @@ class _Worker(ConcatVecEnv):
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         super().__init__([partial(deepcopy, stage)] * copies)
 
-    def env_is_wrapped(self, request: State | None) -> State | Rows:
-        """The missions' state for None; for a state, continue with it and answer with its rows."""
+    def env_is_wrapped(self, request: Sequence[State] | None) -> list[State] | Rows:
+        """The states of the environments for None; for states, continue with them and answer with the rows."""
         environments = _environments(self)
-        return _missions_state(environments) if request is None else _load_missions_state(environments, request)
+        if request is None:
+            return [_state(environment) for environment in environments]
+        return _load_states(environments, request)
 
 
 def _environments(venv: Any) -> list[Any]:
@@ -273,36 +319,16 @@ def _environments(venv: Any) -> list[Any]:
     return [getattr(stage, "par_env", stage).unwrapped for stage in venv.vec_envs]
 
 
-def _missions_state(environments: Sequence[Any]) -> State:
-    return _concatenated([environment.world.state_dict() for environment in environments])
+def _state(environment: Any) -> State:
+    """The state of the missions of one environment."""
+    state: State = environment.world.state_dict()
+    return state | {"draw": environment.draw} if isinstance(environment, BatchedDraws) else state
 
 
-def _load_missions_state(environments: Sequence[Any], state: State) -> Rows:
-    first = 0
-    for environment in environments:
-        missions = slice(first, first + environment.world.missions)
-        environment.world.load_state_dict({name: array[missions] for name, array in state.items()})
-        first = missions.stop
+def _load_states(environments: Sequence[Any], states: Sequence[State]) -> Rows:
+    """Continue the missions of each environment; returns their rows."""
+    for environment, state in zip(environments, states, strict=True):
+        if isinstance(environment, BatchedDraws):
+            environment.start_draw(state["draw"])
+        environment.world.load_state_dict(state)
     return np.concatenate([environment.views.rows(environment.world) for environment in environments])
-
-
-def _concatenated(states: Sequence[State]) -> State:
-    return {name: np.concatenate([state[name] for state in states]) for name in states[0]}
-
-
-def _check_missions_state(given: State, own: State, scenario: Scenario) -> None:
-    """Raise :class:`~uavaou.errors.InputError` where ``given`` cannot be a state of the missions of ``own``."""
-    if given.keys() != own.keys():
-        raise InputError(f"missions: expected the arrays {', '.join(own)}; found {', '.join(given)}")
-    for name, array in given.items():
-        varies = 2 if name == "fading_ahead" else 1  # the number of slots drawn ahead differs
-        fits = len(array) == len(own[name]) and array.shape[varies:] == own[name].shape[varies:]
-        if not fits or array.dtype != own[name].dtype:
-            raise InputError(f"missions: {name} has shape {array.shape} and type {array.dtype}, not those of this run")
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise InputError(f"missions: {name} is not finite")
-    slot, cells = given["slot"], given["cells"]  # (N,), (N, U, 2)
-    if not (1 <= slot.min() == slot.max() <= scenario.slots):
-        raise InputError(f"missions: slot is {slot.min()} to {slot.max()}, expected one from 1 to {scenario.slots}")
-    if cells.min() < 0 or (cells.max(axis=(0, 1)) >= (scenario.columns, scenario.rows)).any():
-        raise InputError("missions: a UAV is off the grid")

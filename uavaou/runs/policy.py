@@ -20,8 +20,8 @@ from uavaou.errors import InputError
 from uavaou.runs.checkpoint_header import read_header
 from uavaou.runs.folder import RunFolder
 from uavaou.scenario import Scenario
-from uavaou.world import Views, World
-from uavaou.world.views import MOVES
+from uavaou.world import World
+from uavaou.world.views import MOVES, RowViews
 
 _STREAM = 3  # spawn key of the policies' random streams, apart from the layouts' (1) and the planners' (2)
 
@@ -31,7 +31,7 @@ class TrainedPolicy:
     """A learner's policy in the planners' interface."""
 
     model: BaseAlgorithm
-    views: Views  # what its UAVs see
+    views: RowViews  # what its UAVs see
     action: str = "greedy"  # the likeliest; or "sample"
     digest: str = ""  # SHA-256 of the weights in the checkpoint that they were loaded from; empty where none was
     _rngs: list[np.random.Generator] = field(default_factory=list)

@@ -157,13 +157,17 @@ class RowViews(ABC):
     def state(self, world: World) -> Rows:
         """Return the global state, (N, global)."""
 
-    def rows(self, world: World) -> Rows:
-        """Return the rows ``[local | global]`` of all UAVs, mission-major, (N * U, local + global)."""
+    def rows(self, world: World, out: Rows | None = None) -> Rows:
+        """Return the rows ``[local | global]`` of all UAVs, mission-major, (N * U, local + global).
+
+        With ``out``, contiguous memory that is zero where there is padding, they are written there.
+        """
         layout, uavs = self.layout, self.scenario.uavs
-        rows = self._new(world.missions, layout.uavs, layout.local_size + layout.global_size)
+        shape = (world.missions, layout.uavs, layout.local_size + layout.global_size)
+        rows = self._new(*shape) if out is None else out.reshape(shape)
         self.local(world, rows)
         rows[:, :uavs, layout.local_size :] = self.state(world)[:, None, :]
-        return rows.reshape(world.missions * layout.uavs, -1)
+        return rows.reshape(-1, shape[-1])
 
     def _new(self, *shape: int) -> Rows:
         """Return memory to write to."""
