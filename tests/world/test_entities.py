@@ -190,6 +190,31 @@ def test_layouts_of_other_sizes_fit_a_policy_that_does_not_depend_on_them() -> N
     assert not one.fits(EntityViews(SCENARIO, collection="auto").layout, depends_on_sizes=False)
 
 
+@pytest.mark.parametrize("observation", ["local", "shared"])
+def test_the_order_of_devices_and_the_place_in_an_area_do_not_matter(observation: str) -> None:
+    rng = np.random.default_rng(4)
+    devices, order = rng.uniform(0, 1000, (9, 2)).round(1), rng.permutation(9)
+    same = {"bandwidth_hz": 18000, "transmit_power_mw": 0.6, "fading": "none", "layout": "fixed", "devices": 9}
+    near = SCENARIO.replace(devices_m=devices, **same)
+    far = near.replace(area_x_m=2000, area_y_m=1700, cds_m=np.array(near.cds_m) + 500, devices_m=devices + 500)
+    mixed = near.replace(devices_m=devices[order], update_period_slots=near.draw_layout().update_period[order])
+    worlds = [World(of, 2, seed=3) for of in (near, far, mixed)]
+    plain, moved, permuted = (EntityViews(of, observation) for of in (near, far, mixed))
+    for _ in range(40):
+        local, elsewhere, other = (
+            views.local(world) for views, world in zip((plain, moved, permuted), worlds, strict=True)
+        )
+        for name in ("own", "teammates"):
+            np.testing.assert_allclose(tokens(moved, elsewhere, name), tokens(plain, local, name), atol=1e-6)
+            np.testing.assert_array_equal(tokens(permuted, other, name), tokens(plain, local, name))
+        device = tokens(plain, local, "devices")
+        np.testing.assert_allclose(tokens(moved, elsewhere, "devices"), device, atol=1e-6)
+        np.testing.assert_allclose(tokens(permuted, other, "devices"), device[:, :, order], atol=1e-6)
+        moves = np.argmax(worlds[0].allowed_moves * rng.random((2, 3, 5)), axis=-1)  # never off the smaller area
+        for world in worlds:
+            world.step(moves)
+
+
 def test_the_map_is_read_again_where_it_changes() -> None:
     world = played(SCENARIO)
     views = EntityViews(SCENARIO)

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import signal
 import weakref
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from functools import partial
-from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -49,6 +48,7 @@ class Block(Space[Any]):
     def __init__(self, rows: int, environments: int, columns: int) -> None:
         super().__init__()
         self.rows = rows
+        self._counted = [None] * (rows - 1)
         self._size = (environments * rows, columns)
         self._memory: Rows = np.zeros((0, columns), dtype=np.float32)
 
@@ -58,11 +58,12 @@ class Block(Space[Any]):
             self._memory = np.zeros(self._size, dtype=np.float32)
         return self._memory[number * self.rows : (number + 1) * self.rows]
 
-    def items(self, rows: Any) -> Iterator[Any]:
+    def items(self, rows: Any) -> list[Any]:
         """The rows of each environment, as SuperSuit counts them."""
-        for first in range(0, len(rows), self.rows):
-            yield rows if len(rows) == self.rows else rows[first : first + self.rows]
-            yield from repeat(None, self.rows - 1)
+        if len(rows) == self.rows:
+            return [rows, *self._counted]
+        parts = (rows[first : first + self.rows] for first in range(0, len(rows), self.rows))
+        return [item for part in parts for item in (part, *self._counted)]
 
     def joined(self, items: Iterable[Any]) -> Any:
         """The rows of all environments."""
@@ -70,7 +71,7 @@ class Block(Space[Any]):
         return parts[0] if len(parts) == 1 else self._memory
 
 
-iterate.register(Block, Block.items)
+iterate.register(Block, lambda space, rows: iter(space.items(rows)))
 create_empty_array.register(Block, lambda space, n=1, fn=None: None)
 concatenate.register(Block, lambda space, items, out: space.joined(items))
 

@@ -112,22 +112,24 @@ class EntityViews(RowViews):
         self._pads = (uavs, devices) != own
         cells = scenario.columns * scenario.rows
         self._sizes = np.log([own[1] / 25, own[0] / 3, cells / 121]).astype(np.float32)  # (3,) those of the paper are 0
+        self._altitudes = scenario.altitudes  # (U,) m
         self._placed: Floats | None = None  # the positions of the devices that the arrays below are of
         self._devices: Floats = np.empty(0)  # (L, I, 2) grid steps
+        self._middle: Floats = np.empty(0)  # (L, 2) of the devices, grid steps
         self._radius: Floats = np.empty(0)  # (L, U, I) grid steps
         self._part: Ints = np.empty(0, dtype=np.int64)  # (L, I) the UAV whose part of the map a device belongs to
 
     def local(self, world: World, out: Rows | None = None) -> Rows:
         """Return the local observations, (N, U, local), or write them into the first columns of ``out``."""
         self._place(world)
-        layout, scenario, uavs = self.layout, self.scenario, self.scenario.uavs
+        layout, uavs = self.layout, self.scenario.uavs
         out = self._new(world.missions, layout.uavs, layout.local_size) if out is None else out
         at = {columns.name: out[:, :, columns.slice] for columns in layout.local}
         at["allowed_moves"][:, :uavs] = world.allowed_moves
         at["allowed_moves"][:, uavs:, STAY] = 1.0
         shared, cds = self.observation == "shared", world.flight.cds
-        _write_own(world.cells, cds, self._spare(world), scenario.altitudes, self._mission(world), at["own"])
-        _write_teammates(world.cells, cds, scenario.altitudes, shared, at["teammates"])
+        _write_own(world.cells, cds, *self._left(world), self._altitudes, self._mission(world), at["own"])
+        _write_teammates(world.cells, cds, self._altitudes, shared, at["teammates"])
         _write_devices(
             self._devices, world.cells, cds, self._radius, self._part, world.in_range, world.update_period, world.slot,
             world.last_collection_by, world.last_collection, world.ages.age_slots, self._waiting, shared,
@@ -141,10 +143,11 @@ class EntityViews(RowViews):
         out = self._new(world.missions, self.layout.global_size)
         at = {columns.name: out[:, columns.slice] for columns in self.layout.state}
         at["mission"][...] = self._mission(world)
-        middle = self._devices.mean(axis=1)  # (L, 2) grid steps
-        _write_uavs(world.cells, world.flight.cds, self._spare(world), self.scenario.altitudes, middle, at["uavs"])
+        _write_uavs(
+            world.cells, world.flight.cds, *self._left(world), self._altitudes, self._middle, at["uavs"]
+        )  # fmt: skip
         _write_state(
-            self._devices, middle, world.cells, self._radius, world.in_range, world.update_period, world.slot,
+            self._devices, self._middle, world.cells, self._radius, world.in_range, world.update_period, world.slot,
             world.last_collection, world.pending, world.ages.age_slots, self._waiting, at["devices"],
         )  # fmt: skip
         return out
@@ -157,12 +160,9 @@ class EntityViews(RowViews):
         left = self.scenario.slots + 1 - world.slot
         return np.array([left / (left + _LEFT_SLOTS), *self._sizes], dtype=np.float32)
 
-    def _spare(self, world: World) -> Ints:
-        """Grid steps that each UAV can fly beside its way home, (N, U): what slots and flight time leave."""
-        home = np.abs(world.flight.cds - world.cells).sum(axis=-1)  # (N, U)
-        left = np.minimum(self.scenario.slots - world.slot, world.flight.budget - world.flown)
-        spare: Ints = np.maximum(left - home, 0)
-        return spare
+    def _left(self, world: World) -> tuple[int, Ints]:
+        """Grid steps that the slots leave, and those that the flight time of each UAV leaves, (N, U)."""
+        return self.scenario.slots - world.slot, world.flight.budget - world.flown
 
     def _place(self, world: World) -> None:
         """Compute what depends on the map alone, once for each."""
@@ -171,6 +171,7 @@ class EntityViews(RowViews):
         self._placed = world.device_positions
         step = self.scenario.grid_step_m
         self._devices = world.device_positions / step
+        self._middle = self._devices.mean(axis=1)
         headroom = world.channel.mean_snr_above() / world.channel.snr_min[:, None, :]  # (L, U, I)
         # The radius of coverage.coverage_radius; where that is NaN, 0.
         self._radius = self.scenario.altitudes[:, None] * np.sqrt(np.maximum(headroom - 1.0, 0.0)) / step
@@ -178,7 +179,17 @@ class EntityViews(RowViews):
 
 
 @compiled
-def _write_own(cells: Ints, cds: Ints, spare: Ints, altitude: Floats, mission: Rows, own: Rows) -> None:
+def _spare(cell: Ints, cds: Ints, slots_left: int, budget_left: int) -> float:
+    """Grid steps that a UAV can fly beside its way home, scaled."""
+    home = abs(cds[0] - cell[0]) + abs(cds[1] - cell[1])
+    spare: float = min(max(min(slots_left, budget_left) - home, 0), 2 * _FAR) / _FAR
+    return spare
+
+
+@compiled
+def _write_own(
+    cells: Ints, cds: Ints, slots_left: int, budget_left: Ints, altitude: Floats, mission: Rows, own: Rows
+) -> None:
     """Write (N, U, features): what each UAV knows of itself."""
     for n in range(len(cells)):
         for u in range(cells.shape[1]):
@@ -187,7 +198,7 @@ def _write_own(cells: Ints, cds: Ints, spare: Ints, altitude: Floats, mission: R
             token[1] = (cds[u, 0] - cells[n, u, 0]) / _STEPS
             token[2] = (cds[u, 1] - cells[n, u, 1]) / _STEPS
             token[3] = mission[0]
-            token[4] = min(float(spare[n, u]), 2 * _FAR) / _FAR
+            token[4] = _spare(cells[n, u], cds[u], slots_left, budget_left[n, u])
             token[5] = altitude[u] / 100.0
             token[6] = mission[1]
             token[7] = mission[2]
@@ -277,7 +288,9 @@ def _write_devices(
 
 
 @compiled
-def _write_uavs(cells: Ints, cds: Ints, spare: Ints, altitude: Floats, middle: Floats, tokens: Rows) -> None:
+def _write_uavs(
+    cells: Ints, cds: Ints, slots_left: int, budget_left: Ints, altitude: Floats, middle: Floats, tokens: Rows
+) -> None:
     """Write (N, U * features): a token of the state for each UAV."""
     for n in range(len(cells)):
         layout = min(n, len(middle) - 1)
@@ -288,7 +301,7 @@ def _write_uavs(cells: Ints, cds: Ints, spare: Ints, altitude: Floats, middle: F
             token[2] = (cells[n, u, 1] - middle[layout, 1]) / _STEPS
             token[3] = (cds[u, 0] - cells[n, u, 0]) / _STEPS
             token[4] = (cds[u, 1] - cells[n, u, 1]) / _STEPS
-            token[5] = min(float(spare[n, u]), 2 * _FAR) / _FAR
+            token[5] = _spare(cells[n, u], cds[u], slots_left, budget_left[n, u])
             token[6] = altitude[u] / 100.0
 
 
