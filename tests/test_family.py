@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from uavaou import Family, InputError, Scenario
 from uavaou.family import Draw, WholeDraw
@@ -125,7 +128,7 @@ def test_a_base_may_be_a_file_or_fields(tmp_path: Path) -> None:
         ({"uavs": {"low": 3, "high": 2}}, "low (3) must not exceed high (2)"),
         ({"uavs": {"low": 0, "high": 2}}, "uavs.low = 0: input should be greater than or equal to 1"),
         ({"uavs": {"among": [1, 2], "weights": [1]}}, "weights: has 1 entries, needs one for each value of among"),
-        ({"area_m": {"low": 0, "high": 9, "log": True}}, "log: needs a low above 0"),
+        ({"rician_factor": {"low": 0, "high": 9, "log": True}}, "log: needs a low above 0"),
         ({"cds": {"corners": 0}}, "expected a weight above 0"),
         ({"base": "papr"}, "did you mean 'paper'?"),
         ({"base_share": 2}, "base_share = 2: input should be less than or equal to 1"),
@@ -148,3 +151,20 @@ def test_unknown_names_and_numbers_are_refused() -> None:
     for n in (-1, 1.5):
         with pytest.raises(InputError, match="expected a whole number from 0 on"):
             Family.load("layouts").draw(n)  # type: ignore[arg-type]
+
+
+NUMBERS = st.one_of(st.sampled_from([0, 1, 2, 1e-3, 1e15, 1e300, -1, 10**400, None, "5", True]), st.floats(0.5, 500))
+DRAWS_OF_FIELDS = st.one_of(
+    NUMBERS,
+    st.fixed_dictionaries({}, optional={"low": NUMBERS, "high": NUMBERS, "log": st.booleans(), "share": NUMBERS}),
+    st.fixed_dictionaries({"among": st.lists(NUMBERS, max_size=3)}, optional={"weights": st.lists(NUMBERS)}),
+)
+FIELDS = st.sampled_from([name for name in Family.model_fields if name != "base"])
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.dictionaries(FIELDS, DRAWS_OF_FIELDS, max_size=3))
+def test_extreme_values_are_refused_or_accepted_but_never_crash(fields: dict[str, Any]) -> None:
+    with suppress(InputError):
+        family = Family.from_dict({"base": "tiny"} | fields)
+        assert Family.from_dict(family.to_dict()) == family

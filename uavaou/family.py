@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, 
 
 from uavaou.arrays import Floats
 from uavaou.errors import InputError
-from uavaou.fields import FolderName, NonNegative, Positive, PositiveWhole, validated
+from uavaou.fields import FolderName, Length, NonNegative, Positive, PositiveWhole, validated
 from uavaou.scenario import Range, Scenario
 from uavaou.zoo import read_yaml_mapping, zoo_or_file
 
@@ -24,6 +24,7 @@ _TRIED = 64  # draws that are made when a family is read
 _LEAST_SPAN = 0.25  # the part of the range of altitudes that a fleet takes at least
 
 Share = Annotated[NonNegative, Field(le=1)]  # of the draws
+Count = Annotated[PositiveWhole, Field(le=100_000)]
 
 
 class Draw(BaseModel):
@@ -69,12 +70,20 @@ class Draw(BaseModel):
         return float(f"{value:.6g}")  # the same on every machine, whatever the last bits of its powers
 
 
+class LengthDraw(Draw):
+    """A length in m, by the same rules."""
+
+    low: Length | None = None
+    high: Length | None = None
+    among: Annotated[tuple[Length, ...], Field(min_length=1)] | None = None
+
+
 class WholeDraw(Draw):
     """A whole number, by the same rules."""
 
-    low: PositiveWhole | None = None
-    high: PositiveWhole | None = None
-    among: Annotated[tuple[PositiveWhole, ...], Field(min_length=1)] | None = None
+    low: Count | None = None
+    high: Count | None = None
+    among: Annotated[tuple[Count, ...], Field(min_length=1)] | None = None
 
     def _between(self, low: float, high: float, unit: float) -> float:
         return float(min(math.floor(super()._between(low, high + 1, unit)), high))
@@ -139,8 +148,8 @@ class Family(BaseModel):
     base_share: Share = 0.0  # of the draws: the base itself, on new layouts
     uavs: WholeDraw | None = None
     devices: WholeDraw | None = None
-    grid_step_m: Draw | None = None  # a slot takes as long for each step as in the base
-    area_m: Draw | None = None  # of a side, rounded to whole grid steps
+    grid_step_m: LengthDraw | None = None  # a slot takes as long for each step as in the base
+    area_m: LengthDraw | None = None  # of a side, rounded to whole grid steps
     square: Share = 1.0  # of the drawn areas have equal sides
     cds: CdsDraw = CdsDraw(corners=1)
     altitudes_m: AltitudeDraw | None = None

@@ -54,6 +54,12 @@ def same(one: list[Any], other: list[Any]) -> bool:
     return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
+def first_scenario(draw: int) -> Scenario:
+    """The first draw of one of two Worlds, played for a part of its slots."""
+    scenario = FAMILY.draw(draw)
+    return scenario.replace(slots=scenario.slots if draw % 2 else round(0.6 * scenario.slots))
+
+
 def lengths(env: MissionVecEnv, slots: int) -> dict[int, list[tuple[int, int]]]:
     """For each World the draws that end within ``slots`` slots, and when."""
     ends: dict[int, list[tuple[int, int]]] = {0: [], 1: []}
@@ -74,9 +80,8 @@ def test_each_world_plays_every_second_draw_and_the_first_ones_end_apart() -> No
     assert [draw for draw, _ in ends[0]] == [5, 7, 9]
     assert [draw for draw, _ in ends[1]][:2] == [6, 8]
     first = {world: ends[world][0][1] for world in (0, 1)}
-    for world, part in ((0, 1.0), (1, 0.5)):  # draws 5 and 6 modulo 2
-        slots = FAMILY.draw(5 + world).slots
-        assert first[world] == 100 + round(part * (slots - 100))
+    for world in (0, 1):
+        assert first[world] == first_scenario(5 + world).slots
         assert ends[world][1][1] - first[world] == FAMILY.draw(7 + world).slots
 
 
@@ -87,13 +92,11 @@ def test_a_mission_in_padded_rows_is_the_mission_alone(collection: str, observat
     rows = env.reset().reshape(2, 2, U, -1)  # (worlds, missions, U, columns)
     worlds = []
     for n in (5, 6):
-        drawn = FAMILY.draw(n)
-        part = (n % 2 + 1) / 2
-        scenario = drawn.replace(slots=100 + round(part * (drawn.slots - 100)))
+        scenario = first_scenario(n)
         alone = make_views(scenario, observation, collection, "entities")
         worlds.append((World(scenario, 2, 2 * n), alone))
     layout, end = env.row_layout, env.local_size
-    for slot in range(90):
+    for slot in range(60):
         chosen = actions(env, slot)
         for (world, alone), seen in zip(worlds, rows, strict=True):
             uavs = world.scenario.uavs

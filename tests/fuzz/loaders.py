@@ -22,6 +22,7 @@ with atheris.instrument_imports(include=["uavaou"]):
     from uavaou.algorithms.registry import load_config
     from uavaou.devices_csv import read_devices_csv
     from uavaou.errors import InputError
+    from uavaou.family import Family
     from uavaou.reports.figures import read_runs
     from uavaou.runs.checkpoint_header import TrainingProgress, read_header, write_header
     from uavaou.runs.folder import RunConfig, RunFolder
@@ -52,6 +53,12 @@ def _scenario(content: bytes) -> None:
     Scenario.load(path)
 
 
+def _family(content: bytes) -> None:
+    path = PLACE / "family.yaml"
+    path.write_bytes(content)
+    Family.load(path)
+
+
 def _config(content: bytes) -> None:
     (PLACE / "config.yaml").write_bytes(content)
     RunFolder(PLACE).read_config()
@@ -76,7 +83,7 @@ def _episodes(content: bytes) -> None:
     read_runs([folder])
 
 
-LOADERS = (_checkpoint, _learner, _scenario, _config, _devices, _evaluation, _episodes)
+LOADERS = (_checkpoint, _learner, _scenario, _config, _devices, _evaluation, _episodes, _family)
 
 
 def read(data: bytes) -> None:
@@ -108,6 +115,7 @@ def write_seeds(folder: Path) -> None:
         b'{"scenario": "tiny", "episodes": 1, "policies": {"mappo": {"mean_aou_s": [1.0], "communications": [2],'
         b' "devices_served": [3]}}}',
         b"mission,slots,wall_s,reward_s,mean_aou_s,communications,devices_served\n1,60,0.1,-3,4.5,6,7\n",
+        b"base: tiny\nuavs: {among: [1, 2], weights: [1, 2.5]}\narea_m: {low: 200, high: 500, log: true, share: 0.5}\n",
     )
     for number, content in enumerate(seeds):
         (folder / LOADERS[number].__name__.strip("_")).write_bytes(bytes([number]) + content)

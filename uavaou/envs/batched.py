@@ -19,7 +19,7 @@ from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.views import Rows, RowViews
 
-_SHORTEST_SLOTS = 100  # of the first missions, whose ends are spread over a mission
+_SHORTEST = 0.2  # of a mission: the first missions of Worlds side by side are cut to parts from here to a whole one
 
 
 class BatchedMissions(VectorEnv[Any, Any, Any]):
@@ -137,9 +137,9 @@ class BatchedDraws(BatchedMissions):
     def _play(self, draw: int, draws_before: int) -> None:
         """Start the missions of a draw."""
         scenario = self._family.draw(draw)
-        if draws_before == 0 and scenario.slots > _SHORTEST_SLOTS:
-            part = (draw % self.worlds + 1) / self.worlds
-            scenario = scenario.replace(slots=_SHORTEST_SLOTS + round(part * (scenario.slots - _SHORTEST_SLOTS)))
+        if draws_before == 0:
+            part = _SHORTEST + (1 - _SHORTEST) * (draw % self.worlds + 1) / self.worlds
+            scenario = scenario.replace(slots=max(round(part * scenario.slots), 2))
         self._draw, self._draws_before = draw, draws_before
         self._about_end = {"TimeLimit.truncated": False, "draw": draw}
         self.scenario, self.views = scenario, self._views_of(scenario)
