@@ -111,8 +111,8 @@ def _split(
 def _floor(model: MAPPO, config: MappoConfig, seconds_a_step: float) -> list[Measurement]:
     """The floating-point work of an agent step over the machine's float32 product rate, and the fraction reached."""
     policy, uavs = model.policy, model.rollout_buffer.row_layout.uavs
-    actor = _work([*policy.actor_body, policy.action_net])
-    critic = _work([*policy.critic_body, policy.value_net.linear])
+    actor = _work([*policy.actor_body.children(), policy.action_net])
+    critic = _work([*policy.critic_body.children(), policy.value_net.linear])
     forward, training = (actor[k] + critic[k] / uavs for k in (0, 1))  # FLOP an agent step
     work = forward + config.epochs * training
     left, right = th.randn(config.batch_rows, 128), th.randn(128, 128)

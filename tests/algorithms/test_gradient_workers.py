@@ -67,9 +67,10 @@ def test_shards_of_a_gradient_add_up_and_the_worker_ends_with_the_training(criti
     assert len(workers) == 1
     indices, coefficients = np.arange(600), LossCoefficients(0.1, 0.7, 0.2, 0.01, 0.5, -3.0, 2.0)
     shard = GradientShard(alone.policy, model.rollout_buffer)
-    whole, statistics = shard.gradient(indices, indices, 600, coefficients)
-    first, statistics_1 = shard.gradient(indices[:250], indices[: 600 - critic_slots], 600, coefficients)
-    workers[0].request(indices[250:], indices[600 - critic_slots :], 600, coefficients)
+    rows = len(shard.rows(indices)), len(shard.critic_rows(indices))
+    whole, statistics = shard.gradient(indices, indices, rows, coefficients)
+    first, statistics_1 = shard.gradient(indices[:250], indices[: 600 - critic_slots], rows, coefficients)
+    workers[0].request(indices[250:], indices[600 - critic_slots :], rows, coefficients)
     statistics_2 = workers[0].result()
     workers[0].close()
     np.testing.assert_allclose(statistics, statistics_1 + statistics_2, rtol=1e-6)

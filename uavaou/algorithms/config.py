@@ -35,11 +35,17 @@ class AlgorithmConfig(BaseModel):
     reward: Literal["root", "aou"] = "root"
     evaluate_every_slots: PositiveWhole  # an evaluation on validation missions, and a checkpoint, this often
     evaluation_missions: Annotated[PositiveWhole, Field(le=10_000)] = 32
+    worlds: Annotated[PositiveWhole, Field(le=1024)] = 8  # of a family's members, that are trained on side by side
 
     @property
     def depends_on_sizes(self) -> bool:
         """Whether a trained policy takes only the numbers of UAVs and devices that it was trained with."""
         return True
+
+    @property
+    def rows(self) -> str:
+        """The format of the rows that the policy reads: ``flat``, or ``entities``."""
+        return "flat"
 
     @model_validator(mode="after")
     def _processes_divide_missions(self) -> Self:
@@ -56,10 +62,21 @@ class LearnerConfig(AlgorithmConfig):
     """
 
     adam: ClassVar[dict[str, Any]] = {"fused": True}  # options of the optimizer
+    network: Literal["mlp", "set"] = "mlp"  # set: any number of UAVs and devices, in rows of entities
     hidden: HiddenSizes  # units of each hidden layer; MAPPO: of actor and critic alike
     activation: Literal["relu", "tanh"]
     masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
     selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit or advantage of selecting a device in range
+
+    @property
+    def depends_on_sizes(self) -> bool:
+        """Whether a trained policy takes only the numbers of UAVs and devices that it was trained with."""
+        return self.network == "mlp"
+
+    @property
+    def rows(self) -> str:
+        """The format of the rows that the policy reads."""
+        return "entities" if self.network == "set" else "flat"
 
     def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
         """The learner on ``env``."""
@@ -77,6 +94,7 @@ class LearnerConfig(AlgorithmConfig):
 
     def _policy_arguments(self) -> dict[str, Any]:
         return {
+            "network": self.network,
             "net_arch": list(self.hidden),
             "activation": self.activation,
             "masks": self.masks,

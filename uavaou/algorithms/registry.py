@@ -134,12 +134,18 @@ def _load_file(path: Path) -> None:
 def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> AlgorithmConfig:
     """Load an algorithm's published configuration, with some fields changed.
 
+    Where ``overrides`` choose ``network: set``, a file such as ``mappo-set.yaml`` replaces some published fields.
+
     Raises:
         InputError: the algorithm or a field is unknown, or a value cannot be used.
     """
     entry = find_algorithm(algorithm)
     published = {} if entry.defaults is None else read_yaml_mapping(entry.defaults)
-    fields = published | {"name": algorithm} | (overrides or {})
+    overrides = overrides or {}
+    if entry.defaults is not None and overrides.get("network") == "set":
+        of_network = entry.defaults.with_name(f"{entry.defaults.stem}-set.yaml")
+        published |= read_yaml_mapping(of_network) if of_network.is_file() else {}
+    fields = published | {"name": algorithm} | overrides
     return validated(entry.config, fields, f"algorithm '{algorithm}'")
 
 

@@ -270,8 +270,7 @@ def config_folder(out: Path, config: RunConfig) -> RunFolder:
         InputError: the algorithm is not registered.
     """
     name = config.algorithm.name
-    published = load_config(name).model_dump(mode="json")
-    overrides = _differences(published, config.algorithm.model_dump(mode="json"))
+    overrides = _differences(_published(config.algorithm), config.algorithm.model_dump(mode="json"))
     overrides |= {"from": config.start[:12]} if config.start else {}
     return RunFolder(out / scenario_folder(config.scenario) / _folder_name(name, overrides) / f"seed-{config.seed}")
 
@@ -300,16 +299,24 @@ def train_command(
     """
     command = ["uavaou", *(word for place in plugins for word in ("--plugin", place)), "train"]
     command += ["--scenario", source, "--algorithm", algorithm.name]
-    published = load_config(algorithm.name).model_dump(mode="json")
     changes = {
         "scenario": _differences(Scenario.load(source).to_dict(), scenario.to_dict()),
-        "algorithm": _differences(published, algorithm.model_dump(mode="json")),
+        "algorithm": _differences(_published(algorithm), algorithm.model_dump(mode="json")),
     }
     for part, fields in changes.items():
         for name, value in fields.items():
             if name not in ("name", "description"):
                 command += ["--set", f"{part}.{name}={value}"]
     return command
+
+
+def _published(algorithm: AlgorithmConfig) -> dict[str, Any]:
+    """The published settings that these start from: those of the algorithm with their network."""
+    fields = load_config(algorithm.name).model_dump(mode="json")
+    network = getattr(algorithm, "network", None)
+    if network != fields.get("network"):
+        fields = load_config(algorithm.name, {"network": network}).model_dump(mode="json") | {"network": None}
+    return fields
 
 
 def _differences(base: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str, str]:

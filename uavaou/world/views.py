@@ -97,6 +97,22 @@ class RowLayout:
         """The column of a row that is 1 for a UAV that is there and 0 in padding; None for flat rows."""
         return self.local[0].start if self.rows == "entities" else None
 
+    @property
+    def in_range_columns(self) -> slice | None:
+        """The columns that flag the devices in range, one for each; None if the observation lacks them."""
+        entities = self.rows == "entities"
+        return self.token_feature("devices", "in_range") if entities else self.local_columns("in_range")
+
+    def size_columns(self, of_state: bool) -> list[int]:
+        """The columns of entities' rows that state how many devices and UAVs there are, and other sizes: logarithms.
+
+        Args:
+            of_state: in the global state, else in the local observation.
+        """
+        if of_state:
+            return list(range(self.state[0].start + 1, self.state[0].stop))
+        return [self.token_feature("own", name).start for name in ("devices", "uavs")]
+
     def fits(self, other: RowLayout, depends_on_sizes: bool = True) -> bool:
         """Whether a policy for these rows can read ``other``: the same columns, in number or in meaning alone."""
         if depends_on_sizes:

@@ -46,7 +46,8 @@ class GradientShard:
 
     def __init__(self, policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> None:
         masks = (policy.allowed_columns, policy.in_range_columns)
-        self._moves_column, self._range_column = (-1 if columns is None else columns.start for columns in masks)
+        self._moves_column, range_column = (-1 if columns is None else columns.start for columns in masks)
+        self._range = (range_column, getattr(policy.in_range_columns, "step", None) or 1)
         known = inherits(policy, CentralizedValuePolicy, "logits")
         actor = fully_connected(policy.actor_body, policy.action_net) if known else None
         self._actor = _network(actor, policy.logits, policy.actor_parameters())
@@ -56,20 +57,39 @@ class GradientShard:
             critic, lambda rows: policy.normalised_values(rows)[:, None], policy.critic_parameters()
         )
         arrays = (buffer.actions, buffer.log_probs, buffer.advantages, buffer.returns)
-        self._actions, self._log_probs, self.advantages, self._returns = map(_by_slot, arrays)
-        self._local = th.from_numpy(_by_slot(buffer.local))  # (slots, U, local)
-        critic_rows = th.from_numpy(_by_slot(buffer.critic_rows))
-        self._critic_rows = critic_rows[:, None] if buffer.shared_critic else critic_rows  # (slots, V, global or local)
+        self._actions, self._log_probs, self._advantages, self._returns = map(_by_slot, arrays)
+        present = buffer.row_layout.present_column
+        self._present = None if present is None else _by_slot(buffer.local)[:, :, present]  # (slots, U)
+        self._local = _by_row(buffer.local)  # (slots * U, local)
+        self._critic_rows = _by_row(buffer.critic_rows)  # (slots * V, global or local)
+        self._shared_critic = buffer.shared_critic
 
     @property
     def uses_autograd(self) -> bool:
         """Whether autograd differentiates one of the networks."""
         return not (isinstance(self._actor, FullyConnected) and isinstance(self._critic, FullyConnected))
 
+    def rows(self, indices: Indices) -> Indices:
+        """Return the rows, counted from that of the rollout's first slot, of UAVs that are there in slots (B,)."""
+        uavs = self._actions.shape[1]
+        rows: Indices = indices[:, None] * uavs + np.arange(uavs)  # (B, U)
+        return rows.ravel() if self._present is None else rows[self._present[indices] > 0.5]
+
+    def critic_rows(self, indices: Indices) -> Indices:
+        """Return the critic's rows of slots (B,), one a slot or those of its UAVs."""
+        return indices if self._shared_critic else self.rows(indices)
+
+    def advantage_moments(self, indices: Indices) -> tuple[float, float]:
+        """Mean and standard deviation of the advantages of slots (B,), over UAVs that are there."""
+        if self._present is None:  # the UAVs of a slot share an advantage, or each has one: V of them
+            return advantage_moments(self._advantages, self.critic_rows(indices), self._advantages.shape[1])
+        return advantage_moments(self._advantages, self.rows(indices), self._actions.shape[1])
+
     @th.no_grad()
     def gradient(
-        self, actor_indices: Indices, critic_indices: Indices, slots_in_batch: int, coefficients: LossCoefficients
-    ) -> tuple[list[th.Tensor], Doubles]:
+        self, actor_indices: Indices, critic_indices: Indices, rows_in_batch: tuple[int, int],
+        coefficients: LossCoefficients,
+    ) -> tuple[list[th.Tensor], Doubles]:  # fmt: skip
         """The gradient by the actor's and the critic's parameters, in order, and the loss statistics.
 
         Gradients and statistics of a minibatch's shards add up to those of the minibatch.
@@ -77,31 +97,31 @@ class GradientShard:
         Args:
             actor_indices: (B,) of this shard's slots in the rollout, for the actor's loss.
             critic_indices: the same for the critic's loss; where empty, the critic's gradient is left out.
-            slots_in_batch: of all shards together.
+            rows_in_batch: the actor's and the critic's, of all shards together.
             coefficients: of the loss.
 
         Returns:
             The gradients, and (6,) the statistics in the order of
             :class:`~uavaou.algorithms.mappo.mappo.LossStatistics`.
         """
-        rows = self._local.index_select(0, th.from_numpy(actor_indices)).flatten(0, 1)  # (B * U, local)
+        at = self.rows(actor_indices)
+        rows = self._local.index_select(0, th.from_numpy(at))  # (B * U, local)
         activations = self._actor.forward(rows)
         logits = activations[-1]  # (B * U, 5 + I)
         grad_logits = th.empty_like(logits)
         objective, entropy, kl, clipped = clipped_surrogate(
-            logits.numpy(), rows.numpy(), self._moves_column, self._range_column, actor_indices, self._actions,
-            self._log_probs, self.advantages, *coefficients[:4], len(actor_indices) / slots_in_batch,
-            grad_logits.numpy(),
+            logits.numpy(), rows.numpy(), self._moves_column, self._range, at, self._actions, self._log_probs,
+            self._advantages, *coefficients[:4], len(at) / rows_in_batch[0], grad_logits.numpy(),
         )  # fmt: skip
         gradients, value_loss = self._actor.backward(activations, grad_logits), 0.0
         if len(critic_indices):
-            rows = self._critic_rows.index_select(0, th.from_numpy(critic_indices)).flatten(0, -2)  # (B * V, ...)
+            at = self.critic_rows(critic_indices)
+            rows = self._critic_rows.index_select(0, th.from_numpy(at))  # (B * V, global or local)
             activations = self._critic.forward(rows)
             values = activations[-1]  # (B * V, 1)
             grad_values = th.empty_like(values)
             value_loss = squared_error(
-                values.numpy(), critic_indices, self._returns, *coefficients[4:], len(critic_indices) / slots_in_batch,
-                grad_values.numpy(),
+                values.numpy(), at, self._returns, *coefficients[4:], len(at) / rows_in_batch[1], grad_values.numpy()
             )  # fmt: skip
             gradients += self._critic.backward(activations, grad_values)
         loss = -objective - coefficients.entropy_coef * entropy + coefficients.value_coef * value_loss
@@ -111,6 +131,11 @@ class GradientShard:
 def _by_slot(array: Floats) -> Floats:
     """An array (T, N, ...) of the buffer as (slots, ...)."""
     return array.reshape(-1, *array.shape[2:])
+
+
+def _by_row(array: Floats) -> th.Tensor:
+    """An array (T, N, ..., columns) of the buffer as (rows, columns)."""
+    return th.from_numpy(array.reshape(-1, array.shape[-1]))
 
 
 class _AutogradNetwork:
@@ -139,39 +164,40 @@ def _network(
 
 @compiled
 def clipped_surrogate(
-    logits: Floats, local: Floats, moves_column: int, range_column: int, indices: Indices, actions: Floats,
+    logits: Floats, local: Floats, moves_column: int, in_range: tuple[int, int], rows: Indices, actions: Floats,
     old_log_prob: Floats, advantages: Floats, mean: float, scale: float, clip_range: float, entropy_coef: float,
     part: float, gradient: Floats,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Write the gradient of ``-mean(min(A r, A clip(r))) - entropy_coef * mean(H)`` by the logits.
 
     Args:
-        logits: (B * U, 5 + I) of the UAVs in B slots.
-        local: (B * U, local), with the masks.
-        moves_column, range_column: first column of the allowed moves and of the devices in range; -1 without a mask.
-        indices: (B,) of the slots in the rollout.
+        logits: (R, 5 + I) of UAVs in some slots.
+        local: (R, local), with the masks.
+        moves_column: the first of the allowed moves; -1 without a mask.
+        in_range: the first column of the devices in range, or -1, and the way to the next.
+        rows: (R,) in the rollout, ``slot * U + uav``.
         actions: (slots, U, 1 + I) of the whole rollout, the move first.
         old_log_prob: (slots, U).
         advantages: (slots, 1) or (slots, U); ``A = (advantage - mean) * scale``.
         clip_range: of the ratio ``r = exp(log_prob - old_log_prob)``.
         part: share of these rows in the minibatch; means are over the minibatch, and those of its parts add up.
-        gradient: (B * U, 5 + I), written.
+        gradient: (R, 5 + I), written.
 
     Returns:
         Means: the objective, the entropy in nats, the KL divergence from the old policy (estimated as
         r - 1 - log r), and the share of rows with a clipped ratio.
     """
-    rows, uavs = len(logits), actions.shape[1]
-    weight = part / max(rows, 1)  # of a row in the means
+    uavs = actions.shape[1]
+    weight = part / max(len(rows), 1)  # of a row in the means
     grad_entropy = -entropy_coef * weight
     log_probs, probs = np.empty(_MOVES), np.empty(_MOVES)
     objectives, entropies, divergence, clipped = 0.0, 0.0, 0.0, 0
-    for row in range(rows):
-        slot, uav = indices[row // uavs], row % uavs
+    for row in range(len(rows)):
+        slot, uav = rows[row] // uavs, rows[row] % uavs
         action = actions[slot, uav]
         move_entropy = _softmax(logits[row], local[row], moves_column, log_probs, probs)
         log_prob, entropy = _add_selection(
-            logits[row], local[row], range_column, action, log_probs[int(action[0])], move_entropy, gradient[row]
+            logits[row], local[row], in_range, action, log_probs[int(action[0])], move_entropy, gradient[row]
         )
         log_ratio = log_prob - old_log_prob[slot, uav]
         ratio = math.exp(log_ratio)
@@ -188,7 +214,7 @@ def clipped_surrogate(
             if probs[k] > 0:
                 gradient[row, k] = -probs[k] * (grad_log_prob + grad_entropy * (log_probs[k] + move_entropy))
         gradient[row, int(action[0])] += grad_log_prob
-        _selection_gradient(logits[row], local[row], range_column, action, grad_log_prob, grad_entropy, gradient[row])
+        _selection_gradient(logits[row], local[row], in_range, action, grad_log_prob, grad_entropy, gradient[row])
     return objectives * weight, entropies * weight, divergence * weight, clipped * weight
 
 
@@ -215,14 +241,15 @@ def _softmax(logits: Floats, local: Floats, moves_column: int, log_probs: Double
 
 @compiled
 def _add_selection(
-    logits: Floats, local: Floats, range_column: int, action: Floats, log_prob: float, entropy: float, probs: Floats
-) -> tuple[float, float]:
+    logits: Floats, local: Floats, in_range: tuple[int, int], action: Floats, log_prob: float, entropy: float,
+    probs: Floats,
+) -> tuple[float, float]:  # fmt: skip
     """Add the selected devices to log-probability and entropy; write each device's probability q to ``probs``.
 
     With the logit z, log q = -softplus(-z), and the entropy is z (1 - q) - log q.
     """
     for i in range(len(action) - 1):
-        if range_column < 0 or local[range_column + i] > 0.5:
+        if in_range[0] < 0 or local[in_range[0] + in_range[1] * i] > 0.5:
             z = float(logits[_MOVES + i])
             tail = math.exp(-abs(z))
             q = 1 / (1 + tail) if z >= 0 else tail / (1 + tail)
@@ -235,12 +262,12 @@ def _add_selection(
 
 @compiled
 def _selection_gradient(
-    logits: Floats, local: Floats, range_column: int, action: Floats, grad_log_prob: float, grad_entropy: float,
+    logits: Floats, local: Floats, in_range: tuple[int, int], action: Floats, grad_log_prob: float, grad_entropy: float,
     gradient: Floats,
 ) -> None:  # fmt: skip
     """Write the gradient by the devices' logits, in place of their probabilities."""
     for i in range(len(action) - 1):
-        if range_column < 0 or local[range_column + i] > 0.5:
+        if in_range[0] < 0 or local[in_range[0] + in_range[1] * i] > 0.5:
             z, q = float(logits[_MOVES + i]), float(gradient[_MOVES + i])
             gradient[_MOVES + i] = grad_log_prob * (action[1 + i] - q) - grad_entropy * z * q * (1 - q)
         else:
@@ -249,39 +276,36 @@ def _selection_gradient(
 
 @compiled
 def squared_error(
-    values: Floats, indices: Indices, returns: Floats, weight: float, mean: float, std: float, part: float,
+    values: Floats, rows: Indices, returns: Floats, weight: float, mean: float, std: float, part: float,
     gradient: Floats,
 ) -> float:  # fmt: skip
     """Write the gradient of ``weight * mean((value - (return - mean) / std) ** 2)`` by the values.
 
     Args:
-        values: (B * V, 1), normalised.
-        indices: (B,) of the slots in the rollout.
+        values: (R, 1), normalised.
+        rows: (R,) in the rollout, ``slot * V + critic``.
         returns: (slots, V) of the whole rollout.
         part: share of these rows in the minibatch.
-        gradient: (B * V, 1), written.
+        gradient: (R, 1), written.
 
     Returns:
         The mean squared error, without the weight.
     """
     total, critics, each = 0.0, returns.shape[1], part / max(len(values), 1)
     for row in range(len(values)):
-        error = values[row, 0] - (returns[indices[row // critics], row % critics] - mean) / std
+        error = values[row, 0] - (returns[rows[row] // critics, rows[row] % critics] - mean) / std
         total += error * error
         gradient[row, 0] = 2 * weight * error * each
     return total * each
 
 
 @compiled
-def advantage_moments(advantages: Floats, indices: Indices) -> tuple[float, float]:
-    """Mean and standard deviation of the advantages (slots, V) of some slots."""
+def advantage_moments(advantages: Floats, rows: Indices, uavs: int) -> tuple[float, float]:
+    """Mean and standard deviation of the advantages (slots, V) of some rows ``slot * uavs + uav``."""
     total, squares, critics = 0.0, 0.0, advantages.shape[1]
-    count = len(indices) * critics
-    for slot in indices:
-        for v in range(critics):
-            total += advantages[slot, v]
-    mean = total / count
-    for slot in indices:
-        for v in range(critics):
-            squares += (advantages[slot, v] - mean) ** 2
-    return mean, math.sqrt(squares / count)
+    for row in rows:
+        total += advantages[row // uavs, row % uavs % critics]
+    mean = total / len(rows)
+    for row in rows:
+        squares += (advantages[row // uavs, row % uavs % critics] - mean) ** 2
+    return mean, math.sqrt(squares / len(rows))

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from torch.nn.modules.batchnorm import _NormBase
 from torch.nn.modules.dropout import _DropoutNd
 
-from uavaou.algorithms.fast.loss import Doubles, GradientShard, Indices, LossCoefficients, advantage_moments
+from uavaou.algorithms.fast.loss import Doubles, GradientShard, Indices, LossCoefficients
 from uavaou.algorithms.mappo.buffer import ARRAYS, SlotRolloutBuffer
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
 from uavaou.algorithms.nets.value_norm import PopArt, ReturnStatistics
@@ -52,7 +52,7 @@ class FastUpdate:
             sum(parameter.numel() for parameter in parameters)
             for parameters in (policy.actor_parameters(), policy.critic_parameters())
         )
-        self._critic_work = critic / actor / (buffer.row_layout.uavs if buffer.shared_critic else 1)  # see divide
+        self._critic_work = critic / actor  # of a row, in units of the actor's; see divide
 
     @staticmethod
     def supports(policy: CentralizedValuePolicy, buffer: SlotRolloutBuffer) -> bool:
@@ -96,13 +96,14 @@ class FastUpdate:
         """Set the parameters' gradient of the loss on slots ``indices`` (B,); returns the loss statistics (6,)."""
         coefficients = self._coefficients
         if self._normalises_batches:
-            mean, std = advantage_moments(self._shard.advantages, indices)
+            mean, std = self._shard.advantage_moments(indices)
             coefficients = coefficients._replace(advantage_mean=mean, advantage_scale=1 / (std + 1e-8))
         workers = self.workers[: len(indices) - 1]  # each process has one slot or more
-        own, *others = divide(indices, 1 + len(workers), self._critic_work)
+        rows = len(self._shard.rows(indices)), len(self._shard.critic_rows(indices))
+        own, *others = divide(indices, 1 + len(workers), self._critic_work / (rows[0] / rows[1]))
         for worker, shard in zip(workers, others, strict=True):
-            worker.request(*shard, len(indices), coefficients)
-        gradients, statistics = self._shard.gradient(*own, len(indices), coefficients)
+            worker.request(*shard, rows, coefficients)
+        gradients, statistics = self._shard.gradient(*own, rows, coefficients)
         if not workers:
             th._foreach_copy_(self._gradients, gradients)
         for number, worker in enumerate(workers):
@@ -180,7 +181,7 @@ class GradientWorker:
         self._requested, self._finished = context.Semaphore(0), context.Semaphore(0)
         self._parent = os.getpid()
         self._indices: Indices = np.frombuffer(mmap.mmap(-1, 16 * slots), np.int64)  # the actor's, then the critic's
-        self._numbers = np.frombuffer(mmap.mmap(-1, 8 * (3 + len(LossCoefficients._fields))), np.float64)
+        self._numbers = np.frombuffer(mmap.mmap(-1, 8 * (4 + len(LossCoefficients._fields))), np.float64)
         self._statistics: Doubles = np.frombuffer(mmap.mmap(-1, 8 * STATISTICS), np.float64)
         self.gradients = shared_tensors(policy.actor_and_critic_parameters())
         self._process = context.Process(target=self._work, args=(policy, buffer), daemon=True)
@@ -192,12 +193,13 @@ class GradientWorker:
         weakref.finalize(self, self._process.kill)
 
     def request(
-        self, actor_indices: Indices, critic_indices: Indices, slots_in_batch: int, coefficients: LossCoefficients
-    ) -> None:
+        self, actor_indices: Indices, critic_indices: Indices, rows_in_batch: tuple[int, int],
+        coefficients: LossCoefficients,
+    ) -> None:  # fmt: skip
         """Start :meth:`GradientShard.gradient` at the present parameters."""
         count, both = len(actor_indices), len(actor_indices) + len(critic_indices)
         self._indices[:count], self._indices[count:both] = actor_indices, critic_indices
-        self._numbers[:] = (count, both, slots_in_batch, *coefficients)
+        self._numbers[:] = (count, both, *rows_in_batch, *coefficients)
         self._requested.release()
 
     def result(self) -> Doubles:
@@ -222,10 +224,10 @@ class GradientWorker:
         th.set_num_threads(1)
         shard = GradientShard(policy, buffer)
         while _acquire(self._requested, lambda: os.getppid() == self._parent):
-            count, both, slots_in_batch = (int(number) for number in self._numbers[:3])
-            coefficients = LossCoefficients(*self._numbers[3:].tolist())
+            count, both, *rows_in_batch = (int(number) for number in self._numbers[:4])
+            coefficients = LossCoefficients(*self._numbers[4:].tolist())
             gradients, self._statistics[:] = shard.gradient(
-                self._indices[:count], self._indices[count:both], slots_in_batch, coefficients
+                self._indices[:count], self._indices[count:both], (rows_in_batch[0], rows_in_batch[1]), coefficients
             )
             th._foreach_copy_(self.gradients[: len(gradients)], gradients)
             for part in self.gradients[len(gradients) :]:

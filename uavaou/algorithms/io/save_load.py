@@ -180,7 +180,8 @@ class SafeSaveLoad(BaseAlgorithm):
         for stated, wanted in ((header.learner, cls.__name__), (header.policy, kind.__name__)):
             if stated not in (wanted, None):
                 raise InputError(f"{file.path}: holds a {stated!r:.40}, not a {wanted}")
-        layout, sized = header.layout if env is None else env.row_layout, kind.depends_on_sizes
+        layout = header.layout if env is None else env.row_layout
+        sized = kind.depends_on_sizes and (header.arguments.get("policy_kwargs") or {}).get("network") != "set"
         if not header.layout.fits(layout, sized):
             raise InputError("env: its rows are not those that the learner was saved with")
         try:

@@ -1,4 +1,7 @@
-"""A rollout of whole slots: a slot's UAVs stay together, and what they share is stored once."""
+"""A rollout of whole slots: a slot's UAVs stay together, and what they share is stored once.
+
+Rows of entities may be padded. UAVs that are not there have no rows in a minibatch, and no part in any mean.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +14,7 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
-from uavaou.arrays import Ints
+from uavaou.arrays import Bools, Ints
 from uavaou.world.views import RowLayout, Rows
 
 ARRAYS = (
@@ -21,7 +24,7 @@ ARRAYS = (
 
 @dataclass(frozen=True)
 class SlotBatch:
-    """A minibatch of B slots."""
+    """A minibatch of B slots; in padded rows, B * U and B * V are the rows that are there."""
 
     local: th.Tensor  # (B * U, local)
     critic_rows: th.Tensor  # (B * V, global or local)
@@ -35,8 +38,12 @@ class SlotRolloutBuffer(RolloutBuffer):
     """Holds T slots of N missions with U UAVs; V is 1 with a shared critic and U with individual ones.
 
     SB3's buffer stores the global state, the value, the reward and the advantage of a slot U times.
+
+    Attributes:
+        present: which UAVs are there, (T, N, U); None for flat rows, where all are.
     """
 
+    present: Bools | None
     local: Rows  # (T, N, U, local)
     state: Rows  # (T, N, global)
 
@@ -60,6 +67,8 @@ class SlotRolloutBuffer(RolloutBuffer):
         )  # fmt: skip
         for name, shape in zip(ARRAYS, shapes, strict=True):
             setattr(self, name, np.zeros((self.buffer_size, self.n_envs // uavs, *shape), dtype=np.float32))
+        padded = layout.present_column is not None
+        self.present = np.zeros(self.log_probs.shape, dtype=bool) if padded else None
 
     def add(
         self, obs: Rows, action: Any, reward: Rows, episode_start: Any, value: th.Tensor, log_prob: th.Tensor
@@ -77,6 +86,8 @@ class SlotRolloutBuffer(RolloutBuffer):
         local: Rows = self.local[self.pos]  # (N, U, local)
         local[...] = rows[:, :, :local_size]
         self.state[self.pos] = rows[:, 0, local_size:]
+        if self.present is not None:
+            self.present[self.pos] = rows[:, :, self.row_layout.present_column] > 0.5
         return local.reshape(-1, local_size)
 
     def add_step(self, action: NDArray[Any], reward: Rows, episode_start: NDArray[Any]) -> None:
@@ -95,6 +106,22 @@ class SlotRolloutBuffer(RolloutBuffer):
     def critic_rows(self) -> Rows:
         """The critic's inputs: (T, N, global) with a shared critic, else (T, N, U, local)."""
         return self.state if self.shared_critic else self.local
+
+    @property
+    def rows_per_slot(self) -> float:
+        """The mean number of UAVs that are there."""
+        return float(self.row_layout.uavs if self.present is None else self.present.sum(axis=2).mean())
+
+    def of_critics(self, array: Rows) -> Rows:
+        """Return the entries of an array (T, N, V, ...) whose critic's row is there."""
+        return array if self.present is None or self.shared_critic else array[self.present]
+
+    def of_uavs(self, array: Rows) -> Rows:
+        """Return the entry of an array (T, N, V) for each UAV that is there."""
+        if self.present is None:
+            return array
+        each: Rows = np.broadcast_to(array, self.present.shape)[self.present]
+        return each
 
     def compute_returns_and_advantage(self, last_values: th.Tensor, dones: NDArray[Any]) -> None:
         """GAE(lambda) (Schulman et al. 2016), for each mission and critic."""
@@ -118,14 +145,13 @@ class SlotRolloutBuffer(RolloutBuffer):
     def batch(self, indices: Ints) -> SlotBatch:
         """The minibatch of the slots with ``indices`` (B,) from 0 to T * N - 1, on the learner's device."""
         critic_rows = self._pick(self.critic_rows, indices)
-        return SlotBatch(
-            local=self._pick(self.local, indices).flatten(0, 1),
-            critic_rows=critic_rows.reshape(-1, critic_rows.shape[-1]),
-            actions=self._pick(self.actions, indices).flatten(0, 1),
-            old_log_prob=self._pick(self.log_probs, indices).flatten(),
-            advantages=self._per_uav(self.advantages, indices),
-            returns=self._pick(self.returns, indices).flatten(),
-        )
+        rows = (critic_rows.reshape(-1, critic_rows.shape[-1]), self._pick(self.returns, indices).flatten())
+        critic_rows, returns = rows if self.shared_critic else self._there(indices, *rows)
+        local, actions, old_log_prob, advantages = self._there(
+            indices, self._pick(self.local, indices).flatten(0, 1), self._pick(self.actions, indices).flatten(0, 1),
+            self._pick(self.log_probs, indices).flatten(), self._per_uav(self.advantages, indices),
+        )  # fmt: skip
+        return SlotBatch(local, critic_rows, actions, old_log_prob, advantages, returns)
 
     def get(self, batch_size: int | None = None) -> Iterator[RolloutBufferSamples]:  # type: ignore[override]
         """Yield the rollout in random order as SB3's buffer does, in minibatches of rows ``[local | global]``.
@@ -135,20 +161,28 @@ class SlotRolloutBuffer(RolloutBuffer):
         """
         assert self.full, "the rollout is not complete"
         rows = self.buffer_size * self.n_envs if batch_size is None else batch_size
-        for indices in self.shuffled_slots(max(rows // self.row_layout.uavs, 1)):
+        for indices in self.shuffled_slots(max(int(rows / self.rows_per_slot), 1)):
             yield self._get_samples(indices)
 
     def _get_samples(self, batch_inds: Ints, env: VecNormalize | None = None) -> RolloutBufferSamples:
         local = self._pick(self.local, batch_inds)  # (B, U, local)
         state = self._pick(self.state, batch_inds)[:, None].expand(-1, local.shape[1], -1)  # (B, U, global)
-        return RolloutBufferSamples(
-            observations=th.cat([local, state], dim=2).flatten(0, 1),
-            actions=self._pick(self.actions, batch_inds).flatten(0, 1),
-            old_values=self._per_uav(self.values, batch_inds),
-            old_log_prob=self._pick(self.log_probs, batch_inds).flatten(),
-            advantages=self._per_uav(self.advantages, batch_inds),
-            returns=self._per_uav(self.returns, batch_inds),
+        samples = (
+            th.cat([local, state], dim=2).flatten(0, 1),
+            self._pick(self.actions, batch_inds).flatten(0, 1),
+            self._per_uav(self.values, batch_inds),
+            self._pick(self.log_probs, batch_inds).flatten(),
+            self._per_uav(self.advantages, batch_inds),
+            self._per_uav(self.returns, batch_inds),
         )
+        return RolloutBufferSamples(*self._there(batch_inds, *samples))
+
+    def _there(self, indices: Ints, *rows: th.Tensor) -> tuple[th.Tensor, ...]:
+        """The rows (B * U, ...) of UAVs that are there, of those at some slots."""
+        if self.present is None:
+            return rows
+        present = th.from_numpy(self.present.reshape(-1, self.row_layout.uavs)[indices].ravel()).to(self.device)
+        return tuple(each[present] for each in rows)
 
     def _pick(self, array: Rows, indices: Ints) -> th.Tensor:
         """The entries (B, ...) of an array (T, N, ...) at some slots."""

@@ -18,6 +18,7 @@ from torch.nn import functional
 from uavaou.algorithms.io.save_load import SafeSaveLoad
 from uavaou.algorithms.mappo.buffer import SlotBatch, SlotRolloutBuffer
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
+from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
 from uavaou.errors import InputError, unknown
 
 try:
@@ -161,7 +162,7 @@ class MAPPO(SafeSaveLoad, PPO):
         for _ in range(slots):
             assert isinstance(self._last_obs, np.ndarray)
             local = th.from_numpy(buffer.add_rows(self._last_obs)).to(self.device)  # (N * U, local)
-            distribution = self.policy.action_distribution(local)
+            distribution = self._distribution(local, buffer)
             actions = distribution.sample().cpu().numpy()
             logits.append(distribution.logits)
             new_obs, rewards, dones, infos = env.step(actions)
@@ -179,6 +180,15 @@ class MAPPO(SafeSaveLoad, PPO):
         callback.update_locals(locals())
         callback.on_rollout_end()
         return True
+
+    def _distribution(self, local: th.Tensor, buffer: SlotRolloutBuffer) -> MoveSelectionDistribution:
+        """The policy in the rows (N * U, local) just stored; the logits of UAVs that are not there are 0."""
+        if buffer.present is None or buffer.present[buffer.pos].all():
+            return self.policy.action_distribution(local)
+        rows = th.from_numpy(np.flatnonzero(buffer.present[buffer.pos])).to(self.device)
+        there = self.policy.logits(local.index_select(0, rows))
+        logits = there.new_zeros(len(local), there.shape[1]).index_copy_(0, rows, there)
+        return self.policy.distribution_of(logits, local)
 
     def _update_info_buffer(self, infos: list[dict[str, Any]], dones: NDArray[np.bool_] | None = None) -> None:
         # SB3 searches all infos of every slot for entries that only those of a mission's last slot have.
@@ -214,12 +224,16 @@ class MAPPO(SafeSaveLoad, PPO):
         actor["lr"], critic["lr"] = rate, rate * self.critic_learning_rate
         clip_range = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
         buffer = self.rollout_buffer
-        explained = explained_variance(buffer.values.flatten(), buffer.returns.flatten())
-        self.policy.value_net.update(th.from_numpy(buffer.returns).to(self.device))
+        self._scale_rollout()
+        explained = explained_variance(
+            buffer.of_critics(buffer.values).flatten(), buffer.of_critics(buffer.returns).flatten()
+        )
+        self.policy.value_net.update(th.from_numpy(buffer.of_critics(buffer.returns)).to(self.device))
         # "none": in units of the normalised value; in units of the reward their scale would be arbitrary.
         mean, std = 0.0, float(self.policy.value_net.std)
         if self.advantage_normalization == "rollout":
-            mean, std = float(buffer.advantages.mean()), float(buffer.advantages.std()) + 1e-8
+            advantages = buffer.of_uavs(buffer.advantages)
+            mean, std = float(advantages.mean()), float(advantages.std()) + 1e-8
         gradient, step = self._gradient_and_step(clip_range, mean, std)
         with one_thread() if self._fast and self._fast.workers else nullcontext():  # each process with one thread
             statistics = self._run_epochs(gradient, step)
@@ -230,12 +244,26 @@ class MAPPO(SafeSaveLoad, PPO):
         self.logger.record("train/clip_range", clip_range)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
+    def _scale_rollout(self) -> None:
+        """Divide values, returns and advantages by how large values are in scenarios of their sizes."""
+        buffer, scale = self.rollout_buffer, self.policy.scale
+        if scale is None:
+            return
+        rows, returns = (
+            th.from_numpy(buffer.of_critics(array)).to(self.device) for array in (buffer.critic_rows, buffer.returns)
+        )
+        scale.update(rows.reshape(-1, rows.shape[-1]), returns.flatten())
+        rows = th.from_numpy(buffer.critic_rows.reshape(-1, buffer.critic_rows.shape[-1])).to(self.device)
+        factor = self.policy.value_scale(rows).cpu().numpy().reshape(buffer.values.shape)  # (T, N, V)
+        for array in (buffer.values, buffer.returns, buffer.advantages):
+            array /= factor
+
     def _run_epochs(
         self, gradient: Callable[[NDArray[np.int64]], LossStatistics], step: Callable[[], None]
     ) -> list[LossStatistics]:
         """Take a step on each minibatch; as SB3's, stop before the step where the policy has moved too far."""
         statistics: list[LossStatistics] = []
-        slots_in_batch = max(self.batch_size // self.rollout_buffer.row_layout.uavs, 1)
+        slots_in_batch = max(int(self.batch_size / self.rollout_buffer.rows_per_slot), 1)
         for epoch in range(self.n_epochs):
             self._n_updates += 1
             for indices in self.rollout_buffer.shuffled_slots(slots_in_batch):

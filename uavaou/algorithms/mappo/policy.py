@@ -9,9 +9,10 @@ from stable_baselines3.common.type_aliases import Schedule
 from torch import nn
 
 from uavaou.algorithms.local_policy import LocalPolicy
-from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
-from uavaou.algorithms.nets.mlp import ACTIVATIONS, mlp
-from uavaou.algorithms.nets.value_norm import PopArt
+from uavaou.algorithms.nets.action_head import MoveAndDeviceLogits, MoveSelectionDistribution
+from uavaou.algorithms.nets.mlp import ACTIVATIONS
+from uavaou.algorithms.nets.set_encoder import check_network, make_body
+from uavaou.algorithms.nets.value_norm import PopArt, ValueScale
 from uavaou.errors import unknown
 from uavaou.world.views import RowLayout
 
@@ -35,7 +36,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         observation_space, action_space, lr_schedule: as SB3 passes them.
         row_layout: names the columns of a row; :class:`~uavaou.MAPPO` takes it from the VecEnv.
         critic_input: ``global`` (MAPPO) or ``local`` (IPPO).
-        net_arch: hidden layer sizes of actor and critic.
+        network: ``mlp``, or ``set`` for rows of entities: weights that fit any number of UAVs and devices.
+        net_arch: hidden layer sizes of actor and critic; of a ``set``, after its encoder.
         activation: ``relu`` or ``tanh``.
         selection_bias: initial logit of selecting a device in range; collecting costs nothing in this model.
         masks: whether forbidden moves and devices out of range have probability 0, in training and in flight.
@@ -52,6 +54,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         lr_schedule: Schedule,
         row_layout: RowLayout,
         critic_input: str = "global",
+        network: str = "mlp",
         net_arch: list[int] | None = None,
         activation: str = "tanh",
         selection_bias: float = 2.0,
@@ -62,34 +65,38 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
             raise unknown("critic_input", critic_input, CRITIC_INPUTS)
         if activation not in ACTIVATIONS:
             raise unknown("activation", activation, ACTIVATIONS)
+        check_network(network, row_layout)
         self.row_layout = row_layout
+        self.network = network
         self.critic_input = critic_input
         self.selection_bias = selection_bias
         self.masks = masks
         self._hidden = list(net_arch or [128, 128])
         self._activation = activation
         self.allowed_columns = row_layout.local_columns("allowed_moves") if masks else None
-        self.in_range_columns = row_layout.local_columns("in_range") if masks and row_layout.selects else None
+        self.in_range_columns = row_layout.in_range_columns if masks and row_layout.selects else None
         super().__init__(
             observation_space, action_space, lr_schedule, net_arch=self._hidden,
             activation_fn=ACTIVATIONS[activation], **kwargs,
         )  # fmt: skip
 
     def _build(self, lr_schedule: Schedule) -> None:
-        layout = self.row_layout
+        layout, network = self.row_layout, (self.network, self._hidden, self._activation)
         devices = layout.devices if layout.selects else 0
+        by_token = self.network == "set" and layout.selects
         self.action_dist = MoveSelectionDistribution(devices)
-        critic_size = layout.global_size if self.critic_input == "global" else layout.local_size
-        self.actor_body = mlp(layout.local_size, self._hidden, self._activation)
-        action_net = self.action_dist.proba_distribution_net(self._hidden[-1])
-        self.critic_body = mlp(critic_size, self._hidden, self._activation)
+        self.actor_body = make_body(layout.local, *network, selects=by_token)
+        head: nn.Linear = self.action_dist.proba_distribution_net(self._hidden[-1], 0 if by_token else devices)
+        of_slot = self.critic_input == "global"
+        self.critic_body = make_body(layout.state if of_slot else layout.local, *network)
         self.value_net = PopArt(self._hidden[-1])
-        for module, gain in ((action_net, 0.01), (self.value_net.linear, 1.0)):
+        for module, gain in ((head, 0.01), (self.value_net.linear, 1.0)):
             nn.init.orthogonal_(module.weight, gain=gain)
             nn.init.zeros_(module.bias)
-        if devices:
-            nn.init.constant_(action_net.bias[-devices:], self.selection_bias)
-        self.action_net = action_net
+        if devices and not by_token:
+            nn.init.constant_(head.bias[-devices:], self.selection_bias)
+        self.action_net = MoveAndDeviceLogits(head, self.selection_bias) if by_token else head
+        self.scale = ValueScale(layout.size_columns(of_slot)) if self.network == "set" else None
         self.optimizer = self.optimizer_class(  # type: ignore[call-arg]
             [{"params": self.actor_parameters()}, {"params": self.critic_parameters()}],
             lr=lr_schedule(1),
@@ -134,9 +141,14 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         values: th.Tensor = self.value_net(self.critic_body(critic_rows))
         return values[:, 0]
 
+    def value_scale(self, critic_rows: th.Tensor) -> th.Tensor:
+        """How large values are in scenarios of the sizes that critic inputs state, (B,); 1 for flat rows."""
+        return critic_rows.new_ones(len(critic_rows)) if self.scale is None else self.scale(critic_rows)
+
     def critic_values(self, critic_rows: th.Tensor) -> th.Tensor:
         """Values in units of the training reward, (B,)."""
-        return self.value_net.denormalise(self.normalised_values(critic_rows))
+        values = self.value_net.denormalise(self.normalised_values(critic_rows))
+        return values if self.scale is None else values * self.value_scale(critic_rows)
 
     def forward(self, obs: th.Tensor, deterministic: bool = False) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
         """Actions (B, 1 + I), values (B, 1) and log-probabilities (B,) of rows (B, local + global)."""

@@ -16,6 +16,25 @@ from uavaou.world.views import MOVES
 FORBIDDEN = -1e9  # a logit that leaves no probability in float32
 
 
+class MoveAndDeviceLogits(nn.Module):
+    """Logits (B, 5 + I) of features that end with a number for each device, (B, features + I).
+
+    Args:
+        moves: the layer from features to the moves' logits.
+        selection_bias: initial logit of selecting a device, before its own number.
+    """
+
+    def __init__(self, moves: nn.Linear, selection_bias: float) -> None:
+        super().__init__()
+        self.moves = moves
+        self.selection_bias = nn.Parameter(th.tensor(selection_bias))
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """Return the logits, the moves' first."""
+        size = self.moves.in_features
+        return th.cat([self.moves(features[:, :size]), features[:, size:] + self.selection_bias], dim=1)
+
+
 class MoveSelectionDistribution(MultiCategoricalDistribution):
     """A move among five and a subset of I ``devices``, with masks; I is 0 where the action is the move alone.
 
@@ -27,9 +46,9 @@ class MoveSelectionDistribution(MultiCategoricalDistribution):
         super().__init__([MOVES] + [2] * devices)
         self.devices = devices
 
-    def proba_distribution_net(self, latent_dim: int) -> nn.Linear:
-        """The layer from the actor's features to the logits, (B, 5 + I)."""
-        return Linear(latent_dim, MOVES + self.devices)
+    def proba_distribution_net(self, latent_dim: int, devices: int | None = None) -> nn.Linear:
+        """The layer from the actor's features to the logits, (B, 5 + I), or to those of the moves and some devices."""
+        return Linear(latent_dim, MOVES + (self.devices if devices is None else devices))
 
     def proba_distribution(
         self, logits: th.Tensor, allowed_moves: th.Tensor | None = None, in_range: th.Tensor | None = None

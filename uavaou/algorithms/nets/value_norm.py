@@ -48,6 +48,51 @@ class ReturnStatistics(nn.Module):
         return old_std / self.std, (old_mean - self.mean) / self.std
 
 
+class ValueScale(nn.Module):
+    """How large values are, by the sizes of a scenario: ``exp(w . f)``, 1 for those of the ``paper``.
+
+    f holds the logarithms of the sizes that a row states, and the product of the first two. A regression of the
+    logarithm of |return| on f gives w, with an intercept and a weak pull to 0: w stays 0 where all sizes are the same.
+
+    Args:
+        columns: of a row that hold the logarithms of its sizes.
+        decay: weight of what was seen before, in an update.
+        ridge: strength of the pull, in updates.
+    """
+
+    weights: th.Tensor  # (F,)
+    moments: th.Tensor  # (1 + F, 1 + F) of (1, f)
+    products: th.Tensor  # (1 + F,) with log |return|
+
+    def __init__(self, columns: list[int], decay: float = 0.98, ridge: float = 0.5) -> None:
+        super().__init__()
+        self.columns, self.decay = columns, decay
+        size = len(columns) + 1
+        self.register_buffer("weights", th.zeros(size))
+        self.register_buffer("moments", th.zeros(size + 1, size + 1))
+        self.register_buffer("products", th.zeros(size + 1))
+        self._pull = ridge * th.diag(th.tensor([0.0] + size * [1.0], dtype=th.float64))
+
+    def _features(self, rows: th.Tensor) -> th.Tensor:
+        sizes = rows[:, self.columns]  # (B, S)
+        return th.cat([sizes, sizes[:, :1] * sizes[:, 1:2]], dim=1)
+
+    def forward(self, rows: th.Tensor) -> th.Tensor:
+        """Return the scale of values (B,) of ``rows`` (B, columns)."""
+        return th.exp(self._features(rows) @ self.weights)
+
+    @th.no_grad()
+    def update(self, rows: th.Tensor, returns: th.Tensor) -> None:
+        """Take in the returns (B,) of a rollout, in units of the reward, in ``rows`` (B, columns)."""
+        features = self._features(rows).double()
+        features = th.cat([th.ones_like(features[:, :1]), features], dim=1)  # (B, 1 + F)
+        targets = returns.abs().clamp_min(1e-3).log().double()
+        self.moments.mul_(self.decay).add_(features.t() @ features / len(rows))
+        self.products.mul_(self.decay).add_(features.t() @ targets / len(rows))
+        pulled = self.moments.double() + self._pull.to(rows.device)
+        self.weights.copy_(th.linalg.solve(pulled, self.products.double())[1:])
+
+
 class PopArt(ReturnStatistics):
     """A linear value head with targets normalised by running statistics.
 

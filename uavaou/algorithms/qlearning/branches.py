@@ -21,7 +21,9 @@ from gymnasium import spaces
 from torch import nn
 
 from uavaou.algorithms.nets.mlp import Linear, mlp, rescale_linear
+from uavaou.algorithms.nets.set_encoder import SetNetwork
 from uavaou.errors import InputError
+from uavaou.world.views import RowLayout
 
 
 @dataclass(frozen=True)
@@ -129,8 +131,11 @@ class UtilityNetwork(nn.Module):
         super().__init__()
         self.branches = branches
         self.body = mlp(inputs, hidden, activation)
-        self.advantage = Linear(hidden[-1], branches.total)
-        self.value = Linear(hidden[-1], 1)
+        self._make_heads(hidden[-1], branches.total)
+
+    def _make_heads(self, features: int, options: int) -> None:
+        self.advantage = Linear(features, options)
+        self.value = Linear(features, 1)
         for head in (self.advantage, self.value):
             nn.init.orthogonal_(head.weight, gain=0.01)
             nn.init.zeros_(head.bias)
@@ -145,3 +150,40 @@ class UtilityNetwork(nn.Module):
         """Change the outputs to ``values * ratio + shift``."""
         rescale_linear(self.advantage, ratio)
         rescale_linear(self.value, ratio, shift)
+
+
+class SetUtilityNetwork(UtilityNetwork):
+    """Branch values of rows of entities; the advantage of selecting a device comes from its token.
+
+    Args:
+        layout: of the rows.
+        hidden, activation, branches: as :class:`UtilityNetwork`'s.
+        selection_bias: initial advantage of selecting a device.
+    """
+
+    body: SetNetwork  # type: ignore[assignment]
+
+    def __init__(
+        self, layout: RowLayout, hidden: list[int], activation: str, branches: Branches, selection_bias: float
+    ) -> None:
+        nn.Module.__init__(self)
+        self.branches = branches
+        self.body = SetNetwork(layout.local, hidden, activation, layout.selects)
+        self.selection_bias = nn.Parameter(th.tensor(selection_bias))
+        self._make_heads(hidden[-1], branches.sizes[0])
+
+    def forward(self, local: th.Tensor, allowed: th.Tensor | None) -> th.Tensor:
+        """Branch values (B, sum(n_b)) of ``local`` (B, local), for the options ``allowed`` (B, sum(n_b))."""
+        features, by_device = self.body(local).split([self.value.in_features, self.branches.count - 1], dim=1)
+        selecting = by_device + self.selection_bias  # (B, I)
+        bits = th.stack([th.zeros_like(selecting), selecting], dim=2).flatten(1)  # (B, 2 I)
+        advantages = th.cat([self.advantage(features), bits], dim=1)
+        values: th.Tensor = self.value(features) + self.branches.centre(advantages, allowed)
+        return values
+
+    def rescale(self, ratio: th.Tensor, shift: th.Tensor) -> None:
+        """Change the outputs to ``values * ratio + shift``."""
+        super().rescale(ratio, shift)
+        with th.no_grad():
+            self.selection_bias.mul_(ratio)
+        self.body.encoder.rescale_logits(ratio)

@@ -119,20 +119,26 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
     def _update(self, batch: JointBatch) -> tuple[float, float, float]:
         """One gradient step; returns loss, and mean Q_tot and target in units of the reward."""
         policy = self.policy
-        targets = self.targets(batch)
-        if self._n_updates % _STATISTICS_INTERVAL == 0:
+        targets = self.targets(batch)  # (B, V)
+        there = policy.present(batch.local) if targets.shape[1] > 1 else th.ones_like(targets, dtype=th.bool)  # (B, V)
+        updates = self._n_updates % _STATISTICS_INTERVAL == 0
+        if updates and policy.scale is not None:
+            policy.scale.update(batch.states, targets[:, 0])  # of a UAV that is there
+        scale = policy.value_scale(batch.states).expand_as(targets)[there]
+        targets = targets[there] / scale  # (B * V,)
+        if updates:
             policy.update_statistics(targets)
         if self._n_updates % self.target_update_interval == 0:
             policy.update_target(self.tau)
-        values = policy.team_values(batch.local, batch.states, batch.actions)  # (B, V)
-        loss = functional.mse_loss(values, policy.returns.normalise(targets).expand_as(values))
+        values = policy.team_values(batch.local, batch.states, batch.actions)[there]  # (B * V,)
+        loss = functional.mse_loss(values, policy.returns.normalise(targets))
         policy.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         th.nn.utils.clip_grad_norm_(policy.trained_parameters(), self.max_grad_norm)
         policy.optimizer.step()
         self._n_updates += 1
-        mean = policy.returns.denormalise(values.detach().mean())
-        return loss.item(), mean.item(), targets.mean().item()
+        mean = (policy.returns.denormalise(values.detach()) * scale).mean()
+        return loss.item(), mean.item(), (targets * scale).mean().item()
 
     def targets(self, batch: JointBatch) -> th.Tensor:
         """TD targets of Q_tot in units of the reward, (B, V): n slots of reward, then the bootstrap."""

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections import OrderedDict
+from collections.abc import Sequence
 from typing import cast
 
 import torch as th
@@ -9,7 +10,9 @@ from torch import nn
 from torch.nn import functional
 
 from uavaou.algorithms.nets.mlp import Linear, rescale_linear
+from uavaou.algorithms.nets.set_encoder import SetEncoder
 from uavaou.algorithms.qlearning.branches import UtilityNetwork
+from uavaou.world.views import Columns, RowLayout
 
 
 class Mixer(nn.Module, ABC):
@@ -68,7 +71,10 @@ class MonotonicMixer(Mixer):
 
     def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
         """Q_tot, (B, 1)."""
-        first = self.first_weights(states).abs().view(-1, self.agents, self.width)  # (B, U, width)
+        return self._mix(utilities, self.first_weights(states).abs().view(-1, self.agents, self.width), states)
+
+    def _mix(self, utilities: th.Tensor, first: th.Tensor, states: th.Tensor) -> th.Tensor:
+        """Q_tot, (B, 1), with the first layer's weights (B, U, width); the others come from ``states``."""
         hidden = functional.elu(th.bmm(utilities[:, None], first)[:, 0] + self.first_bias(states))  # (B, width)
         second = self.second_weights(states).abs()  # (B, width)
         mixed: th.Tensor = (hidden * second).sum(dim=1, keepdim=True) + self.value(states)
@@ -78,6 +84,56 @@ class MonotonicMixer(Mixer):
         """Rescale the outer layer of the mixing network; the utilities do not change."""
         rescale_linear(cast("Linear", self.second_weights[-1]), ratio)
         rescale_linear(cast("Linear", self.value[-1]), ratio, shift)
+
+
+class SetSumMixer(SumMixer):
+    """Q_tot = b + sum_u Q_u over the UAVs that are there; ``columns`` are the state's, of entities."""
+
+    def __init__(self, columns: Sequence[Columns]) -> None:
+        nn.Module.__init__(self)
+        self._uavs = columns[-2]
+        self.bias = nn.Parameter(th.zeros(()))
+
+    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+        """Q_tot, (B, 1)."""
+        present = states[:, self._uavs.start : self._uavs.stop : self._uavs.width]  # (B, U)
+        return (utilities * present).sum(dim=1, keepdim=True) + self.bias
+
+    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
+        """Rescale every utility, and shift the bias."""
+        network.rescale(ratio, th.zeros_like(shift))
+        with th.no_grad():
+            self.bias.mul_(ratio).add_(shift)
+
+
+class SetMixer(MonotonicMixer):
+    """QMIX's mixing network for any number of UAVs: each UAV's token in the state gives its weights.
+
+    Args:
+        columns: the state's, of entities.
+        width, hypernet_width: as :class:`Mixer`'s.
+    """
+
+    def __init__(self, columns: Sequence[Columns], width: int = 32, hypernet_width: int = 64) -> None:
+        encoder = SetEncoder(columns)
+        super().__init__(1, encoder.size, width, hypernet_width)
+        self._uavs = columns[-2]
+        self.encoder = encoder
+        self.first_weights = _hypernet(encoder.size + self._uavs.width, hypernet_width, width)
+
+    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+        """Q_tot, (B, 1); UAVs that are not there have weights 0."""
+        features = self.encoder(states)  # (B, size)
+        tokens = states[:, self._uavs.slice].reshape(*utilities.shape, self._uavs.width)  # (B, U, uav)
+        inputs = th.cat([tokens, features[:, None].expand(-1, tokens.shape[1], -1)], dim=2)
+        return self._mix(utilities, self.first_weights(inputs).abs() * tokens[..., :1], features)
+
+
+def make_mixer(name: str, network: str, layout: RowLayout, width: int, hypernet_width: int) -> Mixer:
+    """Make a mixer of a known name for rows of a layout; ``network`` is ``set`` for any number of UAVs."""
+    if network == "mlp" or name == "none":
+        return MIXERS[name](layout.uavs, layout.global_size, width, hypernet_width)
+    return SetSumMixer(layout.state) if name == "sum" else SetMixer(layout.state, width, hypernet_width)
 
 
 def _hypernet(inputs: int, hidden: int, outputs: int) -> nn.Sequential:

@@ -11,9 +11,10 @@ from torch import nn
 
 from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.mlp import ACTIVATIONS
-from uavaou.algorithms.nets.value_norm import ReturnStatistics
-from uavaou.algorithms.qlearning.branches import Branches, UtilityNetwork
-from uavaou.algorithms.qlearning.mixers import MIXERS
+from uavaou.algorithms.nets.set_encoder import check_network
+from uavaou.algorithms.nets.value_norm import ReturnStatistics, ValueScale
+from uavaou.algorithms.qlearning.branches import Branches, SetUtilityNetwork, UtilityNetwork
+from uavaou.algorithms.qlearning.mixers import MIXERS, make_mixer
 from uavaou.errors import unknown
 from uavaou.world.views import MOVES, RowLayout
 
@@ -29,7 +30,8 @@ class JointQPolicy(LocalPolicy):
             from the local column run ``action_mask`` (a flag for each option of each branch), or ``allowed_moves``
             and ``in_range``, if the layout has them.
         mixer: ``sum`` (VDN), ``monotonic`` (QMIX) or ``none`` (IQL).
-        net_arch: hidden layer sizes of the utility network.
+        network: ``mlp``, or ``set`` for rows of entities: weights that fit any number of UAVs and devices.
+        net_arch: hidden layer sizes of the utility network; of a ``set``, after its encoder.
         activation: ``relu`` or ``tanh``.
         selection_bias: initial advantage of selecting a device in range; collecting costs nothing in this model.
         masks: whether choices, targets and exploration leave out what is not allowed; without masks the World
@@ -44,6 +46,7 @@ class JointQPolicy(LocalPolicy):
         lr_schedule: Schedule,
         row_layout: RowLayout,
         mixer: str,
+        network: str = "mlp",
         net_arch: list[int] | None = None,
         activation: str = "relu",
         selection_bias: float = 0.1,
@@ -55,24 +58,31 @@ class JointQPolicy(LocalPolicy):
         for name, value, known in (("activation", activation, ACTIVATIONS), ("mixer", mixer, MIXERS)):
             if value not in known:
                 raise unknown(name, value, known)
+        check_network(network, row_layout)
         super().__init__(observation_space, action_space, **kwargs)
         self.row_layout = row_layout
+        self.network = network
         self.branches = Branches.of_space(action_space)
         self._hidden = list(net_arch or [128, 128])
         self._activation = activation
         self.selection_bias = selection_bias
         self.masks = masks
         self.utilities = self.make_utilities()
-        self.mixer = MIXERS[mixer](row_layout.uavs, row_layout.global_size, mixer_width, hypernet_width)
+        self.mixer = make_mixer(mixer, network, row_layout, mixer_width, hypernet_width)
         self.target_utilities = deepcopy(self.utilities).requires_grad_(False)
         self.target_mixer = deepcopy(self.mixer).requires_grad_(False)
         self.returns = ReturnStatistics(decay=0.9)
+        self.scale = ValueScale(row_layout.size_columns(of_state=True)) if network == "set" else None
         self.epsilon: th.Tensor
         self.register_buffer("epsilon", th.zeros(()))  # exploration when the policy was last trained
         self.optimizer = self.optimizer_class(self.trained_parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     def make_utilities(self) -> UtilityNetwork:
         """The network of the utilities; a policy of one's own may make another."""
+        network: UtilityNetwork
+        if self.network == "set":
+            arguments = self._hidden, self._activation, self.branches, self.selection_bias
+            return SetUtilityNetwork(self.row_layout, *arguments)
         network = UtilityNetwork(self.row_layout.local_size, self._hidden, self._activation, self.branches)
         if self.row_layout.selects:
             with th.no_grad():
@@ -90,7 +100,7 @@ class JointQPolicy(LocalPolicy):
         whole = self.row_layout.local_columns("action_mask")
         if whole is not None:
             return local[:, whole] > 0.5
-        moves, in_range = self.row_layout.local_columns("allowed_moves"), self.row_layout.local_columns("in_range")
+        moves, in_range = self.row_layout.local_columns("allowed_moves"), self.row_layout.in_range_columns
         if moves is None or in_range is None:
             return None
         allowed = local[:, moves] > 0.5
@@ -113,6 +123,17 @@ class JointQPolicy(LocalPolicy):
         explores = uniforms[:, :1] < self.epsilon
         return th.where(explores, self.branches.uniform(uniforms[:, 1 : 1 + self.branches.count], allowed), greedy)
 
+    def value_scale(self, states: th.Tensor) -> th.Tensor:
+        """How large values are in scenarios of the sizes that states (B, global) say, (B, 1); 1 for flat rows."""
+        return states.new_ones(len(states), 1) if self.scale is None else self.scale(states)[:, None]
+
+    def present(self, local: th.Tensor) -> th.Tensor:
+        """Which UAVs are there, bool (B, U), in ``local`` (B * U, local)."""
+        column, uavs = self.row_layout.present_column, self.row_layout.uavs
+        if column is None:
+            return th.ones(len(local) // uavs, uavs, dtype=th.bool, device=local.device)
+        return local[:, column].view(-1, uavs) > 0.5
+
     def team_values(self, local: th.Tensor, states: th.Tensor, actions: th.Tensor) -> th.Tensor:
         """Normalised Q_tot (B, V) of joint actions (B * U, M) in ``local`` (B * U, local), ``states`` (B, global)."""
         values = self.branches.mean(self.utilities(local, self.allowed(local)), actions)  # (B * U,)
@@ -129,11 +150,12 @@ class JointQPolicy(LocalPolicy):
         allowed = self.allowed(local)
         choice = self.branches.greedy(self.utilities(local, allowed), allowed)
         values = self.branches.mean(self.target_utilities(local, allowed), choice)
-        return self.returns.denormalise(self.target_mixer(values.view(-1, self.row_layout.uavs), states))
+        mixed = self.target_mixer(values.view(-1, self.row_layout.uavs), states)
+        return self.returns.denormalise(mixed) * self.value_scale(states)
 
     @th.no_grad()
     def update_statistics(self, targets: th.Tensor) -> None:
-        """Update the statistics with targets of Q_tot, in units of the reward; predictions do not change."""
+        """Update the statistics with targets of Q_tot, over their scale; predictions do not change."""
         ratio, shift = self.returns.update(targets)
         for utilities, mixer in ((self.utilities, self.mixer), (self.target_utilities, self.target_mixer)):
             mixer.rescale(utilities, ratio, shift)

@@ -1,0 +1,142 @@
+"""A network over sets: what a row of tokens says, for any number of teammates and devices.
+
+Tokens pass small layers of their own. Teammates are summarised by their maximum; devices by their mean, their maximum
+and attention heads, whose queries come from the row's own features (Zaheer et al. 2017, arXiv 1703.06114; Lee et al.
+2019, arXiv 1810.00825). So the features do not depend on the order of teammates and devices, and each device's logit
+moves with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch as th
+from torch import nn
+
+from uavaou.algorithms.nets.action_head import FORBIDDEN
+from uavaou.algorithms.nets.mlp import Linear, Mlp, mlp
+from uavaou.errors import InputError, unknown
+from uavaou.world.views import Columns, RowLayout
+
+try:
+    from uavaou.algorithms.fast import tokens as fast
+except ModuleNotFoundError as error:  # the folder may be deleted: torch's operators then compute, more slowly
+    if not (error.name or "").startswith("uavaou.algorithms.fast"):
+        raise
+    fast = None  # type: ignore[assignment]
+
+NETWORKS = ("mlp", "set")
+
+
+class SetEncoder(nn.Module):
+    """Features of rows (B, columns) of tokens, and a logit for each device.
+
+    Args:
+        columns: the row's runs of columns; the last two are the tokens of UAVs and of devices, the others are read as
+            they stand. The first feature of a token is 1, and 0 in padding.
+        selects: whether there are logits.
+        width: of a device's token.
+        heads: of the attention over devices.
+
+    Attributes:
+        size: number of features.
+    """
+
+    def __init__(self, columns: Sequence[Columns], selects: bool = False, width: int = 32, heads: int = 4) -> None:
+        super().__init__()
+        self.columns, self.selects, self.width, self.heads = tuple(columns), selects, width, heads
+        *own, uavs, devices = self.columns
+        self.uavs = (uavs.stop - uavs.start) // uavs.width
+        self.own = _layer(own[-1].stop, width)
+        self.uav = _layer(uavs.width, width // 2)
+        self.device = _layer(devices.width, width)
+        self.device_2 = _layer(width, width)
+        self.query = _layer(width + width // 2, (heads + selects) * width)
+        nn.init.orthogonal_(self.query.weight)
+        with th.no_grad():
+            self.query.weight[heads * width :] *= 0.01  # as the action head: at first nothing is preferred
+        self.size = self.query.in_features + (heads + 2) * width
+
+    def forward(self, rows: th.Tensor) -> th.Tensor:
+        """Return features of ``rows`` (B, columns), and behind them the logits, (B, size) or (B, size + I)."""
+        if fast is not None and fast.supports(rows):
+            encoded: th.Tensor = fast.Encode.apply(rows, self.uavs, self.heads, *self.parameters())  # type: ignore[no-untyped-call]
+            return encoded
+        return self.define(rows)
+
+    def define(self, rows: th.Tensor) -> th.Tensor:
+        """Return what :meth:`forward` does, by torch's operators."""
+        *own, uavs, devices = (rows[:, columns.slice] for columns in self.columns)
+        batch, width = len(rows), self.width
+        context = th.relu(self.own(th.cat(own, dim=1)))  # (B, w)
+        mates = uavs.reshape(batch, self.uavs, self.columns[-2].width)  # (B, V, uav)
+        if self.uavs:
+            most = (th.relu(self.uav(mates)) * mates[..., :1]).amax(dim=1)  # (B, w / 2)
+        else:
+            most = context.new_zeros(batch, width // 2)
+        context = th.cat([context, most], dim=1)  # (B, 3 w / 2)
+        tokens = devices.reshape(batch, -1, self.columns[-1].width)  # (B, I, device)
+        there = tokens[..., :1]  # (B, I, 1)
+        hidden = th.relu(self.device_2(th.relu(self.device(tokens)))) * there  # (B, I, w)
+        query = self.query(context).view(batch, -1, width)  # (B, heads, w)
+        scores = query @ hidden.transpose(1, 2) / math.sqrt(width)  # (B, heads, I)
+        attention = th.softmax(scores[:, : self.heads].masked_fill(there.transpose(1, 2) < 0.5, FORBIDDEN), dim=2)
+        pooled = (attention @ hidden).flatten(1)  # (B, heads * w)
+        mean = hidden.sum(dim=1) / there.sum(dim=1).clamp_min(1)
+        features = [context, pooled, mean, hidden.amax(dim=1)]
+        return th.cat([*features, scores[:, -1]] if self.selects else features, dim=1)
+
+    @th.no_grad()
+    def rescale_logits(self, ratio: th.Tensor) -> None:
+        """Multiply the logits by ``ratio``."""
+        for tensor in (self.query.weight, self.query.bias):
+            tensor[self.heads * self.width :] *= ratio
+
+
+class SetNetwork(nn.Module):
+    """A :class:`SetEncoder` and fully connected layers after it.
+
+    Args:
+        columns, selects: of the encoder.
+        hidden: sizes of the layers.
+        activation: after each of them.
+    """
+
+    def __init__(self, columns: Sequence[Columns], hidden: list[int], activation: str, selects: bool = False) -> None:
+        super().__init__()
+        self.encoder = SetEncoder(columns, selects)
+        self.layers: Mlp = mlp(self.encoder.size, hidden, activation)
+
+    def forward(self, rows: th.Tensor) -> th.Tensor:
+        """Return features of ``rows`` (B, columns), and behind them the logits, (B, hidden) or (B, hidden + I)."""
+        encoded = self.encoder(rows)
+        if not self.encoder.selects:
+            features: th.Tensor = self.layers(encoded)
+            return features
+        size = self.encoder.size
+        return th.cat([self.layers(encoded[:, :size]), encoded[:, size:]], dim=1)
+
+
+def make_body(
+    columns: Sequence[Columns], network: str, hidden: list[int], activation: str, selects: bool = False
+) -> Mlp | SetNetwork:
+    """Make the layers between rows and heads: an ``mlp``, or a ``set`` whose devices have logits if it ``selects``."""
+    if network == "mlp":
+        return mlp(columns[-1].stop, hidden, activation)
+    return SetNetwork(columns, hidden, activation, selects)
+
+
+def check_network(network: str, layout: RowLayout) -> None:
+    """Raise :class:`~uavaou.errors.InputError` unless the network has a known name and can read the rows."""
+    if network not in NETWORKS:
+        raise unknown("network", network, NETWORKS)
+    if network == "set" and layout.rows != "entities":
+        raise InputError("network = 'set': reads rows of entities: flatten(..., rows='entities')")
+
+
+def _layer(inputs: int, outputs: int) -> Linear:
+    layer = Linear(inputs, outputs)
+    nn.init.orthogonal_(layer.weight, gain=math.sqrt(2))
+    nn.init.zeros_(layer.bias)
+    return layer
