@@ -29,7 +29,7 @@ from uavaou.files import PathIn, read_json, refuse_links
 from uavaou.runs.lock import LOCK
 from uavaou.runs.released import nearest_released, released_folder, run_path
 from uavaou.scenario import Scenario
-from uavaou.world import Views
+from uavaou.world.entities import make_views
 from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_folder, zoo_names
 
 SCHEMA = 1
@@ -77,8 +77,10 @@ class RunConfig:
 
     def fits(self, scenario: Scenario) -> bool:
         """Whether the policy can be flown in ``scenario``: rows of the same columns, or of the same meaning."""
-        seen = self.algorithm.observation, self.algorithm.collection
-        return Views(self.scenario, *seen).layout.fits(Views(scenario, *seen).layout, self.algorithm.depends_on_sizes)
+        algorithm = self.algorithm
+        seen = algorithm.observation, algorithm.collection, algorithm.rows
+        own, other = (make_views(each, *seen).layout for each in (self.scenario, scenario))
+        return own.fits(other, algorithm.depends_on_sizes)
 
     def check_fits(self, scenario: Scenario, name: str) -> None:
         """Refuse a ``scenario`` in which the policy called ``name`` cannot be flown.

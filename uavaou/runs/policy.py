@@ -110,7 +110,8 @@ def load_run(
     checkpoint = ArrayFile(folder.policy)  # opened once: a training at work may put another in its place
     progress = read_header(checkpoint)
     algorithm = config.algorithm
-    env = flatten(scenario, missions=1, observation=algorithm.observation, collection=algorithm.collection)
+    seen = {name: getattr(algorithm, name) for name in ("observation", "collection", "rows")}
+    env = flatten(scenario, missions=1, **seen)
     hidden = getattr(algorithm, "hidden", ())
     if sum(a * b for a, b in pairwise(hidden)) > checkpoint.elements:  # build no networks that it cannot fill
         numbers = f"{checkpoint.elements:,} numbers"

@@ -95,7 +95,7 @@ def _train(
     """Train to the last budget of ``config``; those before it have been reached."""
     resuming = _check_folder(folder, config, resume)
     algorithm = config.algorithm
-    shared = ("missions", "processes", "observation", "collection", "reward")
+    shared = ("missions", "processes", "observation", "collection", "reward", "rows")
     settings = {name: getattr(algorithm, name) for name in shared}
     try:
         env = flatten(config.scenario, seed=training_seeds(config.seed).start, backend=backend, **settings)
