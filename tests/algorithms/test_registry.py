@@ -298,4 +298,5 @@ def test_help_names_every_algorithm(capsys: pytest.CaptureFixture[str]) -> None:
 def test_fields_keep_the_order_of_the_committed_configurations(name: str) -> None:
     path = Path(__file__).resolve().parents[2] / f"results/studies/paper/configs/paper/{name}/seed-0.yaml"
     committed = yaml.safe_load(path.read_text())["algorithm"]
-    assert list(RunConfig.load(name).algorithm.model_dump()) == list(committed)
+    fields = list(RunConfig.load(name).algorithm.model_dump())
+    assert [field for field in fields if field in committed] == list(committed)  # newer ones have defaults

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
+from typing import Any
 
 import torch as th
 from torch import nn
@@ -18,13 +20,6 @@ from uavaou.algorithms.nets.action_head import FORBIDDEN
 from uavaou.algorithms.nets.mlp import Linear, Mlp, mlp
 from uavaou.errors import InputError, unknown
 from uavaou.world.views import Columns, RowLayout
-
-try:
-    from uavaou.algorithms.fast import tokens as fast
-except ModuleNotFoundError as error:  # the folder may be deleted: torch's operators then compute, more slowly
-    if not (error.name or "").startswith("uavaou.algorithms.fast"):
-        raise
-    fast = None  # type: ignore[assignment]
 
 NETWORKS = ("mlp", "set")
 
@@ -60,8 +55,9 @@ class SetEncoder(nn.Module):
 
     def forward(self, rows: th.Tensor) -> th.Tensor:
         """Return features of ``rows`` (B, columns), and behind them the logits, (B, size) or (B, size + I)."""
+        fast = _compiled()
         if fast is not None and fast.supports(rows):
-            encoded: th.Tensor = fast.Encode.apply(rows, self.uavs, self.heads, *self.parameters())  # type: ignore[no-untyped-call]
+            encoded: th.Tensor = fast.Encode.apply(rows, self.uavs, self.heads, *self.parameters())
             return encoded
         return self.define(rows)
 
@@ -133,6 +129,18 @@ def check_network(network: str, layout: RowLayout) -> None:
         raise unknown("network", network, NETWORKS)
     if network == "set" and layout.rows != "entities":
         raise InputError("network = 'set': reads rows of entities: flatten(..., rows='entities')")
+
+
+@cache
+def _compiled() -> Any:
+    """Return the module of the compiled encoder; None where ``algorithms/fast`` has been deleted."""
+    try:
+        from uavaou.algorithms.fast import tokens  # not before: that package imports the learners
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("uavaou.algorithms.fast"):
+            raise
+        return None
+    return tokens
 
 
 def _layer(inputs: int, outputs: int) -> Linear:

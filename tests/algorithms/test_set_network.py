@@ -1,0 +1,248 @@
+"""``network: set``: no size in the weights, no order in the answers, and no padding in losses and statistics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+
+from tests.algorithms.test_gradient import assert_close, both_gradients
+from tests.algorithms.test_set_encoder import entity_rows, shuffled, sized
+from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, InputError, RunConfig, flatten, load_run, train
+from uavaou.algorithms.mappo.buffer import ARRAYS, SlotRolloutBuffer
+from uavaou.algorithms.nets.value_norm import ValueScale
+from uavaou.algorithms.qlearning.replay import JointBatch
+from uavaou.algorithms.registry import load_config
+from uavaou.family import Family
+from uavaou.runs.folder import config_folder, train_command
+from uavaou.world.entities import make_views
+from uavaou.world.views import RowLayout
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+MOST = (4, 14)  # of padded rows
+JOINT: dict[str, Any] = {"learning_starts": 8, "batch_size": 8, "buffer_size": 400, "seed": 0, "device": "cpu"}
+
+
+def missions(collection: str = "auto", uavs: int = 3, devices: int = 10) -> Any:
+    scenario = sized(uavs, devices).replace(slots=12, layout="fixed")
+    return flatten(scenario, missions=4, observation="shared", collection=collection, rows="entities")
+
+
+def mappo(learner: type[MAPPO] = MAPPO, env: Any = None, **arguments: Any) -> MAPPO:
+    settings: dict[str, Any] = {"n_steps": 6, "batch_size": 30, "seed": 0, "device": "cpu"} | arguments
+    settings["policy_kwargs"] = {"network": "set", "net_arch": [24], "activation": "relu"}
+    return learner("CentralizedValuePolicy", missions() if env is None else env, **settings)
+
+
+def padded(array: np.ndarray, own: tuple[Any, ...], wide: tuple[Any, ...]) -> np.ndarray:
+    """Rows (..., columns) of entities, with room for more tokens."""
+    out = np.zeros((*array.shape[:-1], wide[-1].stop), np.float32)
+    for narrow, columns in zip(own, wide, strict=True):
+        out[..., columns.start : columns.start + narrow.stop - narrow.start] = array[..., narrow.slice]
+    return out
+
+
+def with_padding(buffer: SlotRolloutBuffer, layout: RowLayout) -> SlotRolloutBuffer:
+    """The same rollout in rows of another layout."""
+    own, missions = buffer.row_layout, buffer.state.shape[1]
+    other = SlotRolloutBuffer(
+        buffer.buffer_size, buffer.observation_space, buffer.action_space, n_envs=missions * layout.uavs,
+        row_layout=layout, shared_critic=buffer.shared_critic,
+    )  # fmt: skip
+    for name in ARRAYS:
+        array = getattr(buffer, name)
+        if name in ("local", "state"):
+            array = padded(array, getattr(own, name), getattr(layout, name))
+        getattr(other, name)[tuple(map(slice, array.shape))] = array
+    assert other.present is not None
+    other.present[:, :, : own.uavs] = True
+    return other
+
+
+@pytest.mark.parametrize("normalization", ["batch", "rollout"])
+@pytest.mark.parametrize("collection", ["select", "auto"])
+@pytest.mark.parametrize("learner", [MAPPO, IPPO])
+def test_padding_changes_neither_loss_nor_gradient(learner: type[MAPPO], collection: str, normalization: str) -> None:
+    model = mappo(learner, missions(collection), advantage_normalization=normalization)
+    model.learn(2 * 6 * 12)
+    model.rollout_buffer.log_probs += np.random.default_rng(0).normal(0, 0.1, (6, 4, 3)).astype(np.float32)
+    indices = np.random.default_rng(1).permutation(24)[:9]
+    alone = both_gradients(model, indices, 0.05)
+    assert_close(alone)
+    layout = make_views(sized(3, 10), "shared", collection, "entities", MOST).layout
+    wide = mappo(learner, flatten(sized(*MOST), 1, observation="shared", collection=collection, rows="entities"))
+    wide.policy.load_state_dict(model.policy.state_dict())
+    wide.rollout_buffer = with_padding(model.rollout_buffer, layout)
+    wide.advantage_normalization = normalization
+    assert wide.uses_fast
+    together = both_gradients(wide, indices, 0.05)
+    assert_close(together)
+    assert_close([alone[0], together[0]])
+    buffer = wide.rollout_buffer
+    assert buffer.rows_per_slot == 3
+    np.testing.assert_array_equal(buffer.of_uavs(buffer.advantages).size, 6 * 4 * 3)
+    assert sum(len(samples.observations) for samples in buffer_samples(buffer)) == 6 * 4 * 3
+
+
+def buffer_samples(buffer: SlotRolloutBuffer) -> Any:
+    buffer.full = True
+    return buffer.get(7)
+
+
+@pytest.mark.parametrize("learner", [MAPPO, IPPO])
+def test_the_networks_see_sets(learner: type[MAPPO]) -> None:
+    layout, rows, states = entity_rows(4, 12)
+    policy = mappo(learner, flatten(sized(4, 12), 1, observation="shared", rows="entities")).policy
+    with th.no_grad():
+        policy.actor_body.encoder.rescale_logits(th.tensor(1e3))
+    mates, uavs, devices = th.randperm(3), th.randperm(4), th.randperm(12)
+    before = policy.logits(rows)
+    after = policy.logits(shuffled(shuffled(rows, layout.local[2], mates), layout.local[3], devices))
+    th.testing.assert_close(after[:, :5], before[:, :5], rtol=1e-4, atol=1e-5)
+    th.testing.assert_close(after[:, 5:], before[:, 5:][:, devices], rtol=1e-4, atol=1e-5)
+    critic = (states, layout.state, uavs) if learner is MAPPO else (rows, layout.local, mates)
+    given, columns, order = critic
+    other = shuffled(shuffled(given, columns[-2], order), columns[-1], devices)
+    th.testing.assert_close(policy.normalised_values(other), policy.normalised_values(given), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("collection", ["select", "auto"])
+@pytest.mark.parametrize("learner", [VDN, QMIX, IQL])
+def test_team_values_do_not_depend_on_padding_or_order(learner: Any, collection: str) -> None:
+    def policy_of(env: Any) -> Any:
+        return learner("JointQPolicy", env, policy_kwargs={"network": "set"}, **JOINT).policy
+
+    narrow = missions(collection)
+    policy, layout = policy_of(narrow), narrow.row_layout
+    narrow.reset()
+    uavs, size, rng = layout.uavs, layout.local_size, np.random.default_rng(0)
+    for _ in range(5):
+        rows, *_ = narrow.step(rng.integers(0, 2, (12, 11) if collection == "select" else 12))
+    rows = rows.reshape(4, uavs, -1)
+    local, states = rows[..., :size], rows[:, 0, size:]
+    actions = np.zeros((4, uavs, 11 if collection == "select" else 1), np.int64)
+    tensors = (th.from_numpy(array.copy()) for array in (local.reshape(-1, size), states, actions.reshape(12, -1)))
+    own = policy.team_values(*tensors)
+    wide_env = flatten(sized(*MOST), 1, observation="shared", collection=collection, rows="entities")
+    wide, more = policy_of(wide_env), wide_env.row_layout
+    wide.load_state_dict(policy.state_dict())
+    wide_local = np.zeros((4, 4, more.local_size), np.float32)
+    wide_local[:, :3] = padded(local, layout.local, more.local)
+    wide_states = padded(states, layout.state, more.state)
+    wide_actions = np.zeros((4, 4, 15 if collection == "select" else 1), np.int64)
+    if collection == "auto":
+        other = wide.team_values(
+            *map(th.from_numpy, (wide_local.reshape(16, -1), wide_states, wide_actions.reshape(16, -1)))
+        )
+        th.testing.assert_close(other[:, : own.shape[1]], own, rtol=1e-4, atol=1e-5)
+    order = [2, 0, 1]
+    turned = padded(states, layout.state, layout.state)
+    turned[:, layout.state[1].slice] = states[:, layout.state[1].slice].reshape(4, 3, -1)[:, order].reshape(4, -1)
+    again = policy.team_values(
+        *map(th.from_numpy, (local[:, order].reshape(12, -1), turned, actions[:, order].reshape(12, -1)))
+    )
+    th.testing.assert_close(again, own[:, order] if learner is IQL else own, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("learner", [VDN, QMIX, IQL])
+def test_a_change_of_the_statistics_does_not_change_what_is_predicted(learner: Any) -> None:
+    env = missions("select")
+    model = learner("JointQPolicy", env, policy_kwargs={"network": "set"}, **JOINT)
+    model.learn(200)
+    policy, batch = model.policy, model.replay_buffer.sample(8)
+
+    def values(batch: JointBatch) -> th.Tensor:
+        value: th.Tensor = policy.returns.denormalise(policy.team_values(batch.local, batch.states, batch.actions))
+        return value
+
+    before = values(batch)
+    policy.update_statistics(th.linspace(-40.0, -20.0, 50))
+    th.testing.assert_close(values(batch), before, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("learner", [MAPPO, IPPO, VDN, QMIX, IQL])
+def test_weights_of_one_size_are_loaded_for_another(learner: Any, tmp_path: Path) -> None:
+    joint = {} if issubclass(learner, MAPPO) else JOINT
+    if joint:
+        model = learner("JointQPolicy", missions(), policy_kwargs={"network": "set"}, **joint).learn(100)
+    else:
+        model = mappo(learner).learn(6 * 12)
+    model.save(tmp_path / "model")
+    other = missions(uavs=2, devices=4)
+    loaded = learner.load(tmp_path / "model", env=other, device="cpu")
+    assert all(th.equal(loaded.policy.state_dict()[name], value) for name, value in model.policy.state_dict().items())
+    loaded.learn(100)
+    assert loaded.predict(other.reset())[0].shape == (other.num_envs,)
+    with pytest.raises(InputError, match="its rows are not those"):
+        learner.load(tmp_path / "model", env=missions("select"), device="cpu")
+
+
+@pytest.mark.parametrize("name", ["mappo", "ippo", "vdn", "qmix", "iql"])
+def test_a_family_is_trained_on(name: str) -> None:
+    """Draws of several sizes, in padded rows: all weights stay finite, and change."""
+    family = Family.load("any")
+    config = load_config(name, {"network": "set", "observation": "shared", "collection": "auto"})
+    env = flatten(family, missions=4, worlds=2, observation="shared", collection="auto", rows="entities")
+    if isinstance(config, type(load_config("mappo"))):
+        config = config.model_copy(update={"rollout_slots": 8, "batch_rows": 40})
+    else:
+        config = config.model_copy(
+            update={"learning_starts": 8, "batch_slots": 8, "slots_per_update": 4, "missions": 4}
+        )
+    model = config.build(env, 0, "cpu")
+    before = th.nn.utils.parameters_to_vector(model.policy.parameters()).clone()
+    model.learn(16 * env.num_envs)
+    after = th.nn.utils.parameters_to_vector(model.policy.parameters())
+    assert after.isfinite().all()
+    assert not th.equal(before, after)
+    scale: Any = model.policy.scale
+    assert scale.weights.isfinite().all()
+    assert scale.weights.any()
+
+
+def test_the_scale_of_values_is_a_regression_on_the_sizes() -> None:
+    scale, rng = ValueScale([1, 2, 3]), np.random.default_rng(0)
+    truth = th.tensor([0.5, -1.0, 0.3, 0.2])
+    for _ in range(200):
+        rows = th.from_numpy(rng.normal(size=(64, 4)).astype(np.float32))
+        features = th.cat([rows[:, 1:], rows[:, 1:2] * rows[:, 2:3]], dim=1)
+        scale.update(rows, -th.exp(2.0 + features @ truth))
+    th.testing.assert_close(scale.weights, truth, rtol=0, atol=0.02)
+    th.testing.assert_close(scale(rows), th.exp(features @ truth), rtol=0.1, atol=0)
+    one_size = ValueScale([1, 2, 3])
+    for level in (30.0, 10.0, 3.0):
+        one_size.update(th.full((64, 4), 0.7), -th.full((64,), level))
+    assert one_size.weights.abs().max() < 0.1
+
+
+def test_published_settings_follow_from_the_network(tmp_path: Path) -> None:
+    flat, sets = load_config("mappo"), load_config("mappo", {"network": "set"})
+    assert (flat.rows, flat.depends_on_sizes) == ("flat", True)
+    assert (sets.rows, sets.depends_on_sizes) == ("entities", False)
+    assert (sets.hidden, sets.batch_rows, sets.collection) == ((128, 128), 1500, "auto")  # type: ignore[attr-defined]
+    assert load_config("mappo", {"network": "set", "batch_rows": 9}).batch_rows == 9  # type: ignore[attr-defined]
+    config = RunConfig(sized(2, 3), load_config("ippo", {"network": "set", "epochs": 2}), 0)
+    assert config_folder(tmp_path, config).path.parent.name == "ippo+epochs=2,network=set"
+    words = train_command("paper", config.scenario, config.algorithm)
+    assert [word for word in words if word.startswith("algorithm.")] == ["algorithm.network=set", "algorithm.epochs=2"]
+
+
+def test_a_run_flies_in_another_size(tmp_path: Path) -> None:
+    config = RunConfig.load(
+        "mappo", sized(2, 6).replace(slots=12), network="set", slots=100, missions=4, evaluate_every_slots=50,
+        evaluation_missions=2, rollout_slots=6,
+    )  # fmt: skip
+    train(config, tmp_path / "run", device="cpu")
+    policy = load_run(tmp_path / "run", sized(5, 30))
+    assert policy.views.layout.devices == 30
+
+
+def test_a_set_needs_rows_of_entities() -> None:
+    for learner, policy in ((MAPPO, "CentralizedValuePolicy"), (VDN, "JointQPolicy")):
+        with pytest.raises(InputError, match="network = 'set': reads rows of entities"):
+            learner(policy, flatten("tiny", missions=2), policy_kwargs={"network": "set"}, device="cpu")  # type: ignore[operator]
+        with pytest.raises(InputError, match="unknown network 'sets'; did you mean 'set'"):
+            learner(policy, flatten("tiny", missions=2), policy_kwargs={"network": "sets"}, device="cpu")  # type: ignore[operator]
