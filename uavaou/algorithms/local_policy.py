@@ -1,10 +1,12 @@
 """What the policies of all learners share: they act on the local part of a row."""
 
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from stable_baselines3.common.policies import BasePolicy
 
+from uavaou.algorithms.nets.symmetries import SquareSymmetries
 from uavaou.errors import InputError
 from uavaou.world.views import RowLayout
 
@@ -20,6 +22,11 @@ class LocalPolicy(BasePolicy):
 
     row_layout: RowLayout
     depends_on_sizes: ClassVar[bool] = True
+
+    @cached_property
+    def symmetries(self) -> SquareSymmetries | None:
+        """The symmetries that a flying UAV averages its decision over; None for flat rows, which have none."""
+        return SquareSymmetries(self.row_layout) if self.row_layout.rows == "entities" else None
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False

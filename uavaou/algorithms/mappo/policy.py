@@ -132,8 +132,15 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
 
     @th.no_grad()
     def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
-        """Actions (B, 1 + I) for ``local`` (B, local): the most probable, or drawn from ``uniforms`` (B, 5 + I)."""
-        distribution = self.action_distribution(local)
+        """Actions (B, 1 + I) of flying UAVs that observe ``local`` (B, local).
+
+        They are the most probable, or drawn from ``uniforms`` (B, 5 + I); for rows of entities, by the mean logits over
+        the symmetries of the square.
+        """
+        if self.symmetries is None:
+            distribution = self.action_distribution(local)
+        else:
+            distribution = self.distribution_of(self.symmetries.mean(self.logits, local), local)
         return distribution.mode() if uniforms is None else distribution.sample(uniforms)
 
     def normalised_values(self, critic_rows: th.Tensor) -> th.Tensor:

@@ -112,12 +112,25 @@ class JointQPolicy(LocalPolicy):
 
     @th.no_grad()
     def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
-        """Actions (B, M) of ``local`` (B, local): greedy, or epsilon-greedy from ``uniforms`` (B, >= 1 + M).
+        """Actions (B, M) of flying UAVs that observe ``local`` (B, local).
+
+        They are greedy, or epsilon-greedy from ``uniforms`` (B, >= 1 + M); for rows of entities, by the mean values
+        over the symmetries of the square.
+        """
+        values = self._values(local) if self.symmetries is None else self.symmetries.mean(self._values, local)
+        return self._choice(values, local, uniforms)
+
+    def _values(self, local: th.Tensor) -> th.Tensor:
+        values: th.Tensor = self.utilities(local, self.allowed(local))
+        return values
+
+    def _choice(self, values: th.Tensor, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
+        """Greedy or epsilon-greedy actions (B, M) by ``values``.
 
         One coin decides for a whole composite action: with one coin a branch, hardly any action would stay greedy.
         """
         allowed = self.allowed(local)
-        greedy = self.branches.greedy(self.utilities(local, allowed), allowed)
+        greedy = self.branches.greedy(values, allowed)
         if uniforms is None:
             return greedy
         explores = uniforms[:, :1] < self.epsilon
@@ -169,7 +182,7 @@ class JointQPolicy(LocalPolicy):
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:  # type: ignore[override]
         local = observation[:, : self.row_layout.local_size]
         uniforms = None if deterministic else th.rand((len(local), 1 + self.branches.count)).to(local.device)
-        actions = self.act(local, uniforms)
+        actions = self._choice(self._values(local), local, uniforms)
         return actions[:, 0] if isinstance(self.action_space, spaces.Discrete) else actions
 
     def forward(self, obs: th.Tensor, deterministic: bool = False) -> th.Tensor:

@@ -1,0 +1,53 @@
+"""The symmetries of the square: a map that is turned or mirrored asks for the same flight, turned or mirrored.
+
+A network learns that only roughly. The mean of its outputs over all eight symmetries has it exactly, and decides better
+than the network alone.
+"""
+
+from collections.abc import Callable
+from itertools import product
+
+import torch as th
+
+from uavaou.world.flight import STEP_OF_MOVE
+from uavaou.world.views import MOVES, RowLayout
+
+_PAIRS = (("own", "home"), ("teammates", ""), ("teammates", "home"), ("devices", ""))  # vectors (x, y) in the tokens
+
+
+class SquareSymmetries:
+    """Rows of entities under the eight symmetries of the square.
+
+    Args:
+        layout: of the rows.
+    """
+
+    def __init__(self, layout: RowLayout) -> None:
+        moves = layout.local_columns("allowed_moves")
+        assert moves is not None
+        columns = th.arange(layout.local_size)
+        x, y = (
+            th.cat([columns[layout.token_feature(tokens, f"{of}_{axis}".lstrip("_"))] for tokens, of in _PAIRS])
+            for axis in "xy"
+        )
+        steps = STEP_OF_MOVE.tolist()
+        self._symmetries: list[tuple[th.Tensor, th.Tensor, th.Tensor]] = []
+        for swap, sign_x, sign_y in product((False, True), (1, -1), (1, -1)):
+            source, sign = columns.clone(), th.ones(layout.local_size)
+            source[x], source[y] = (y, x) if swap else (x, y)
+            sign[x], sign[y] = float(sign_x), float(sign_y)
+            # Move k seen from here is the move of the row whose step becomes the step of k.
+            seen = [(sign_x * step[swap], sign_y * step[not swap]) for step in steps]
+            move = th.tensor([seen.index((dx, dy)) for dx, dy in steps])  # (5,)
+            source[moves] = moves.start + move
+            self._symmetries.append((source, sign, move))
+
+    def mean(self, network: Callable[[th.Tensor], th.Tensor], rows: th.Tensor) -> th.Tensor:
+        """Return the network's outputs (B, 5 + ...) for ``rows`` (B, local), averaged; the first five are of moves."""
+        total: th.Tensor | None = None
+        for source, sign, move in self._symmetries:
+            outputs = network(rows[:, source.to(rows.device)] * sign.to(rows.device))
+            outputs = th.cat([outputs[:, :MOVES][:, move.argsort()], outputs[:, MOVES:]], dim=1)
+            total = outputs if total is None else total + outputs
+        assert total is not None
+        return total / len(self._symmetries)
