@@ -57,7 +57,7 @@ class SetEncoder(nn.Module):
         """Return features of ``rows`` (B, columns), and behind them the logits, (B, size) or (B, size + I)."""
         fast = _compiled()
         if fast is not None and fast.supports(rows):
-            encoded: th.Tensor = fast.Encode.apply(rows, self.uavs, self.heads, *self.parameters())
+            encoded: th.Tensor = fast.encode(rows, self.uavs, self.heads, *self.parameters())
             return encoded
         return self.define(rows)
 
