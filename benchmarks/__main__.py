@@ -15,7 +15,7 @@ from benchmarks.environment import scaling, stepping
 from benchmarks.measure import Measurement, report
 from benchmarks.training import STOCK, memory, parts, training
 from uavaou.csv_tables import write_csv
-from uavaou.runs.folder import describe_machine
+from uavaou.runs.machine import describe_machine
 
 Part = Callable[[], list[Measurement]]
 PARTS: dict[str, Part] = {

@@ -31,15 +31,21 @@ class Overrides:
         fields = dict.fromkeys(type(base).model_fields) | base.to_dict()
         return base.replace(**_changes("scenario", self.scenario, fields)) if self.scenario else base
 
-    def of_algorithm(self, name: str) -> AlgorithmConfig:
+    def of_algorithm(self, name: str, **usual: Any) -> AlgorithmConfig:
         """The published configuration of an algorithm with its overrides applied.
+
+        Args:
+            name: of the algorithm.
+            usual: fields with a value of their own, where the algorithm has them and no override changes them.
 
         Raises:
             InputError: the algorithm or a key is unknown, or a value cannot be used.
         """
         from uavaou.algorithms.registry import load_config
 
-        return load_config(name, self.changes_of(load_config(name)))
+        published = load_config(name)
+        usual = {field: value for field, value in usual.items() if field in type(published).model_fields}
+        return load_config(name, usual | self.changes_of(published))
 
     def changes_of(self, settings: AlgorithmConfig) -> dict[str, Any]:
         """The fields of an algorithm's ``settings`` that the overrides change, with their new values.

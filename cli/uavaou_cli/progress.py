@@ -145,9 +145,9 @@ class TrainingDisplay(Display):
 
     def __init__(self, slot_length_s: float) -> None:
         super().__init__(quiet=False, total=0, slot_length_s=slot_length_s)
-        self._uavs = 0
+        self._uavs = 0.0
 
-    def start(self, total: int, done: int, uavs: int) -> None:
+    def start(self, total: int, done: int, uavs: float) -> None:
         """Begin at ``done`` of ``total`` slots, with ``uavs`` agent steps a slot."""
         self.total, self._uavs = total, uavs
         self.open()

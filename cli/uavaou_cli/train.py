@@ -29,6 +29,9 @@ def train(
     scenario: Annotated[
         str | None, option("A preset (see `uavaou scenarios`) or a YAML file. [default: paper]")
     ] = None,
+    family: Annotated[
+        str | None, option("Train on draws of a family (any, layouts) or a YAML file, instead of one scenario.")
+    ] = None,
     algorithm: Annotated[
         str | None, option(f"What learns: {_ALGORITHMS}, or one of your own. [default: mappo]")
     ] = None,
@@ -60,20 +63,27 @@ def train(
 ) -> None:
     """Train a policy; without options, MAPPO on `paper` to the published budget.
 
-    Writes DIR/<scenario>/<algorithm>/seed-<N>/, and prints what to type next.
+    Writes DIR/<scenario>/<algorithm>/seed-<N>/ or DIR/family-<name>/..., and prints what to type next.
     """
-    given = {"--scenario": scenario, "--algorithm": algorithm, "--seed": seed, "--set": set_ or None}
+    given = {
+        "--scenario": scenario,
+        "--family": family,
+        "--algorithm": algorithm,
+        "--seed": seed,
+        "--set": set_ or None,
+    }
     if continue_ is not None:
         _refuse("--continue", given | {"--from": from_, "--config": config}, "the run goes on with its own settings")
         plan, folder = _continued(continue_, slots, resume)
     elif config is not None:
         _refuse("--config", given | {"--slots": slots}, "the file says everything")
         plan, folder = _again(config, out)
-    elif from_ is not None:
-        _refuse("--from", {"--algorithm": algorithm}, "the run's settings are taken")
-        plan, folder = _following(from_, scenario, seed or 0, slots, out, set_ or [])
     else:
-        plan, folder = _plan(scenario or "paper", algorithm or "mappo", seed or 0, slots, out, set_ or [])
+        if family is not None:
+            _refuse("--family", {"--scenario": scenario}, "a family has a base scenario")
+        if from_ is not None:
+            _refuse("--from", {"--algorithm": algorithm}, "the run's settings are taken")
+        plan, folder = _plan(scenario, family, from_, algorithm or "mappo", seed or 0, _overrides(set_, slots), out)
     writable_folder(folder.path)
     available_device(device)
     resume = resume or continue_ is not None
@@ -105,35 +115,35 @@ def _refuse(option: str, others: Mapping[str, object], why: str) -> None:
 
 
 def _plan(
-    scenario: str, algorithm: str, seed: int, slots: int | None, out: Path, items: list[str]
-) -> tuple[RunConfig, RunFolder]:
-    """The training that the options describe, and its folder."""
-    from uavaou.runs.folder import RunConfig, run_folder
-    from uavaou.scenario import Scenario
-
-    overrides = _overrides(items, slots)
-    base = Scenario.load(scenario)
-    config = RunConfig(overrides.of_scenario(base), overrides.of_algorithm(algorithm), seed)
-    return config, run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)
-
-
-def _following(
-    run: str, scenario: str | None, seed: int, slots: int | None, out: Path, items: list[str]
-) -> tuple[RunConfig, RunFolder]:
-    """The training that begins with the weights of ``run``, and its folder."""
-    from uavaou.runs.folder import config_folder
+    scenario: str | None, family: str | None, run: str | None, algorithm: str, seed: int, overrides: Overrides,
+    out: Path,
+) -> tuple[RunConfig, RunFolder]:  # fmt: skip
+    """The training that the options describe, from the weights of ``run`` where there is one, and its folder."""
+    from uavaou.family import Family
+    from uavaou.runs.folder import RunConfig, config_folder, run_folder
     from uavaou.runs.start import Start
     from uavaou.scenario import Scenario
 
-    start, overrides = Start.at(run), _overrides(items, slots)
-    base = start.config.scenario if scenario is None else Scenario.load(scenario)
-    changes = overrides.changes_of(start.config.algorithm)
-    config = start.training(overrides.of_scenario(base), changes, seed)
+    start = None if run is None else Start.at(run)
+    if family is None:
+        base = start.config.scenario if start and scenario is None else Scenario.load(scenario or "paper")
+        flown: Scenario | Family = overrides.of_scenario(base)
+    else:
+        flown = Family.load(family)
+        for key in overrides.scenario:
+            raise InputError(f"--set scenario.{key}: a family draws its scenarios; change its file")
+    if start is not None:
+        config = start.training(flown, overrides.changes_of(start.config.algorithm), seed)
+    elif isinstance(flown, Family):
+        config = RunConfig(flown.base, overrides.of_algorithm(algorithm, network="set"), seed, flown)
+    else:
+        config = RunConfig(flown, overrides.of_algorithm(algorithm), seed)
+        return config, run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)
     return config, config_folder(out, config)
 
 
-def _overrides(items: list[str], slots: int | None) -> Overrides:
-    overrides = parse_overrides(items)
+def _overrides(items: list[str] | None, slots: int | None) -> Overrides:
+    overrides = parse_overrides(items or [])
     if slots is not None:
         if "slots" in overrides.algorithm:
             raise InputError("--slots and --set algorithm.slots: give one of them")
@@ -165,15 +175,17 @@ def _resuming(arguments: list[str], folder: RunFolder) -> list[str]:
 def _lines(outcome: Outcome, config: RunConfig, plugins: Sequence[str]) -> list[str]:
     """The result of a training, and the command to type next, with the same ``plugins``."""
     progress, folder = outcome.progress, outcome.folder.path
+    trained_on = f"family {config.family.name}" if config.family else config.scenario.name
+    mean = "geometric mean AoU" if config.family else "mean AoU"
     lines = [
-        f"trained {config.algorithm.name} on {config.scenario.name}: "
+        f"trained {config.algorithm.name} on {trained_on}: "
         f"{progress.slots:,} slots, {outcome.agent_steps:,} agent steps, {duration(progress.wall_s)}",
         f"run folder:      {folder}",
     ]
     if progress.best_score is not None:
         in_slots = progress.best_score / config.scenario.slot_length_s
         lines.append(
-            f"best validation: mean AoU {figure(in_slots)} slots ({figure(progress.best_score)} s), "
+            f"best validation: {mean} {figure(in_slots)} slots ({figure(progress.best_score)} s), "
             f"{progress.best_action} actions"
         )
     named = [word for place in plugins for word in ("--plugin", place)]

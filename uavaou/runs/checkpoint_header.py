@@ -20,6 +20,7 @@ class TrainingProgress(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     slots: Count = 0  # of all missions together
+    agent_steps: Count | None = None  # slots of UAVs; None: in files of earlier versions
     missions: Count = 0  # finished training missions, rows of episodes.csv
     wall_s: Number = 0.0
     updates: Count = 0

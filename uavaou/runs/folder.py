@@ -7,13 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import platform
-import subprocess
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,17 +19,17 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
+from uavaou.family import Family
 from uavaou.fields import Number, PositiveWhole, Whole, reads_schema, short, validated
 from uavaou.files import PathIn, read_json, refuse_links
 from uavaou.runs.lock import LOCK
 from uavaou.runs.released import nearest_released, released_folder, run_path
 from uavaou.scenario import Scenario
 from uavaou.world.entities import make_views
-from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_folder, zoo_names
+from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_names, zoo_path
 
 SCHEMA = 1
 _LONGEST_NAME = 120
-_PACKAGES = ("uavaou", "torch", "stable-baselines3", "supersuit", "pettingzoo", "gymnasium", "numpy")
 EPISODE_COLUMNS = ("mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
 
 
@@ -45,6 +40,7 @@ class RunConfig:
     scenario: Scenario
     algorithm: AlgorithmConfig
     seed: int = 0
+    family: Family | None = None  # trained on; ``scenario`` is then its base
     start: str | None = None  # digest of the weights that it begins with; None: drawn anew
     budgets: tuple[int, ...] = ()  # slots of a run that went on: the algorithm's, then larger ones
 
@@ -99,6 +95,7 @@ class RunConfig:
     def to_yaml(self) -> str:
         """The content of ``config.yaml``."""
         content: dict[str, Any] = {"schema": SCHEMA, "seed": self.seed}
+        content |= {"family": self.family.to_dict()} if self.family else {}
         content |= {"start": self.start} if self.start else {}
         content |= {"budgets": list(self.budgets)} if self.budgets else {}
         algorithm, scenario = self.algorithm.model_dump(mode="json"), self.scenario.to_dict()
@@ -216,6 +213,7 @@ class ConfigFile(BaseModel):
 
     schema_: Annotated[int, BeforeValidator(reads_schema(SCHEMA))] = Field(alias="schema")
     seed: Annotated[Whole, Field(ge=0)]
+    family: dict[str, Any] | None = None
     start: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
     budgets: Annotated[tuple[PositiveWhole, ...], Field(min_length=2, max_length=10_000)] | None = None
     algorithm: dict[str, Any]
@@ -228,7 +226,10 @@ class ConfigFile(BaseModel):
         if budgets and (budgets[0] != algorithm.slots or any(a >= b for a, b in pairwise(budgets))):
             expected = f"algorithm.slots = {algorithm.slots}, then larger and larger ones"
             raise InputError(f"{path}: budgets = {short(list(budgets))}: expected {expected}")
-        return RunConfig(scenario, algorithm, self.seed, self.start, budgets)
+        family = None if self.family is None else Family.from_dict(self.family, source=f"{path}: family")
+        if family is not None and family.base != scenario:
+            raise InputError(f"{path}: family.base: expected what the file states as scenario")
+        return RunConfig(scenario, algorithm, self.seed, family, self.start, budgets)
 
 
 def read_config(path: Path) -> RunConfig:
@@ -259,9 +260,9 @@ def run_folder(
 
 def _scenario_folder(scenario: Scenario, overrides: Mapping[str, str]) -> str:
     base = scenario.name
-    preset = zoo_folder("scenarios") / f"{base}.yaml"
+    preset = zoo_path("scenarios", base)
     if base not in zoo_names("scenarios") or Scenario.load(preset) != scenario:
-        base = f"{base}~{hashlib.sha256(scenario.to_yaml().encode()).hexdigest()[:8]}"
+        base += _content_digest(scenario.to_dict())
     return _folder_name(base, overrides)
 
 
@@ -274,14 +275,25 @@ def config_folder(out: Path, config: RunConfig) -> RunFolder:
     name = config.algorithm.name
     overrides = _differences(_published(config.algorithm), config.algorithm.model_dump(mode="json"))
     overrides |= {"from": config.start[:12]} if config.start else {}
-    return RunFolder(out / scenario_folder(config.scenario) / _folder_name(name, overrides) / f"seed-{config.seed}")
+    place = family_folder(config.family) if config.family else scenario_folder(config.scenario)
+    return RunFolder(out / place / _folder_name(name, overrides) / f"seed-{config.seed}")
+
+
+def family_folder(family: Family) -> str:
+    """The name of the folder of a family's runs, such as ``family-any``; one of your own is told apart by content."""
+    shipped = family.name in zoo_names("families") and Family.load(zoo_path("families", family.name)) == family
+    return _folder_name(f"family-{family.name}" + ("" if shipped else _content_digest(family.to_dict())), {})
+
+
+def _content_digest(content: Mapping[str, Any]) -> str:
+    return f"~{hashlib.sha256(to_yaml(content).encode()).hexdigest()[:8]}"
 
 
 def scenario_folder(scenario: Scenario) -> str:
     """The name of the folder of a scenario's runs, such as ``paper+layout_seed=1``."""
     if scenario.name not in zoo_names("scenarios"):
         return _scenario_folder(scenario, {})
-    preset = Scenario.load(zoo_folder("scenarios") / f"{scenario.name}.yaml")
+    preset = Scenario.load(zoo_path("scenarios", scenario.name))
     return _scenario_folder(preset, _differences(preset.to_dict(), scenario.to_dict()))
 
 
@@ -341,39 +353,3 @@ def name_with(base: str, changes: Mapping[str, str]) -> str:
     if len(name) > _LONGEST_NAME:  # file systems end at 255 bytes
         name = f"{name[:_LONGEST_NAME]}~{hashlib.sha256(name.encode()).hexdigest()[:12]}"
     return name
-
-
-def describe_machine() -> dict[str, Any]:
-    """Versions, commit and machine, the first fields of :class:`RunMeta`."""
-    return {
-        "versions": {package: _version(package) for package in _PACKAGES},
-        "commit": _commit(),
-        "python": platform.python_version(),
-        "system": platform.platform(),
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-    }
-
-
-def _version(package: str) -> str | None:
-    with suppress(PackageNotFoundError):
-        return version(package)
-    return None
-
-
-def _commit() -> str | None:
-    """The commit of the repository that the package runs from; None for an installed wheel."""
-    root = Path(__file__).resolve().parents[2]
-    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
-    with suppress(OSError, subprocess.CalledProcessError):
-        if (root / ".git").exists():
-            return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    return None
-
-
-def _processor() -> str:
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor()

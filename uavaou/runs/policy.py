@@ -1,5 +1,6 @@
 """The policy of a run, with the interface of planners; it reads local observations alone."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -21,8 +22,9 @@ from uavaou.runs.checkpoint_header import read_header
 from uavaou.runs.folder import RunFolder
 from uavaou.scenario import Scenario
 from uavaou.world import World
-from uavaou.world.views import MOVES, RowViews
+from uavaou.world.views import MOVES, Rows, RowViews
 
+Actions = tuple[NDArray[np.int64], NDArray[np.bool_] | None]
 _STREAM = 3  # spawn key of the policies' random streams, apart from the layouts' (1) and the planners' (2)
 
 
@@ -41,18 +43,40 @@ class TrainedPolicy:
         lanes = range(world.missions)
         self._rngs = [np.random.default_rng(np.random.SeedSequence(seed + j, spawn_key=(_STREAM,))) for j in lanes]
 
-    def act(self, world: World) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
+    def act(self, world: World) -> Actions:
         """Moves (N, U) and selections (N, U, I), None for every device in range."""
-        uavs, device = world.scenario.uavs, self.model.device
-        local = th.from_numpy(self.views.local(world).reshape(world.missions * uavs, -1)).to(device)
-        uniforms = None if self.action == "greedy" else self._uniforms(uavs).to(device)
-        actions = _act(self.model, local, uniforms).cpu().numpy()
-        return split_actions(actions, world.missions, uavs, self.views.layout.selects)
+        return act_together([self], [world])[0]
 
-    def _uniforms(self, uavs: int) -> th.Tensor:
-        width = MOVES + (self.views.layout.devices if self.views.layout.selects else 0)
-        drawn = np.stack([rng.random((uavs, width), dtype=np.float32) for rng in self._rngs])  # (N, U, 5 + I)
-        return th.from_numpy(drawn.reshape(-1, width))
+    def local_rows(self, world: World) -> Rows:
+        """What the UAVs see, (N * U, local); rows of padding are left out."""
+        local = self.views.local(world)[:, : world.scenario.uavs]
+        return local.reshape(-1, local.shape[-1])
+
+    def uniforms(self, world: World) -> Rows:
+        """The next uniform numbers of each UAV, (N * U, 5 + I), of which devices of padding take none."""
+        layout, scenario = self.views.layout, world.scenario
+        width = MOVES + (scenario.devices if layout.selects else 0)
+        drawn = np.stack([rng.random((scenario.uavs, width), dtype=np.float32) for rng in self._rngs])  # (N, U, 5 + I)
+        padding = layout.devices - scenario.devices if layout.selects else 0
+        return np.pad(drawn.reshape(-1, width), ((0, 0), (0, padding)))
+
+    def actions(self, chosen: NDArray[np.int64], world: World) -> Actions:
+        """The ``chosen`` actions (N * U, 1 + I) or (N * U,) as :meth:`act` returns them."""
+        moves, selections = split_actions(chosen, world.missions, world.scenario.uavs, self.views.layout.selects)
+        return moves, selections if selections is None else selections[:, :, : world.scenario.devices]
+
+
+def act_together(policies: Sequence[TrainedPolicy], worlds: Sequence[World]) -> list[Actions]:
+    """What the policies of one model do in the Worlds, one each, in one evaluation of the network."""
+    flights = list(zip(policies, worlds, strict=True))
+    model, greedy = policies[0].model, policies[0].action == "greedy"
+    local = np.concatenate([policy.local_rows(world) for policy, world in flights])
+    drawn = None if greedy else np.concatenate([policy.uniforms(world) for policy, world in flights])
+    uniforms = None if drawn is None else th.from_numpy(drawn).to(model.device)
+    chosen = _act(model, th.from_numpy(local).to(model.device), uniforms).cpu().numpy()
+    ends = np.cumsum([world.missions * world.scenario.uavs for world in worlds])
+    parts = np.split(chosen, ends[:-1])
+    return [policy.actions(part, world) for part, (policy, world) in zip(parts, flights, strict=True)]
 
 
 @th.no_grad()

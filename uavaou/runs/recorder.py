@@ -20,10 +20,12 @@ from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.files import write_json
 from uavaou.runs.checkpoint import save_policy, save_training
 from uavaou.runs.checkpoint_header import TrainingProgress
-from uavaou.runs.folder import RunConfig, RunFolder, RunMeta, describe_machine
+from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
 from uavaou.runs.interrupt import Interrupted, Interrupts
+from uavaou.runs.machine import describe_machine
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.runs.records import EpisodesCsv, ProgressCsv, plain
+from uavaou.runs.validation import family_score
 
 CHECKPOINT_EVERY_S = 30.0
 MOST_SHARE = 0.025  # of the wall-clock goes to checkpoints: a large replay is written less often
@@ -33,8 +35,8 @@ _ROWS_AN_EVALUATION = 50  # of progress.csv at most; learners that update every 
 class Display(Protocol):
     """Shows a training to a person."""
 
-    def start(self, total: int, done: int, uavs: int) -> None:
-        """The training begins: slots in all and slots done before, of all missions together, and the UAVs of each."""
+    def start(self, total: int, done: int, uavs: float) -> None:
+        """The training begins: slots in all and slots done before, of all missions together, and UAVs of a mission."""
 
     def update(self, slots: int, mean_aou_s: float | None) -> None:
         """``slots`` are done; ``mean_aou_s`` is that of recent missions, None before the first."""
@@ -90,7 +92,9 @@ class Recorder(BaseCallback):
         self._display = display
         self._interrupts = interrupts
         self._every_s = checkpoint_every_s
-        self._uavs = config.scenario.uavs
+        self._layout = env.row_layout
+        self._uavs = self._layout.uavs  # rows of a mission
+        self.agent_steps = agent_steps(progress, config)
         self._recent: deque[float] = deque(maxlen=config.algorithm.missions)  # s, mean AoU of the last missions
         self.episodes_csv = EpisodesCsv(folder.episodes, progress.missions)
         self._machine = describe_machine()
@@ -133,6 +137,8 @@ class Recorder(BaseCallback):
 
     def _on_step(self) -> bool:
         check_rewards(self.locals["rewards"], self._slots, self.kept)
+        present = self._layout.present_column
+        self.agent_steps += self._env.num_envs if present is None else int(self.model._last_obs[:, present].sum())  # type: ignore[index]
         if self.locals["dones"].any():
             infos = self.locals["infos"][:: self._uavs]
             missions = [info["mission"] for info in infos if "mission" in info]
@@ -184,11 +190,11 @@ class Recorder(BaseCallback):
         if not scores and self._slots - self.progress.row_slots < every:
             return
         self.logger.record("time/slots", self._slots)
-        self.logger.record("time/agent_steps", self.num_timesteps)
+        self.logger.record("time/agent_steps", self.agent_steps)
         self.logger.record("time/wall_s", round(self._wall_s, 1))
         for name, score in scores.items():
             self.logger.record(f"evaluation/mean_aou_{name}_s", score)
-        self.logger.dump(self.num_timesteps)
+        self.logger.dump(self.agent_steps)
         self._advance(rows=self.progress.rows + 1, row_slots=self._slots)
 
     def _note(self, scores: dict[str, float]) -> None:
@@ -204,12 +210,15 @@ class Recorder(BaseCallback):
             tau, missions = self._config.scenario.slot_length_s, self._config.algorithm.evaluation_missions
             means = f"{scores['greedy'] / tau:,.2f} greedy, {scores['sample'] / tau:,.2f} sampled"
             best = " (best so far)" if improved else ""
+            mean = "geometric mean AoU on" if self._config.family else "mean AoU on"
             self._display.message(
-                f"{self._slots:,} slots: mean AoU on {missions} validation missions, in slots: {means}{best}"
+                f"{self._slots:,} slots: {mean} {missions} validation missions, in slots: {means}{best}"
             )
 
     def _score(self, action: str) -> float:
         algorithm = self._config.algorithm
+        if self._config.family is not None:
+            return family_score(self.model, self._config, action)
         policy = TrainedPolicy(self.model, self._env.views, action)
         return evaluate(policy, self._config.scenario, algorithm.evaluation_missions, VALIDATION_SEED).mean_aou_s
 
@@ -217,6 +226,7 @@ class Recorder(BaseCallback):
         """Where the training stands now."""
         now = {
             "slots": self._slots,
+            "agent_steps": self.agent_steps,
             "wall_s": self._wall_s,
             "cpu_s": None if self._cpu_s_earlier is None else self._cpu_s_earlier + self._cpu_s,
             "updates": getattr(self.model, "_n_updates", 0),
@@ -250,7 +260,7 @@ class Recorder(BaseCallback):
             "of_wall_s": round(time.monotonic() - self._began, 3),
         }
         device = None if model is None else str(model.device)
-        saved = self.progress.model_copy(update={"slots": self._saved})
+        saved = self.progress.model_copy(update={"slots": self._saved})  # with the agent steps of that checkpoint
         write_meta(self._folder, self._config, saved, self._machine, device, checkpoints)
 
 
@@ -262,14 +272,19 @@ def write_meta(
     meta = RunMeta(
         **machine,
         slots=progress.slots,
-        agent_steps=progress.slots * config.scenario.uavs,
+        agent_steps=agent_steps(progress, config),
         slots_budget=config.slots,
         finished=progress.slots >= config.slots,
         device=device,
         checkpoints=checkpoints,
-        **progress.model_dump(exclude={"slots", "figures"}),
+        **progress.model_dump(exclude={"slots", "agent_steps", "figures"}),
     )
     write_json(folder.meta, meta.model_dump(mode="json"))
+
+
+def agent_steps(progress: TrainingProgress, config: RunConfig) -> int:
+    """The slots of UAVs that a training has played."""
+    return progress.slots * config.scenario.uavs if progress.agent_steps is None else progress.agent_steps
 
 
 def pause_s(every_s: float, cost_s: float) -> float:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
 from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
+from uavaou.family import Family
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 
@@ -44,11 +45,11 @@ class Start:
         """SHA-256 of the weights."""
         return self._file.digest(POLICY)
 
-    def training(self, scenario: Scenario, changes: Mapping[str, Any], seed: int) -> RunConfig:
+    def training(self, scenario: Scenario | Family, changes: Mapping[str, Any], seed: int) -> RunConfig:
         """The training that begins with these weights: with the run's settings, and the published budget.
 
         Args:
-            scenario: to train on.
+            scenario: to train on, or the family.
             changes: fields of the algorithm's settings with other values.
             seed: of the training.
 
@@ -58,8 +59,10 @@ class Start:
         own = self.config.algorithm.model_dump(mode="json")
         published = {"slots": load_config(self.config.algorithm.name).slots}
         algorithm = config_from_dict(own | published | dict(changes), self.folder.config)
-        self.config.check_fits(scenario, str(self.folder))
-        return RunConfig(scenario, algorithm, seed, start=self.digest)
+        family = scenario if isinstance(scenario, Family) else None
+        base = scenario.base if isinstance(scenario, Family) else scenario
+        self.config.check_fits(base, str(self.folder))
+        return RunConfig(base, algorithm, seed, family, self.digest)
 
     def load_into(self, model: BaseAlgorithm) -> None:
         """Give a learner the weights; its optimizer stays new.

@@ -5,6 +5,7 @@ import sys
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import fmean
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
@@ -18,11 +19,14 @@ from uavaou.evaluation.seeds import training_seeds
 from uavaou.files import refuse_links, replacing, writing
 from uavaou.runs.checkpoint import load_training
 from uavaou.runs.checkpoint_header import TrainingProgress
-from uavaou.runs.folder import RunConfig, RunFolder, describe_machine
+from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.lock import one_writer
-from uavaou.runs.recorder import CHECKPOINT_EVERY_S, AfterUpdate, Display, Recorder, write_meta
+from uavaou.runs.machine import describe_machine
+from uavaou.runs.recorder import CHECKPOINT_EVERY_S, AfterUpdate, Display, Recorder, agent_steps, write_meta
 from uavaou.runs.start import Start
+
+_DRAWS_COUNTED = 64  # of a family
 
 
 @dataclass(frozen=True)
@@ -95,10 +99,12 @@ def _train(
     """Train to the last budget of ``config``; those before it have been reached."""
     resuming = _check_folder(folder, config, resume)
     algorithm = config.algorithm
-    shared = ("missions", "processes", "observation", "collection", "reward", "rows")
+    shared = ("missions", "processes", "observation", "collection", "reward", "rows", "worlds")
     settings = {name: getattr(algorithm, name) for name in shared}
     try:
-        env = flatten(config.scenario, seed=training_seeds(config.seed).start, backend=backend, **settings)
+        env = flatten(
+            config.family or config.scenario, seed=training_seeds(config.seed).start, backend=backend, **settings
+        )
     except MemoryError as error:
         raise InputError(f"not enough memory for missions = {algorithm.missions}: lower it") from error
     try:
@@ -153,7 +159,7 @@ def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
 
 def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> TrainingProgress:
     progress, missions = load_training(folder, model)
-    model.num_timesteps = progress.slots * config.scenario.uavs
+    model.num_timesteps = progress.slots * env.row_layout.uavs
     model._n_updates = progress.updates
     model._current_progress_remaining = progress.budget_left
     starts = missions.pop("episode_starts", None)
@@ -169,26 +175,26 @@ def _learn(
     config: RunConfig, folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: TrainingProgress,
     checkpoint_every_s: float, display: Display | None, after_update: AfterUpdate | None,
 ) -> Outcome:  # fmt: skip
-    uavs = config.scenario.uavs
+    rows = env.row_layout.uavs  # of a mission
     remaining = config.slots - progress.slots
     if remaining <= 0:  # resumed, but finished before
         if not folder.finished:  # killed between its last checkpoint and its meta.json
             write_meta(folder, config, progress, describe_machine(), str(model.device), {})
-        return Outcome(folder, progress, model.num_timesteps)
+        return Outcome(folder, progress, agent_steps(progress, config))
     if config.budgets:
-        _go_on(model, config.budgets[-2] * uavs)
+        _go_on(model, config.budgets[-2] * rows)
     if folder.finished:  # with a smaller budget
         write_meta(folder, config, progress, describe_machine(), str(model.device), {})
     with Interrupts(quiet=display is None) as interrupts, closing(display) if display is not None else nullcontext():
         if display is not None:
-            display.start(config.slots, progress.slots, uavs)
+            display.start(config.slots, progress.slots, _mean_uavs(config))
         recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s, after_update)
         writers: list[KVWriter] = [recorder.progress_csv, TensorBoardOutputFormat(str(folder.path / "tensorboard"))]
         model.set_logger(Logger(str(folder.path), writers))
         try:
             # No logging by SB3: it would write a row before the update that the row is about.
             first = progress.slots == 0
-            model.learn(remaining * uavs, callback=recorder, log_interval=sys.maxsize, reset_num_timesteps=first)
+            model.learn(remaining * rows, callback=recorder, log_interval=sys.maxsize, reset_num_timesteps=first)
         except Interrupted:
             pass
         except (EOFError, ConnectionError) as error:
@@ -199,7 +205,13 @@ def _learn(
             for end in (recorder.episodes_csv.close, model.logger.close, recorder.write_meta):
                 with suppress(OSError, InputError):  # of a full disk, which has been reported above
                     end()
-    return Outcome(folder, recorder.progress, model.num_timesteps, recorder.stopped_by)
+    return Outcome(folder, recorder.progress, recorder.agent_steps, recorder.stopped_by)
+
+
+def _mean_uavs(config: RunConfig) -> float:
+    """UAVs of a mission: of a family, in the mean of some draws."""
+    draws = () if config.family is None else map(config.family.draw, range(_DRAWS_COUNTED))
+    return fmean([scenario.uavs for scenario in draws] or [config.scenario.uavs])
 
 
 def _go_on(model: BaseAlgorithm, steps: int) -> None:
