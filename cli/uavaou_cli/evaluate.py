@@ -263,6 +263,9 @@ def _elsewhere(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
     for run in {id(one.flown.run): one.flown.run for one in results if one.flown.kind == "zero-shot"}.values():
         if run is None:
             continue
+        if run.config.family is not None:
+            texts.append(f"{run.folder} was trained on the family '{run.config.family.name}'")
+            continue
         changed = differences(run.config.scenario, plan.base).items()
         parts = ", ".join(f"{k} = {there} (here {here})" for k, (there, here) in changed if k not in set_everywhere)
         if parts:

@@ -17,7 +17,7 @@ from uavaou_cli.tables import WIDTH
 # Scripts and docs rely on every one of these.
 COMMANDS = {
     "": "--version --plugin",
-    "train": "--scenario --algorithm --seed --slots --config --from --continue --out --resume "
+    "train": "--scenario --family --algorithm --seed --slots --config --from --continue --out --resume "
     "--checkpoint-every --device --backend --set --quiet",
     "tune": "--scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out --set --quiet",
     "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --json --out --set --quiet",

@@ -169,3 +169,22 @@ def test_train_goes_on_with_a_finished_run(
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
     code, _, err = call(capsys, f"{TINY} --out . --continue run")
     assert (code, "--continue and --scenario: give one of them" in err) == (2, True)
+
+
+@pytest.mark.slow
+def test_train_on_a_family(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+    (workplace / "two.yaml").write_text("base: tiny\nuavs: {low: 1, high: 2}\ndevices: {low: 2, high: 6}\n")
+    settings = "--set algorithm.missions=8 --set algorithm.worlds=4 --set algorithm.evaluation_missions=4"
+    code, out, err = call(capsys, f"train --family two.yaml --slots 192 {settings} --set algorithm.hidden=[8] --quiet")
+    assert (code, err) == (0, "")
+    (run,) = (workplace / "results").glob("family-two~*/mappo+*/seed-0")
+    assert "trained mappo on family two: " in out
+    assert "best validation: geometric mean AoU" in out
+    assert f"run folder:      {run.relative_to(workplace)}" in out
+    code, out, err = call(capsys, f"eval {run} --scenario quickstart --episodes 2 --policy greedy --quiet")
+    assert (code, err) == (0, "")
+    (workplace / "own.yaml").write_text(SUITE)
+    code, out, err = call(capsys, f"eval {run} --suite own.yaml --episodes 2 --quiet")
+    assert (code, err) == (0, "")
+    assert out.count("mappo+family=two  zero-shot") == 3
+    assert "was trained on the family 'two'" in " ".join(out.split())

@@ -39,12 +39,12 @@ def read_runs(folders: Iterable[str]) -> dict[str, RunConfig]:
 
 
 def common_scenario(runs: Mapping[str, RunConfig]) -> Scenario:
-    """The scenario that all of the ``runs`` were trained on.
+    """The scenario that all of the ``runs`` were trained on; one trained on a family has a say where all were.
 
     Raises:
         InputError: there are two.
     """
-    first, *others = runs
+    first, *others = [name for name, config in runs.items() if config.family is None] or runs
     for other in others:
         if runs[other].scenario != runs[first].scenario:
             raise InputError(

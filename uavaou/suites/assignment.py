@@ -33,6 +33,12 @@ class SuiteRun:
     policy: str
     slots: int  # of its training: the budget, or those of an unfinished one's last checkpoint
 
+    @property
+    def scenario(self) -> Scenario:
+        """What it was trained on; of a family, the base with new layouts."""
+        base = self.config.scenario
+        return base if self.config.family is None else base.replace(layout="resample", devices_m=None)
+
 
 @dataclass(frozen=True)
 class Assignment:
@@ -67,6 +73,7 @@ def name_runs(configs: Mapping[Path, RunConfig], suite: Suite) -> list[SuiteRun]
     apart = {*_BUDGET, *(["observation"] if varied else [])}
     settings = {
         path: {k: v for k, v in config.algorithm.model_dump(mode="json").items() if k not in apart}
+        | ({"family": config.family.name} if config.family else {})
         for path, config in configs.items()
         if not RunFolder(path).is_released
     }
@@ -133,12 +140,12 @@ def _candidates(
         run for run in own
         if wanted in (None, run.config.algorithm.observation) and run.config.fits(point.scenario)
     ]  # fmt: skip
-    trained = [run for run in fitting if not differences(run.config.scenario, point.scenario)]
+    trained = [run for run in fitting if not run.config.family and not differences(run.scenario, point.scenario)]
     if trained or not fitting:
         return trained, "trained" if trained else None
-    distances = {id(run): _distance(run.config.scenario, point.scenario, base) for run in fitting}
+    distances = {id(run): _distance(run.scenario, point.scenario, base) for run in fitting}
     nearest = min(fitting, key=lambda run: distances[id(run)])
-    alike = [run for run in fitting if run.config.scenario.layout == nearest.config.scenario.layout]
+    alike = [run for run in fitting if run.scenario.layout == nearest.scenario.layout]
     least = {
         seed: min(distances[id(run)] for run in alike if run.config.seed == seed)
         for seed in {run.config.seed for run in alike}
@@ -180,10 +187,10 @@ def _name_by_layout(assignments: Sequence[Assignment]) -> list[Assignment]:
     """Give runs trained on resampled layouts a policy name of their own where runs of fixed layouts fly too."""
     layouts: dict[str, set[str]] = {}
     for one in assignments:
-        layouts.setdefault(one.policy, set()).update(run.config.scenario.layout for run in one.runs)
+        layouts.setdefault(one.policy, set()).update(run.scenario.layout for run in one.runs)
 
     def name(one: Assignment) -> str:
-        resampled = any(run.config.scenario.layout == "resample" for run in one.runs)
+        resampled = any(run.scenario.layout == "resample" for run in one.runs)
         joint = "," if "+" in one.policy else "+"
         return f"{one.policy}{joint}layout=resample" if resampled and len(layouts[one.policy]) > 1 else one.policy
 
@@ -207,14 +214,15 @@ def missing_trainings(
     Args:
         assignments: of every policy to every point.
         runs: those given. A further training takes their settings, with the budget that most points are flown with; a
-            policy that is not among them is trained as published. A released policy is not trained again.
+            policy that is not among them is trained as published. Released policies and those
+            of families are not trained again.
         source: the scenario's name on the command line.
         base: the suite's scenario, overrides included.
     """
     wanted: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for one in assignments:
         own = [run for run in runs if run.policy == one.policy]
-        if one.kind is None and not any(run.folder.is_released for run in own):
+        if one.kind is None and not any(run.folder.is_released or run.config.family for run in own):
             usual = _usual_slots(other.runs for other in assignments if other.policy == one.policy)
             chosen = next((run for run in own if run.slots == usual), own[0] if own else None)
             algorithm = chosen.config.algorithm if chosen else load_config(one.policy)
