@@ -11,6 +11,7 @@ import pytest
 
 from tests.suites.small_suites import GOOD
 from uavaou.algorithms.registry import load_config
+from uavaou.family import Family
 from uavaou.runs.folder import RunConfig
 from uavaou.scenario import Scenario
 from uavaou.suites.assignment import assign, budget_lines, missing_trainings, name_runs
@@ -190,3 +191,16 @@ def test_companion_studies_train_for_every_point(name: str) -> None:
     missing = missing_trainings([replace(one, runs=(), kind=None) for one in assignments], [], "paper", base)
     assert len(missing) == len(configs)
     assert sum("scenario.layout=resample" in one.command for one in missing) == (name == "suite-layouts")
+
+
+def test_runs_of_families_are_policies_of_their_own_and_never_trained_for_a_point(by_devices: Suite) -> None:
+    given = configs({}, {"layout": "resample"})
+    family = Family.from_dict({"base": Scenario.load("tiny").to_dict(), "name": "mine"})
+    given[Path("drawn")] = replace(given[Path("run-0")], family=family)
+    base = Scenario.load("tiny")
+    assignments = assign(resolve_points(by_devices, base), name_runs(given, by_devices), base)
+    found = {
+        (one.point.label, one.policy): (one.kind, [run.folder.path.name for run in one.runs]) for one in assignments
+    }
+    assert found["4", "mappo"] == ("trained", ["run-0"])
+    assert found["4", "mappo+family=mine"] == ("zero-shot", ["drawn"])

@@ -57,7 +57,7 @@ class Start:
             InputError: the weights do not fit the scenario, or a value cannot be used.
         """
         own = self.config.algorithm.model_dump(mode="json")
-        published = {"slots": load_config(self.config.algorithm.name).slots}
+        published = {"slots": load_config(own["name"]).slots}
         algorithm = config_from_dict(own | published | dict(changes), self.folder.config)
         family = scenario if isinstance(scenario, Family) else None
         base = scenario.base if isinstance(scenario, Family) else scenario
