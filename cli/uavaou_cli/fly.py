@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED
 from uavaou_cli.evaluate import evaluation_lines
@@ -11,6 +11,9 @@ from uavaou_cli.options import Changes, Quiet, ScenarioName, number, option, wri
 from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import EvaluationDisplay
 from uavaou_cli.tables import say, show
+
+if TYPE_CHECKING:
+    from uavaou.world import World
 
 _DEFAULT = "any-map"
 _REFERENCES = ("best-first", "greedy")  # planners that need no time; also the default without a released policy
@@ -45,18 +48,32 @@ def fly(
     folder = out or place / name_with(folder_name("-".join(path.relative_to(path.anchor).parts)), {})
     writable_folder(folder)
     policies = {name: make_policy(name, flown) for name in (chosen, reference)}
-    with EvaluationDisplay(quiet, list(policies), flown.slots) as display:
+    with _FlightDisplay(quiet, list(policies), flown.slots) as display:
         comparison = compare(policies, flown, 1, seed, display)
     show(evaluation_lines(comparison, overrides.scenario))
     if policy is None and chosen != _DEFAULT:
         say([f"flown by {chosen}: no policy '{_DEFAULT}' comes with this version"], quiet)
-    from uavaou.evaluation.recorded_mission import RecordedMission, record_mission, write_mission
+    from uavaou.evaluation.recorded_mission import RecordedMission, Recording, write_mission
     from uavaou.reports.mission_figures import plot_trajectories
 
-    recording = record_mission(flown, policies[chosen], seed)
+    recording = Recording.from_snapshots(display.snapshots)
     written = folder / f"mission-{seed}.json"
     write_mission(written, RecordedMission(flown, chosen, None, seed, recording))
     show(["", written, *plot_trajectories(flown, recording, folder, f"mission-{seed}")])
+
+
+class _FlightDisplay(EvaluationDisplay):
+    """Also keeps what every slot of the first policy's mission looked like."""
+
+    def __init__(self, quiet: bool, names: list[str], slots: int) -> None:
+        super().__init__(quiet, names, slots)
+        self.snapshots: list[dict[str, Any]] = []
+
+    def after_slot(self, slots: int, world: World) -> None:
+        """``slots`` of the policy's are done."""
+        super().after_slot(slots, world)
+        if len(self.snapshots) < self._slots:
+            self.snapshots.append(world.snapshot())
 
 
 def _default() -> str:
