@@ -22,6 +22,7 @@ class TrainingProgress(BaseModel):
     slots: Count = 0  # of all missions together
     agent_steps: Count | None = None  # slots of UAVs; None: in files of earlier versions
     missions: Count = 0  # finished training missions, rows of episodes.csv
+    recent: tuple[Number, ...] = ()  # mean AoU of the last of them, s; those of a family do not end together
     wall_s: Number = 0.0
     updates: Count = 0
     next_evaluation: Count = 0  # slots

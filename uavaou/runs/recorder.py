@@ -95,7 +95,7 @@ class Recorder(BaseCallback):
         self._layout = env.row_layout
         self._uavs = self._layout.uavs  # rows of a mission
         self.agent_steps = agent_steps(progress, config)
-        self._recent: deque[float] = deque(maxlen=config.algorithm.missions)  # s, mean AoU of the last missions
+        self._recent: deque[float] = deque(progress.recent, config.algorithm.missions)  # s
         self.episodes_csv = EpisodesCsv(folder.episodes, progress.missions)
         self._machine = describe_machine()
         self._saved = progress.slots  # slots at the last checkpoint
@@ -227,6 +227,7 @@ class Recorder(BaseCallback):
         now = {
             "slots": self._slots,
             "agent_steps": self.agent_steps,
+            "recent": tuple(self._recent),
             "wall_s": self._wall_s,
             "cpu_s": None if self._cpu_s_earlier is None else self._cpu_s_earlier + self._cpu_s,
             "updates": getattr(self.model, "_n_updates", 0),
@@ -277,7 +278,7 @@ def write_meta(
         finished=progress.slots >= config.slots,
         device=device,
         checkpoints=checkpoints,
-        **progress.model_dump(exclude={"slots", "agent_steps", "figures"}),
+        **progress.model_dump(exclude={"slots", "agent_steps", "recent", "figures"}),
     )
     write_json(folder.meta, meta.model_dump(mode="json"))
 
