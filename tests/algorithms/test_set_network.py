@@ -12,7 +12,9 @@ import torch as th
 from tests.algorithms.test_gradient import assert_close, both_gradients
 from tests.algorithms.test_set_encoder import entity_rows, shuffled, sized
 from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, InputError, RunConfig, flatten, load_run, train
+from uavaou.algorithms.fast.update import FastUpdate
 from uavaou.algorithms.mappo.buffer import ARRAYS, SlotRolloutBuffer
+from uavaou.algorithms.nets import set_encoder
 from uavaou.algorithms.nets.value_norm import ValueScale
 from uavaou.algorithms.qlearning.replay import JointBatch
 from uavaou.algorithms.registry import load_config
@@ -246,3 +248,17 @@ def test_a_set_needs_rows_of_entities() -> None:
             learner(policy, flatten("tiny", missions=2), policy_kwargs={"network": "set"}, device="cpu")  # type: ignore[operator]
         with pytest.raises(InputError, match="unknown network 'sets'; did you mean 'set'"):
             learner(policy, flatten("tiny", missions=2), policy_kwargs={"network": "sets"}, device="cpu")  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("learner", [MAPPO, IPPO])
+def test_training_without_the_compiled_encoder_gives_the_same_weights(
+    learner: type[MAPPO], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weights = []
+    for compiled in (True, False):
+        if not compiled:
+            monkeypatch.setattr(set_encoder, "_compiled", lambda: None)
+            monkeypatch.setattr(FastUpdate, "supports", staticmethod(lambda *_: False))
+        model = mappo(learner, missions("select")).learn(4 * 6 * 12)
+        weights.append(th.nn.utils.parameters_to_vector(model.policy.parameters()))
+    th.testing.assert_close(*weights, rtol=1e-3, atol=1e-5)
