@@ -13,6 +13,7 @@ from uavaou.world.flight import STEP_OF_MOVE
 from uavaou.world.views import MOVES, RowLayout
 
 _PAIRS = (("own", "home"), ("teammates", ""), ("teammates", "home"), ("devices", ""))  # vectors (x, y) in the tokens
+_ROWS = 256  # at once: eight views of a wide row take memory
 
 
 class SquareSymmetries:
@@ -31,7 +32,7 @@ class SquareSymmetries:
             for axis in "xy"
         )
         steps = STEP_OF_MOVE.tolist()
-        self._symmetries: list[tuple[th.Tensor, th.Tensor, th.Tensor]] = []
+        views = []
         for swap, sign_x, sign_y in product((False, True), (1, -1), (1, -1)):
             source, sign = columns.clone(), th.ones(layout.local_size)
             source[x], source[y] = (y, x) if swap else (x, y)
@@ -40,14 +41,15 @@ class SquareSymmetries:
             seen = [(sign_x * step[swap], sign_y * step[not swap]) for step in steps]
             move = th.tensor([seen.index((dx, dy)) for dx, dy in steps])  # (5,)
             source[moves] = moves.start + move
-            self._symmetries.append((source, sign, move))
+            views.append((source, sign, move.argsort()))
+        self._source, self._sign, self._move = (th.stack(part) for part in zip(*views, strict=True))
 
     def mean(self, network: Callable[[th.Tensor], th.Tensor], rows: th.Tensor) -> th.Tensor:
         """Return the network's outputs (B, 5 + ...) for ``rows`` (B, local), averaged; the first five are of moves."""
-        total: th.Tensor | None = None
-        for source, sign, move in self._symmetries:
-            outputs = network(rows[:, source.to(rows.device)] * sign.to(rows.device))
-            outputs = th.cat([outputs[:, :MOVES][:, move.argsort()], outputs[:, MOVES:]], dim=1)
-            total = outputs if total is None else total + outputs
-        assert total is not None
-        return total / len(self._symmetries)
+        source, sign, move = (part.to(rows.device) for part in (self._source, self._sign, self._move))
+        means = []
+        for part in rows.split(_ROWS):
+            outputs = network((part[:, source] * sign).flatten(0, 1)).unflatten(0, (len(part), -1))  # (B, 8, 5 + ...)
+            moves = outputs[..., :MOVES].gather(2, move.expand(len(part), -1, -1))
+            means.append(th.cat([moves, outputs[..., MOVES:]], dim=2).mean(dim=1))
+        return th.cat(means)
