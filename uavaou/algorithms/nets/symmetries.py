@@ -48,8 +48,9 @@ class SquareSymmetries:
         """Return the network's outputs (B, 5 + ...) for ``rows`` (B, local), averaged; the first five are of moves."""
         source, sign, move = (part.to(rows.device) for part in (self._source, self._sign, self._move))
         means = []
-        for part in rows.split(_ROWS):
-            outputs = network((part[:, source] * sign).flatten(0, 1)).unflatten(0, (len(part), -1))  # (B, 8, 5 + ...)
+        for part in th.split(rows, _ROWS):
+            seen = (part[:, source] * sign).flatten(0, 1)  # (B * 8, local)
+            outputs = network(seen).view(len(part), len(source), -1)  # (B, 8, 5 + ...)
             moves = outputs[..., :MOVES].gather(2, move.expand(len(part), -1, -1))
             means.append(th.cat([moves, outputs[..., MOVES:]], dim=2).mean(dim=1))
         return th.cat(means)
