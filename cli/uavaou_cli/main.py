@@ -102,7 +102,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Bad input is one line on stderr. Any other exception is a bug and keeps its traceback.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    warnings.formatwarning = _one_line
+    warnings.formatwarning = lambda message, *_, **__: f"uavaou: warning: {message}\n"
     try:
         code = app(arguments, prog_name="uavaou", standalone_mode=False, obj={"arguments": arguments})
         sys.stdout.flush()  # a reader that has gone away shows here, not in the interpreter's last moments
@@ -122,10 +122,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     return code if isinstance(code, int) else 0
-
-
-def _one_line(message: Any, *_: Any, **__: Any) -> str:
-    return f"uavaou: warning: {message}\n"
 
 
 def _complain(message: str, code: int) -> int:
