@@ -96,13 +96,12 @@ def _advance(missed: Floats, generated: Floats, pending: Floats, age: Floats) ->
 @compiled_fast
 def _changed_miss(e: ExpectedAge, uav: int, t: int, cell: int, missed: Floats) -> None:
     """Write f_i[t] (I,) with ``uav`` in another cell."""
-    own = e.miss[uav, cell]
-    for i in range(len(missed)):
-        product = own[i]
-        for v in range(len(e.routes)):
-            if v != uav:
-                product *= e.miss[v, e.routes[v, t], i]
-        missed[i] = product
+    missed[:] = e.miss[uav, cell]
+    for v in range(len(e.routes)):
+        if v != uav:
+            other = e.miss[v, e.routes[v, t]]
+            for i in range(len(missed)):  # one UAV after the other: LLVM turns this loop into vectors
+                missed[i] *= other[i]
 
 
 @compiled_fast
