@@ -109,7 +109,7 @@ def test_a_resumed_run_is_the_run_never_stopped(
 
 def test_the_same_config_gives_the_same_run_and_another_seed_another(tmp_path: Path) -> None:
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        train(small(seed=seed), RunFolder(tmp_path / name))
+        train(small(seed=seed, slots=200), RunFolder(tmp_path / name))
     weights = {name: load_file(RunFolder(tmp_path / name).last) for name in "abc"}
     key = "policy.actor_body.0.weight"
     assert th.equal(weights["a"][key], weights["b"][key])
@@ -134,15 +134,16 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
     assert "evaluation/mean_aou_greedy_s" in (folder.path / "progress.csv").read_text()
 
 
-@pytest.mark.parametrize("backend", ["batched", "supersuit"])
-@pytest.mark.parametrize("processes", [1, 2])
-def test_every_backend_trains_the_same_policy(backend: str, processes: int, tmp_path: Path) -> None:
-    weights = []
-    for name, arguments, count in (("reference", {}, 1), ("other", {"backend": backend}, processes)):
-        folder = RunFolder(tmp_path / name)
-        train(small(slots=300, processes=count), folder, **arguments)
-        weights.append(load_file(folder.best)["policy.actor_body.0.weight"])
-    assert th.equal(weights[0], weights[1])
+def test_every_backend_trains_the_same_policy(tmp_path: Path) -> None:
+    def weights(processes: int, **arguments: Any) -> th.Tensor:
+        folder = RunFolder(tmp_path / f"{processes} {arguments}")
+        train(small(slots=300, processes=processes), folder, **arguments)
+        return load_file(folder.best)["policy.actor_body.0.weight"]
+
+    reference = weights(1)
+    for backend in ("batched", "supersuit"):
+        for processes in (1, 2):
+            assert th.equal(weights(processes, backend=backend), reference), (backend, processes)
 
 
 @pytest.fixture(scope="module")
