@@ -98,7 +98,9 @@ def _advance(missed: Floats, generated: Floats, pending: Floats, age: Floats) ->
 @compiled_fast
 def _changed_miss(e: ExpectedAge, uav: int, t: int, cell: int, missed: Floats) -> None:
     """Write f_i[t] (I,) with ``uav`` in another cell."""
-    missed[:] = e.miss[uav, cell]
+    own = e.miss[uav, cell]
+    for i in range(len(missed)):
+        missed[i] = own[i]
     for v in range(len(e.routes)):
         if v != uav:
             other = e.miss[v, e.routes[v, t]]
