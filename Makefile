@@ -35,7 +35,7 @@ test: export PYTHONDONTWRITEBYTECODE =
 test: export OMP_NUM_THREADS = 1
 test: install
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m "not slow"
-	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m slow
+	$(BIN)/python -m pytest -q -n 3 --dist worksteal -m slow  # many of them wait for other processes
 
 lint: install
 	$(BIN)/ruff check .

@@ -16,6 +16,7 @@ from uavaou.algorithms.mappo import CentralizedValuePolicy
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 
+@pytest.mark.slow
 def test_stock_ppo_trains_the_centralised_policy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(EXAMPLES)
     example = import_module("stock_ppo")

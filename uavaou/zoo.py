@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
 
 from uavaou.errors import InputError, nearest
 from uavaou.files import read_text
@@ -69,19 +70,27 @@ def to_yaml(content: Mapping[str, Any], **style: Any) -> str:
     return text
 
 
-class _BoundedLoader(yaml.SafeLoader):
+# libyaml's parser takes a fifth of the time; PyYAML may be built without it. Nodes are composed in Python either way.
+_BASES: Any = (Composer, yaml.CSafeLoader) if yaml.__with_libyaml__ else (yaml.SafeLoader,)
+
+
+class _BoundedLoader(*_BASES):  # type: ignore[misc]
     """PyYAML's safe loader without aliases, with which a small file could fill the memory."""
 
-    _nodes = 0
+    def __init__(self, text: str) -> None:
+        _BASES[-1].__init__(self, text)
+        self.anchors: dict[str, yaml.Node] = {}  # of the composer
+        self._nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+        mark = self.peek_event().start_mark
         if self.check_event(yaml.AliasEvent):
             raise yaml.composer.ComposerError(None, None, "aliases are not read", mark)
         self._nodes += 1
         if self._nodes > _MOST_NODES:
             raise yaml.composer.ComposerError(None, None, f"more than {_MOST_NODES:,} values", mark)
-        return super().compose_node(parent, index)
+        node: yaml.Node | None = super().compose_node(parent, index)
+        return node
 
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from functools import cache
 from typing import Annotated, Any
 
 import typer
@@ -97,15 +98,21 @@ def _help_when_alone(ctx: typer.Context) -> None:
         print(ctx.get_help())
 
 
+@cache
+def _command() -> Any:
+    """The tree of commands, built once for all calls of :func:`main` in a process."""
+    return typer.main.get_command(app)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0, 2 for bad input, 130 after an interrupt, 1 when stdout is closed.
 
     Bad input is one line on stderr. Any other exception is a bug and keeps its traceback.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    warnings.formatwarning = _one_line
+    warnings.formatwarning = lambda message, *_, **__: f"uavaou: warning: {message}\n"
     try:
-        code = app(arguments, prog_name="uavaou", standalone_mode=False, obj={"arguments": arguments})
+        code = _command()(arguments, prog_name="uavaou", standalone_mode=False, obj={"arguments": arguments})
         sys.stdout.flush()  # a reader that has gone away shows here, not in the interpreter's last moments
     except InputError as error:
         return _complain(str(error), BAD_INPUT)
@@ -123,10 +130,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     return code if isinstance(code, int) else 0
-
-
-def _one_line(message: Any, *_: Any, **__: Any) -> str:
-    return f"uavaou: warning: {message}\n"
 
 
 def _complain(message: str, code: int) -> int:

@@ -278,6 +278,7 @@ th.save(weights, sys.argv[1])
 """
 
 
+@pytest.mark.slow
 def test_training_without_the_fast_folder_gives_the_same_weights(tmp_path: Path) -> None:
     saved = tmp_path / "weights.pt"
     subprocess.run([sys.executable, "-c", WITHOUT_FAST, str(saved)], check=True, timeout=100)

@@ -50,7 +50,7 @@ def two_threads(one_thread: None) -> Iterator[None]:
 @pytest.mark.parametrize("critic_slots", [0, 200])
 def test_shards_of_a_gradient_add_up_and_the_worker_ends_with_the_training(critic_slots: int) -> None:
     def trained() -> tuple[MAPPO, list[th.Tensor]]:
-        model = small_model(n_steps=150, batch_size=700)
+        model = small_model(n_steps=150, batch_size=700, n_epochs=2)
         model.learn(2 * 150 * 8)
         return model, [parameter.detach().clone() for parameter in model.policy.parameters()]
 
@@ -95,7 +95,7 @@ model.train()
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs forked processes")
 @pytest.mark.usefixtures("two_threads")
 def test_a_worker_that_ended_is_an_error_and_not_a_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = small_model(n_steps=150, batch_size=700)
+    model = small_model(n_steps=150, batch_size=700, n_epochs=2)
     request = GradientWorker.request
 
     def kill_and_request(self: GradientWorker, *arguments: Any) -> None:
@@ -110,7 +110,7 @@ def test_a_worker_that_ended_is_an_error_and_not_a_wait(monkeypatch: pytest.Monk
 
 def body_with(module: nn.Module) -> dict[str, Any]:
     """Weights after a training with ``module`` behind both bodies, and how many workers took part."""
-    model = small_model(n_steps=150, batch_size=700, policy_kwargs={"net_arch": [16]})
+    model = small_model(n_steps=150, batch_size=700, n_epochs=2, policy_kwargs={"net_arch": [16]})
     policy = model.policy
     policy.actor_body.append(module)
     policy.critic_body.append(deepcopy(module))
@@ -148,7 +148,7 @@ def test_workers_see_a_module_that_is_replaced_between_updates() -> None:
             return True
 
     def trained() -> list[th.Tensor]:
-        model = small_model(n_steps=150, batch_size=700, policy_kwargs={"activation": "tanh"})
+        model = small_model(n_steps=150, batch_size=700, n_epochs=2, policy_kwargs={"activation": "tanh"})
         model.learn(2 * 150 * 8, callback=Replace())
         return [parameter.detach().clone() for parameter in model.policy.parameters()]
 

@@ -17,15 +17,28 @@ SMALL = (
 )
 
 
-@pytest.mark.parametrize("collection", ["select", "auto"])
-@pytest.mark.parametrize("algorithm", ["vdn", "qmix", "iql"])
-def test_trained_evaluated_and_drawn(
-    algorithm: str, collection: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def trained(algorithm: str, collection: str, place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a run that the command has trained."""
+    monkeypatch.chdir(place)
     command = f"train --scenario quickstart --algorithm {algorithm} --slots 600 --quiet {SMALL}"
     assert main(shlex.split(f"{command} --set algorithm.collection={collection}")) == 0
-    (run,) = tmp_path.glob(f"results/quickstart/{algorithm}+*/seed-0")
+    (run,) = place.glob(f"results/quickstart/{algorithm}+*/seed-0")
+    return run
+
+
+@pytest.mark.slow
+def test_learners_are_drawn_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = [str(trained(algorithm, "select", tmp_path, monkeypatch)) for algorithm in ("vdn", "qmix", "iql")]
+    assert main(["plot", "figures", *runs, "--out", "figures"]) == 0
+    assert list((tmp_path / "figures").glob("*.png"))
+
+
+@pytest.mark.parametrize("collection", ["select", "auto"])
+@pytest.mark.parametrize("algorithm", ["vdn", "qmix", "iql"])
+def test_trained_and_evaluated(
+    algorithm: str, collection: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = trained(algorithm, collection, tmp_path, monkeypatch)
     meta = json.loads((run / "meta.json").read_text())
     assert meta["slots"] == 608  # whole rollouts of 4 slots of 4 missions
     assert meta["updates"] == 608 // 16 - 100 // 16
@@ -34,9 +47,6 @@ def test_trained_evaluated_and_drawn(
     assert "random" in out
     (report,) = (run / "eval").glob("*.json")
     assert "violations" in report.read_text()
-    if collection == "select":
-        assert main(shlex.split(f"plot figures '{run}' --out figures")) == 0
-        assert list((tmp_path / "figures").glob("*.png"))
 
 
 @pytest.mark.parametrize(

@@ -130,7 +130,7 @@ def test_an_unknown_advantage_normalisation_is_refused() -> None:
 def test_a_rollout_and_its_update_pass_through_eight_files_at_most(threads: int) -> None:
     folder = Path(algorithms.__file__).parent
     files: set[Path] = set()
-    model = small_model(n_steps=75, batch_size=600)
+    model = small_model(n_steps=75, batch_size=600, n_epochs=2)
 
     def look(frame: FrameType, _event: str, _argument: object) -> None:
         path = Path(frame.f_code.co_filename)

@@ -67,7 +67,7 @@ def dqn(config: Any, env: Any, seed: int, device: str) -> DQN:
 
 
 def own(name: str = "own", **changes: Any) -> RunConfig:
-    scenario = Scenario.load("quickstart").replace(slots=40)
+    scenario = Scenario.load("quickstart").replace(slots=20)
     return RunConfig(scenario, registry.load_config(name, SMALL | changes), 0)
 
 
@@ -78,6 +78,7 @@ def call(capsys: pytest.CaptureFixture[str], command: str) -> tuple[int, str, st
     return code, out, err
 
 
+@pytest.mark.slow
 def test_the_example_trains_is_evaluated_and_drawn_by_name(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -288,6 +288,7 @@ def test_closing_reaches_the_processes() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_a_program_that_forgets_to_close_ends_all_the_same() -> None:
     code = "from uavaou import flatten; env = flatten('tiny', missions=2, processes=2); env.reset(); print('end')"
     root = Path(__file__).resolve().parents[2]

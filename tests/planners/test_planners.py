@@ -42,8 +42,8 @@ def test_unknown_planner() -> None:
 def test_a_mission_does_not_depend_on_the_batch(name: str, layout: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uavaou.planners.anneal.PROPOSALS_A_SLOT", 100)
     scenario = QUICKSTART.replace(layout=layout, slots=30)
-    world, moves = fly(scenario, name, missions=7, seed=40)
-    for mission in (0, 2, 6):
+    world, moves = fly(scenario, name, missions=4, seed=40)
+    for mission in (0, 3):
         alone, alone_moves = fly(scenario, name, missions=1, seed=40 + mission)
         np.testing.assert_array_equal(moves[:, mission], alone_moves[:, 0])
         assert alone.metrics().mean_aou_s[0] == world.metrics().mean_aou_s[mission]

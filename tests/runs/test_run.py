@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +27,7 @@ from uavaou.runs.train import train
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 SMALL = {
-    "slots": 1200, "missions": 4, "rollout_slots": 25, "batch_rows": 100, "evaluate_every_slots": 400,
+    "slots": 600, "missions": 4, "rollout_slots": 25, "batch_rows": 100, "evaluate_every_slots": 200,
     "evaluation_missions": 2, "hidden": [16],
 }  # fmt: skip
 
@@ -55,6 +58,21 @@ def rows(path: Path) -> list[dict[str, str]]:
         return [{k: v for k, v in row.items() if "wall" not in k} for row in csv.DictReader(file)]
 
 
+@pytest.fixture(scope="module")
+def whole_runs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], tuple[RunConfig, RunFolder]]:
+    """A run never stopped, by algorithm and layout; trained when first asked for."""
+
+    @cache
+    def whole(algorithm: str, layout: str) -> tuple[RunConfig, RunFolder]:
+        config = small(algorithm)
+        config = RunConfig(config.scenario.replace(layout=layout), config.algorithm, config.seed)
+        folder = RunFolder(tmp_path_factory.mktemp("runs") / "whole")
+        train(config, folder, checkpoint_every_s=0)
+        return config, folder
+
+    return whole
+
+
 @pytest.mark.parametrize(
     ("algorithm", "before", "after"),
     [
@@ -66,14 +84,13 @@ def rows(path: Path) -> list[dict[str, str]]:
 )
 @pytest.mark.parametrize("layout", ["fixed", "resample"])
 def test_a_resumed_run_is_the_run_never_stopped(
-    algorithm: str, before: str, after: str, layout: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    config = small(algorithm)
-    config = RunConfig(config.scenario.replace(layout=layout), config.algorithm, config.seed)
-    whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
-    train(config, whole, checkpoint_every_s=0)
+    algorithm: str, before: str, after: str, layout: str, whole_runs: Any, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    config, whole = whole_runs(algorithm, layout)
+    parted = RunFolder(tmp_path / "parted")
     with monkeypatch.context() as patch:
-        stop_after(patch, missions=20)
+        stop_after(patch, missions=8)
         with pytest.raises(StoppedError):
             train(config, parted, backend=before, checkpoint_every_s=0)
     assert json.loads(parted.meta.read_text())["finished"] is False
@@ -86,13 +103,13 @@ def test_a_resumed_run_is_the_run_never_stopped(
     assert rows(whole.episodes) == rows(parted.episodes)
     progress = [rows(folder.path / "progress.csv") for folder in (whole, parted)]
     assert progress[0] == progress[1]
-    assert len(progress[0]) == 12
+    assert len(progress[0]) == 6
     assert progress[0][-1]["evaluation/mean_aou_greedy_s"]
 
 
 def test_the_same_config_gives_the_same_run_and_another_seed_another(tmp_path: Path) -> None:
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        train(small(seed=seed), RunFolder(tmp_path / name))
+        train(small(seed=seed, slots=200), RunFolder(tmp_path / name))
     weights = {name: load_file(RunFolder(tmp_path / name).last) for name in "abc"}
     key = "policy.actor_body.0.weight"
     assert th.equal(weights["a"][key], weights["b"][key])
@@ -105,11 +122,11 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
     config = small()
     outcome = train(config, folder)
     assert folder.read_config() == config
-    assert outcome.agent_steps == 2 * outcome.progress.slots == 2400
+    assert outcome.agent_steps == 2 * outcome.progress.slots == 1200
     episodes = rows(folder.episodes)
-    assert [row["mission"] for row in episodes] == [str(n) for n in range(1, 29)]
+    assert [row["mission"] for row in episodes] == [str(n) for n in range(1, 13)]
     # 4 missions of 40 slots end together.
-    assert [int(row["slots"]) for row in episodes[::4]] == [160 * n for n in range(1, 8)]
+    assert [int(row["slots"]) for row in episodes[::4]] == [160 * n for n in range(1, 4)]
     meta = json.loads(folder.meta.read_text())
     assert meta["finished"] is True
     assert meta["slots"] * 2 == meta["agent_steps"]
@@ -117,20 +134,33 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
     assert "evaluation/mean_aou_greedy_s" in (folder.path / "progress.csv").read_text()
 
 
-@pytest.mark.parametrize("backend", ["batched", "supersuit"])
-@pytest.mark.parametrize("processes", [1, 2])
-def test_every_backend_trains_the_same_policy(backend: str, processes: int, tmp_path: Path) -> None:
-    weights = []
-    for name, arguments, count in (("reference", {}, 1), ("other", {"backend": backend}, processes)):
-        folder = RunFolder(tmp_path / name)
-        train(small(slots=300, processes=count), folder, **arguments)
-        weights.append(load_file(folder.best)["policy.actor_body.0.weight"])
-    assert th.equal(weights[0], weights[1])
+def test_every_backend_trains_the_same_policy(tmp_path: Path) -> None:
+    def weights(processes: int, **arguments: Any) -> th.Tensor:
+        folder = RunFolder(tmp_path / f"{processes} {arguments}")
+        train(small(slots=300, processes=processes), folder, **arguments)
+        return load_file(folder.best)["policy.actor_body.0.weight"]
+
+    reference = weights(1)
+    for backend in ("batched", "supersuit"):
+        for processes in (1, 2):
+            assert th.equal(weights(processes, backend=backend), reference), (backend, processes)
 
 
-def test_a_folder_that_holds_a_run_is_refused(tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path / "run")
+@pytest.fixture(scope="module")
+def shortly_trained(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    folder = RunFolder(tmp_path_factory.mktemp("runs") / "run")
     train(small(slots=200), folder)
+    return folder
+
+
+@pytest.fixture
+def short_run(shortly_trained: RunFolder, tmp_path: Path) -> RunFolder:
+    """A copy of a short run."""
+    return RunFolder(Path(shutil.copytree(shortly_trained.path, tmp_path / "run")))
+
+
+def test_a_folder_that_holds_a_run_is_refused(short_run: RunFolder) -> None:
+    folder = short_run
     before = {path: path.read_bytes() for path in folder.path.rglob("*") if path.is_file()}
     with pytest.raises(InputError, match=r"already holds a run: add --resume"):
         train(small(slots=200), folder)
@@ -163,9 +193,8 @@ def test_different_runs_have_different_folders() -> None:
 
 
 @pytest.mark.parametrize("damage", ["truncated", "garbage", "missing"])
-def test_a_damaged_checkpoint_is_said_in_words(damage: str, tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path / "run")
-    train(small(slots=200), folder)
+def test_a_damaged_checkpoint_is_said_in_words(damage: str, short_run: RunFolder) -> None:
+    folder = short_run
     content = folder.best.read_bytes()
     if damage == "missing":
         folder.best.unlink()
@@ -176,20 +205,16 @@ def test_a_damaged_checkpoint_is_said_in_words(damage: str, tmp_path: Path) -> N
         load_run(folder)
 
 
-def test_a_run_does_not_fit_another_shape(tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path / "run")
-    train(small(slots=200), folder)
+def test_a_run_does_not_fit_another_shape(short_run: RunFolder, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="trained with 2 uavs and 8 devices; scenario 'paper' has 3 and 25"):
-        load_run(folder, Scenario.load("paper"))
+        load_run(short_run, Scenario.load("paper"))
     with pytest.raises(InputError, match="is not a run folder"):
         load_run(RunFolder(tmp_path))
 
 
 @pytest.mark.parametrize("action", ["greedy", "sample"])
-def test_a_missions_result_does_not_depend_on_the_missions_beside_it(action: str, tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path / "run")
-    train(small(slots=200), folder)
-    policy = load_run(folder, action=action)
+def test_a_missions_result_does_not_depend_on_the_missions_beside_it(action: str, short_run: RunFolder) -> None:
+    policy = load_run(short_run, action=action)
     scenario = policy.views.scenario
     many = evaluate(policy, scenario, 6, 500).values("mean_aou_s")
     alone = [evaluate(policy, scenario, 1, 500 + j).mean_aou_s for j in range(6)]

@@ -136,6 +136,7 @@ def test_the_same_scores_give_the_same_interval_and_blocks_do_not_show(monkeypat
     assert interquartile_mean(X) == pytest.approx(whole)
 
 
+@pytest.mark.slow
 def test_intervals_cover_as_often_as_they_say() -> None:
     """Means of seeds and missions that are drawn anew: 95 % intervals, a little narrow with few seeds."""
     rng = np.random.default_rng(3)

@@ -55,6 +55,7 @@ def test_a_rollout_longer_than_the_budget_is_no_trial() -> None:
         list(map(rate, training))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["mappo", "vdn"])
 def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
     before = th.get_num_threads()

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pytest
+from numba.core.caching import IndexDataCacheFile
 
 from uavaou.world.channel import random_bits
-from uavaou.world.compiled import compiled
+from uavaou.world.compiled import _CheckedCacheFile, compiled
 
 
 def test_a_function_that_cannot_be_kept_is_compiled_all_the_same() -> None:
@@ -22,3 +26,17 @@ def test_division_by_zero_and_overflow_are_ieees() -> None:
     divide = compiled(lambda a, b: a / b)
     assert divide(1.0, 0.0) == np.inf
     assert np.isnan(divide(0.0, 0.0))
+
+
+def test_machine_code_is_only_run_with_the_types_that_it_is_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for kind in (IndexDataCacheFile, _CheckedCacheFile):
+        folder = tmp_path / kind.__name__
+        folder.mkdir()
+        first, second = (kind(str(folder), "function", "source") for _ in range(2))
+        with monkeypatch.context() as patch:
+            for process in (first, second):  # both look for a free name before either has written one
+                patch.setattr(process, "_load_index", dict)
+            first.save("int", b"of int")
+            second._save_index({"float": second._data_name(1)})
+        found = kind(str(folder), "function", "source").load("float")
+        assert found == (b"of int" if kind is IndexDataCacheFile else None)

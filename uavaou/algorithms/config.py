@@ -62,6 +62,7 @@ class LearnerConfig(AlgorithmConfig):
     """
 
     adam: ClassVar[dict[str, Any]] = {"fused": True}  # options of the optimizer
+    _learner_arguments: ClassVar[Callable[[Self], dict[str, Any]]]  # of the constructor
     network: Literal["mlp", "set"] = "mlp"  # set: any number of UAVs and devices, in rows of entities
     hidden: HiddenSizes  # units of each hidden layer; MAPPO: of actor and critic alike
     activation: Literal["relu", "tanh"]
@@ -88,9 +89,6 @@ class LearnerConfig(AlgorithmConfig):
             env=env, seed=seed, device=device, policy_kwargs=self._policy_arguments(), **self._learner_arguments()
         )
         return learner
-
-    def _learner_arguments(self) -> dict[str, Any]:
-        raise NotImplementedError
 
     def _policy_arguments(self) -> dict[str, Any]:
         return {

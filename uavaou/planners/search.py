@@ -11,7 +11,8 @@ where g is 1 if an update is generated in slot t. The age still to come after sl
 routes costs only the slots that change.
 
 All compiled functions are in this one file: Numba's cache notices a change in the file of the function that Python
-calls, but not in the files of the functions that it calls.
+calls, but not in the files of the functions that it calls. They copy arrays in loops: for ``a[:] = b`` Numba also
+compiles the message of unequal shapes, which takes as long as half of this file.
 """
 
 from typing import Any, NamedTuple
@@ -68,8 +69,9 @@ def recompute(e: ExpectedAge) -> None:
 def trial_age(e: ExpectedAge, uav: int, first: int, end: int, trial: Ints, work: Floats) -> float:
     """Return the total age with ``uav`` in cells ``trial[t]`` (K+1,) in slots first <= t < end; ``work`` is (3, I)."""
     pending, age, missed = work[0], work[1], work[2]
-    pending[:] = e.pending[first - 1]
-    age[:] = e.age[first - 1]
+    for i in range(len(age)):
+        pending[i] = e.pending[first - 1, i]
+        age[i] = e.age[first - 1, i]
     total = float(e.cumulative[first - 1])
     for t in range(first, end):
         if trial[t] == e.routes[uav, t]:
@@ -98,11 +100,12 @@ def _changed_miss(e: ExpectedAge, uav: int, t: int, cell: int, missed: Floats) -
     """Write f_i[t] (I,) with ``uav`` in another cell."""
     own = e.miss[uav, cell]
     for i in range(len(missed)):
-        product = own[i]
-        for v in range(len(e.routes)):
-            if v != uav:
-                product *= e.miss[v, e.routes[v, t], i]
-        missed[i] = product
+        missed[i] = own[i]
+    for v in range(len(e.routes)):
+        if v != uav:
+            other = e.miss[v, e.routes[v, t]]
+            for i in range(len(missed)):  # one UAV after the other: LLVM turns this loop into vectors
+                missed[i] *= other[i]
 
 
 @compiled_fast
@@ -117,7 +120,9 @@ def change(e: ExpectedAge, uav: int, first: int, end: int, trial: Ints) -> None:
         before = e.to_go_constant[t - 1]
         settled = _backward(e, t)
         if settled and t <= first:
-            e.to_go_constant[: t - 1] += e.to_go_constant[t - 1] - before
+            more = e.to_go_constant[t - 1] - before
+            for s in range(t - 1):
+                e.to_go_constant[s] += more
             break
 
 
@@ -128,7 +133,9 @@ def follow(e: ExpectedAge, first: int, end: int) -> None:
         before = e.cumulative[t]
         settled = _forward(e, t)
         if settled and t + 1 >= end:
-            e.cumulative[t + 1 :] += e.cumulative[t] - before
+            more = e.cumulative[t] - before
+            for s in range(t + 1, len(e.cumulative)):
+                e.cumulative[s] += more
             break
 
 
@@ -262,7 +269,8 @@ def shift(route: Ints, trial: Ints, low: int, high: int, grid: Pair, rng: Rng) -
     end = after + two
     if not _fill(trial, first, route[first - 1], route[middle], one + later + 1, grid, rng):
         return _NOTHING
-    trial[middle + later : after + later] = route[middle:after]
+    for t in range(middle, after):
+        trial[t + later] = route[t]
     if not _fill(trial, after + later, route[after - 1], route[end], two - later + 1, grid, rng):
         return _NOTHING
     return first, end
@@ -296,7 +304,8 @@ def copy(source: Ints, route: Ints, trial: Ints, low: int, high: int, grid: Pair
         missing = end - leave
         if steps(source[start + length - 1], route[end], rows) <= missing:
             _fill(trial, first, route[first - 1], source[start], join, grid, rng)
-            trial[first - 1 + join : leave + 1] = source[start : start + length]
+            for n in range(length):
+                trial[first - 1 + join + n] = source[start + n]
             _fill(trial, leave + 1, source[start + length - 1], route[end], missing, grid, rng)
             return first, end
     return _NOTHING
@@ -353,7 +362,9 @@ def anneal(
             now = e.cumulative[slots]
             if now < best_age:
                 best_age = now
-                best[:] = e.routes
+                for u in range(uavs):
+                    for t in range(slots + 1):
+                        best[u, t] = e.routes[u, t]
     return best_age
 
 

@@ -96,7 +96,7 @@ def _weighted_sum(parts: Sequence[tuple[float, Floats]]) -> Interval:
     samples = [(weight, group) for weight, group in parts if group.ndim]
     if any(len(group) < 2 for _, group in samples):
         return Interval(value, math.nan, math.nan)
-    variances = [weight**2 * _variance(group) / len(group) for weight, group in samples]
+    variances = [weight**2 * (group.var(ddof=1) if np.ptp(group) else 0.0) / len(group) for weight, group in samples]
     total = sum(variances)
     if total == 0:
         return Interval(value, value, value)
@@ -110,7 +110,3 @@ def _weighted_sum(parts: Sequence[tuple[float, Floats]]) -> Interval:
 def _mean(group: Floats) -> float:
     """The mean; of equal values exactly that value, so that rounding sets no two such groups apart."""
     return float(group.flat[0]) if np.ptp(group) == 0 else float(group.mean())
-
-
-def _variance(group: Floats) -> float:
-    return 0.0 if np.ptp(group) == 0 else float(group.var(ddof=1))

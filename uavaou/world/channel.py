@@ -172,6 +172,7 @@ class Channel:
 
     def mean_snr(self, positions: Floats) -> Floats:
         """Return the SNR without fading for UAVs at ``positions`` (N, U, 2) m; (N, U, I)."""
+        positions = np.require(positions, requirements=("C", "W"))  # each other layout would be compiled anew
         snr: Floats = np.empty((*positions.shape[:2], self._device_x.shape[1]))  # (N, U, I)
         _mean_snr(positions, self._device_x, self._device_y, self._altitude_squared, self._snr_at_1_m, snr)
         return snr

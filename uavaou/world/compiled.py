@@ -1,9 +1,11 @@
 """Numba compiles the inner loops: a loop over scalars needs no array between two operations."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.caching import IndexDataCacheFile
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -24,7 +26,25 @@ def compiled_fast(function: F) -> F:
 
 
 def _compiled(function: F, **options: Any) -> F:
+    compiler = partial(numba.njit, nogil=True, error_model="numpy", **options)
     try:
-        return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function))
+        dispatcher: Any = compiler(cache=True)(function)
+        if hasattr(dispatcher, "_cache"):  # else NUMBA_DISABLE_JIT is set
+            dispatcher._cache._cache_file.__class__ = _CheckedCacheFile
     except RuntimeError:  # neither the folder of the file nor the user's cache folder is writable
-        return cast(F, numba.njit(nogil=True, error_model="numpy", **options)(function))
+        dispatcher = compiler()(function)
+    return cast(F, dispatcher)
+
+
+class _CheckedCacheFile(IndexDataCacheFile):
+    """Numba's cache of a function on disk; each entry also holds its key (the types) and the stamp of the source.
+
+    Else two processes that compile for different types at once may choose one file, and a third may run wrong code.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        super().save(key, (key, self._source_stamp, data))  # type: ignore[no-untyped-call]
+
+    def load(self, key: Any) -> Any:
+        entry = super().load(key)  # type: ignore[no-untyped-call]
+        return entry[2] if entry is not None and entry[:2] == (key, self._source_stamp) else None
