@@ -62,8 +62,12 @@ def evaluate(
     --suite, one that flew a point gets RUN/eval/SUITE.json. Without RUN and --policy,
     --suite lists its points and the trainings that they need.
     """
+    from uavaou.runs.released import released_names
+
     overrides = parse_overrides(set_ or [])
-    folders, planners = list(dict.fromkeys(run or [])), list(dict.fromkeys(policy or []))
+    released = [name for name in policy or [] if name in released_names()]  # as good as a RUN
+    folders = list(dict.fromkeys([*(run or []), *released]))
+    planners = [name for name in dict.fromkeys(policy or []) if name not in released]
     if suite is None and out is not None:
         raise InputError("--out writes the table of a --suite; without a suite, use --json")
     made = _make_planners(planners, folders, time_limit, suite)  # a misspelled one fails before torch is imported

@@ -48,6 +48,7 @@ def test_commands_take_a_released_policy_by_name(capsys: pytest.CaptureFixture[s
     commands = {
         "eval any-map --episodes 2 --json e.json": "any-map",
         "eval any-map --episodes 2 --scenario tiny --set scenario.layout_seed=4": "any-map",
+        "eval --policy any-map --policy greedy --episodes 2": "any-map",
         "gap tiny any-map --episodes 1 --time-limit 1": "any-map",
         "eval any-map --policy greedy --suite own.yaml --episodes 2 --json s.json": "any-map",
         "plot trajectories any-map": "results/any-map/figures/mission-10000-map.png",
