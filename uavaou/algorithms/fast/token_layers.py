@@ -98,6 +98,14 @@ def _dense(x: Rows, weight: Rows, bias: Rows, out: Rows, least: float) -> None:
 
 
 @compiled_fast
+def _put(source: Rows, rows: Rows, column: int) -> None:
+    """Write ``source`` (n, k) into columns of ``rows``; for a slice, Numba would also compile its error message."""
+    for b in range(len(source)):
+        for j in range(source.shape[1]):
+            rows[b, column + j] = source[b, j]
+
+
+@compiled_fast
 def _largest(tokens: Rows, ends: Whole, most: Rows, which: Whole) -> None:
     """Write the maximum over each row's tokens (T, w), 0 where there are none, and which token has it, (B, w) both."""
     first = 0
@@ -216,8 +224,8 @@ def _activate(layers: Layers, block: Activations, powers: Whole) -> None:
     _dense(block.devices, layers.device_w, layers.device_b, block.devices_1, 0.0)
     _dense(block.devices_1, layers.second_w, layers.second_b, block.devices_2, 0.0)
     _largest(block.devices_2, block.ends, block.most, block.which)
-    block.context[:, :w] = block.own_1
-    block.context[:, w:] = block.uav_most
+    _put(block.own_1, block.context, 0)
+    _put(block.uav_most, block.context, w)
     _dense(block.context, layers.query_w, layers.query_b, block.query.reshape(len(block.own), -1), -np.inf)
     _products(block.query, block.devices_2, block.ends, block.scores)
     _attend(block.scores, block.ends, 1 / math.sqrt(w), block.weights, powers)
@@ -252,10 +260,10 @@ def write_encoded(
         block = _block(room, (0, 0, 0), (n, flying, placed))
         _activate(layers, block, powers)
         out = encoded[start : start + n]
-        out[:, :context] = block.context
+        _put(block.context, out, 0)
         _sums(block.weights, block.devices_2, block.ends, pooled)
-        out[:, context : size - w] = pooled.reshape(ROWS, -1)[:n]
-        out[:, size - w : size] = block.most
+        _put(pooled[:n].reshape(n, (heads + 1) * w), out, context)
+        _put(block.most, out, size - w)
         if out.shape[1] > size:
             _select(rows[start : start + n], len(layers.device_w), 1 / math.sqrt(w), block.scores, out, size, False)
         blocks[number, 0], blocks[number, 1], blocks[number, 2] = n, flying, placed
