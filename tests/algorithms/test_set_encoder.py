@@ -14,6 +14,8 @@ from uavaou.world import World
 from uavaou.world.entities import make_views
 from uavaou.world.views import Columns, RowLayout
 
+pytestmark = pytest.mark.slow
+
 
 def sized(uavs: int, devices: int) -> Scenario:
     return Scenario.load("paper").replace(

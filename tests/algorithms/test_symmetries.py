@@ -15,6 +15,8 @@ from uavaou.envs.flatten import flatten
 from uavaou.world.entities import make_views
 from uavaou.world.flight import STEP_OF_MOVE
 
+pytestmark = pytest.mark.slow
+
 SCENARIO = Scenario.load("quickstart").replace(slots=60, fading="none", area_x_m=600, area_y_m=600)
 SIDE = 600.0
 

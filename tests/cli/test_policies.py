@@ -34,6 +34,7 @@ episodes: 2
 # -- names -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_shipped_policy_can_be_read() -> None:
     from uavaou import load_run
 
@@ -42,6 +43,7 @@ def test_every_shipped_policy_can_be_read() -> None:
         assert sum(path.stat().st_size for path in (released_folder() / name).iterdir()) < 1_000_000
 
 
+@pytest.mark.slow
 def test_commands_take_a_released_policy_by_name(capsys: pytest.CaptureFixture[str], released: Path) -> None:
     before = contents(released_folder())
     (released / "own.yaml").write_text(SUITE)
@@ -104,6 +106,7 @@ def test_a_misspelt_name_gets_the_nearest(command: str, capsys: pytest.CaptureFi
 # -- fly ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_fly_shows_a_mission_and_says_where_its_files_are(capsys: pytest.CaptureFixture[str], released: Path) -> None:
     (released / "mine.yaml").write_text("base: tiny\nlayout_seed: 3\n")
     code, out, err = call(capsys, "fly mine.yaml --seed 7 --quiet")
@@ -119,6 +122,7 @@ def test_fly_shows_a_mission_and_says_where_its_files_are(capsys: pytest.Capture
     assert f"{mission.mean_aou_slots:.2f}" in table  # the mission drawn is the one in the table
 
 
+@pytest.mark.slow
 def test_fly_takes_runs_and_planners(
     capsys: pytest.CaptureFixture[str], trained: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -146,6 +150,7 @@ def test_without_a_released_policy_fly_says_which_planner_flies(
 # -- trainings that follow on another ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_train_begins_with_a_released_policy(capsys: pytest.CaptureFixture[str], released: Path) -> None:
     code, out, err = call(capsys, "train --from any-map --set scenario.layout_seed=9 --slots 96 --quiet")
     assert (code, err) == (0, "")
@@ -158,6 +163,7 @@ def test_train_begins_with_a_released_policy(capsys: pytest.CaptureFixture[str],
     assert (next(released.glob("other/*/*/seed-0")) / "config.yaml").read_text() == (folder / "config.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_train_goes_on_with_a_finished_run(
     capsys: pytest.CaptureFixture[str], trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
