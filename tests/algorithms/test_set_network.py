@@ -126,7 +126,7 @@ def test_team_values_do_not_depend_on_padding_or_order(learner: Any, collection:
     rows = rows.reshape(4, uavs, -1)
     local, states = rows[..., :size], rows[:, 0, size:]
     actions = np.zeros((4, uavs, 11 if collection == "select" else 1), np.int64)
-    tensors = (th.from_numpy(array.copy()) for array in (local.reshape(-1, size), states, actions.reshape(12, -1)))
+    tensors = [th.from_numpy(array.copy()) for array in (local.reshape(-1, size), states, actions.reshape(12, -1))]
     own = policy.team_values(*tensors)
     wide_env = flatten(sized(*MOST), 1, observation="shared", collection=collection, rows="entities")
     wide, more = policy_of(wide_env), wide_env.row_layout
@@ -135,11 +135,11 @@ def test_team_values_do_not_depend_on_padding_or_order(learner: Any, collection:
     wide_local[:, :3] = padded(local, layout.local, more.local)
     wide_states = padded(states, layout.state, more.state)
     wide_actions = np.zeros((4, 4, 15 if collection == "select" else 1), np.int64)
-    if collection == "auto":
-        other = wide.team_values(
-            *map(th.from_numpy, (wide_local.reshape(16, -1), wide_states, wide_actions.reshape(16, -1)))
-        )
-        th.testing.assert_close(other[:, : own.shape[1]], own, rtol=1e-4, atol=1e-5)
+    wide_rows = th.from_numpy(wide_local.reshape(16, -1)), th.from_numpy(wide_states)
+    other = wide.team_values(*wide_rows, th.from_numpy(wide_actions.reshape(16, -1)))
+    th.testing.assert_close(other[:, : own.shape[1]], own, rtol=1e-4, atol=1e-5)
+    following = policy.next_values(*tensors[:2])
+    th.testing.assert_close(wide.next_values(*wide_rows)[:, : own.shape[1]], following, rtol=1e-4, atol=1e-5)
     order = [2, 0, 1]
     turned = padded(states, layout.state, layout.state)
     turned[:, layout.state[1].slice] = states[:, layout.state[1].slice].reshape(4, 3, -1)[:, order].reshape(4, -1)

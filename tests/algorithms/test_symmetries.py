@@ -65,6 +65,20 @@ def test_a_policy_flies_a_turned_map_as_the_map(learner: Any, collection: str) -
         assert same == pytest.approx(aou)
 
 
+@pytest.mark.parametrize("collection", ["auto", "select"])
+@pytest.mark.parametrize("learner", [MAPPO, VDN])
+def test_predict_decides_as_a_flying_uav(learner: Any, collection: str) -> None:
+    env = flatten(SCENARIO, 4, observation="shared", collection=collection, rows="entities")
+    model = learner(env=env, seed=1, policy_kwargs={"network": "set", "net_arch": [16]}, device="cpu")
+    with th.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.normal_(std=0.4)
+    rows = env.reset()
+    local = th.from_numpy(rows[:, : env.local_size].copy())
+    predicted = model.predict(rows, deterministic=True)[0]
+    np.testing.assert_array_equal(predicted, model.policy.act(local, None).numpy().reshape(predicted.shape))
+
+
 def test_a_step_and_its_mirror_image_belong_together() -> None:
     env = flatten(SCENARIO, 1, observation="local", collection="auto", rows="entities")
     symmetries = MAPPO(env=env, policy_kwargs={"network": "set"}).policy.symmetries

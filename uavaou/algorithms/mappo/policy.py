@@ -137,11 +137,13 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         They are the most probable, or drawn from ``uniforms`` (B, 5 + I); for rows of entities, by the mean logits over
         the symmetries of the square.
         """
-        if self.symmetries is None:
-            distribution = self.action_distribution(local)
-        else:
-            distribution = self.distribution_of(self.symmetries.mean(self.logits, local), local)
+        distribution = self._in_flight(local)
         return distribution.mode() if uniforms is None else distribution.sample(uniforms)
+
+    def _in_flight(self, local: th.Tensor) -> MoveSelectionDistribution:
+        if self.symmetries is None:
+            return self.action_distribution(local)
+        return self.distribution_of(self.symmetries.mean(self.logits, local), local)
 
     def normalised_values(self, critic_rows: th.Tensor) -> th.Tensor:
         """Normalised values of critic inputs (B, global) or, for IPPO, (B, local); (B,)."""
@@ -187,4 +189,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         return self.predict_values(obs), distribution.log_prob(actions), distribution.entropy()
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:  # type: ignore[override]
-        return self.get_distribution(observation).get_actions(deterministic=deterministic)
+        if self.symmetries is None:
+            return self.get_distribution(observation).get_actions(deterministic=deterministic)
+        local = observation[:, : self.row_layout.local_size]
+        return self._in_flight(local).get_actions(deterministic=deterministic)

@@ -87,12 +87,19 @@ class Branches:
         ]
         return th.cat(best, dim=1)
 
-    def mean(self, values: th.Tensor, actions: th.Tensor) -> th.Tensor:
-        """Q(s, a), the mean over branches of the values of ``actions`` (B, M); (B,)."""
+    def mean(self, values: th.Tensor, actions: th.Tensor, there: th.Tensor | None = None) -> th.Tensor:
+        """Q(s, a), the mean over branches of the values of ``actions`` (B, M); (B,).
+
+        Args:
+            values: (B, sum(n_b)).
+            actions: (B, M).
+            there: 1 for each branch that counts, 0 for padding, (B, M); None where all count.
+        """
         total = values.new_zeros(len(values))
         for group, options in self._split(values):
-            total = total + options.gather(2, actions[:, group.branches, None])[..., 0].sum(dim=1)
-        return total / self.count
+            chosen = options.gather(2, actions[:, group.branches, None])[..., 0]  # (B, branches)
+            total = total + (chosen if there is None else chosen * there[:, group.branches]).sum(dim=1)
+        return total / (self.count if there is None else there.sum(dim=1))
 
     def uniform(self, uniforms: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
         """Choices drawn uniformly from the allowed options of each branch, (B, M).

@@ -147,9 +147,18 @@ class JointQPolicy(LocalPolicy):
             return th.ones(len(local) // uavs, uavs, dtype=th.bool, device=local.device)
         return local[:, column].view(-1, uavs) > 0.5
 
+    def branches_there(self, local: th.Tensor) -> th.Tensor | None:
+        """1 for the move and each device that is there, 0 for devices of padding, (B, M); None for flat rows."""
+        layout = self.row_layout
+        if layout.rows == "flat" or not layout.selects:
+            return None
+        devices = local[:, layout.token_feature("devices", "present")]  # (B, I)
+        return th.cat([th.ones_like(devices[:, :1]), devices], dim=1)
+
     def team_values(self, local: th.Tensor, states: th.Tensor, actions: th.Tensor) -> th.Tensor:
         """Normalised Q_tot (B, V) of joint actions (B * U, M) in ``local`` (B * U, local), ``states`` (B, global)."""
-        values = self.branches.mean(self.utilities(local, self.allowed(local)), actions)  # (B * U,)
+        utilities = self.utilities(local, self.allowed(local))
+        values = self.branches.mean(utilities, actions, self.branches_there(local))  # (B * U,)
         mixed: th.Tensor = self.mixer(values.view(-1, self.row_layout.uavs), states)
         return mixed
 
@@ -162,7 +171,7 @@ class JointQPolicy(LocalPolicy):
         """
         allowed = self.allowed(local)
         choice = self.branches.greedy(self.utilities(local, allowed), allowed)
-        values = self.branches.mean(self.target_utilities(local, allowed), choice)
+        values = self.branches.mean(self.target_utilities(local, allowed), choice, self.branches_there(local))
         mixed = self.target_mixer(values.view(-1, self.row_layout.uavs), states)
         return self.returns.denormalise(mixed) * self.value_scale(states)
 
@@ -181,8 +190,11 @@ class JointQPolicy(LocalPolicy):
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:  # type: ignore[override]
         local = observation[:, : self.row_layout.local_size]
-        uniforms = None if deterministic else th.rand((len(local), 1 + self.branches.count)).to(local.device)
-        actions = self._choice(self._values(local), local, uniforms)
+        if deterministic:
+            actions = self.act(local, None)
+        else:  # exploring takes no mean over symmetries, which costs eight evaluations
+            uniforms = th.rand((len(local), 1 + self.branches.count)).to(local.device)
+            actions = self._choice(self._values(local), local, uniforms)
         return actions[:, 0] if isinstance(self.action_space, spaces.Discrete) else actions
 
     def forward(self, obs: th.Tensor, deterministic: bool = False) -> th.Tensor:
