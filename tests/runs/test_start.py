@@ -202,6 +202,8 @@ def test_budgets_that_cannot_be_used_are_refused(run: RunFolder) -> None:
     for slots in (None, 100, 192):
         said = refusal(lambda slots=slots: continued(run, slots, resume=False))  # type: ignore[misc]
         assert "has finished its 192 slots: give a larger budget with --slots" in said
+    said = refusal(lambda: continued(run, 10**13, resume=False))  # config.yaml could not hold it
+    assert f"slots = {10**13}: input should be less than or equal to {10**12}" in said
     assert continued(run, 192, resume=True) == run.read_config()  # nothing is left to do
     for wrong in ("[192]", "[100, 300]", "[192, 192]", "[192, many]"):
         text = small().to_yaml().replace("algorithm:", f"budgets: {wrong}\nalgorithm:", 1)

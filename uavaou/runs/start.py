@@ -102,4 +102,8 @@ def continued(folder: RunFolder, slots: int | None, resume: bool) -> RunConfig:
         return config
     if slots is None or slots < config.slots or (slots == config.slots and not resume):
         raise InputError(f"'{folder}' has finished its {config.slots:,} slots: give a larger budget with --slots")
-    return replace(config, budgets=(*(config.budgets or (config.slots,)), slots)) if slots > config.slots else config
+    if slots == config.slots:
+        return config
+    own = config.algorithm.model_dump(mode="json")
+    config_from_dict(own | {"slots": slots}, folder.config)  # refuses a budget that config.yaml could not hold
+    return replace(config, budgets=(*(config.budgets or (config.slots,)), slots))

@@ -184,7 +184,8 @@ class SearchSpace:
                 raise InputError(f"search space: '{config.name}' has no field '{name}'{nearest(name, known)}")
             if not dimension.holds(present[name]):
                 raise InputError(
-                    f"search space: {name} = {short(present[name])}, where the search starts, is outside of its range"
+                    f"search space: {name} = {short(present[name])}, where the search starts, is outside of its range: "
+                    f"fix it with --set algorithm.{name}=VALUE, or give another space with --space"
                 )
 
     def values(self, config: AlgorithmConfig) -> dict[str, Any]:
