@@ -77,6 +77,14 @@ def test_what_was_saved_of_another_class_or_shape_is_refused(tmp_path: Path) -> 
         trained(MAPPO, LEARNERS[0][1] | {"policy_kwargs": {"optimizer_class": th.optim.SGD}}).save(tmp_path / "m")
 
 
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of MAPPO."""
+    path = tmp_path_factory.mktemp("saved") / "model.safetensors"
+    trained(*LEARNERS[0]).save(path)
+    return path
+
+
 @pytest.mark.parametrize(
     ("where", "value", "says"),
     [
@@ -93,10 +101,9 @@ def test_what_was_saved_of_another_class_or_shape_is_refused(tmp_path: Path) -> 
     ],
 )
 def test_a_learner_that_states_the_impossible_is_refused(
-    where: tuple[Any, ...], value: Any, says: str, tmp_path: Path
+    where: tuple[Any, ...], value: Any, says: str, saved: Path, tmp_path: Path
 ) -> None:
-    trained(*LEARNERS[0]).save(tmp_path / "model")
-    file = ArrayFile(tmp_path / "model.safetensors")
+    file = ArrayFile(saved)
     about = file.json("about")
     inner = about
     for key in where[:-1]:
