@@ -207,7 +207,7 @@ def test_a_policy_that_no_uav_could_fly_is_refused(build: Any, says: str, tmp_pa
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("collection", ["select", "auto"])
+@pytest.mark.parametrize("collection", ["select", pytest.param("auto", marks=pytest.mark.slow)])
 def test_a_resumed_run_of_ones_own_is_the_run_never_stopped(
     collection: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

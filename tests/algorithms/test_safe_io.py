@@ -33,7 +33,7 @@ def missions(collection: str = "select") -> VecEnv:
 
 def trained(learner: Any, arguments: dict[str, Any], collection: str = "select") -> Any:
     model = learner(next(iter(learner.policy_aliases)), missions(collection), seed=0, device="cpu", **arguments)
-    return model.learn(200)
+    return model.learn(128)
 
 
 @ALL
@@ -57,10 +57,10 @@ def test_a_loaded_learner_predicts_and_learns_as_the_saved_one(
     one, other = (m.policy.optimizer.state_dict()["state"] for m in (model, loaded))
     assert all(th.equal(one[k][name], other[k][name]) for k in one for name in one[k])
     loaded.set_env(missions(collection))
-    loaded.learn(100)
+    loaded.learn(64)
     again = learner.load(tmp_path / "model.safetensors", env=missions(collection), device="cpu", gamma=0.5)
     assert again.gamma == 0.5
-    again.learn(100)
+    again.learn(64)
 
 
 def test_what_was_saved_of_another_class_or_shape_is_refused(tmp_path: Path) -> None:

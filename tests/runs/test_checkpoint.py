@@ -304,7 +304,12 @@ def test_a_replay_is_part_of_the_checkpoint(
 
 
 @pytest.mark.parametrize(
-    ("before", "after"), [("batched", "batched"), ("supersuit", "batched"), ("batched", "supersuit")]
+    ("before", "after"),
+    [
+        ("batched", "batched"),
+        ("supersuit", "batched"),
+        pytest.param("batched", "supersuit", marks=pytest.mark.slow),
+    ],
 )
 def test_missions_in_other_processes_are_part_of_it_too(
     before: str, after: str, runs: tuple[RunFolder, RunFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
