@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
+from filelock import FileLock
 from hypothesis import HealthCheck, settings
 
 # The same examples on every machine and every run: a red test is red for everybody.
@@ -26,7 +29,39 @@ gc.disable()
 def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
     gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """While one process of a run of the tests compiles a function, the others wait for it, and then load it."""
+    from numba.core.dispatcher import Dispatcher  # the tests have imported it
+
+    folder, compile_, compiling = tmp_path_factory.getbasetemp().parent, Dispatcher.compile, []
+
+    def compile_once(self: Any, signature: Any) -> Any:
+        function = self.py_func
+        if compiling or not function.__module__.startswith("uavaou."):
+            return compile_(self, signature)
+        with FileLock(folder / f"{function.__module__}.{function.__name__}.lock"):
+            compiling.append(function)
+            try:
+                return compile_(self, signature)
+            finally:
+                compiling.pop()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Dispatcher, "compile", compile_once)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _files_are_not_flushed_to_the_disk() -> Iterator[None]:
+    """No test cuts the power, and to wait for a disk takes a tenth of the time. A closed file is still an error."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", os.fstat)
+        yield
 
 
 @pytest.fixture

@@ -33,8 +33,17 @@ def test_learners_are_drawn_together(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert list((tmp_path / "figures").glob("*.png"))
 
 
-@pytest.mark.parametrize("collection", ["select", "auto"])
-@pytest.mark.parametrize("algorithm", ["vdn", "qmix", "iql"])
+@pytest.mark.parametrize(
+    ("algorithm", "collection"),
+    [
+        ("qmix", "select"),
+        ("vdn", "auto"),
+        pytest.param("qmix", "auto", marks=pytest.mark.slow),
+        pytest.param("vdn", "select", marks=pytest.mark.slow),
+        pytest.param("iql", "select", marks=pytest.mark.slow),
+        pytest.param("iql", "auto", marks=pytest.mark.slow),
+    ],
+)
 def test_trained_and_evaluated(
     algorithm: str, collection: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

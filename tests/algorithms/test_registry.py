@@ -207,7 +207,7 @@ def test_a_policy_that_no_uav_could_fly_is_refused(build: Any, says: str, tmp_pa
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("collection", ["select", "auto"])
+@pytest.mark.parametrize("collection", ["select", pytest.param("auto", marks=pytest.mark.slow)])
 def test_a_resumed_run_of_ones_own_is_the_run_never_stopped(
     collection: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -240,19 +240,19 @@ def stop_at(wanted: int) -> Any:
 
 
 @pytest.mark.parametrize(("build", "collection"), [(ppo, "select"), (ppo, "auto"), (dqn, "auto")])
-@pytest.mark.parametrize("action", ["greedy", "sample"])
 def test_a_missions_result_does_not_depend_on_the_missions_beside_it(
-    build: Any, collection: str, action: str, tmp_path: Path
+    build: Any, collection: str, tmp_path: Path
 ) -> None:
     register_algorithm("own", OwnConfig, build)
     config = own(collection=collection)
     train(config, RunFolder(tmp_path))
-    policy = load_run(RunFolder(tmp_path), action=action)
-    th.manual_seed(1)
-    many = evaluate(policy, config.scenario, 4, 500).values("mean_aou_s")
-    th.manual_seed(2)
-    alone = [evaluate(policy, config.scenario, 1, 500 + j).mean_aou_s for j in range(4)]
-    np.testing.assert_array_equal(many, alone)
+    for action in ("greedy", "sample"):
+        policy = load_run(RunFolder(tmp_path), action=action)
+        th.manual_seed(1)
+        many = evaluate(policy, config.scenario, 4, 500).values("mean_aou_s")
+        th.manual_seed(2)
+        alone = [evaluate(policy, config.scenario, 1, 500 + j).mean_aou_s for j in range(4)]
+        np.testing.assert_array_equal(many, alone, err_msg=action)
 
 
 @pytest.mark.parametrize("collection", ["select", "auto"])

@@ -33,7 +33,7 @@ def missions(collection: str = "select") -> VecEnv:
 
 def trained(learner: Any, arguments: dict[str, Any], collection: str = "select") -> Any:
     model = learner(next(iter(learner.policy_aliases)), missions(collection), seed=0, device="cpu", **arguments)
-    return model.learn(200)
+    return model.learn(128)
 
 
 @ALL
@@ -57,10 +57,10 @@ def test_a_loaded_learner_predicts_and_learns_as_the_saved_one(
     one, other = (m.policy.optimizer.state_dict()["state"] for m in (model, loaded))
     assert all(th.equal(one[k][name], other[k][name]) for k in one for name in one[k])
     loaded.set_env(missions(collection))
-    loaded.learn(100)
+    loaded.learn(64)
     again = learner.load(tmp_path / "model.safetensors", env=missions(collection), device="cpu", gamma=0.5)
     assert again.gamma == 0.5
-    again.learn(100)
+    again.learn(64)
 
 
 def test_what_was_saved_of_another_class_or_shape_is_refused(tmp_path: Path) -> None:
@@ -75,6 +75,14 @@ def test_what_was_saved_of_another_class_or_shape_is_refused(tmp_path: Path) -> 
         MAPPO.load(tmp_path / "modell")
     with pytest.raises(InputError, match="only plain values can be saved"):
         trained(MAPPO, LEARNERS[0][1] | {"policy_kwargs": {"optimizer_class": th.optim.SGD}}).save(tmp_path / "m")
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of MAPPO."""
+    path = tmp_path_factory.mktemp("saved") / "model.safetensors"
+    trained(*LEARNERS[0]).save(path)
+    return path
 
 
 @pytest.mark.parametrize(
@@ -93,10 +101,9 @@ def test_what_was_saved_of_another_class_or_shape_is_refused(tmp_path: Path) -> 
     ],
 )
 def test_a_learner_that_states_the_impossible_is_refused(
-    where: tuple[Any, ...], value: Any, says: str, tmp_path: Path
+    where: tuple[Any, ...], value: Any, says: str, saved: Path, tmp_path: Path
 ) -> None:
-    trained(*LEARNERS[0]).save(tmp_path / "model")
-    file = ArrayFile(tmp_path / "model.safetensors")
+    file = ArrayFile(saved)
     about = file.json("about")
     inner = about
     for key in where[:-1]:

@@ -74,7 +74,7 @@ def test_a_plan_is_saved_flown_and_drawn(capsys: pytest.CaptureFixture[str], wor
 
 
 def test_gap_orders_policies_between_bound_and_random(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = call(capsys, "gap tiny --episodes 1 --time-limit 1 --quiet")
+    code, out, _ = call(capsys, "gap tiny --episodes 1 --time-limit 0.3 --quiet")
     assert code == 0
     names = [line.split()[0] for line in out.splitlines()[4:] if line]
     assert names[0] == "lower"

@@ -144,7 +144,8 @@ def test_gap_ages_are_those_of_the_ledger(period: int) -> None:
 
 @pytest.mark.parametrize("scenario", [QUICKSTART, TINY])
 @pytest.mark.parametrize("name", ["tour", "partition-tour", "anneal"])
-def test_plans_can_be_flown_as_they_are(name: str, scenario: Scenario) -> None:
+def test_plans_can_be_flown_as_they_are(name: str, scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaou.planners.anneal.PROPOSALS_A_SLOT", 500)
     for changes in ({}, {"flight_time_budget_s": 30.0}, {"slots": 5}, {"layout_seed": 3}):
         changed = scenario.replace(**changes)
         planner = make_planner(name)
@@ -181,6 +182,7 @@ def test_close_enough_tours_serve_every_device_and_are_near_the_shortest() -> No
     assert sum(lengths) <= 1.2 * sum(shortest)
 
 
+@pytest.mark.slow
 def test_a_time_limit_lets_a_tour_search_on() -> None:
     paper = Scenario.load("paper")
     layout = paper.draw_layout()

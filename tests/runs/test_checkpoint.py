@@ -270,8 +270,15 @@ def test_costly_checkpoints_are_written_less_often() -> None:
 # -- learners with a replay ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("algorithm", ["qmix", "vdn"])
-@pytest.mark.parametrize("update", [3, 20])  # before the ring of the replay is full, and after
+@pytest.mark.parametrize(
+    ("algorithm", "update"),  # before the ring of the replay is full, and after
+    [
+        ("qmix", 20),
+        ("vdn", 3),
+        pytest.param("qmix", 3, marks=pytest.mark.slow),
+        pytest.param("vdn", 20, marks=pytest.mark.slow),
+    ],
+)
 def test_a_replay_is_part_of_the_checkpoint(
     algorithm: str, update: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -297,7 +304,12 @@ def test_a_replay_is_part_of_the_checkpoint(
 
 
 @pytest.mark.parametrize(
-    ("before", "after"), [("batched", "batched"), ("supersuit", "batched"), ("batched", "supersuit")]
+    ("before", "after"),
+    [
+        ("batched", "batched"),
+        ("supersuit", "batched"),
+        pytest.param("batched", "supersuit", marks=pytest.mark.slow),
+    ],
 )
 def test_missions_in_other_processes_are_part_of_it_too(
     before: str, after: str, runs: tuple[RunFolder, RunFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -74,15 +74,18 @@ def whole_runs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str],
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "before", "after"),
+    ("algorithm", "before", "after", "layout"),
     [
-        ("mappo", "batched", "batched"),
-        ("ippo", "batched", "batched"),
-        ("mappo", "batched", "supersuit"),
-        ("mappo", "supersuit", "batched"),
+        ("mappo", "batched", "batched", "fixed"),
+        ("ippo", "batched", "batched", "resample"),
+        ("mappo", "batched", "supersuit", "fixed"),
+        pytest.param("mappo", "batched", "batched", "resample", marks=pytest.mark.slow),
+        pytest.param("ippo", "batched", "batched", "fixed", marks=pytest.mark.slow),
+        pytest.param("mappo", "batched", "supersuit", "resample", marks=pytest.mark.slow),
+        pytest.param("mappo", "supersuit", "batched", "fixed", marks=pytest.mark.slow),
+        pytest.param("mappo", "supersuit", "batched", "resample", marks=pytest.mark.slow),
     ],
 )
-@pytest.mark.parametrize("layout", ["fixed", "resample"])
 def test_a_resumed_run_is_the_run_never_stopped(
     algorithm: str, before: str, after: str, layout: str, whole_runs: Any, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -134,6 +137,7 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
     assert "evaluation/mean_aou_greedy_s" in (folder.path / "progress.csv").read_text()
 
 
+@pytest.mark.slow
 def test_every_backend_trains_the_same_policy(tmp_path: Path) -> None:
     def weights(processes: int, **arguments: Any) -> th.Tensor:
         folder = RunFolder(tmp_path / f"{processes} {arguments}")

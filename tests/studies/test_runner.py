@@ -65,8 +65,8 @@ def test_a_study_resumes_from_its_condensed_results_alone(copied: tuple[Study, P
         ("seeds: 2", "seeds: 1", "seed 1, which the study lacks"),
         ("[greedy, anneal]", "[anneal]", "greedy on tiny, which the study lacks"),
         ("[tiny]", "[{scenario: tiny, name: tiny, set: {layout_seed: 5}}]", "tiny"),
-        ("planning_seconds: 0.5", "planning_seconds: 900", "planners with planning_seconds = 0.5, not 900"),
-        ("planning_seconds: 0.5", "planning_seconds: 0.25", "planners with planning_seconds = 0.5, not 0.25"),
+        ("planning_seconds: 0.2", "planning_seconds: 900", "planners with planning_seconds = 0.2, not 900"),
+        ("planning_seconds: 0.2", "planning_seconds: 0.25", "planners with planning_seconds = 0.2, not 0.25"),
     ],
 )
 def test_results_of_another_study_are_refused_and_kept(
@@ -84,7 +84,7 @@ def test_results_of_another_study_are_refused_and_kept(
 def test_planning_seconds_may_change_before_anything_is_planned(write: Write, tmp_path: Path) -> None:
     small = TINY.replace("seeds: 2", "seeds: 1").replace("[greedy, anneal]", "[greedy]")
     assert run_inline(Study.load(write(small)), tmp_path / "out", Inline()).done == 4
-    longer = Study.load(write(small.replace("planning_seconds: 0.5", "planning_seconds: 0.75")))
+    longer = Study.load(write(small.replace("planning_seconds: 0.2", "planning_seconds: 0.75")))
     engine = Inline()
     assert run_inline(longer, tmp_path / "out", engine).done == 4
     assert engine.done == []
@@ -291,7 +291,7 @@ def test_a_saved_plan_is_used_unless_it_was_planned_for_less_time(copied: tuple[
     study, out = copied
     plan = next((out / "planners/plans").glob("tiny.json"))
     stated = json.loads(plan.read_text())
-    assert stated["planning_seconds"] == 0.5
+    assert stated["planning_seconds"] == 0.2
     for name in ("missions", "execution"):  # as if anneal had not been evaluated
         path = out / f"studies/mine/{name}.csv"
         path.write_text("".join(line for line in path.open() if not line.startswith("anneal")))
@@ -304,7 +304,7 @@ def test_a_saved_plan_is_used_unless_it_was_planned_for_less_time(copied: tuple[
     engine = Inline()
     run_inline(study, less, engine)
     assert type(engine.done[0]) is Planning
-    assert json.loads((less / "planners/plans/tiny.json").read_text())["planning_seconds"] == 0.5
+    assert json.loads((less / "planners/plans/tiny.json").read_text())["planning_seconds"] == 0.2
 
 
 def test_one_command_at_a_time_runs_a_study(copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,7 @@ variants:
   own critic: {{algorithm: ippo, set: {{{SET}}}}}
 planners: [greedy, anneal]
 bound: true
-planning_seconds: 0.5
+planning_seconds: 0.2
 episodes: 3
 """
 

@@ -150,7 +150,8 @@ def cheapest_paths(prices: Floats, gap_ages: Floats, gap_of: Ints) -> tuple[Floa
             cost[t] = least + (prices[t, i] if t <= slots else 0.0)
             before[t] = at
         paid[i] = cost[slots + 1]
-        costs[:, i] = cost[:-1]
+        for s in range(slots + 1):  # in a loop: for a[:] = b Numba also compiles the message of unequal shapes
+            costs[s, i] = cost[s]
         t = before[slots + 1]
         while t > 0:
             collected[t, i] = 1.0

@@ -9,6 +9,7 @@ not be computed.
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _RIGHT_11, _RIGHT_27, _RIGHT_30, _RIGHT_31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
 _UNIT = 2.0**-53
+_KEPT_SIZE = 256  # bandwidths; minimum SNRs of more are not kept
 _MARGIN = 1e-9  # of the amplitude |h|, far above rounding errors: a pair this close to R_min is computed
 
 
@@ -127,7 +129,19 @@ def minimum_snr(bandwidth: Floats, rate_min: float) -> Floats:
     """Return the smallest float64 SNR whose computed rate reaches R_min, for each bandwidth.
 
     A comparison of SNRs with it decides R >= R_min exactly as the rate formula does, without a logarithm in each slot.
+    Short results are kept: the search costs as much as many slots, and worlds are often built of the same devices.
     """
+    if bandwidth.size > _KEPT_SIZE:
+        return _search_minimum_snr(bandwidth, rate_min)
+    return _kept_minimum_snr(bandwidth.tobytes(), bandwidth.shape, rate_min).copy()
+
+
+@lru_cache(maxsize=256)
+def _kept_minimum_snr(bandwidth: bytes, shape: tuple[int, ...], rate_min: float) -> Floats:
+    return _search_minimum_snr(np.frombuffer(bandwidth).reshape(shape), rate_min)
+
+
+def _search_minimum_snr(bandwidth: Floats, rate_min: float) -> Floats:
     with np.errstate(over="ignore"):
         high = np.exp2(rate_min / bandwidth)  # log2(1 + 2^x) >= x, except for rounding
     while np.any(short := rate(bandwidth, high) < rate_min):
