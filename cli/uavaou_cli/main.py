@@ -7,7 +7,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Annotated, Any
 
 import typer
@@ -98,10 +98,7 @@ def _help_when_alone(ctx: typer.Context) -> None:
         print(ctx.get_help())
 
 
-@cache
-def _command() -> Any:
-    """The tree of commands, built once for all calls of :func:`main` in a process."""
-    return typer.main.get_command(app)
+_command = cache(partial(typer.main.get_command, app))  # built once for all calls of main in a process
 
 
 def main(argv: Sequence[str] | None = None) -> int:

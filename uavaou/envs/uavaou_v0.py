@@ -68,11 +68,8 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
     """One mission of a scenario; see the module's docstring, and :func:`parallel_env` to make one."""
 
     metadata: ClassVar[dict[str, Any]] = {
-        "name": "uavaou_v0",
-        "render_modes": list(RENDER_MODES),
-        "render_fps": 4,
-        "is_parallelizable": True,
-    }
+        "name": "uavaou_v0", "render_modes": list(RENDER_MODES), "render_fps": 4, "is_parallelizable": True
+    }  # fmt: skip
 
     def __init__(self, views: RowViews, render_mode: str | None = None) -> None:
         check_render_mode(render_mode)

@@ -12,12 +12,7 @@ from uavaou.envs.map import BLACK
 from uavaou.reports import style
 from uavaou.reports.drawing import Looks
 from uavaou.reports.scores import FIXED_RULES, comparable, in_all_scenarios
-from uavaou.statistics import (
-    Interval,
-    interquartile_mean,
-    performance_profile,
-    probability_of_improvement,
-)
+from uavaou.statistics import Interval, interquartile_mean, performance_profile, probability_of_improvement
 from uavaou.studies.results import StudyResults
 
 Scores = Mapping[str, Mapping[str, Floats]]  # variant -> scenario -> (S, M)

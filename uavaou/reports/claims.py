@@ -11,21 +11,10 @@ import numpy as np
 from scipy.stats import rankdata
 
 from uavaou.arrays import Floats
+from uavaou.reports import verdicts
 from uavaou.reports.scores import best_planner
 from uavaou.reports.training_claims import convergence, last_reward, time_to_level
-from uavaou.reports.verdicts import (
-    BASELINES,
-    OWN,
-    Claim,
-    Decide,
-    common_scenarios,
-    higher,
-    lower,
-    means,
-    not_measured,
-    ratio_claim,
-    reduced_to,
-)
+from uavaou.reports.verdicts import OWN, Claim, higher, lower, means
 from uavaou.statistics import mean_of_tasks
 from uavaou.studies.results import StudyResults
 
@@ -52,13 +41,13 @@ def judge(study: StudyResults) -> list[Claim]:
     The variants ``mappo``, ``vdn`` and ``qmix`` of the study are compared, in the scenarios that both have.
     """
     claims = [
-        *(convergence(study, other) for other in BASELINES),
-        *(time_to_level(study, other) for other in BASELINES),
-        *(last_reward(study, other) for other in BASELINES),
+        *(convergence(study, other) for other in verdicts.BASELINES),
+        *(time_to_level(study, other) for other in verdicts.BASELINES),
+        *(last_reward(study, other) for other in verdicts.BASELINES),
         *(_aou(study, other, f"MAPPO's AoU in execution is lower than {other.upper()}'s", LOWEST, lower)
-          for other in BASELINES),
-        *(_aou(study, other, text, quote, reduced_to(share)) for other, share, text, quote in _REDUCTIONS),
-        *(_more(study, other, *counted) for counted in _COUNTS for other in BASELINES),
+          for other in verdicts.BASELINES),
+        *(_aou(study, other, text, quote, verdicts.reduced_to(share)) for other, share, text, quote in _REDUCTIONS),
+        *(_more(study, other, *counted) for counted in _COUNTS for other in verdicts.BASELINES),
         _served_by_frequency(study),
         _beside_planner(study),
         _beside_bound(study),
@@ -75,23 +64,23 @@ def _of_missions(study: StudyResults, variant: str, column: str, scenarios: Iter
 
 def _pair(study: StudyResults, other: str, column: str) -> list[dict[str, Floats]]:
     """A metric of MAPPO's missions and the other's, in the scenarios that both have flown."""
-    scenarios = common_scenarios(study, "missions", OWN, other)
+    scenarios = verdicts.common_scenarios(study, "missions", OWN, other)
     return [_of_missions(study, name, column, scenarios) for name in (OWN, other)]
 
 
-def _aou(study: StudyResults, other: str, text: str, quote: str, decide: Decide) -> Claim:
+def _aou(study: StudyResults, other: str, text: str, quote: str, decide: verdicts.Decide) -> Claim:
     """AoU in execution; the reward of a mission is that times a negative constant."""
     own, theirs = _pair(study, other, "mean_aou_slots")
-    name = other.upper() if other in BASELINES else f"`{other}`"
+    name = other.upper() if other in verdicts.BASELINES else f"`{other}`"
     missing = f"missions of both '{OWN}' and '{other}' with an AoU above 0"
-    return ratio_claim(
+    return verdicts.ratio_claim(
         text, quote, own, theirs, decide, lambda: f"mean AoU {means(own, theirs, name, ' slots')}; ratio", missing
     )
 
 
 def _more(study: StudyResults, other: str, column: str, text: str, what: str, digits: int) -> Claim:
     own, theirs = _pair(study, other, column)
-    return ratio_claim(
+    return verdicts.ratio_claim(
         f"{text} {other.upper()}", MORE_DEVICES, own, theirs, higher,
         lambda: f"{what} a mission: {means(own, theirs, other.upper(), digits=digits)}; ratio",
         f"missions of both '{OWN}' and '{other}' with {what}",
@@ -101,13 +90,13 @@ def _more(study: StudyResults, other: str, column: str, text: str, what: str, di
 def _served_by_frequency(study: StudyResults) -> Claim:
     text = "MAPPO serves devices more often that generate more often"
     found = {}
-    for scenario in common_scenarios(study, "devices", OWN):
+    for scenario in verdicts.common_scenarios(study, "devices", OWN):
         runs = study.runs("devices", OWN, scenario)
         values = np.array([_spearman(run["communications"], run["update_period_slots"]) for run in runs])  # (S,)
         if np.isfinite(values).all():
             found[scenario] = values
     if not found:
-        return not_measured(text, FREQUENT, f"devices of '{OWN}' with different periods and communications")
+        return verdicts.not_measured(text, FREQUENT, f"devices of '{OWN}' with different periods and communications")
     correlation = mean_of_tasks(found).within(-1, 1)
     measured = "Spearman correlation over devices of communications with the generation period k, mean over seeds:"
     return Claim(text, FREQUENT, lower(correlation, 0), measured, correlation)
@@ -125,19 +114,19 @@ def _spearman(x: Floats, y: Floats) -> float:
 
 def _beside_planner(study: StudyResults) -> Claim:
     text = "MAPPO with local information flies fresher than the best planner with full information"
-    planner = best_planner(study, common_scenarios(study, "missions", OWN))
+    planner = best_planner(study, verdicts.common_scenarios(study, "missions", OWN))
     if planner is None:
-        return not_measured(text, "", f"missions of both '{OWN}' and a planner with full information")
+        return verdicts.not_measured(text, "", f"missions of both '{OWN}' and a planner with full information")
     return _aou(study, planner, text, "", lower)
 
 
 def _beside_bound(study: StudyResults) -> Claim:
     """No claim: every policy is above the bound, or :func:`uavaou.reports.scores.below_bound` reports it."""
     text = "how far MAPPO with local information is from the certified lower bound"
-    scenarios = [name for name in common_scenarios(study, "missions", OWN) if study.bounds.get(name, 0) > 0]
+    scenarios = [name for name in verdicts.common_scenarios(study, "missions", OWN) if study.bounds.get(name, 0) > 0]
     own = _of_missions(study, OWN, "mean_aou_slots", scenarios)
     bound = {name: np.array(study.bounds[name]) for name in scenarios}
-    return ratio_claim(
+    return verdicts.ratio_claim(
         text, "", own, bound, lambda _: "a figure",
         lambda: f"mean AoU {means(own, bound, 'bound', ' slots')}; ratio",
         f"missions of '{OWN}' beside a bound above 0",

@@ -15,16 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from uavaou.arrays import Floats, Ints
-from uavaou.envs.map import (
-    AGE_COLOURS,
-    BLACK,
-    add_age_bar,
-    age_scale,
-    draw_devices,
-    draw_ground,
-    uav_colour,
-    uav_offset,
-)
+from uavaou.envs import map as maps
 from uavaou.evaluation.recorded_mission import RecordedMission, Recording
 from uavaou.reports import style
 from uavaou.scenario import Scenario
@@ -59,9 +50,9 @@ def _map(scenario: Scenario, recording: Recording) -> Figure:
     _shade_visits(figure, axes, visit_bar, scenario, recording)
     mean_age = _ages_in_slots(scenario, recording).mean(axis=0)  # (I,) slots
     counts = recording.communications.sum(axis=0)  # (I,)
-    scale = age_scale(scenario, recording.layout, mean_age)
-    draw_devices(axes, recording.layout, mean_age, scale, _device_area(counts, int(counts.max())))
-    add_age_bar(axes, scale, "mean age sum (slots)", cax=age_bar)
+    scale = maps.age_scale(scenario, recording.layout, mean_age)
+    maps.draw_devices(axes, recording.layout, mean_age, scale, _device_area(counts, int(counts.max())))
+    maps.add_age_bar(axes, scale, "mean age sum (slots)", cax=age_bar)
     style.label_log_axis(age_bar.yaxis, *age_bar.get_ylim())
     figure.legend(handles=_fleet_handles(scenario), loc="upper center", ncols=_LEGEND_COLUMNS, borderpad=0)
     title = "communications of the device"
@@ -72,7 +63,7 @@ def _map(scenario: Scenario, recording: Recording) -> Figure:
 def _draw_map(axes: Axes, scenario: Scenario, recording: Recording) -> None:
     """The ground and the steps of each UAV."""
     axes.spines[["top", "right"]].set_visible(True)
-    draw_ground(axes, scenario)
+    maps.draw_ground(axes, scenario)
     for u in range(scenario.uavs):
         _draw_steps(axes, scenario, recording.positions[:, u], u)
 
@@ -131,8 +122,8 @@ def _draw_steps(axes: Axes, scenario: Scenario, way: Floats, uav: int) -> None:
     steps, flown = np.unique(ends, axis=0, return_counts=True)  # (S, 2, 2) m, (S,)
     thin, wide = _LINE_WIDTH
     widths = thin + (wide - thin) * np.sqrt((flown - 1) / max(int(flown.max()) - 1, 1))
-    places = list(steps + uav_offset(scenario)[uav])
-    lines = LineCollection(places, colors=uav_colour(uav), linewidths=widths, capstyle="round", zorder=3)
+    places = list(steps + maps.uav_offset(scenario)[uav])
+    lines = LineCollection(places, colors=maps.uav_colour(uav), linewidths=widths, capstyle="round", zorder=3)
     axes.add_collection(lines, autolim=False)
 
 
@@ -146,7 +137,7 @@ def _fleet_handles(scenario: Scenario, **marks: Any) -> list[Line2D]:
     """The legend's entry of each UAV; a square unless ``marks`` say otherwise."""
     drawn = marks or {"marker": "s", "mfc": "none", "ms": 5, "mew": 1.2}
     shown = range(min(scenario.uavs, _LEGEND_UAVS))
-    return [Line2D([], [], color=uav_colour(u), label=f"UAV {u}", **drawn) for u in shown]
+    return [Line2D([], [], color=maps.uav_colour(u), label=f"UAV {u}", **drawn) for u in shown]
 
 
 def _count_handles(counts: Ints) -> list[Line2D]:
@@ -155,7 +146,7 @@ def _count_handles(counts: Ints) -> list[Line2D]:
     sizes = np.unique([int(counts.min()), round((int(counts.min()) + most) / 2), most])
     diameters = np.sqrt(_device_area(sizes, most))
     return [
-        Line2D([], [], ls="", marker="o", mfc="white", mec=BLACK, mew=0.6, ms=float(d), label=f"{n:,}")
+        Line2D([], [], ls="", marker="o", mfc="white", mec=maps.BLACK, mew=0.6, ms=float(d), label=f"{n:,}")
         for n, d in zip(sizes, diameters, strict=True)
     ]
 
@@ -168,16 +159,16 @@ def _ages(scenario: Scenario, recording: Recording) -> Figure:
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.1, strip_in])
     slots = np.arange(1, len(ages) + 1)
     total = ages.sum(axis=1)  # (K,) slots
-    upper.plot(slots, total, color=BLACK, linewidth=0.8)
+    upper.plot(slots, total, color=maps.BLACK, linewidth=0.8)
     upper.axhline(float(total.mean()), color=style.GREY, linewidth=0.8, linestyle=(0, (4, 1.5)))
     style.log_scale_if_wide(upper, total)
     note = f"mean {total.mean():,.4g} slots"
     upper.annotate(note, (1, 1), (0, 1), "axes fraction", "offset points", ha="right", va="bottom", fontsize=7)
     upper.set_ylabel("AoU (slots)")
     upper.set_xlim(0.5, len(slots) + 0.5)
-    scale = age_scale(scenario, recording.layout, ages)
+    scale = maps.age_scale(scenario, recording.layout, ages)
     _draw_strip(lower, recording, ages, scale)
-    bar = add_age_bar(lower, scale, "age sum (slots)")
+    bar = maps.add_age_bar(lower, scale, "age sum (slots)")
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
     _legend_of_communications(figure, scenario)
     return figure
@@ -199,11 +190,11 @@ def _draw_strip(axes: Axes, recording: Recording, ages: Floats, scale: LogNorm) 
     slots, devices = ages.shape
     order = np.argsort(recording.layout.update_period, kind="stable")  # (I,)
     extent = (0.5, slots + 0.5, devices - 0.5, -0.5)
-    axes.imshow(ages.T[order], norm=scale, cmap=AGE_COLOURS, aspect="auto", interpolation="nearest", extent=extent)
+    axes.imshow(ages.T[order], norm=scale, cmap=maps.AGE_COLOURS, aspect="auto", interpolation="nearest", extent=extent)
     rows = np.argsort(order)  # (I,) the row of each device
     for u in np.unique(recording.collected_by[recording.communications]):
         at, device = np.nonzero(recording.communications & (recording.collected_by == u))
-        axes.vlines(at + 1, rows[device] + 0.12, rows[device] + 0.42, color=uav_colour(int(u)), linewidth=0.5)
+        axes.vlines(at + 1, rows[device] + 0.12, rows[device] + 0.42, color=maps.uav_colour(int(u)), linewidth=0.5)
     _label_periods(axes, recording.layout.update_period[order])
     axes.grid(False)
     axes.spines[["top", "right"]].set_visible(True)
@@ -217,7 +208,7 @@ def _label_periods(axes: Axes, periods: Ints) -> None:
         return  # more periods than labels that could be read
     axes.set_yticks(first + (number - 1) / 2, [str(value) for value in values])
     axes.tick_params(axis="y", length=0)
-    axes.hlines(first[1:] - 0.5, *axes.get_xlim(), color=BLACK, linewidth=0.6)
+    axes.hlines(first[1:] - 0.5, *axes.get_xlim(), color=maps.BLACK, linewidth=0.6)
 
 
 # -- several missions ------------------------------------------------------------------------------------
@@ -235,7 +226,7 @@ def mission_figures(missions: Sequence[RecordedMission], algorithms: Mapping[str
         return {}
     labels = {name: look.label for name, look in style.looks([m.policy for m in shown], algorithms).items()}
     ages = np.concatenate([_ages_in_slots(mission.scenario, mission.recording).ravel() for mission in shown])
-    scale = age_scale(shown[0].scenario, shown[0].recording.layout, ages)
+    scale = maps.age_scale(shown[0].scenario, shown[0].recording.layout, ages)
     return {"missions-side-by-side": _maps(shown, labels), "missions-device-ages": _all_ages(shown, labels, scale)}
 
 
@@ -255,17 +246,18 @@ def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Fig
     figure = style.new_figure(height, width_in=width)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     mean_ages = [_ages_in_slots(mission.scenario, mission.recording).mean(axis=0) for mission in missions]  # (I,) each
-    scale = age_scale(scenario, missions[0].recording.layout, np.concatenate(mean_ages))
+    scale = maps.age_scale(scenario, missions[0].recording.layout, np.concatenate(mean_ages))
     most = max(int(mission.recording.communications.sum(axis=0).max()) for mission in missions)
     for axes in panels.ravel()[len(missions) :]:
         axes.set_visible(False)
     for axes, mission, ages in zip(panels.ravel(), missions, mean_ages, strict=False):
         counts = mission.recording.communications.sum(axis=0)  # (I,)
         _draw_map(axes, mission.scenario, mission.recording)
-        draw_devices(axes, mission.recording.layout, ages, scale, _device_area(counts, most) / 2)
+        maps.draw_devices(axes, mission.recording.layout, ages, scale, _device_area(counts, most) / 2)
         axes.set_title(_title(mission, labels, "\n"))
         axes.label_outer()
-    bar = add_age_bar(panels[0, 0], scale, "mean age sum of the device (slots)", ax=panels, fraction=0.03, shrink=0.85)
+    text = "mean age sum of the device (slots)"
+    bar = maps.add_age_bar(panels[0, 0], scale, text, ax=panels, fraction=0.03, shrink=0.85)
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
     between = "; " if columns > 1 else "\n"
     title = f"line: wider where flown more often{between}device: larger with more communications"
@@ -284,7 +276,7 @@ def _all_ages(missions: Sequence[RecordedMission], labels: Mapping[str, str], sc
         _draw_strip(axes, mission.recording, _ages_in_slots(mission.scenario, mission.recording), scale)
         axes.set_title(_title(mission, labels, ": "), pad=3)
         axes.label_outer()
-    bar = add_age_bar(strips[0], scale, "age sum of the device (slots)", ax=list(strips), fraction=0.02, pad=0.01)
+    bar = maps.add_age_bar(strips[0], scale, "age sum of the device (slots)", ax=list(strips), fraction=0.02, pad=0.01)
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
     _legend_of_communications(figure, missions[0].scenario)
     return figure

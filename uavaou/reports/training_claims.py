@@ -12,19 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from uavaou.arrays import Floats
+from uavaou.reports import verdicts
 from uavaou.reports.markdown import rounded, with_interval
-from uavaou.reports.verdicts import (
-    OWN,
-    Claim,
-    Trainings,
-    Verdict,
-    at_best,
-    common_scenarios,
-    lower,
-    mean,
-    means,
-    ratio_claim,
-)
+from uavaou.reports.verdicts import OWN, Claim, lower, mean, means
 from uavaou.statistics import Interval, ratio_of_trainings
 from uavaou.studies.results import StudyResults, Table
 
@@ -72,13 +62,13 @@ def convergence(study: StudyResults, other: str) -> Claim:
     def measured() -> str:
         return f"slots until convergence: {own.told('not converged')}, {theirs.told('not converged')}; ratio"
 
-    return ratio_claim(text, FEWER_ITERATIONS, own.slots, theirs.slots, own.decide, measured, _missing(other))
+    return verdicts.ratio_claim(text, FEWER_ITERATIONS, own.slots, theirs.slots, own.decide, measured, _missing(other))
 
 
 def time_to_level(study: StudyResults, other: str) -> Claim:
     """Training slots, and time, until a level that the other's trainings reach on average."""
     text = f"MAPPO reaches the level of {other.upper()}'s trainings sooner than these do"
-    scenarios = common_scenarios(study, "validation", OWN, other)
+    scenarios = verdicts.common_scenarios(study, "validation", OWN, other)
     levels = {name: _level(study.runs("validation", other, name)) for name in scenarios}
     own, theirs = (_Times(study, name, other, lambda name, aou: reached(aou, levels[name])) for name in (OWN, other))
 
@@ -88,7 +78,7 @@ def time_to_level(study: StudyResults, other: str) -> Claim:
         told = f"{own.told('never')}, {theirs.told('never')}"
         return f"training slots until that AoU{level}: {told}; wall-clock ratio {wall}; ratio in slots"
 
-    return ratio_claim(text, FEWER_ITERATIONS, own.slots, theirs.slots, own.decide, measured, _missing(other))
+    return verdicts.ratio_claim(text, FEWER_ITERATIONS, own.slots, theirs.slots, own.decide, measured, _missing(other))
 
 
 def _missing(other: str) -> str:
@@ -110,9 +100,9 @@ class _Times:
 
     def __init__(self, study: StudyResults, variant: str, other: str, when: Callable[[str, Floats], Moment]) -> None:
         self._name, self.never = variant.upper(), 0
-        self.slots: Trainings = {}
-        self.wall_s: Trainings = {}
-        for scenario in common_scenarios(study, "validation", OWN, other):
+        self.slots: verdicts.Trainings = {}
+        self.wall_s: verdicts.Trainings = {}
+        for scenario in verdicts.common_scenarios(study, "validation", OWN, other):
             runs = study.runs("validation", variant, scenario)
             moments = [when(scenario, run["mean_aou_slots"]) for run in runs]
             self.never += sum(not moment.happened for moment in moments)
@@ -126,16 +116,16 @@ class _Times:
         never = f" ({self.never} of {self._trainings} trainings {what}: the budget counts)" if self.never else ""
         return f"{self._name} {mean(self.slots):,.0f} slots{never}"
 
-    def decide(self, ratio: Interval) -> Verdict:
+    def decide(self, ratio: Interval) -> verdicts.Verdict:
         """The verdict on fewer slots, weakened where trainings never came to it and count with their budget."""
-        most: Verdict = "partly supported" if self.never < self._trainings else "not supported"
-        return at_best(lower(ratio), most if self.never else "supported")
+        most: verdicts.Verdict = "partly supported" if self.never < self._trainings else "not supported"
+        return verdicts.at_best(lower(ratio), most if self.never else "supported")
 
 
 def last_reward(study: StudyResults, other: str) -> Claim:
     """The reward of the training missions at the end of training; rewards are negative, so that smaller is more."""
     text = f"MAPPO ends training with higher rewards than {other.upper()}"
-    scenarios = common_scenarios(study, "curves", OWN, other)
+    scenarios = verdicts.common_scenarios(study, "curves", OWN, other)
     own, theirs = (
         {name: np.array([-_last_reward(run) for run in study.runs("curves", variant, name)]) for name in scenarios}
         for variant in (OWN, other)
@@ -146,7 +136,7 @@ def last_reward(study: StudyResults, other: str) -> Claim:
         return f"reward of the training missions in the last {LAST_PART:.0%} of training: {told}; ratio of sizes"
 
     missing = f"rewards below 0 of both '{OWN}' and '{other}'"
-    return ratio_claim(text, HIGHER_REWARDS, own, theirs, lower, measured, missing)
+    return verdicts.ratio_claim(text, HIGHER_REWARDS, own, theirs, lower, measured, missing)
 
 
 def _last_reward(run: Table) -> float:

@@ -100,9 +100,7 @@ def _weighted_sum(parts: Sequence[tuple[float, Floats]]) -> Interval:
     total = sum(variances)
     if total == 0:
         return Interval(value, value, value)
-    shares = [
-        (variance / total) ** 2 / (len(group) - 1) for variance, (_, group) in zip(variances, samples, strict=True)
-    ]
+    shares = [(part / total) ** 2 / (len(group) - 1) for part, (_, group) in zip(variances, samples, strict=True)]
     reach = float(stdtrit(1 / sum(shares), UPPER)) * math.sqrt(total)
     return Interval(value, value - reach, value + reach)
 

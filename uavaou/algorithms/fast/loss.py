@@ -53,9 +53,7 @@ class GradientShard:
         self._actor = _network(actor, policy.logits, policy.actor_parameters())
         known = inherits(policy, CentralizedValuePolicy, "normalised_values") and is_exactly(policy.value_net, PopArt)
         critic = fully_connected(policy.critic_body, policy.value_net.linear) if known else None
-        self._critic = _network(
-            critic, lambda rows: policy.normalised_values(rows)[:, None], policy.critic_parameters()
-        )
+        self._critic = _network(critic, lambda r: policy.normalised_values(r)[:, None], policy.critic_parameters())
         arrays = (buffer.actions, buffer.log_probs, buffer.advantages, buffer.returns)
         self._actions, self._log_probs, self._advantages, self._returns = map(_by_slot, arrays)
         present = buffer.row_layout.present_column
