@@ -26,7 +26,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 demo: install
 	@rm -rf $(DEMO)
 	@$(BIN)/uavaou train --scenario paper --slots $(SLOTS) --out $(DEMO)
-	@$(BIN)/uavaou eval $(RUN) --policy greedy --policy random --episodes 100
+	@$(BIN)/uavaou eval $(RUN) --policy any-map --policy greedy --policy random --episodes 100
 	@$(BIN)/uavaou plot figures $(RUN) --out $(DEMO)/figures
 	@$(BIN)/uavaou plot trajectories $(RUN) --out $(DEMO)/figures
 
