@@ -29,7 +29,7 @@ def test_a_draw_depends_on_its_number_alone() -> None:
 def test_the_draws_stay_what_they_were() -> None:
     """Trainings resume with the same scenarios: a change of these numbers changes every family."""
     text = "".join(f"{Family.load('any').draw(n).to_dict()}" for n in range(20))
-    assert hashlib.sha256(text.encode()).hexdigest()[:16] == "28da99cc1781ef83"
+    assert hashlib.sha256(text.encode()).hexdigest()[:16] == "bc6f00a9ebd533f9"
 
 
 def test_a_field_more_does_not_shift_the_others() -> None:
@@ -60,7 +60,7 @@ def test_any_draws_widely_and_often_the_base() -> None:
     share = np.mean([scenario.to_dict() | {"name": "paper"} == paper for scenario in drawn])
     assert share == pytest.approx(0.35, abs=0.04)
     for name, low, high in (
-        ("uavs", 1, 10), ("devices", 5, 120), ("area_x_m", 450, 3000), ("slots", 150, 600), ("rician_factor", 0, 30),
+        ("uavs", 1, 10), ("devices", 5, 200), ("area_x_m", 450, 3000), ("slots", 150, 600), ("rician_factor", 0, 30),
         ("rate_min_bit_s", 1e5, 1.8e5), ("grid_step_m", 75, 150),
     ):  # fmt: skip
         values = [getattr(scenario, name) for scenario in drawn]

@@ -98,6 +98,17 @@ def test_the_same_seed_gives_the_same_weights() -> None:
     assert not th.equal(weights[0], weights[2])
 
 
+def test_the_entropy_bonus_may_fall() -> None:
+    weights = []
+    for ent_coef in (0.5, lambda remaining: 0.5, lambda remaining: remaining):
+        model = small_model(ent_coef=ent_coef)
+        model.learn(2 * model.n_steps * model.n_envs)
+        weights.append(th.nn.utils.parameters_to_vector(model.policy.parameters()))
+    assert model.ent_coef == 0
+    assert th.equal(weights[0], weights[1])
+    assert not th.equal(weights[1], weights[2])
+
+
 @pytest.mark.parametrize("advantage_normalization", ["none", "rollout", "batch"])
 def test_every_advantage_normalisation_trains(advantage_normalization: str) -> None:
     model = small_model(advantage_normalization=advantage_normalization)

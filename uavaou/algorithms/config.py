@@ -116,6 +116,7 @@ class MappoConfig(LearnerConfig):
     gae_lambda: Fraction
     clip_range: Positive
     entropy: NonNegative
+    final_entropy: Fraction = 1.0  # as a fraction of entropy, reached linearly at the end of the budget
     value_loss: NonNegative
     max_gradient_norm: Positive
     advantage_normalization: Literal["none", "rollout", "batch"]
@@ -130,7 +131,7 @@ class MappoConfig(LearnerConfig):
             "n_epochs": self.epochs,
             "gae_lambda": self.gae_lambda,
             "clip_range": self.clip_range,
-            "ent_coef": self.entropy,
+            "ent_coef": _linear_schedule(self.entropy, self.final_entropy),
             "vf_coef": self.value_loss,
             "advantage_normalization": self.advantage_normalization,
             "critic_learning_rate": self.critic_learning_rate,
@@ -198,8 +199,8 @@ class QmixConfig(JointQConfig):
 
 
 def _linear_schedule(start: float, final_fraction: float) -> Callable[[float], float]:
-    def learning_rate(progress_remaining: float) -> float:
+    def value(progress_remaining: float) -> float:
         # The last rollout may exceed the budget: SB3 then calls with less than nothing remaining.
         return start * (final_fraction + (1 - final_fraction) * max(progress_remaining, 0.0))
 
-    return learning_rate
+    return value

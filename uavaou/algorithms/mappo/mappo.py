@@ -11,7 +11,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.utils import explained_variance
+from stable_baselines3.common.utils import FloatSchedule, explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
@@ -74,6 +74,7 @@ class MAPPO(SafeSaveLoad, PPO):
         batch_size: rows (agent steps) in a minibatch; whole slots, all UAVs of a slot together.
         advantage_normalization: over the ``batch``, over the whole ``rollout``, or ``none``.
         critic_learning_rate: as a multiple of ``learning_rate``.
+        ent_coef: a number, or a schedule as ``learning_rate`` and ``clip_range`` may be.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"CentralizedValuePolicy": CentralizedValuePolicy}
@@ -92,7 +93,7 @@ class MAPPO(SafeSaveLoad, PPO):
         gamma: float = 0.98,
         gae_lambda: float = 0.95,
         clip_range: Any = 0.2,
-        ent_coef: float = 0.003,
+        ent_coef: Any = 0.003,
         vf_coef: float = 0.5,
         max_grad_norm: float = 5.0,
         advantage_normalization: str = "batch",
@@ -121,6 +122,7 @@ class MAPPO(SafeSaveLoad, PPO):
             max_grad_norm=max_grad_norm, normalize_advantage=False, policy_kwargs=policy_kwargs, **kwargs,
         )  # fmt: skip
         self.batch_size = batch_size
+        self._ent_coef_schedule = FloatSchedule(ent_coef)
         self._fast: FastUpdate | None = None  # for the duration of learn()
 
     def learn(self, *args: Any, **kwargs: Any) -> Self:
@@ -223,6 +225,7 @@ class MAPPO(SafeSaveLoad, PPO):
         actor, critic = self.policy.optimizer.param_groups
         actor["lr"], critic["lr"] = rate, rate * self.critic_learning_rate
         clip_range = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
+        self.ent_coef = self._ent_coef_schedule(self._current_progress_remaining)
         buffer = self.rollout_buffer
         self._scale_rollout()
         explained = explained_variance(
