@@ -35,15 +35,16 @@ def fly(
     """
     from uavaou.files import folder_name
     from uavaou.runs.comparison import compare, make_policy
-    from uavaou.runs.folder import name_with
+    from uavaou.runs.folder import name_with, scenario_folder
     from uavaou.scenario import Scenario
 
     overrides = parse_overrides(set_ or [])
     overrides.only_of_scenario("a policy flies as it is")
-    flown = overrides.of_scenario(Scenario.load(scenario))
+    base = Scenario.load(scenario)
+    flown = overrides.of_scenario(base)
     chosen = _default() if policy is None else policy
     reference = next(name for name in _REFERENCES if name != chosen)
-    place = Path("results") / name_with(folder_name(flown.name), overrides.scenario) / "fly"
+    place = Path("results") / scenario_folder(base, overrides.scenario) / "fly"
     path = Path(chosen)
     folder = out or place / name_with(folder_name("-".join(path.relative_to(path.anchor).parts)), {})
     writable_folder(folder)

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from uavaou.runs.comparison import Comparison
     from uavaou.scenario import Scenario
 
+_PLAN = "plan.json"
 _BOUND_S = 30.0  # for the bound that stands beside a plan; `uavaou gap` takes longer
 
 
@@ -46,6 +47,7 @@ def plan(
     out: Annotated[
         Path | None, option("Folder of the plan. [default: results/<scenario>/plan/<planner>]", "DIR")
     ] = None,
+    replace_: Annotated[bool, typer.Option("--replace", help="Plan anew where the folder holds a plan.")] = False,
     set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
@@ -54,11 +56,14 @@ def plan(
     Writes plan.json, and the pictures of the first mission, as PNG and PDF.
     """
     from uavaou.planners import ROUTE_PLANNERS
+    from uavaou.runs.folder import name_with
 
     if planner not in ROUTE_PLANNERS:
         raise unknown("--planner", planner, ROUTE_PLANNERS)
-    chosen = _fixed_scenario(scenario, set_, "uavaou plan: the scenario draws a new layout each mission")
-    folder = out or Path("results") / chosen.name / "plan" / planner
+    chosen, place = _fixed_scenario(scenario, set_, "uavaou plan: the scenario draws a new layout each mission")
+    folder = out or place / "plan" / name_with(planner, {} if time_limit is None else {"time_limit": f"{time_limit:g}"})
+    if (folder / _PLAN).exists() and not replace_:
+        raise InputError(f"'{folder}' already holds a plan: add --replace to plan anew, or choose another --out")
     writable_folder(folder)
     _plan_and_report(chosen, planner, time_limit, episodes, seed, folder, quiet)
 
@@ -75,7 +80,7 @@ def gap(
     quiet: Quiet = False,
 ) -> None:
     """Compare planners and trained runs with the lower bound and with random moves."""
-    chosen = _fixed_scenario(scenario, set_, "uavaou gap: the bound is that of one layout")
+    chosen, _ = _fixed_scenario(scenario, set_, "uavaou gap: the bound is that of one layout")
     from uavaou.planners import gap_planners, make_planner
     from uavaou.planners.bound import lower_bound
     from uavaou.runs.comparison import compare, load_runs
@@ -89,15 +94,18 @@ def gap(
     show(_gap_lines(comparison, bound))
 
 
-def _fixed_scenario(name: str, items: list[str] | None, refusal: str) -> Scenario:
+def _fixed_scenario(name: str, items: list[str] | None, refusal: str) -> tuple[Scenario, Path]:
+    """The scenario, and the folder of its results."""
+    from uavaou.runs.folder import scenario_folder
     from uavaou.scenario import Scenario
 
     overrides = parse_overrides(items or [])
     overrides.only_of_scenario("planners have none")
-    scenario = overrides.of_scenario(Scenario.load(name))
+    base = Scenario.load(name)
+    scenario = overrides.of_scenario(base)
     if scenario.layout == "resample":
         raise InputError(f"{refusal}; set scenario.layout=fixed")
-    return scenario
+    return scenario, Path("results") / scenario_folder(base, overrides.scenario)
 
 
 def _plan_and_report(
@@ -121,10 +129,10 @@ def _plan_and_report(
     took = time.monotonic() - begun
     plan = plan if bound_s is None else replace(plan, bound_s=bound_s)
     planner.keep(plan, scenario, layout)
-    write_json(folder / "plan.json", plan.to_dict(scenario))
+    write_json(folder / _PLAN, plan.to_dict(scenario))
     with EvaluationDisplay(quiet, [name], episodes * scenario.slots) as flights:
         comparison = compare({name: planner}, scenario, episodes, seed, flights)
-    show([*_plan_lines(scenario, plan, took, folder / "plan.json"), ""])
+    show([*_plan_lines(scenario, plan, took, folder / _PLAN), ""])
     show(evaluation_lines(comparison, {}))
     recording = record_mission(scenario, planner, seed)
     show(plot_trajectories(scenario, recording, folder, f"mission-{seed}"))

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.cli.commands import TRAIN, call, contents, runs
 from uavaou.runs.recorder import Recorder
+from uavaou_cli import plan
 from uavaou_cli.tables import WIDTH
 
 # -- evaluation ----------------------------------------------------------------------------------------
@@ -71,6 +73,34 @@ def test_a_plan_is_saved_flown_and_drawn(capsys: pytest.CaptureFixture[str], wor
     folder = workplace / "results" / "tiny" / "plan" / "exact"
     assert {path.suffix for path in folder.iterdir()} == {".json", ".png", ".pdf"}
     assert json.loads((folder / "plan.json").read_text())["planner"] == "exact"
+    before = contents(folder)
+    code, out, err = call(capsys, "plan tiny --planner exact --episodes 1")
+    assert (code, out) == (2, "")
+    assert "'results/tiny/plan/exact' already holds a plan: add --replace" in err
+    assert contents(folder) == before
+
+
+def test_a_plan_never_takes_the_place_of_another(
+    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def keep(*arguments: Any) -> None:
+        folder = arguments[-2]
+        folder.mkdir(parents=True)
+        (folder / "plan.json").write_text("{}")
+
+    monkeypatch.setattr(plan, "_plan_and_report", keep)
+    commands = ["plan tiny", "plan tiny --planner tour", "plan tiny --time-limit 5", "plan tiny --set scenario.slots=9"]
+    for command in commands:
+        assert call(capsys, command)[0] == 0, command
+    for slots in (8, 9):  # one file, two contents
+        (workplace / "valley.yaml").write_text(f"base: tiny\nslots: {slots}\n")
+        assert call(capsys, "plan valley.yaml")[0] == 0
+    assert len(list(workplace.glob("results/valley*/plan/anneal/plan.json"))) == 2
+    for command in [*commands, "plan valley.yaml", "plan tiny --out results/tiny/plan/tour"]:
+        code, _, err = call(capsys, command)
+        assert (code, "already holds a plan" in err) == (2, True), command
+    monkeypatch.setattr(plan, "_plan_and_report", lambda *_: None)
+    assert call(capsys, "plan tiny --replace")[0] == 0
 
 
 def test_gap_orders_policies_between_bound_and_random(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,9 @@ import pytest
 
 from tests.cli.commands import TINY, call, contents, runs
 from uavaou.evaluation.recorded_mission import read_mission
+from uavaou.runs.folder import scenario_folder
 from uavaou.runs.released import released_folder, released_names
+from uavaou.scenario import Scenario
 from uavaou_cli.tables import WIDTH
 
 SUITE = """
@@ -116,7 +118,8 @@ def test_fly_shows_a_mission_and_says_where_its_files_are(capsys: pytest.Capture
     assert [line.split()[0] for line in table.splitlines()[-3:] if line] == ["any-map", "best-first"]
     written = [Path(line) for line in files.split()]
     assert len(written) == 5
-    assert all(path.parent == Path("results/mine/fly/any-map") and path.stat().st_size > 500 for path in written)
+    place = Path("results") / scenario_folder(Scenario.load("mine.yaml")) / "fly" / "any-map"
+    assert all(path.parent == place and path.stat().st_size > 500 for path in written)
     mission = read_mission(written[0])
     assert (mission.policy, mission.mission_seed, mission.scenario.layout_seed) == ("any-map", 7, 3)
     assert f"{mission.mean_aou_slots:.2f}" in table  # the mission drawn is the one in the table

@@ -254,16 +254,8 @@ def run_folder(
         algorithm: its name.
         seed: of the training.
     """
-    place = out / _scenario_folder(scenario, scenario_overrides)
+    place = out / scenario_folder(scenario, scenario_overrides)
     return RunFolder(place / _folder_name(algorithm, algorithm_overrides) / f"seed-{seed}")
-
-
-def _scenario_folder(scenario: Scenario, overrides: Mapping[str, str]) -> str:
-    base = scenario.name
-    preset = zoo_path("scenarios", base)
-    if base not in zoo_names("scenarios") or Scenario.load(preset) != scenario:
-        base += _content_digest(scenario.to_dict())
-    return _folder_name(base, overrides)
 
 
 def config_folder(out: Path, config: RunConfig) -> RunFolder:
@@ -289,12 +281,21 @@ def _content_digest(content: Mapping[str, Any]) -> str:
     return f"~{hashlib.sha256(to_yaml(content).encode()).hexdigest()[:8]}"
 
 
-def scenario_folder(scenario: Scenario) -> str:
-    """The name of the folder of a scenario's runs, such as ``paper+layout_seed=1``."""
-    if scenario.name not in zoo_names("scenarios"):
-        return _scenario_folder(scenario, {})
-    preset = Scenario.load(zoo_path("scenarios", scenario.name))
-    return _scenario_folder(preset, _differences(preset.to_dict(), scenario.to_dict()))
+def scenario_folder(scenario: Scenario, overrides: Mapping[str, str] | None = None) -> str:
+    """The name of the folder of a scenario's results, such as ``paper+layout_seed=1``.
+
+    Args:
+        scenario: one read from a file is told apart by its content.
+        overrides: fields that ``scenario`` does not have yet, as given to ``--set``; None: what differs from the preset
+            of its name.
+    """
+    base = scenario.name
+    preset = Scenario.load(zoo_path("scenarios", base)) if base in zoo_names("scenarios") else None
+    if overrides is None:
+        overrides = _differences(preset.to_dict(), scenario.to_dict()) if preset else {}
+    elif preset is not None and preset != scenario:
+        preset = None
+    return _folder_name(base + ("" if preset else _content_digest(scenario.to_dict())), overrides)
 
 
 def train_command(
