@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from functools import cache, partial
+from itertools import pairwise
 from typing import Annotated, Any
 
 import typer
@@ -15,9 +16,10 @@ from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
 from uavaou_cli import evaluate, export, fly, plan, plot, scenarios, study, train, tune
-from uavaou_cli.options import option
+from uavaou_cli.options import given_path, option
 
 BAD_INPUT = 2
+_PATHS = ("--out", "--json", "--config", "--space")  # options whose values are paths
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 # Typer exports one usage error; its base class covers all of them, wherever this Typer keeps its Click.
@@ -84,6 +86,10 @@ def _root(
     Start with:  uavaou fly paper
     """
     _help_when_alone(ctx)
+    for before, word in pairwise(["", *ctx.obj["arguments"]]):
+        for path in _PATHS:
+            if (before, word) == (path, "") or word == f"{path}=":  # Path("") would mean the present folder
+                given_path(path, "")
     ctx.obj["plugins"] = plugin or []
     for place in plugin or []:
         from uavaou.algorithms.registry import load_plugin

@@ -78,7 +78,8 @@ def test_a_study_evaluates_a_released_policy(capsys: pytest.CaptureFixture[str],
     ended = run_inline(Study.load(released / "mine.yaml"), released / "out", Inline())
     assert (ended.done, ended.failed) == (3, {})
     assert call(capsys, "study report mine.yaml --out out")[0] == 0
-    assert "any-map" in (released / "out" / "studies" / "mine" / "README.md").read_text()
+    page = (released / "out" / "studies" / "mine" / "README.md").read_text()
+    assert "`any-map` is a released policy, which observes `local` information." in page
     (released / "mine.yaml").write_text(STUDY.replace("[tiny]", "[quickstart]"))
     code, _, err = call(capsys, "study status mine.yaml --out out")
     assert (code, "'any-map' was trained with 2 uavs and 4 devices" in err) == (2, True)
@@ -94,6 +95,13 @@ def test_a_folder_goes_before_it_only_with_a_path_separator(
     assert (code, err) == (0, "")
     rows = [line.split() for line in out.splitlines() if "any-map" in line]
     assert [row[0] for row in rows] == ["any-map", "./any-map"]
+    # Beside a run's own policy it is kept as planners are, and so drawn in figures 7 and 8.
+    shutil.copytree(trained / runs(trained)["run"], released / "own")
+    assert call(capsys, "eval own --policy any-map --policy greedy --episodes 2 --quiet")[0] == 0
+    kept = json.loads((released / "own" / "eval" / "default.json").read_text())
+    assert list(kept["policies"]) == ["mappo", "any-map", "greedy"]
+    code, out, err = call(capsys, "eval ./x/any-map")
+    assert err.endswith("does not exist; the released policy is named without a path: any-map\n")
 
 
 @pytest.mark.parametrize(

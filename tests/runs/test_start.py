@@ -123,10 +123,16 @@ def test_weights_that_do_not_fit_are_refused_with_their_sizes(finished: RunFolde
     said = refusal(lambda: start.training(Scenario.load("quickstart"), {}, seed=0))
     assert "trained with 2 uavs and 4 devices; scenario 'quickstart' has 2 and 8" in said
     assert "scenario.devices=4" in said
-    config = start.training(Scenario.load("tiny"), {"hidden": [9]}, seed=0)
-    said = refusal(lambda: train(config, tmp_path / "new", start=finished))
+    for changes, words in (
+        ({"hidden": [9]}, "algorithm.hidden = [9] does not fit its weights, which were trained with [8] and fit no"),
+        ({"network": "set", "hidden": [8]}, "algorithm.network = 'set' does not fit its weights"),
+        ({"observation": "shared"}, "trained with 'local' and fit no other: leave out --set algorithm.observation"),
+    ):
+        assert words in refusal(lambda changes=changes: start.training(Scenario.load("tiny"), changes, seed=0))  # type: ignore[misc]
+    config = start.training(Scenario.load("tiny"), {}, seed=0)
+    config = replace(config, algorithm=load_config("mappo", config.algorithm.model_dump() | {"hidden": [9]}))
+    said = refusal(lambda: train(config, tmp_path / "new", start=finished))  # of a config.yaml that was changed
     assert "actor_body.0.weight has shape (8, " in said
-    assert "need (9, " in said
     assert "keep the settings of its network" in said
     assert not (tmp_path / "new").exists()
 

@@ -21,7 +21,9 @@ from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.scores import PolicyScores, below_bound, study_scores
 from uavaou.reports.training_claims import SMOOTHED, WITHIN
 from uavaou.reports.verdicts import Claim
+from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import HeldError, one_writer
+from uavaou.runs.released import released_names
 from uavaou.studies.condense import gather, refuse_another, update_results
 from uavaou.studies.folder import PartKey, StudyFolder
 from uavaou.studies.marl_eval import to_marl_eval
@@ -159,6 +161,9 @@ def _unfinished(results: StudyResults) -> str:
 def _results(results: StudyResults) -> Iterator[str]:
     """A table for each scenario, the best first."""
     yield _NOTE
+    for name in (name for name in results.planners if name in released_names()):
+        seen = RunFolder.at(name).read_config().algorithm.observation
+        yield f"`{name}` is a released policy, which observes `{seen}` information."
     for scenario, found in study_scores(results).items():
         yield f"## {scenario}\n\n" + table(_HEAD, map(_cells, found))
 

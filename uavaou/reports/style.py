@@ -26,6 +26,7 @@ PNG_DPI = 200
 _LEGEND_ROWS = 3  # that a figure's height allows for
 _LEGEND_ROW_IN = 0.15
 GREY = "#7F7F7F"
+WINE = "#882255"
 LIGHT_GREY = "#DDDDDD"
 
 _RC: Any = {
@@ -76,6 +77,8 @@ _LOOKS = {
     "vdn": Look(ORANGE, "s", "-", "VDN"),
     "qmix": Look(VERMILLION, "D", "-", "QMIX"),
     "iql": Look(PURPLE, "v", "-", "IQL"),
+    "any-map": Look(WINE, "h", "-", "any-map"),
+    "any-map-local": Look(WINE, "H", (0, (4, 1.5)), "any-map-local"),
     "random": Look(GREY, "x", (0, (1, 1.5)), "random"),
     "stay": Look(GREY, "_", (0, (5, 1.5, 1, 1.5)), "stay"),
     "greedy": Look(BLACK, "*", (0, (4, 1.5)), "greedy"),

@@ -73,7 +73,7 @@ def make_policy(name: str, scenario: Scenario, time_limit_s: float | None = None
     """
     if name in PLANNERS:
         return make_planner(name, time_limit_s)
-    if RunFolder.at(name).path.exists():
+    if Path(name).name != name or RunFolder.at(name).path.exists():  # with a path separator it can only be a folder
         return load_runs([name], scenario)[name]
     raise unknown("policy", name, [*released_names(), *PLANNERS])
 
@@ -95,16 +95,18 @@ class Comparison:
         }
 
     def keep(self, runs: Mapping[str, RunConfig]) -> list[str]:
-        """Write ``eval/default.json`` of each run, with the planners beside its policy; returns a note on each.
+        """Write ``eval/default.json`` of each run, with planners and released policies beside its own.
 
-        Released policies are left as they are.
+        The folders of released policies are left as they are. Returns a note on each file.
         """
         contents, notes = self.contents(), []
-        planners = {name: result for name, result in contents.items() if result.action is None}
+        others = {
+            name: result for name, result in contents.items() if name not in runs or RunFolder.at(name).is_released
+        }
         for name, config in runs.items():
             folder = RunFolder.at(name)
             if not folder.is_released:
-                own = own_evaluation(config, contents[name], self.seed, planners)
+                own = own_evaluation(config, contents[name], self.seed, others)
                 notes.append(keep_evaluation(folder.evaluation(), own))
         return notes
 

@@ -36,4 +36,6 @@ def run_path(place: Path | str) -> Path:
 
 def nearest_released(path: Path) -> str:
     """The hint for a run folder that does not exist: the released policy that its name is near to."""
+    if path.name in released_names():
+        return f"; the released policy is named without a path: {path.name}"
     return nearest(path.name, released_names()) if path.parent == Path() else ""

@@ -246,8 +246,8 @@ def write_own_evaluation(folder: RunFolder, config: RunConfig, result: PolicyRes
 
 
 def own_evaluation(
-    config: RunConfig, result: PolicyResult, seed: int = EVALUATION_SEED, planners: Mapping[str, PolicyResult] = {}
+    config: RunConfig, result: PolicyResult, seed: int = EVALUATION_SEED, others: Mapping[str, PolicyResult] = {}
 ) -> EvaluationFile:
-    """The content of a run's ``default.json``: its policy, under the algorithm's name, and planners on its missions."""
-    policies = {config.algorithm.name: result, **planners}
+    """The content of a run's ``default.json``: its policy, under the algorithm's name, and others on its missions."""
+    policies = {config.algorithm.name: result, **others}
     return EvaluationFile(scenario=config.scenario.name, episodes=len(result.mean_aou_s), seed=seed, policies=policies)

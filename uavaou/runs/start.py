@@ -12,11 +12,15 @@ from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
 from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
 from uavaou.family import Family
+from uavaou.fields import short
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
+
+# The settings that the shapes of the weights follow from.
+_OF_THE_NETWORK = ("network", "observation", "collection", "hidden", "mixer_width", "hypernet_width")
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,13 @@ class Start:
         family = scenario if isinstance(scenario, Family) else None
         base = scenario.base if isinstance(scenario, Family) else scenario
         self.config.check_fits(base, str(self.folder))
+        for field in _OF_THE_NETWORK:
+            held, wanted = own.get(field), algorithm.model_dump(mode="json").get(field)
+            if held != wanted:
+                raise InputError(
+                    f"--from {self.folder}: algorithm.{field} = {short(wanted)} does not fit its weights, which were "
+                    f"trained with {short(held)} and fit no other: leave out --set algorithm.{field}"
+                )
         return RunConfig(base, algorithm, seed, family, self.digest)
 
     def load_into(self, model: BaseAlgorithm) -> None:

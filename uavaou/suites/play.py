@@ -227,17 +227,19 @@ def suite_evaluation(
 ) -> SuiteEvaluationFile:
     """The points with their policies, each as in ``eval/default.json``.
 
-    With ``run``, the content of its own file: the points that it flew, itself under its algorithm's name, and the
-    planners. Else all points and policies.
+    With ``run``, the content of its own file: the points that it flew, itself under its algorithm's name, planners and
+    released policies. Else all points and policies.
     """
     points = []
     for point in plan.points:
         here = [result for result in results if result.flown.point is point and not result.refusal]
         own = [result for result in here if run is None or result.flown.run is run]
-        planners = [result for result in here if run is not None and result.flown.run is None]
+        beside = [
+            one for one in here if run is not None and (one.flown.run is None or one.flown.run.folder.is_released)
+        ]
         if not own:
             continue
-        shown = {_policy_key(result, run): result for result in [*own, *planners]}
+        shown = {_policy_key(result, run): result for result in [*own, *beside]}
         how = {name: result.flown.kind for name, result in shown.items()}
         policies = {name: result.played for name, result in shown.items()}
         points.append(SuitePoint(**point.stated.model_dump(exclude={"joined"}), how=how, policies=policies))
