@@ -1,7 +1,6 @@
 """A plan told before take-off: one part of the map for each UAV. It depends on the map alone."""
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from uavaou.arrays import Floats, Ints
 from uavaou.world.compiled import compiled
@@ -21,6 +20,8 @@ def partition(devices: Floats, cds: Floats, radius: Floats) -> Ints:
         cds: (U, 2) in grid steps.
         radius: the coverage (L, U, I) in grid steps, 0 where there is none.
     """
+    from scipy.optimize import linear_sum_assignment  # takes half a second to import, and flat rows have no part
+
     owner = np.empty(devices.shape[:2], dtype=np.int64)  # (L, I)
     for layout, positions in enumerate(devices):
         centres = _k_means(positions, cds)  # (U, 2)
