@@ -17,6 +17,7 @@ LAYERS = (
     "arrays",
     "errors",
     "files",
+    "plain_yaml",
     "zoo",
     "fields",
     "csv_tables",

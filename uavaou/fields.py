@@ -23,8 +23,7 @@ def _plain_number(value: Any) -> Any:
     if isinstance(value, bool):
         raise ValueError("expected a number, not true or false")
     if isinstance(value, str):
-        hint = " (YAML reads 15e3 as text; write 15000 or 1.5e+4)" if "e" in value.lower() else ""
-        raise ValueError(f"expected a number, not text{hint}")
+        raise ValueError("expected a number, not text")
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError("must be a finite number")
     return value

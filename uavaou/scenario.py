@@ -32,7 +32,8 @@ from uavaou.fields import (
     Whole,
     validated,
 )
-from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_names, zoo_or_file, zoo_path
+from uavaou.plain_yaml import to_yaml
+from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_or_file, zoo_path
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 ZETA_TOLERANCE_S = 1e-6  # slack in comparisons of flight times

@@ -1,18 +1,14 @@
-"""The shipped YAML configurations, in the repository or inside the wheel, and reading and writing of YAML."""
+"""The shipped YAML configurations, in the repository or inside the wheel, and the reading of such files."""
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-from yaml.composer import Composer
-
 from uavaou.errors import InputError, nearest
 from uavaou.files import read_text
+from uavaou.plain_yaml import parse_yaml
 
 _MOST_BYTES = 32_000_000
-_MOST_NODES = 1_000_000  # a scenario of 100,000 devices has 700,000
 _PACKAGE = Path(__file__).resolve().parent
 
 
@@ -52,61 +48,13 @@ def zoo_or_file(kind: str, source: str | Path) -> Path:
     return Path(name)
 
 
-class _PlainDumper(yaml.SafeDumper):
-    """Write an object that occurs twice in full both times, without a YAML reference."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-def to_yaml(content: Mapping[str, Any], **style: Any) -> str:
-    """Return the text of a YAML file: fields in their order, no references.
-
-    Args:
-        content: plain values.
-        style: PyYAML's options, such as ``width``.
-    """
-    text: str = yaml.dump(dict(content), Dumper=_PlainDumper, sort_keys=False, **style)
-    return text
-
-
-# libyaml's parser takes a fifth of the time; PyYAML may be built without it. Nodes are composed in Python either way.
-_BASES: Any = (Composer, yaml.CSafeLoader) if yaml.__with_libyaml__ else (yaml.SafeLoader,)
-
-
-class _BoundedLoader(*_BASES):  # type: ignore[misc]
-    """PyYAML's safe loader without aliases, with which a small file could fill the memory."""
-
-    def __init__(self, text: str) -> None:
-        _BASES[-1].__init__(self, text)
-        self.anchors: dict[str, yaml.Node] = {}  # of the composer
-        self._nodes = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        mark = self.peek_event().start_mark
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.composer.ComposerError(None, None, "aliases are not read", mark)
-        self._nodes += 1
-        if self._nodes > _MOST_NODES:
-            raise yaml.composer.ComposerError(None, None, f"more than {_MOST_NODES:,} values", mark)
-        node: yaml.Node | None = super().compose_node(parent, index)
-        return node
-
-
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
     """Read a YAML file that must hold a mapping with string keys.
 
     Raises:
-        InputError: the file cannot be read, is not YAML, or does not hold such a mapping.
+        InputError: the file cannot be read, is no plain YAML, or does not hold such a mapping.
     """
-    text = read_text(path, _MOST_BYTES)
-    try:
-        content = yaml.load(text, _BoundedLoader)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" at line {mark.line + 1}" if mark is not None else ""
-        problem = getattr(error, "problem", None) or "unreadable value"
-        raise InputError(f"{path}: not valid YAML{where}: {problem}") from error
+    content = parse_yaml(read_text(path, _MOST_BYTES), str(path))
     if not isinstance(content, dict):
         found = "nothing" if content is None else type(content).__name__
         raise InputError(f"{path}: expected a mapping of field names to values, found {found}")

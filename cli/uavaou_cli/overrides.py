@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -99,6 +98,9 @@ def _nearest_key(key: str) -> str:
 
 def _changes(part: str, given: Mapping[str, str], fields: Mapping[str, Any]) -> dict[str, Any]:
     """The new values of whole fields, from dotted keys that reach into ``fields``, such as ``bandwidth_hz.low``."""
+    from uavaou.fields import short
+    from uavaou.plain_yaml import parse_yaml
+
     changed = deepcopy(dict(fields))
     for key, text in given.items():
         value: Any = changed
@@ -110,34 +112,5 @@ def _changes(part: str, given: Mapping[str, str], fields: Mapping[str, Any]) -> 
                 hint = nearest(name, value) or f" (known: {', '.join(value)})"
                 raise InputError(f"--set {where}.{name}: {where} has no '{name}'{hint}")
             inside, value, where = value, value[name], f"{where}.{name}"
-        inside[name] = parse_value(text)
+        inside[name] = parse_yaml(text, f"--set {where} = {short(text)}")
     return {field: changed[field] for field in (key.split(".")[0] for key in given)}
-
-
-def parse_value(text: str) -> Any:
-    """Read a value as a person means it: a number as Python reads it (``1e-4``), else YAML, else the text itself."""
-    import yaml
-
-    number = _number_or_text(text)
-    if number is not text:
-        return number
-    try:
-        return _with_numbers(yaml.safe_load(text))
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return text
-
-
-def _with_numbers(value: Any) -> Any:
-    """YAML reads ``1e-4`` as text, inside lists and mappings too."""
-    if isinstance(value, dict):
-        return {key: _with_numbers(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_with_numbers(inner) for inner in value]
-    return _number_or_text(value) if isinstance(value, str) else value
-
-
-def _number_or_text(text: str) -> int | float | str:
-    for kind in (int, float):
-        with suppress(ValueError):
-            return kind(text)
-    return text

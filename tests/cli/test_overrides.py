@@ -2,29 +2,7 @@
 
 from __future__ import annotations
 
-import pytest
-
-from uavaou_cli.overrides import parse_overrides, parse_value
-
-
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("7", 7),
-        ("1e-4", 1e-4),
-        ("-2.5", -2.5),
-        ("true", True),
-        ("rician", "rician"),
-        ("none", "none"),
-        ("[1e1, 2, [x]]", [10.0, 2, ["x"]]),
-        ("{low: 15e3, high: 20000}", {"low": 15000.0, "high": 20000}),
-        ("[unclosed", "[unclosed"),
-    ],
-)
-def test_values_read_as_a_person_means_them(text: str, value: object) -> None:
-    read = parse_value(text)
-    assert read == value
-    assert type(read) is type(value)
+from uavaou_cli.overrides import parse_overrides
 
 
 def test_overrides_reach_into_ranges_and_leave_the_rest() -> None:

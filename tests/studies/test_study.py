@@ -27,7 +27,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"seeds": [2**32]}, "4294967295"),
     ({"slots": 0}, "slots = 0"),
     ({"slots": None}, "leave it out"),
-    ({"slots": "3e6"}, "expected a number, not text"),
+    ({"slots": "three million"}, "expected a number, not text"),
     ({"scenarios": []}, "scenarios"),
     ({"scenarios": "tiny"}, "scenarios = 'tiny': expected a list, such as [paper, tiny]"),
     ({"scenarios": {"tiny": {}}}, "scenarios = {'tiny': {}}: expected a list"),

@@ -22,11 +22,12 @@ from uavaou.errors import InputError
 from uavaou.family import Family
 from uavaou.fields import Number, PositiveWhole, Whole, reads_schema, short, validated
 from uavaou.files import PathIn, read_json, refuse_links
+from uavaou.plain_yaml import to_yaml
 from uavaou.runs.lock import LOCK
 from uavaou.runs.released import nearest_released, released_folder, run_path
 from uavaou.scenario import Scenario
 from uavaou.world.entities import make_views
-from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_names, zoo_path
+from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 SCHEMA = 1
 _LONGEST_NAME = 120

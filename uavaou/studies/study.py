@@ -19,12 +19,13 @@ from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, nearest, unknown
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED, MOST_EPISODES
 from uavaou.fields import Positive, PositiveWhole, short, validated
+from uavaou.plain_yaml import to_yaml
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.studies.folder import ANNEALED, BOUND, PartKey
-from uavaou.zoo import read_yaml_mapping, to_yaml, zoo_or_file
+from uavaou.zoo import read_yaml_mapping, zoo_or_file
 
 SCHEMA = 1  # of study.yaml
 JUDGED = ("mappo", "vdn", "qmix")  # the variants that the paper's claims are about

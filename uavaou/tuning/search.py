@@ -16,10 +16,11 @@ from uavaou.csv_tables import write_csv
 from uavaou.errors import InputError
 from uavaou.fields import Positive, PositiveWhole, validated
 from uavaou.files import PathIn, write_text, writing
+from uavaou.plain_yaml import to_yaml
 from uavaou.runs.folder import ConfigFile, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.tuning.search_space import SearchSpace
-from uavaou.zoo import read_yaml_mapping, to_yaml
+from uavaou.zoo import read_yaml_mapping
 
 SCHEMA = 1
 REPORTS = 10  # evaluations of a trial, at equal fractions of its budget
