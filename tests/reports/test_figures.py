@@ -14,7 +14,6 @@ import yaml
 from matplotlib.image import imread
 
 from tests.synthetic_study import MAPPO, SLOT_S, K, Variant, record, write_study
-from uavaou.reports import style
 from uavaou.reports.figures import _line, _over_time, plot_study
 from uavaou.reports.scores import best_planner, comparable, in_all_scenarios
 from uavaou.studies.results import read_study
@@ -208,14 +207,6 @@ def test_scores_of_scenarios_without_ages_stay_in_slots(tmp_path: Path) -> None:
     shared, unit = comparable(alone, still)
     assert unit == "slots"
     assert not np.any(shared["mappo"]["a"])
-
-
-def test_variants_keep_their_algorithms_colour() -> None:
-    looks = style.looks(["mappo", "big", "small vdn"], {"big": "mappo", "mappo": "mappo", "small vdn": "vdn"})
-    assert looks["big"].colour == looks["mappo"].colour
-    assert looks["mappo"].dash == "-"
-    assert looks["big"].dash != "-"
-    assert [looks[name].label for name in ("mappo", "big", "small vdn")] == ["MAPPO", "big", "small vdn"]
 
 
 def test_references(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Pictures of one mission, frames, and the look of every figure."""
+"""Pictures of one mission, and frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from matplotlib.image import imread
 
 from uavaou.envs.map import FRAME_SHAPE, render_frame
 from uavaou.evaluation.recorded_mission import Recording
-from uavaou.reports import style
 from uavaou.reports.mission_figures import plot_trajectories
 from uavaou.scenario import Scenario
 from uavaou.world import World
@@ -71,34 +70,3 @@ def test_frame_shows_the_mission() -> None:
     assert after.dtype == np.uint8
     assert (before != after).any()
     np.testing.assert_array_equal(after, again)
-
-
-# -- style ---------------------------------------------------------------------------------------------
-
-
-def test_an_algorithm_looks_the_same_in_every_company() -> None:
-    alone = style.looks(["mappo"])["mappo"]
-    together = style.looks(["vdn", "mappo", "mappo+gamma=0.9", "novel"])
-    assert together["mappo"] == alone
-    assert together["mappo+gamma=0.9"].colour == alone.colour
-    assert together["mappo+gamma=0.9"].dash != alone.dash
-    assert len({together[name].colour for name in ("mappo", "vdn", "novel")}) == 3
-
-
-def test_many_variants_of_one_algorithm_have_colours_of_their_own() -> None:
-    variants = {"published": "mappo", **{f"variant {number}": "mappo" for number in range(4)}}
-    looks = style.looks([*variants, "greedy"], variants)
-    assert len({look.colour for look in looks.values()}) == 6
-    assert looks["published"] == style.looks(["published"], variants)["published"]  # the first keeps the algorithm's
-
-
-def test_the_same_figure_gives_the_same_bytes(tmp_path: Path) -> None:
-    written = []
-    for folder in ("one", "two"):
-        with style.house_style():
-            figure, axes = style.new_axes(height_in=2.5)
-            axes.plot([1, 2, 3], label="$x$")
-            axes.legend()
-            written.append([path.read_bytes() for path in style.save(figure, tmp_path / folder, "line")])
-    assert written[0] == written[1]
-    assert not any(b"CreationDate" in content for content in written[0])

@@ -1,6 +1,7 @@
 """A study's policies over all its scenarios: interquartile means, probability of improvement, performance profiles."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -114,11 +115,12 @@ def _profile_figure(scores: Scores, unit: str, looks: Looks, note: str) -> Figur
         else np.linspace(low - margin, high + margin, _THRESHOLDS)
     )
     figure, axes = style.new_axes(height_in=3.0)
-    for name, tables in scores.items():
+    for turn, (name, tables) in enumerate(scores.items()):
         share, bottom, top = performance_profile(tables, thresholds)
         look = looks[name]
+        marks: Any = {"marker": look.marker, "markevery": (0.02 + 0.05 * (turn % 4), 0.2)}  # of the axes' diagonal
         axes.fill_between(thresholds, bottom, top, color=look.colour, alpha=0.18, linewidth=0)
-        axes.plot(thresholds, share, color=look.colour, linestyle=look.dash, label=look.label)
+        axes.plot(thresholds, share, color=look.colour, linestyle=look.dash, label=look.label, **marks)
     if wide:
         axes.set_xscale("log")
         style.label_log_axis(axes.xaxis, low, high)

@@ -16,6 +16,7 @@ from uavaou.statistics import Band, Interval
 Looks = Mapping[str, style.Look]
 
 OVER_MISSIONS = "95 % interval over missions"
+_MOST_IN_A_COLUMN = 8  # groups of markers side by side at each period
 _STEPS = [1, 2, 5, 10]  # ticks at multiples that are easy to read
 
 
@@ -64,15 +65,14 @@ def measure_figure(
     sign = -1.0 if measure.mirrored else 1.0
     alike = len({line.seeds for line in lines.values()}) == 1  # the legend's title then gives the number
     alpha = _band_alpha(lines)
-    for name, line in lines.items():
+    for turn, (name, line) in enumerate(lines.items()):
         seeds = "" if alike else f" ({line.seeds} seed{'s' if line.seeds > 1 else ''})"
-        marks: dict[str, Any] = {"marker": looks[name].marker, "markevery": max(1, len(line.x) // 8)}
-        _draw_line(axes, line, sign, looks[name], looks[name].label + seeds, alpha, **marks)
+        _draw_line(axes, line, sign, looks[name], looks[name].entry + seeds, alpha, **_marks(looks[name], line, turn))
     for name, level in levels.items():
         look = looks[name]
         if np.isfinite(level.low):
             axes.axhspan(sign * level.low, sign * level.high, color=look.colour, alpha=0.15, linewidth=0)
-        axes.axhline(sign * level.value, color=look.colour, linestyle=look.dash, linewidth=1.0, label=look.label)
+        axes.axhline(sign * level.value, color=look.colour, linestyle=look.dash, linewidth=1.0, label=look.entry)
     shown = [line.y.value for line in lines.values()] + [np.array([level.value]) for level in levels.values()]
     _scale_y(axes, sign * np.concatenate(shown), measure.log, "\N{MINUS SIGN}" if measure.mirrored else "")
     axes.set_ylabel(measure.label)
@@ -82,12 +82,20 @@ def measure_figure(
     if measure.mirrored:
         axes.invert_yaxis()
     axes.set_xlim(left=0)
+    ends = [(looks[name], line.x[-1], sign * line.y.value[-1]) for name, line in lines.items()]
+    style.tag_ends(figure, axes, ends + [(looks[name], np.inf, sign * level.value) for name, level in levels.items()])
     return figure, axes
 
 
 def _band_alpha(lines: Mapping[str, Line]) -> float:
     """Many bands on top of one another must not hide the lines."""
     return 0.18 if len(lines) < 5 else 0.09
+
+
+def _marks(look: style.Look, line: Line, turn: int) -> dict[str, Any]:
+    """About eight markers on a line, at other points than those of the lines before and after it."""
+    every = max(1, len(line.x) // 8)
+    return {"marker": look.marker, "markevery": (turn * every // 4 % every, every)}
 
 
 def _draw_line(axes: Axes, line: Line, sign: float, look: style.Look, label: str, alpha: float, **marks: Any) -> None:
@@ -133,12 +141,13 @@ def time_unit(longest_s: float) -> tuple[str, float]:
 def execution_figure(lines: Mapping[str, Line], looks: Looks, slot_length_s: float) -> tuple[Figure, Axes]:
     """Figure 7: AoU over the slots of a mission; the caller adds the legend."""
     figure, axes = style.new_axes(height_in=3.0)
-    for name, line in lines.items():
-        width = 0.8 if style.is_planner(name) else 1.2
-        _draw_line(axes, line, 1.0, looks[name], looks[name].label, _band_alpha(lines), linewidth=width)
+    for turn, (name, line) in enumerate(lines.items()):
+        width, look = 0.8 if style.is_planner(name) else 1.2, looks[name]
+        _draw_line(axes, line, 1.0, look, look.entry, _band_alpha(lines), linewidth=width, **_marks(look, line, turn))
     slots = max(float(line.x[-1]) for line in lines.values())
     axes.set(xlabel="slot $t$ of the mission", ylabel="AoU (slots)", xlim=(0, slots))
     _scale_y(axes, np.concatenate([line.y.value for line in lines.values()]), log=True)
+    style.tag_ends(figure, axes, [(looks[name], line.x[-1], line.y.value[-1]) for name, line in lines.items()])
     unit, seconds = time_unit(slots * slot_length_s)
     _axis_above(axes, slot_length_s / seconds, f"mission time ({unit})")
     return figure, axes
@@ -146,7 +155,8 @@ def execution_figure(lines: Mapping[str, Line], looks: Looks, slot_length_s: flo
 
 def period_figure(groups: Mapping[str, ByPeriod], looks: Looks) -> tuple[Figure, Axes]:
     """Figure 8: communications of a device against its generation period; the caller adds the legend."""
-    figure, axes = style.new_axes(height_in=2.7)
+    width = style.COLUMN_WIDTH_IN if len(groups) <= _MOST_IN_A_COLUMN else style.PAGE_WIDTH_IN
+    figure, axes = style.new_axes(2.7, width)
     apart = min(0.16, 0.7 / len(groups))
     for turn, (name, group) in enumerate(groups.items()):
         _draw_by_period(axes, group, (turn - (len(groups) - 1) / 2) * apart, looks[name])

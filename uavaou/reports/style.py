@@ -1,9 +1,10 @@
 """The style of every figure: sizes, fonts, a colour and a marker for each algorithm, reproducible files."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,8 +16,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import ArrayLike
+from scipy.optimize import isotonic_regression
 
-from uavaou.envs.map import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, YELLOW
+from uavaou.envs.map import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from uavaou.files import replacing, writing
 from uavaou.planners import PLANNERS
 
@@ -69,6 +71,12 @@ class Look:
     marker: str
     dash: Any  # a matplotlib line style
     label: str
+    tag: str = ""  # stands at the end of the line: the label, or a number where labels are long
+
+    @property
+    def entry(self) -> str:
+        """The text in the legend of a figure with tags."""
+        return self.label if self.tag in ("", self.label) else f"{self.tag}  {self.label}"
 
 
 _LOOKS = {
@@ -87,11 +95,19 @@ _LOOKS = {
     "rolling": Look(BLACK, "p", (0, (2.5, 1)), "rolling"),
     "bound": Look(BLACK, "", (0, (1, 1.5)), "lower bound"),
 }
-_SPARE_COLOURS = (GREEN, PURPLE, BLACK, SKY, ORANGE, VERMILLION, BLUE)
-_SPARE_MARKERS = ("X", "p", "<", ">", "d", "8", "1")
-_MOST_OF_ONE_COLOUR = 3  # variants of one algorithm
-_VARIANT_COLOURS = (VERMILLION, ORANGE, PURPLE, GREEN, SKY, YELLOW, GREY, BLACK)
-_VARIANT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (5, 1.2, 1, 1.2)), (0, (1.2, 1)))
+# Of variants and of unknown algorithms, light and dark in turn, so that neighbours differ in grey too.
+_COLOURS = (
+    ORANGE, "#882255", SKY, "#332288", VERMILLION, "#14532D", "#999933", "#AA4499", GREEN, "#7A4A12", PURPLE, BLACK,
+    "#B79CED", GREY,
+)  # fmt: skip
+_MARKERS = ("s", "^", "X", "v", "P", "<", "D", ">", "p", "*", "h", "d", "8", "H", "o", "x", "1", "2", "3", "4")
+_DASHES: tuple[Any, ...] = (
+    (0, (4, 1.2)), "-", (0, (1.2, 1)), (0, (5, 1.2, 1, 1.2)), (0, (8, 1.5)), (0, (5, 1.2, 1, 1.2, 1, 1.2)),
+)  # fmt: skip
+_LONGEST_TAG = 14  # characters that have room beside the axes
+_TAG_STEP_IN = 0.105  # from one tag to the next
+_LEADER: dict[str, Any] = {"arrowstyle": "-", "linewidth": 0.5, "shrinkA": 0, "shrinkB": 0, "relpos": (0, 0.5)}
+_TAGGED_AXES_IN = 1.4  # height of axes with tags, about
 
 
 def base_name(name: str) -> str:
@@ -107,9 +123,9 @@ def is_planner(name: str) -> bool:
 def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> dict[str, Look]:
     """Give every name a look, the known algorithms always the same one.
 
-    Up to three variants of one algorithm (``mappo+gamma=0.9``) share its colour and differ in dashes and markers; more
-    of them also get colours that no other algorithm there has. Overrides are shown where there are several variants.
-    Unknown algorithms take spare colours in alphabetical order.
+    The first variant of an algorithm has the algorithm's look. Every other one (``mappo+gamma=0.9``), and every unknown
+    algorithm, has a colour, a marker and a dash that no other name there has; beyond a dozen, colours repeat with
+    another dash and another marker. Overrides are shown where there are several variants.
 
     Args:
         names: of algorithms, their variants, planners.
@@ -119,31 +135,41 @@ def looks(names: Iterable[str], algorithms: Mapping[str, str] | None = None) -> 
     stated = {name: base for name, base in (algorithms or {}).items() if name != base}
     bases = {name: base_name(stated.get(name, name)) for name in sorted(set(names))}
     order = list(stated)  # the study's; an algorithm itself comes before its variants and has the solid line
-    ordered = sorted(bases, key=lambda name: (order.index(name) + 1 if name in stated else 0, name))
+    rank = {name: order.index(name) + 1 if name in stated else 0 for name in bases}
+    ordered = sorted(bases, key=lambda name: (is_planner(name) or name == "bound", rank[name], name))
     counts = Counter(bases.values())
-    taken = {_LOOKS[base].colour for base in counts if base in _LOOKS}
-    free = [colour for colour in _VARIANT_COLOURS if colour not in taken]
-    known = _LOOKS | {base: _spare(turn, base) for turn, base in enumerate(sorted(counts.keys() - _LOOKS.keys()))}
-    given: dict[str, Look] = {}
-    variants: Counter[str] = Counter()
+    present = [_LOOKS[base] for base in counts if base in _LOOKS]
+    spare, given = _spare_looks({look.colour for look in present}, {look.marker for look in present}), {}
+    drawn: set[str] = set()
     for name in ordered:
         base = bases[name]
-        look, turn = known[base], variants[base]
-        variants[base] += 1
-        if turn:
-            marker = _SPARE_MARKERS[(turn - 1) % len(_SPARE_MARKERS)]
-            colour = free[(turn - 1) % len(free)] if free and counts[base] > _MOST_OF_ONE_COLOUR else look.colour
-            look = replace(look, colour=colour, dash=_VARIANT_DASHES[turn % len(_VARIANT_DASHES)], marker=marker)
+        first = base in _LOOKS and base not in drawn
+        drawn.add(base)
+        look = _LOOKS[base] if first else next(spare)
         overrides = "" if counts[base] == 1 else name.partition("+")[2]
-        label = name if name in stated else look.label + (f" {overrides}" if overrides else "")
+        label = name if name in stated else _LOOKS[base].label if base in _LOOKS else base
+        label += f" {overrides}" if overrides and name not in stated else ""
         given[name] = replace(look, label=label.replace("$", "\\$"))  # of a name, not the beginning of a formula
-    return given
+    return _with_tags(given)
 
 
-def _spare(turn: int, label: str) -> Look:
-    """The look of an unknown algorithm."""
-    again, place = divmod(turn, len(_SPARE_COLOURS))  # there are as many markers
-    return Look(_SPARE_COLOURS[place], _SPARE_MARKERS[place], _VARIANT_DASHES[again % len(_VARIANT_DASHES)], label)
+def _spare_looks(colours: set[str], markers: set[str]) -> Iterator[Look]:
+    """Looks without a label that use neither the ``colours`` nor the ``markers``."""
+    free_colours = [colour for colour in _COLOURS if colour not in colours]
+    free_markers = [marker for marker in _MARKERS if marker not in markers]
+    for turn in count():
+        again, place = divmod(turn, len(free_colours))
+        dash = _DASHES[(turn + again) % len(_DASHES)]
+        yield Look(free_colours[place], free_markers[turn % len(free_markers)], dash, "")
+
+
+def _with_tags(given: Mapping[str, Look]) -> dict[str, Look]:
+    """The looks with their tags: numbers if one label is too long for the room beside the axes."""
+    long = any(len(look.label) > _LONGEST_TAG for look in given.values())
+    return {
+        name: replace(look, tag=str(number) if long else look.label)
+        for number, (name, look) in enumerate(given.items(), start=1)
+    }
 
 
 @contextmanager
@@ -164,9 +190,9 @@ def new_figure(
     return figure
 
 
-def new_axes(height_in: float) -> tuple[Figure, Axes]:
-    """A figure of a column's width with one set of axes."""
-    figure = new_figure(height_in)
+def new_axes(height_in: float, width_in: float = COLUMN_WIDTH_IN) -> tuple[Figure, Axes]:
+    """A figure, of a column's width unless said otherwise, with one set of axes."""
+    figure = new_figure(height_in, width_in=width_in)
     return figure, figure.add_subplot()
 
 
@@ -203,6 +229,34 @@ def legend_below(figure: Figure, axes: Axes, title: str) -> None:
     rows = -(-len(labels) // columns)
     figure.set_figheight(figure.get_figheight() + _LEGEND_ROW_IN * max(0, rows - _LEGEND_ROWS))
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, title=title)
+
+
+def tag_ends(figure: Figure, axes: Axes, ends: Sequence[tuple[Look, float, float]]) -> None:
+    """Write each line's tag to the right of the axes, near the line's end, without an overlap.
+
+    Call this when the limits of the axes are final. The figure grows where the tags need more room than the axes have.
+
+    Args:
+        figure, axes: with the lines.
+        ends: the look of each line, and x and y of its last point; an infinite x is the right edge.
+    """
+    right = axes.get_xlim()[1]
+    points = np.array([(min(x, right), y) for _, x, y in ends])  # (n, 2)
+    heights = axes.transAxes.inverted().transform(axes.transData.transform(points))[:, 1]  # (n,) of the axes
+    shown = np.isfinite(heights)  # a logarithmic axis has no 0
+    drawn, points, heights = [ends[place][0] for place in np.flatnonzero(shown).tolist()], points[shown], heights[shown]
+    more = max(0.0, _TAG_STEP_IN * len(drawn) - _TAGGED_AXES_IN)
+    figure.set_figheight(figure.get_figheight() + more)
+    step = _TAG_STEP_IN / (_TAGGED_AXES_IN + more)
+    order = np.argsort(heights, kind="stable")
+    room = step * np.arange(len(drawn))  # the least height of each tag above the lowest
+    highest = max(0.0, 1 - step * (len(drawn) - 1))  # of the lowest tag
+    apart = isotonic_regression(heights[order].clip(0, 1) - room).x.clip(0, highest) + room
+    for place, height in zip(order, apart, strict=True):
+        axes.annotate(
+            drawn[place].tag, points[place], (1.035, height), textcoords="axes fraction", fontsize=6.5, va="center",
+            annotation_clip=False, arrowprops=_LEADER | {"color": drawn[place].colour},
+        )  # fmt: skip
 
 
 def log_scale_if_wide(axes: Axes, values: ArrayLike, sign: str = "") -> bool:

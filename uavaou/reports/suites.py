@@ -110,12 +110,14 @@ def _figure(table: SuiteTable) -> Figure:
     looks = style.looks(policies)
     budgets = _budget_lines(table, looks)
     figure, axes = style.new_axes(height_in=3.0 + _LINE_IN * len(budgets))
-    places = _places(table)
+    places, ends = _places(table), []
     for turn, policy in enumerate(policies):
         rows = [row for row in table.rows if row.policy == policy]
         shift = _SPREAD * ((turn + 0.5) / len(policies) - 0.5) if table.scale == "category" else 0.0
-        _draw_policy(axes, table, places, rows, shift, looks[policy])
+        ends.append((looks[policy], *_draw_policy(axes, table, places, rows, shift, looks[policy])))
     _finish(axes, table, places)
+    if table.scale != "category":
+        style.tag_ends(figure, axes, ends)
     style.legend_below(figure, axes, "\n".join([*_meanings(table), *budgets]))
     return figure
 
@@ -136,7 +138,8 @@ def _places(table: SuiteTable) -> dict[str, float]:
 
 def _draw_policy(
     axes: Axes, table: SuiteTable, places: dict[str, float], rows: Sequence[SuiteRow], shift: float, look: style.Look
-) -> None:
+) -> tuple[float, float]:
+    """Draw the line and the points of a policy; return x and y of its last point."""
     above = 2.0 if rows[0].how == "planner" else 3.0  # whether filled or hollow must be seen
     drawn = {label: found for label in places if (found := [row for row in rows if row.point == label])}
     means = {label: _over_seeds(found) for label, found in drawn.items()}
@@ -147,6 +150,7 @@ def _draw_policy(
             [places[label] for label in along], [means[label].value for label in along],
             color=look.colour, linestyle=look.dash, linewidth=1.0, zorder=above,
         )  # fmt: skip
+    entry = look.label if table.scale == "category" else look.entry
     for label, aou in means.items():
         low = np.maximum(aou.low, 1e-9 * aou.value)  # a logarithmic axis shows no 0
         reach = np.nan_to_num(np.array([[aou.value - low], [aou.high - aou.value]]))  # (2, 1)
@@ -154,8 +158,9 @@ def _draw_policy(
             places[label] + shift, aou.value, yerr=reach, color=look.colour, marker=look.marker, markersize=4,
             markerfacecolor="white" if drawn[label][0].how == "zero-shot" else look.colour,
             linestyle=look.dash if table.scale != "category" else "none", linewidth=1.0, elinewidth=1.0, capsize=1.8,
-            label=look.label if label == next(iter(means)) else None, zorder=above,
+            label=entry if label == next(iter(means)) else None, zorder=above,
         )  # fmt: skip
+    return places[label], aou.value
 
 
 def _over_seeds(rows: Sequence[SuiteRow]) -> Interval:
