@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from tests.scenario_files import refusal, write
 from uavaou.scenario import Scenario
 from uavaou.world.world import World
+from uavaou_cli.overrides import parse_overrides
 
 CSV = "x_m,y_m\n0,0\n50,60\n"
 
@@ -68,6 +70,7 @@ def test_a_map_is_the_same_in_every_resampled_mission(tmp_path: Path) -> None:
         ("x_m,y_m\n0,0\n\n1,zero\n", ["line 4", "y_m"]),
         ("x_m,y_m\n", ["no device"]),
         ("", ["x_m"]),
+        ("root:secret:19000,daemon:x,bin\n", ["no table of devices"]),
         ("x_m,y_m\n0,0\n0,0\n", ["devices_m[1]", "same position", "device 0"]),
         ("x_m,y_m\n0,0\n900,0\n", ["devices_m[1]", "outside"]),
         ("x_m,y_m,update_period_slots\n0,0,1.5\n", ["update_period_slots", "1.5"]),
@@ -81,6 +84,62 @@ def test_maps_that_cannot_be_used(table: str, words: list[str], tmp_path: Path) 
     message = refusal(lambda: with_csv(tmp_path, table)).replace(str(tmp_path), "")
     for word in words:
         assert word in message, message
+
+
+@pytest.mark.parametrize(
+    "named",
+    [
+        "/dev/zero",
+        "/dev/stdin",
+        "/etc/passwd",
+        "../foreign.csv",
+        "link.csv",
+        "circle.csv",
+        "..",
+        "sub/../../foreign.csv",
+    ],
+)
+def test_files_outside_of_the_scenarios_folder_are_not_opened(named: str, tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    (folder / "sub").mkdir(parents=True)
+    write(tmp_path, "root,secret\n0,0\n", "foreign.csv")
+    (folder / "link.csv").symlink_to("../foreign.csv")
+    (folder / "circle.csv").symlink_to("circle.csv")
+    said = refusal(lambda: Scenario.load(write(folder, f"base: tiny\ndevices_csv: {named}\n")))
+    assert "not in the scenario's folder: move it there" in said or named == "circle.csv"
+    assert "secret" not in said
+
+
+def test_a_map_below_the_scenario_may_be_linked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "maps").mkdir()
+    write(tmp_path / "maps", CSV, "far.csv")
+    (tmp_path / "near.csv").symlink_to("maps/far.csv")
+    write(tmp_path, "base: tiny\ndevices_csv: near.csv\n")
+    monkeypatch.chdir(tmp_path)
+    assert Scenario.load("mine.yaml") == Scenario.load(Path("mine.yaml"))
+    assert Scenario.load(tmp_path / "mine.yaml").devices == 2
+
+
+def test_pipes_and_large_files_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "map.csv")
+    path = write(tmp_path, "base: tiny\ndevices_csv: map.csv\n")
+    assert "not a regular file" in refusal(lambda: Scenario.load(path))
+    (tmp_path / "map.csv").unlink()
+    monkeypatch.setattr("uavaou.devices_csv._MOST_BYTES", 10)
+    assert "18 bytes, at most 10 are read" in refusal(lambda: with_csv(tmp_path, CSV))
+
+
+def test_a_map_from_anywhere_by_the_command_line(tmp_path: Path) -> None:
+    path, tiny = write(tmp_path, CSV, "map.csv"), Scenario.load("tiny")
+
+    def changed(*items: str) -> Scenario:
+        return parse_overrides([f"scenario.{item}" for item in items]).of_scenario(tiny)
+
+    wanted = tiny.replace(slots=9, devices=2, devices_m=[(0, 0), (50, 60)])
+    assert changed(f"devices_csv={path}", "slots=9") == wanted
+    assert "holds 2" in refusal(lambda: changed(f"devices_csv={path}", "devices=3"))
+    assert "not both" in refusal(lambda: changed(f"devices_csv={path}", "devices_m=[[0,0]]"))
+    assert "is empty" in refusal(lambda: changed("devices_csv=''"))
 
 
 def test_a_map_that_is_a_folder_or_not_text(tmp_path: Path) -> None:

@@ -22,8 +22,6 @@ from uavaou.errors import InputError
 from uavaou.fields import short
 from uavaou.files import read_text, write_text
 
-_MOST_BYTES = 1_000_000_000
-
 
 @dataclass(frozen=True)
 class CsvTable:
@@ -89,19 +87,23 @@ class CsvTable:
         return InputError(f"{self.path}: line {self.lines[row]}, column '{column}': {short(cell)} is not {expected}")
 
 
-def read_csv(path: Path, columns: Sequence[str] = (), *, exact: bool = False, whole_lines: bool = False) -> CsvTable:
+def read_csv(
+    path: Path, columns: Sequence[str] = (), *, exact: bool = False, whole_lines: bool = False,
+    most_bytes: int = 1_000_000_000,
+) -> CsvTable:  # fmt: skip
     """Read a CSV file.
 
     Args:
-        path: of the file, at most 1 GB.
+        path: of the file.
         columns: that it must have.
         exact: whether it must have these columns alone, in this order.
         whole_lines: whether to leave out a last line without a line end, which an interrupted writer leaves.
+        most_bytes: that are read.
 
     Raises:
         InputError: the file cannot be read, lacks a column, has a column twice, or has a row of another length.
     """
-    text = read_text(path, _MOST_BYTES).removeprefix("\ufeff")
+    text = read_text(path, most_bytes).removeprefix("\ufeff")
     if whole_lines:
         text = text[: text.rfind("\n") + 1]
     reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from uavaou.errors import InputError, nearest
+from uavaou_cli.options import given_path
 
 if TYPE_CHECKING:
     from uavaou.algorithms.config import AlgorithmConfig
@@ -27,8 +28,17 @@ class Overrides:
         Raises:
             InputError: a key is unknown or a value cannot be used.
         """
-        fields = dict.fromkeys(type(base).model_fields) | base.to_dict()
-        return base.replace(**_changes("scenario", self.scenario, fields)) if self.scenario else base
+        if not self.scenario:
+            return base
+        fields = dict.fromkeys((*type(base).model_fields, "devices_csv")) | base.to_dict()
+        changes = _changes("scenario", self.scenario, fields)
+        if "devices_csv" in changes:
+            from uavaou.devices_csv import read_devices
+
+            source = "--set scenario.devices_csv"
+            table = given_path(source, str(changes.pop("devices_csv")))
+            read_devices(table, source, changes, changes.get("devices"))
+        return base.replace(**changes)
 
     def of_algorithm(self, name: str, **usual: Any) -> AlgorithmConfig:
         """The published configuration of an algorithm with its overrides applied.
