@@ -30,6 +30,7 @@ LAYERS = (
     "algorithms",
     "evaluation",
     "runs",
+    "onboard",
     "suites",
     "studies",
     "tuning",

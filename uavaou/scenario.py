@@ -205,6 +205,12 @@ class Scenario(BaseModel):
         """The grid cell (column, row) of each UAV's CDS, shape (U, 2)."""
         return np.rint(np.asarray(self.cds_m, dtype=np.float64) / self.grid_step_m).astype(np.int64)
 
+    @property
+    def longest_update_period(self) -> int:
+        """The longest k_i that a layout can have, in slots."""
+        period = self.update_period_slots
+        return int(period.high if isinstance(period, WholeRange) else np.max(period))
+
     def draw_layout(self, rng: np.random.Generator | None = None) -> Layout:
         """Draw the devices from ``layout_seed``, or from ``rng`` for a mission of ``layout: resample``.
 

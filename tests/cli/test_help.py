@@ -25,7 +25,7 @@ COMMANDS = {
     "plan": "SCENARIO --planner --time-limit --episodes --seed --out --replace --set --quiet",
     "gap": "SCENARIO RUN --time-limit --episodes --seed --set --quiet",
     "audit": "SCENARIO",
-    "export": "RUN --out --format",
+    "export": "RUN --out --format --scenario",
     "scenarios": "",
     "plot": "",
     "plot figures": "RUN --out",

@@ -24,6 +24,7 @@ from uavaou.world.views import (
     RECENT_SLOTS,
     ROW_FORMATS,
     TEAMMATE,
+    Columns,
     RowLayout,
     Rows,
     RowViews,
@@ -74,6 +75,28 @@ def make_views(
     return Views(scenario, observation, collection)
 
 
+def local_columns(uavs: int, devices: int) -> tuple[Columns, ...]:
+    """Return the columns of the local observation of entities, for that many UAVs and devices."""
+    return consecutive(
+        ("own", 1, len(OWN)), ("allowed_moves", MOVES, 1), ("teammates", uavs - 1, _TEAMMATE),
+        ("devices", devices, _DEVICE),
+    )  # fmt: skip
+
+
+def coverage_and_parts(world: World) -> tuple[Floats, Ints]:
+    """Return what a plan tells the UAVs of the map before take-off.
+
+    Returns:
+        The coverage radius by the mean channel, (L, U, I) grid steps: that of :func:`coverage.coverage_radius`, and 0
+        where that is NaN. The UAV whose part of the map each device belongs to, (L, I).
+    """
+    scenario, channel = world.scenario, world.channel
+    headroom = channel.mean_snr_above() / channel.snr_min[:, None, :]  # (L, U, I)
+    radius = scenario.altitudes[:, None] * np.sqrt(np.maximum(headroom - 1.0, 0.0)) / scenario.grid_step_m
+    devices = world.device_positions / scenario.grid_step_m  # (L, I, 2) grid steps
+    return radius, partition(devices, world.flight.cds.astype(np.float64), radius)
+
+
 class EntityViews(RowViews):
     """Views of tokens, float32.
 
@@ -101,10 +124,7 @@ class EntityViews(RowViews):
         uavs, devices = most or own
         if uavs < own[0] or devices < own[1]:
             raise InputError(f"most = {(uavs, devices)}: the scenario has {own[0]} UAVs and {own[1]} devices")
-        local = consecutive(
-            ("own", 1, len(OWN)), ("allowed_moves", MOVES, 1), ("teammates", uavs - 1, _TEAMMATE),
-            ("devices", devices, _DEVICE),
-        )  # fmt: skip
+        local = local_columns(uavs, devices)
         state = consecutive(
             ("mission", 1, len(STATE_MISSION)), ("uavs", uavs, _STATE_UAV), ("devices", devices, _STATE_DEVICE)
         )
@@ -169,13 +189,9 @@ class EntityViews(RowViews):
         if self._placed is world.device_positions:
             return
         self._placed = world.device_positions
-        step = self.scenario.grid_step_m
-        self._devices = world.device_positions / step
+        self._devices = world.device_positions / self.scenario.grid_step_m
         self._middle = self._devices.mean(axis=1)
-        headroom = world.channel.mean_snr_above() / world.channel.snr_min[:, None, :]  # (L, U, I)
-        # The radius of coverage.coverage_radius; where that is NaN, 0.
-        self._radius = self.scenario.altitudes[:, None] * np.sqrt(np.maximum(headroom - 1.0, 0.0)) / step
-        self._part = partition(self._devices, world.flight.cds.astype(np.float64), self._radius)
+        self._radius, self._part = coverage_and_parts(world)
 
 
 @compiled

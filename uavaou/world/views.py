@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import unknown
-from uavaou.scenario import Scenario, WholeRange
+from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STEP_OF_MOVE
 from uavaou.world.world import World
@@ -218,8 +218,7 @@ class Views(RowViews):
         self.layout = RowLayout(uavs, devices, collection, columns, of_state)
         self._area = np.array([scenario.area_x_m, scenario.area_y_m])  # (2,) m
         self._span = max(scenario.area_x_m, scenario.area_y_m)  # m
-        period = scenario.update_period_slots
-        self._longest_period = float(period.high if isinstance(period, WholeRange) else np.max(period))  # slots
+        self._longest_period = float(scenario.longest_update_period)  # slots
         self._ids: Rows = np.eye(uavs, dtype=np.float32)  # (U, U)
         self._others = np.array([[v for v in range(uavs) if v != u] for u in range(uavs)], dtype=np.int64)  # (U, U-1)
 

@@ -21,6 +21,11 @@ class SquareSymmetries:
 
     Args:
         layout: of the rows.
+
+    Attributes:
+        source: the column that each column of a view shows, (8, local).
+        sign: 1, or -1 where the view has the opposite of it, (8, local).
+        move: the move of a view that is each move of the row, (8, 5).
     """
 
     def __init__(self, layout: RowLayout) -> None:
@@ -42,11 +47,11 @@ class SquareSymmetries:
             move = th.tensor([seen.index((dx, dy)) for dx, dy in steps])  # (5,)
             source[moves] = moves.start + move
             views.append((source, sign, move.argsort()))
-        self._source, self._sign, self._move = (th.stack(part) for part in zip(*views, strict=True))
+        self.source, self.sign, self.move = (th.stack(part) for part in zip(*views, strict=True))
 
     def mean(self, network: Callable[[th.Tensor], th.Tensor], rows: th.Tensor) -> th.Tensor:
         """Return the network's outputs (B, 5 + ...) for ``rows`` (B, local), averaged; the first five are of moves."""
-        source, sign, move = (part.to(rows.device) for part in (self._source, self._sign, self._move))
+        source, sign, move = (part.to(rows.device) for part in (self.source, self.sign, self.move))
         means = []
         for part in th.split(rows, _ROWS):
             seen = (part[:, source] * sign).flatten(0, 1)  # (B * 8, local)

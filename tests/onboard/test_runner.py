@@ -1,0 +1,164 @@
+"""The runner makes of what a UAV measures the rows that uavaou makes, and flies as `uavaou eval` does."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.onboard.policies import QUICK, lively
+from uavaou import World
+from uavaou.onboard.export import FILES, inputs_of, write_policy
+from uavaou.onboard.runner import Pilot
+from uavaou.runs.policy import TrainedPolicy
+
+SCENARIO = QUICK.replace(slots=60, flight_time_budget_s=140.0)  # shorter than the slots: the budget binds
+
+
+class Listening:
+    """A session that keeps what it is given."""
+
+    def __init__(self, session: Any) -> None:
+        self.session = session
+
+    def run(self, names: None, rows: dict[str, Any]) -> Any:
+        self.rows = rows
+        return self.session.run(names, rows)
+
+
+def fly(trained: TrainedPolicy, pilots: list[Pilot]) -> list[list[int]]:
+    """Play a mission by the pilots, each of which is told what its UAV measures; the moves made in each slot."""
+    world = World(trained.views.scenario, 1, seed=3)
+    trained.reset(world, 3)
+    for pilot in pilots:
+        pilot.session = Listening(pilot.session)
+    made = []
+    while not world.done:
+        at, local = world.positions[0], trained.local_rows(world)
+        others = [np.delete(at, pilot.uav, axis=0) if pilot.shared else () for pilot in pilots]
+        decided = [pilot.decide(at[pilot.uav], world.in_range[0, pilot.uav], others[pilot.uav]) for pilot in pilots]
+        for name, rows in inputs_of(local, trained.views.layout).items():
+            np.testing.assert_allclose([pilot.session.rows[name][0] for pilot in pilots], rows, atol=1e-6, rtol=1e-6)
+        moves, selections = trained.act(world)
+        wanted = world.flight.resolve(moves, world.cells, world.allowed_moves, world._on_grid)[0]
+        if pilots[0].action == "greedy":
+            assert [move for move, _, _ in decided] == wanted.tolist()
+            chosen = world.in_range if selections is None else selections & world.in_range
+            np.testing.assert_array_equal([selected for _, _, selected in decided], chosen[0])
+        moves = np.array([[move for move, _, _ in decided]])
+        world.step(moves, np.array([[selected for _, _, selected in decided]]))
+        assert world.stepped is not None
+        made.append(moves[0].tolist())
+        for pilot in pilots:
+            collected_by = world.stepped.association.collected_by[0]
+            own = np.where(collected_by == pilot.uav, collected_by, -1)
+            pilot.end_slot(collected_by if pilot.shared else own)
+        if not world.done:
+            np.testing.assert_allclose([waypoint for _, waypoint, _ in decided], world.positions[0])
+    assert all(pilot.done for pilot in pilots)
+    return made
+
+
+def pilots_of(trained: TrainedPolicy, folder: Path, **options: Any) -> list[Pilot]:
+    exported = write_policy(trained, "mine", folder)
+    assert [path.name for path in exported.files] == list(FILES)
+    assert exported.same == exported.rows > 400
+    return [Pilot(folder, uav, **options) for uav in range(trained.views.scenario.uavs)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("collection", ["auto", "select"])
+@pytest.mark.parametrize("network", ["mlp", "set"])
+@pytest.mark.parametrize("observation", ["local", "shared"])
+def test_it_flies_as_the_policy(network: str, observation: str, collection: str, tmp_path: Path) -> None:
+    trained = lively(scenario=SCENARIO, network=network, observation=observation, collection=collection)
+    made = fly(trained, pilots_of(trained, tmp_path))
+    assert len({move for moves in made for move in moves}) >= 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"observation": "location", "collection": "auto"},  # without masks in the row
+        {"masks": False},
+        {"algorithm": "vdn", "network": "set", "observation": "shared"},
+    ],
+)
+def test_it_flies_as_other_policies(settings: dict[str, Any], tmp_path: Path) -> None:
+    trained = lively(scenario=SCENARIO, **settings)
+    fly(trained, pilots_of(trained, tmp_path))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["mappo", "vdn"])
+def test_it_samples_as_the_policy(algorithm: str, tmp_path: Path) -> None:
+    trained = lively(algorithm, SCENARIO, "sample")
+    policy: Any = trained.model.policy
+    if algorithm == "vdn":
+        policy.epsilon.fill_(0.5)
+    (pilot, _) = pilots_of(trained, tmp_path)
+    assert pilot.action == "sample"
+    world = World(SCENARIO, 1500, seed=1)  # all in the first slot, where the fading alone differs
+    world.in_range[:] = world.in_range[0]
+    world.slot = 2
+    trained.reset(world, 0)
+    moves, selections = trained.act(world)
+    pilot.slot, drawn = 2, []
+    for _ in range(1500):
+        pilot.flown = 0
+        drawn.append(pilot.decide(world.positions[0, 0], world.in_range[0, 0]))
+    expected = np.bincount(moves[:, 0], minlength=5) / 1500
+    assert (expected > 0.05).sum() > 1
+    np.testing.assert_allclose(np.bincount([move for move, _, _ in drawn], minlength=5) / 1500, expected, atol=0.06)
+    assert selections is not None
+    chosen = selections[:, 0] & world.in_range[:, 0]
+    np.testing.assert_allclose(np.mean([each for _, _, each in drawn], axis=0), chosen.mean(axis=0), atol=0.06)
+
+
+@pytest.mark.slow
+def test_it_needs_neither_torch_nor_uavaou(tmp_path: Path) -> None:
+    write_policy(lively(network="set"), "mine", tmp_path)
+    code = (
+        "import sys, runner\n"
+        "pilot = runner.Pilot('.', 1)\n"
+        "print(pilot.decide([400, 400], [False] * 8)[0])\n"
+        "pilot.end_slot([-1] * 8)\n"
+        "print([name for name in ('torch', 'uavaou', 'onnx', 'scipy') if name in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    move, absent = run.stdout.splitlines()
+    assert (int(move) in range(5), absent) == (True, "[]")
+
+
+def test_its_file_imports_two_packages() -> None:
+    import ast
+
+    from uavaou.onboard import runner
+
+    tree = ast.parse(Path(runner.__file__).read_text(encoding="utf-8"))
+    modules = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    modules |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    assert modules == {"json", "pathlib", "typing", "numpy", "onnxruntime"}
+
+
+@pytest.mark.parametrize("rows", ["flat", "entities"])
+@pytest.mark.parametrize("observation", ["local", "shared"])
+def test_the_json_describes_every_column(rows: str, observation: str) -> None:
+    from uavaou.onboard.columns import SOURCES, describe_inputs
+    from uavaou.world.entities import make_views
+
+    layout = make_views(QUICK, observation, "auto", rows).layout
+    inputs = describe_inputs(layout, observation)
+    assert json.loads(json.dumps(inputs)) == inputs
+    assert list(inputs) == (["local"] if rows == "flat" else [columns.name for columns in layout.local])
+    for described in inputs.values():
+        assert sum(column["size"] for column in described["columns"].values()) == described["shape"][-1]
+        assert {column["from"] for column in described["columns"].values()} <= set(SOURCES)
+    by_radio = [column for each in inputs.values() for column in each["columns"].values() if column["from"] == "radio"]
+    assert bool(by_radio) == (observation == "shared")

@@ -1,0 +1,204 @@
+"""Take a policy along: a folder with its graph, what its numbers mean, the map, and a runner.
+
+The folder holds ``policy.onnx`` (:mod:`uavaou.onboard.graph`), ``policy.json`` (inputs, outputs, rule of the action),
+``mission.json`` (what is told before take-off) and ``runner.py`` (:mod:`uavaou.onboard.runner`, as it is).
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+
+from uavaou import __version__
+from uavaou.errors import InputError
+from uavaou.evaluation.seeds import EVALUATION_SEED
+from uavaou.files import replacing, write_text, writing
+from uavaou.onboard import runner
+from uavaou.onboard.columns import NOTATION, SOURCES, describe_inputs
+from uavaou.runs.folder import RunFolder
+from uavaou.runs.policy import TrainedPolicy, load_run
+from uavaou.scenario import Scenario
+from uavaou.world import World
+from uavaou.world.entities import coverage_and_parts
+from uavaou.world.views import RowLayout, Rows
+
+SCHEMA = 1
+FILES = ("policy.onnx", "policy.json", "mission.json", "runner.py")
+_MISSIONS, _SLOTS = 8, 60  # of the comparison with torch: the first slots of as many missions
+_LEAST_SAME = 0.99  # of its rows; where two logits are equal but for rounding, either may win
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What :func:`export_onnx` has written, and how it compares with the policy in torch."""
+
+    files: list[Path]
+    rows: int  # compared
+    same: int  # of them with the same action
+
+
+def export_onnx(run: RunFolder | Path | str, folder: Path, scenario: Scenario | Path | str | None = None) -> Exported:
+    """Write the best policy of a run for a computer on board.
+
+    Args:
+        run: the run's folder, or the name of a released policy.
+        folder: to write to; files of these names are replaced, others stay.
+        scenario: the map of ``mission.json``, which the policy must fit; None for the one trained on.
+
+    Raises:
+        InputError: the run cannot be loaded, does not fit the scenario, or :func:`write_policy` refuses it.
+    """
+    run = RunFolder.at(run)
+    name = str(run) if run.is_released else "/".join(run.path.parts[-3:])
+    return write_policy(load_run(run, scenario), name, folder)
+
+
+def write_policy(trained: TrainedPolicy, name: str, folder: Path) -> Exported:
+    """Write the four files of a policy called ``name``, for the scenario that its views are of.
+
+    Raises:
+        InputError: ONNX is not installed, the policy has networks of its own, the scenario draws its devices anew for
+            each mission, or the files cannot be written.
+    """
+    from uavaou.onboard.graph import make_graph  # needs onnx, which is optional
+
+    flown, policy = trained.views.scenario, trained.model.policy
+    if flown.layout == "resample":
+        raise InputError(
+            f"scenario '{flown.name}' draws its devices anew for each mission (layout: resample): name the map to fly "
+            "with --scenario"
+        )
+    graph = make_graph(policy)
+    rows, same = compare(graph, trained)
+    if same < _LEAST_SAME * rows:
+        raise InputError(f"'{name}': its policy acts otherwise than its networks ({same:,} of {rows:,} rows agree)")
+    texts = {
+        "policy.json": _to_json(_describe(name, trained)),
+        "mission.json": _to_json(describe_mission(flown)),
+        "runner.py": Path(runner.__file__).read_text(encoding="utf-8"),
+    }
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        with replacing(folder / FILES[0], "wb") as file:
+            file.write(graph)
+    for file_name, text in texts.items():
+        write_text(folder / file_name, text)
+    return Exported([folder / file_name for file_name in FILES], rows, same)
+
+
+def inputs_of(local: Rows, layout: RowLayout) -> dict[str, Rows]:
+    """The inputs of a graph for rows ``local`` (B, local)."""
+    if layout.rows == "flat":
+        return {"local": local}
+    parts = {}
+    for columns in layout.local:
+        part = local[:, columns.slice]
+        parts[columns.name] = part.reshape(len(local), -1, columns.width) if columns.width > 1 else part
+    return parts | {"own": parts["own"][:, 0]}
+
+
+def start_graph(graph: bytes) -> Any:
+    """An onnxruntime session of a graph, on one core."""
+    try:
+        import onnxruntime
+    except ModuleNotFoundError as error:
+        raise InputError(f"--format onnx: '{error.name}' is not installed: pip install 'uavaou[onnx]'") from None
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    return onnxruntime.InferenceSession(graph, options, ["CPUExecutionProvider"])
+
+
+def actions_of(outputs: list[NDArray[np.float32]]) -> NDArray[np.int64]:
+    """The likeliest actions (B, 1 + I), or (B, 1), of a graph's outputs."""
+    move = outputs[0].argmax(axis=1)[:, None]
+    return np.concatenate([move, *(logits > 0 for logits in outputs[1:])], axis=1)
+
+
+def compare(graph: bytes, trained: TrainedPolicy) -> tuple[int, int]:
+    """How many rows of a few missions were compared, and in how many the graph and the policy act alike."""
+    policy: Any = trained.model.policy
+    session, views = start_graph(graph), trained.views
+    world = World(views.scenario, _MISSIONS, EVALUATION_SEED)
+    trained.reset(world, EVALUATION_SEED)
+    rows = same = 0
+    while not world.done and world.slot <= _SLOTS:
+        local = trained.local_rows(world)
+        wanted = policy.act(th.from_numpy(local), None).numpy().reshape(len(local), -1)
+        got = actions_of(session.run(None, inputs_of(local, views.layout)))
+        rows, same = rows + len(local), same + int((got == wanted).all(axis=1).sum())
+        world.step(*trained.actions(wanted if views.layout.selects else wanted[:, 0], world))
+    return rows, same
+
+
+def describe_mission(scenario: Scenario) -> dict[str, Any]:
+    """What the UAVs are told before take-off: the map, the fleet, and what the mean channel and the plan say."""
+    world = World(scenario)
+    radius, part = coverage_and_parts(world)
+    return {
+        "schema": SCHEMA,
+        "scenario": scenario.name,
+        "slots": scenario.slots,
+        "slot_length_s": scenario.slot_length_s,
+        "area_m": [scenario.area_x_m, scenario.area_y_m],
+        "grid_step_m": scenario.grid_step_m,
+        "speed_m_s": scenario.speed_m_s,
+        "rate_min_bit_s": scenario.rate_min_bit_s,
+        "altitude_m": list(scenario.altitudes_m),
+        "cds_m": (scenario.cds_cells * scenario.grid_step_m).tolist(),
+        "budget_steps": world.flight.budget.tolist(),
+        "devices_m": world.device_positions[0].tolist(),
+        "update_period_slots": world.update_period[0].tolist(),
+        "longest_update_period_slots": scenario.longest_update_period,
+        "coverage_radius_m": (radius[0] * scenario.grid_step_m).tolist(),
+        "part": part[0].tolist(),
+    }
+
+
+def _describe(name: str, trained: TrainedPolicy) -> dict[str, Any]:
+    """The content of ``policy.json``."""
+    views, layout, policy = trained.views, trained.views.layout, trained.model.policy
+    epsilon = getattr(policy, "epsilon", None)
+    devices = ["rows", "devices" if layout.rows == "entities" else layout.devices]
+    meaning = "logit" if epsilon is None else "value"
+    outputs: dict[str, Any] = {
+        "move_logits": {
+            "shape": ["rows", 5], "columns": ["stay", "up (+y)", "down (-y)", "right (+x)", "left (-x)"],
+            "meaning": f"{meaning} of the move; -1e9 where it is not allowed; the largest is the likeliest",
+        }
+    }  # fmt: skip
+    if layout.selects:
+        of_device = f"{meaning} of collecting from the device" + ("" if epsilon is None else ", less that of not")
+        outputs["device_logits"] = {
+            "shape": devices, "meaning": f"{of_device}; -1e9 where it is out of range; above 0 selects it",
+        }  # fmt: skip
+    return {
+        "schema": SCHEMA,
+        "policy": name,
+        "weights_sha256": trained.digest,
+        "uavaou": __version__,
+        "rows": layout.rows,
+        "observation": views.observation,
+        "collection": views.collection,
+        "action": trained.action,
+        "epsilon": None if epsilon is None else float(epsilon),
+        "notation": NOTATION,
+        "from": SOURCES,
+        "inputs": describe_inputs(layout, views.observation),
+        "outputs": outputs,
+    }
+
+
+def _to_json(content: dict[str, Any], indent: str = "") -> str:
+    """JSON with a line for each entry of ``content`` and of the mappings in it that hold others."""
+    lines = []
+    for name, value in content.items():
+        expands = isinstance(value, dict) and any(isinstance(part, dict) for part in value.values())
+        text = _to_json(value, indent + " ") if expands else json.dumps(value)
+        lines.append(f"{indent} {json.dumps(name)}: {text}")
+    return "{\n" + ",\n".join(lines) + f"\n{indent}}}" + ("" if indent else "\n")

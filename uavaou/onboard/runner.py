@@ -1,0 +1,183 @@
+"""Fly one UAV by the files that `uavaou export --format onnx` wrote. Needs NumPy and onnxruntime, nothing else.
+
+    pilot = Pilot(".", uav=0)
+    while not pilot.done:
+        move, waypoint_m, selected = pilot.decide(position_m, in_range, others_m)
+        ...  # collect from the devices selected, then fly to the waypoint
+        pilot.end_slot(collected_by)
+
+policy.json states every column of the rows below with its unit, its scaling and where the UAV has it from.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+
+STAY, UP, DOWN, RIGHT, LEFT = range(5)
+STEPS = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]])  # (5, 2) grid steps of the moves
+
+
+class Pilot:
+    """Decides slot by slot for one UAV.
+
+    Args:
+        folder: with policy.onnx, policy.json and mission.json.
+        uav: number of this UAV in mission.json, from 0.
+        action: "greedy" or "sample"; None for the one that policy.json states.
+        seed: of the draws of "sample".
+    """
+
+    def __init__(self, folder: str | Path, uav: int, action: str | None = None, seed: int = 0) -> None:
+        folder = Path(folder)
+        self.policy, mission = (json.loads((folder / f"{name}.json").read_text()) for name in ("policy", "mission"))
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        self.session = onnxruntime.InferenceSession(folder / "policy.onnx", options, ["CPUExecutionProvider"])
+        self.mission, self.uav, self.slot, self.flown = mission, uav, 1, 0
+        self.action, self.draws = action or self.policy["action"], np.random.default_rng([seed, uav])
+        self.shared = self.policy["observation"] == "shared"
+        self.area, self.step = np.array(mission["area_m"]), mission["grid_step_m"]  # (2,) m, m
+        self.cds = np.rint(np.array(mission["cds_m"]) / self.step).astype(int)  # (U, 2) cells
+        self.altitude = np.array(mission["altitude_m"])  # (U,) m
+        self.others = [v for v in range(len(self.cds)) if v != uav]
+        self.devices = np.array(mission["devices_m"])  # (I, 2) m
+        self.period = np.array(mission["update_period_slots"])  # (I,) slots, k_i
+        self.radius = np.array(mission["coverage_radius_m"]) / self.step  # (U, I) grid steps
+        self.last_own = np.zeros(len(self.period), dtype=int)  # (I,) slot of this UAV's last collection, 0: none yet
+        self.last = self.last_own.copy()  # (I,) the same of any UAV
+
+    @property
+    def done(self) -> bool:
+        """Whether the mission is over."""
+        return bool(self.slot > self.mission["slots"])
+
+    def decide(self, position_m: Any, in_range: Any, others_m: Any = ()) -> tuple[int, Any, Any]:
+        """Return the move of this slot, where it leads, (2,) m, and the devices to collect from, bool (I,).
+
+        Args:
+            position_m: of this UAV, (2,) m from the corner of the area.
+            in_range: whether a device's rate to this UAV reaches the minimum in this slot, (I,).
+            others_m: positions of the other UAVs in the order of their numbers, (U - 1, 2) m; for "shared" alone.
+        """
+        cell = np.rint(np.asarray(position_m) / self.step).astype(int)  # (2,)
+        in_range, allowed = np.asarray(in_range, dtype=bool), self.allowed_moves(cell)
+        if self.policy["rows"] == "flat":
+            values = self.flat_row(cell, allowed, in_range, np.reshape(others_m, (-1, 2)))
+            inputs = [np.concatenate([np.ravel(values[name]) for name in self.policy["inputs"]["local"]["columns"]])]
+        else:
+            cells = self.cds.astype(float)  # (U, 2) where each UAV is, or is known to have started
+            if self.shared:
+                cells[self.others] = np.rint(np.reshape(others_m, (-1, 2)) / self.step)
+            inputs = self.tokens(cell, allowed, in_range, cells)
+        rows = {
+            name: np.asarray(row, dtype=np.float32)[None]
+            for name, row in zip(self.policy["inputs"], inputs, strict=True)
+        }
+        logits = [row[0] for row in self.session.run(None, rows)]
+        move, selected = self.choose(logits[0], logits[1] if len(logits) > 1 else None, allowed, in_range)
+        move = move if self.on_grid(cell)[move] else STAY
+        move = move if allowed[move] else self.step_home(cell)
+        self.flown += int(move != STAY)
+        return move, (cell + STEPS[move]) * self.step, selected
+
+    def end_slot(self, collected_by: Any) -> None:
+        """End the slot.
+
+        Args:
+            collected_by: the number of the UAV that collected each device in it, (I,), -1 for none. A policy with
+                "local" observation needs this UAV's own number alone.
+        """
+        self.last[np.asarray(collected_by) >= 0] = self.slot
+        self.last_own[np.asarray(collected_by) == self.uav] = self.slot
+        self.slot += 1
+
+    def on_grid(self, cell: Any) -> Any:
+        """The moves (5,) that stay on the grid."""
+        after = cell + STEPS  # (5, 2)
+        return ((after >= 0) & (after * self.step <= self.area + self.step / 2)).all(axis=1)
+
+    def allowed_moves(self, cell: Any) -> Any:
+        """The moves (5,) on the grid after which this UAV still gets home by the last slot and within its budget."""
+        left, stays = self.mission["slots"] - self.slot, np.arange(5) == STAY  # slots, (5,)
+        home = np.abs(cell + STEPS - self.cds[self.uav]).sum(axis=1)  # (5,) grid steps
+        in_time = (home <= left - 1) & (home + ~stays <= self.mission["budget_steps"][self.uav] - self.flown)
+        return self.on_grid(cell) & in_time if left else stays
+
+    def step_home(self, cell: Any) -> int:
+        """The first step to the CDS, along x first: what takes the place of a move that is not allowed."""
+        x, y = self.cds[self.uav] - cell
+        return (RIGHT if x > 0 else LEFT) if x else (UP if y > 0 else DOWN) if y else STAY
+
+    def choose(self, moves: Any, devices: Any, allowed: Any, in_range: Any) -> tuple[int, Any]:
+        """A move and a selection (I,) from the logits (5,) and (I,); without ``devices``, all in range."""
+        epsilon, draw = self.policy["epsilon"], self.draws.random
+        if self.action == "sample" and epsilon is None:  # softmax and sigmoid
+            move = int(np.argmax(moves + self.draws.gumbel(size=5)))
+            selected = in_range if devices is None else draw(len(in_range)) * (1 + np.exp(-devices.clip(-80))) < 1
+        elif self.action == "sample" and draw() < epsilon:  # uniform
+            move = int(self.draws.choice(np.flatnonzero(allowed)))
+            selected = in_range if devices is None else draw(len(in_range)) < 0.5
+        else:
+            move, selected = int(np.argmax(moves)), in_range if devices is None else devices > 0
+        return move, selected & in_range
+
+    def ages(self, last: Any) -> Any:
+        """Age sums (I,) in slots before this slot, of devices collected in the slots ``last`` (I,); eq. (1)."""
+        first, newest = last // self.period, (self.slot - 1) // self.period  # numbers of updates
+        waiting = newest * (newest + 1) - first * (first + 1)
+        return (newest - first) * self.slot - self.period * waiting // 2 + np.where(last == 0, self.slot - 1, 0)
+
+    def waiting(self, last: Any) -> Any:
+        """The scaled slots since the slots ``last``: 0 for none, towards 1."""
+        since = np.minimum(self.slot - last, self.mission["slots"])
+        return since / (since + 20)
+
+    def flat_row(self, cell: Any, allowed: Any, in_range: Any, others_m: Any) -> dict[str, Any]:
+        """The runs of columns of the flat row, by name."""
+        slots, at, span = self.mission["slots"], cell * self.step, self.area.max()
+        to_device = (self.devices - at) / span  # (I, 2)
+        return {
+            "position": at / self.area,
+            "uav_id": np.arange(len(self.cds)) == self.uav,
+            "to_cds": (self.cds[self.uav] - cell) * self.step / span,
+            "allowed_moves": allowed,
+            "slots_left": (slots + 1 - self.slot) / slots,
+            "budget_left": min(self.mission["budget_steps"][self.uav] - self.flown, slots) / slots,
+            "to_device_x": to_device[:, 0],
+            "to_device_y": to_device[:, 1],
+            "update_period": self.period / self.mission["longest_update_period_slots"],
+            "in_range": in_range,
+            "since_own_collection": self.waiting(self.last_own),
+            "other_positions": others_m / self.area,
+            "age_sum": np.sqrt(self.ages(self.last)) / 20,
+        }
+
+    def tokens(self, cell: Any, allowed: Any, in_range: Any, cells: Any) -> list[Any]:
+        """The tokens of this UAV (8,), its allowed moves (5,), its teammates (U - 1, 7) and the devices (I, 15)."""
+        slots, uav, others, ones = self.mission["slots"], self.uav, self.others, np.ones(len(self.period))
+        left, home = slots + 1 - self.slot, self.cds - cell  # slots, (U, 2) grid steps
+        spare = min(slots - self.slot, self.mission["budget_steps"][uav] - self.flown) - np.abs(home[uav]).sum()
+        sizes = np.log(len(ones) / 25), np.log(len(home) / 3)
+        own = np.array([1, *home[uav] / 5, left / (left + 100), np.clip(spare, 0, 40) / 20, self.altitude[uav] / 100,
+                        *sizes])  # fmt: skip
+        to_mates = cells[others] - cell if self.shared else np.zeros((len(others), 2))
+        mates = np.column_stack([
+            np.ones(len(others)), to_mates / 5, np.linalg.norm(to_mates, axis=1) / 5,
+            (self.altitude[others] - self.altitude[uav]) / 20, home[others] / 5,
+        ])  # fmt: skip
+        to_device, radius = self.devices / self.step - cell, self.radius[uav]  # (I, 2), (I,) grid steps
+        distance = np.linalg.norm(to_device, axis=1)
+        away = np.maximum(distance - radius, 0)  # grid steps until this UAV covers the device
+        steps = np.linalg.norm(self.devices / self.step - cells[others, None], axis=2) - self.radius[others]
+        other = np.maximum(steps, 0).min(axis=0, initial=20)  # (I,) until the nearest other UAV does
+        last = self.last if self.shared else self.last_own
+        age = np.sqrt(self.ages(last)) / 20
+        devices = np.column_stack([
+            ones, to_device / 5, distance / 5, away / 5, radius / 2, in_range, self.period / 5,
+            self.waiting(self.last_own), age, self.waiting(last), other / 5, np.clip(away - other, -10, 10) / 5,
+            age / (1 + away), np.array(self.mission["part"]) == uav,
+        ])  # fmt: skip
+        return [own, allowed, mates, devices]
