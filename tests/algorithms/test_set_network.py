@@ -226,6 +226,9 @@ def test_published_settings_follow_from_the_network(tmp_path: Path) -> None:
     assert (sets.rows, sets.depends_on_sizes) == ("entities", False)
     assert (sets.hidden, sets.batch_rows, sets.collection) == ((128, 128), 1500, "auto")  # type: ignore[attr-defined]
     assert load_config("mappo", {"network": "set", "batch_rows": 9}).batch_rows == 9  # type: ignore[attr-defined]
+    for name in ("vdn", "qmix", "iql"):
+        fields = load_config(name, {"network": "set"}).model_dump()
+        assert (fields["collection"], fields["batch_slots"], load_config(name).collection) == ("auto", 256, "select")
     config = RunConfig(sized(2, 3), load_config("ippo", {"network": "set", "epochs": 2}), 0)
     assert config_folder(tmp_path, config).path.parent.name == "ippo+epochs=2,network=set"
     words = train_command("paper", config.scenario, config.algorithm)

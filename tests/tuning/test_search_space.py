@@ -19,8 +19,9 @@ from uavaou.zoo import zoo_names
 
 @pytest.mark.parametrize("name", zoo_names("tuning"))
 def test_shipped_spaces_hold_the_published_settings(name: str) -> None:
-    assert name in algorithm_names()
-    SearchSpace.load(name).check(load_config(name))
+    algorithm, _, network = name.partition("-")
+    assert algorithm in algorithm_names()
+    SearchSpace.load(algorithm, network=network).check(load_config(algorithm, {"network": network or "mlp"}))
 
 
 @pytest.mark.parametrize(

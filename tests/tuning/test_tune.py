@@ -115,6 +115,7 @@ def test_the_best_of_one_search_are_played_on_another_scenario(
         ("tune --slots 5 --seed -1", "--seed -1"),
         ("tune --slots 5 --algorithm mapo", "did you mean 'mappo'?"),
         ("tune --slots 5 --algorithm ippo", "no search space comes with 'ippo'"),
+        ("tune --slots 5 --algorithm iql --set algorithm.network=set", "no search space comes with 'iql-set' (with"),
         ("tune --slots 5 --scenario papr", "did you mean 'paper'?"),
         ("tune --slots 5 --space none.yaml", "none.yaml: cannot be read"),
         ("tune --slots 5 --space file", "expected a mapping"),

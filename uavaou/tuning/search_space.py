@@ -121,17 +121,18 @@ class SearchSpace:
     dimensions: dict[str, Dimension]
 
     @classmethod
-    def load(cls, algorithm: str, path: Path | None = None) -> SearchSpace:
-        """Read a space from a file, or the one that is shipped for an algorithm.
+    def load(cls, algorithm: str, path: Path | None = None, network: str = "mlp") -> SearchSpace:
+        """Read a space from a file, or the one that is shipped for an algorithm with a network.
 
         Raises:
             InputError: there is none, or the file cannot be used.
         """
         if path is None:
-            if algorithm not in zoo_names("tuning"):
+            shipped = f"{algorithm}-set" if network == "set" else algorithm
+            if shipped not in zoo_names("tuning"):
                 known = ", ".join(zoo_names("tuning"))
-                raise InputError(f"no search space comes with '{algorithm}' (with {known}): give one with --space FILE")
-            path = zoo_path("tuning", algorithm)
+                raise InputError(f"no search space comes with '{shipped}' (with {known}): give one with --space FILE")
+            path = zoo_path("tuning", shipped)
         return cls.from_dict(read_yaml_mapping(path), str(path))
 
     @classmethod
