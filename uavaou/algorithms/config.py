@@ -30,7 +30,7 @@ class AlgorithmConfig(BaseModel):
     slots: PositiveWhole  # training budget: slots of all missions together
     missions: Annotated[PositiveWhole, Field(le=65_536)]  # played in parallel
     processes: PositiveWhole = 1  # that step the missions
-    observation: Literal["location", "local", "shared"] = "local"
+    observation: Literal["location", "part", "local", "shared"] = "local"
     collection: Literal["select", "auto"] = "select"
     reward: Literal["root", "aou"] = "root"
     evaluate_every_slots: PositiveWhole  # an evaluation on validation missions, and a checkpoint, this often

@@ -40,7 +40,7 @@ class Point(BaseModel, frozen=True, extra="forbid"):
     label: Text
     x: Number  # in the axis' unit
     set: dict[str, Any] = {}  # fields of the scenario
-    observation: Literal["location", "local", "shared"] | None = None  # None: that of each run
+    observation: Literal["location", "part", "local", "shared"] | None = None  # None: that of each run
     joined: StrictBool = True  # false: no line leads to it in the figure, since x is only a position beside the others
 
     @field_validator("set", mode="before")

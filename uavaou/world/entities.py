@@ -33,7 +33,7 @@ from uavaou.world.views import (
 )
 from uavaou.world.world import World
 
-ENTITY_OBSERVATIONS = ("local", "shared")
+ENTITY_OBSERVATIONS = ("part", "local", "shared")
 # The features of the tokens in the global state; positions are seen from the middle of the devices.
 STATE_MISSION = ("slots_left", "devices", "uavs", "cells")
 STATE_UAV = ("present", "x", "y", "home_x", "home_y", "slots_to_spare", "altitude")
@@ -43,6 +43,7 @@ STATE_DEVICE = (
 )  # fmt: skip
 
 _TEAMMATE, _DEVICE, _STATE_UAV, _STATE_DEVICE = len(TEAMMATE), len(DEVICE), len(STATE_UAV), len(STATE_DEVICE)
+PAPER_DEVICES, PAPER_UAVS = 25, 3  # the logarithms of these sizes are 0
 _STEPS = 5.0  # grid steps that become 1
 _FAR = 20.0  # grid steps from which another UAV is as good as absent
 _LEFT_SLOTS = 100.0  # the slots left have their best resolution around this many
@@ -60,7 +61,7 @@ def make_views(
 
     Args:
         scenario: the scenario of the Worlds.
-        observation: ``location`` (flat rows alone), ``local`` or ``shared``.
+        observation: ``location`` (flat rows alone), ``part`` (rows of entities alone), ``local`` or ``shared``.
         collection: ``select`` or ``auto``.
         rows: ``flat`` or ``entities``.
         most: UAVs and devices that a row of entities holds; None for those of the scenario.
@@ -94,7 +95,7 @@ def coverage_and_parts(world: World) -> tuple[Floats, Ints]:
     headroom = channel.mean_snr_above() / channel.snr_min[:, None, :]  # (L, U, I)
     radius = scenario.altitudes[:, None] * np.sqrt(np.maximum(headroom - 1.0, 0.0)) / scenario.grid_step_m
     devices = world.device_positions / scenario.grid_step_m  # (L, I, 2) grid steps
-    return radius, partition(devices, world.flight.cds.astype(np.float64), radius)
+    return radius, partition(devices, world.flight.cds.astype(np.float64), radius, world.update_period)
 
 
 class EntityViews(RowViews):
@@ -102,8 +103,9 @@ class EntityViews(RowViews):
 
     Args:
         scenario: the scenario of the Worlds.
-        observation: ``local`` (what a UAV measures, or is told before take-off) or ``shared`` (also the positions of
-            the other UAVs and the true age sum of every device).
+        observation: ``local`` (what a UAV measures, or is told before take-off), ``part`` (of that, the devices in its
+            own part of the map alone, as if there were no other UAV) or ``shared`` (also the positions of the other
+            UAVs and the true age sum of every device).
         collection: ``select`` (the agent chooses devices) or ``auto`` (it collects every device in range).
         most: UAVs and devices that a row holds, for rows of several scenarios side by side; the rest is padding. A UAV
             of padding may stay, its row is zero otherwise.
@@ -131,7 +133,7 @@ class EntityViews(RowViews):
         self.layout = RowLayout(uavs, devices, collection, local, state, "entities")
         self._pads = (uavs, devices) != own
         cells = scenario.columns * scenario.rows
-        self._sizes = np.log([own[1] / 25, own[0] / 3, cells / 121]).astype(np.float32)  # (3,) those of the paper are 0
+        self._sizes = np.log([own[1] / PAPER_DEVICES, own[0] / PAPER_UAVS, cells / 121]).astype(np.float32)  # (3,)
         self._altitudes = scenario.altitudes  # (U,) m
         self._placed: Floats | None = None  # the positions of the devices that the arrays below are of
         self._devices: Floats = np.empty(0)  # (L, I, 2) grid steps
@@ -147,13 +149,20 @@ class EntityViews(RowViews):
         at = {columns.name: out[:, :, columns.slice] for columns in layout.local}
         at["allowed_moves"][:, :uavs] = world.allowed_moves
         at["allowed_moves"][:, uavs:, STAY] = 1.0
-        shared, cds = self.observation == "shared", world.flight.cds
+        shared, alone, cds = self.observation == "shared", self.observation == "part", world.flight.cds
         _write_own(world.cells, cds, *self._left(world), self._altitudes, self._mission(world), at["own"])
-        _write_teammates(world.cells, cds, self._altitudes, shared, at["teammates"])
+        if alone:
+            own = at["own"][:, :uavs]  # (N, U, features)
+            members = (self._part[:, None] == np.arange(uavs)[:, None]).sum(axis=-1)  # (L, U)
+            own[..., OWN.index("devices")] = np.log(np.maximum(members, 1) / PAPER_DEVICES)
+            own[..., OWN.index("uavs")] = np.log(1 / PAPER_UAVS)
+            at["teammates"][...] = 0.0
+        else:
+            _write_teammates(world.cells, cds, self._altitudes, shared, at["teammates"])
         _write_devices(
             self._devices, world.cells, cds, self._radius, self._part, world.in_range, world.update_period, world.slot,
             world.last_collection_by, world.last_collection, world.ages.age_slots, self._waiting, shared,
-            at["devices"],
+            alone, at["devices"],
         )  # fmt: skip
         return out
 
@@ -264,9 +273,9 @@ def _own_age(slot: int, last: int, period: int) -> float:
 @compiled
 def _write_devices(
     devices: Floats, cells: Ints, cds: Ints, radius: Floats, part: Ints, in_range: Bools, period: Ints, slot: int,
-    last_by: Ints, last: Ints, age_slots: Ints, waiting: Rows, shared: bool, tokens: Rows,
+    last_by: Ints, last: Ints, age_slots: Ints, waiting: Rows, shared: bool, alone: bool, tokens: Rows,
 ) -> None:  # fmt: skip
-    """Write (N, U, I * features): what each UAV knows of each device."""
+    """Write (N, U, I * features): what each UAV knows of each device; ``alone``, of those in its part."""
     missions, uavs = cells.shape[:2]
     steps = np.empty(uavs)  # until each UAV, seen from where the others know it to be, covers the device
     for n in range(missions):
@@ -277,12 +286,15 @@ def _write_devices(
                 steps[v] = _steps_to_coverage(device, cells[n, v] if shared else cds[v], radius[layout, v, i])
             for u in range(uavs):
                 token = tokens[n, u, _DEVICE * i : _DEVICE * (i + 1)]
+                if alone and part[layout, i] != u:
+                    token[:] = 0.0
+                    continue
                 x, y = device[0] - cells[n, u, 0], device[1] - cells[n, u, 1]
                 distance = math.sqrt(x * x + y * y)
                 away = max(distance - radius[layout, u, i], 0.0)
                 other = _FAR
                 for v in range(uavs):
-                    if v != u:
+                    if v != u and not alone:
                         other = min(other, steps[v])
                 own_last = last_by[n, u, i]
                 age = math.sqrt(float(age_slots[n, i]) if shared else _own_age(slot, own_last, k)) / _AGE
