@@ -73,8 +73,10 @@ def pilots_of(trained: TrainedPolicy, folder: Path, **options: Any) -> list[Pilo
 
 @pytest.mark.slow
 @pytest.mark.parametrize("collection", ["auto", "select"])
-@pytest.mark.parametrize("network", ["mlp", "set"])
-@pytest.mark.parametrize("observation", ["local", "shared"])
+@pytest.mark.parametrize(
+    ("network", "observation"),
+    [("mlp", "local"), ("mlp", "shared"), ("set", "part"), ("set", "local"), ("set", "shared")],
+)
 def test_it_flies_as_the_policy(network: str, observation: str, collection: str, tmp_path: Path) -> None:
     trained = lively(scenario=SCENARIO, network=network, observation=observation, collection=collection)
     made = fly(trained, pilots_of(trained, tmp_path))
@@ -147,8 +149,10 @@ def test_its_file_imports_two_packages() -> None:
     assert modules == {"json", "pathlib", "typing", "numpy", "onnxruntime"}
 
 
-@pytest.mark.parametrize("rows", ["flat", "entities"])
-@pytest.mark.parametrize("observation", ["local", "shared"])
+@pytest.mark.parametrize(
+    ("rows", "observation"),
+    [("flat", "local"), ("flat", "shared"), ("entities", "part"), ("entities", "local"), ("entities", "shared")],
+)
 def test_the_json_describes_every_column(rows: str, observation: str) -> None:
     from uavaou.onboard.columns import SOURCES, describe_inputs
     from uavaou.world.entities import make_views

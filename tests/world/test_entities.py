@@ -141,7 +141,27 @@ def test_own_and_teammates_and_state_tokens() -> None:
         assert {name: value[name] for name in expected} == pytest.approx(expected, abs=1e-5)
 
 
-@pytest.mark.parametrize("observation", ["local", "shared"])
+def test_a_uav_sees_its_own_part_as_if_it_were_alone() -> None:
+    world = played(SCENARIO.replace(devices=9))
+    views = {name: EntityViews(world.scenario, name) for name in ("part", "local")}
+    rows = {name: each.local(world) for name, each in views.items()}
+    device, all_devices = (tokens(views[name], rows[name], "devices") for name in ("part", "local"))  # (N, U, I, ...)
+    own = all_devices[..., DEVICE.index("own_part")] > 0.5
+    assert (own.sum(axis=1) == 1).all()
+    assert not device[~own].any()
+    alone = [DEVICE.index(name) for name in ("steps_of_nearest_other", "lead_of_nearest_other")]
+    np.testing.assert_array_equal(np.delete(device[own], alone, axis=-1), np.delete(all_devices[own], alone, axis=-1))
+    np.testing.assert_array_equal(device[own][:, alone[0]], 4.0)  # 20 steps away
+    lead = device[own][:, DEVICE.index("steps_to_coverage")] - 4.0
+    np.testing.assert_allclose(device[own][:, alone[1]], np.clip(lead, -2, 2))
+    assert not tokens(views["part"], rows["part"], "teammates").any()
+    mine, known = (tokens(views[name], rows[name], "own")[..., 0, :] for name in ("part", "local"))
+    np.testing.assert_allclose(np.exp(mine[..., OWN.index("devices")]) * 25, np.maximum(own.sum(axis=-1), 1), rtol=1e-6)
+    np.testing.assert_allclose(np.exp(mine[..., OWN.index("uavs")]) * 3, 1, rtol=1e-6)
+    np.testing.assert_array_equal(mine[..., : OWN.index("devices")], known[..., : OWN.index("devices")])
+
+
+@pytest.mark.parametrize("observation", ["part", "local", "shared"])
 def test_padding_changes_nothing_and_is_zero(observation: str) -> None:
     world = played(SCENARIO)
     alone, padded = EntityViews(SCENARIO, observation), EntityViews(SCENARIO, observation, most=(5, 11))
@@ -238,7 +258,7 @@ def test_large_maps_and_fleets_give_finite_rows() -> None:
     [
         (
             {"observation": "location", "rows": "entities"},
-            "unknown observation 'location'; did you mean 'local'? (known: local, shared)",
+            "unknown observation 'location'; did you mean 'local'? (known: part, local, shared)",
         ),
         ({"collection": "some", "rows": "entities"}, "unknown collection 'some'"),
         ({"rows": "entity"}, "unknown rows 'entity'; did you mean 'entities'?"),

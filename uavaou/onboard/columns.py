@@ -80,6 +80,19 @@ _WITHOUT_RADIO = {
     "lead_of_nearest_other": ("steps", "clip(r(this UAV) - b, -10, 10) / 5", _OWN),
     "age_over_steps": ("slots, steps", "age / (1 + r(this UAV)), age as scaled above", _OWN),
 }  # fmt: skip
+# What the UAV sees of its own part of the map, where the observation is that alone.
+_ALONE = {
+    "own": {
+        "devices": ("1", "ln(max(devices in this UAV's part, 1) / 25)", _MAP),
+        "uavs": ("1", "ln(1 / 3)", _MAP),
+    },
+    "teammates": dict.fromkeys(TEAMMATE, ("1", "0: not used", _MAP)),
+    "devices": {
+        "present": ("1", "1 in this UAV's part of the map; the token of another device is all zero", _MAP),
+        "steps_of_nearest_other": ("steps", "4: as if far away", _MAP),
+        "lead_of_nearest_other": ("steps", "clip(r(this UAV) - 20, -10, 10) / 5", _OWN),
+    },
+}
 
 
 def describe_inputs(layout: RowLayout, observation: str) -> dict[str, Any]:
@@ -87,7 +100,7 @@ def describe_inputs(layout: RowLayout, observation: str) -> dict[str, Any]:
 
     Args:
         layout: of the rows that the policy reads.
-        observation: ``location``, ``local`` or ``shared``.
+        observation: ``location``, ``part``, ``local`` or ``shared``.
     """
     if layout.rows == "flat":
         sizes = {columns.name: columns.stop - columns.start for columns in layout.local}
@@ -102,6 +115,8 @@ def describe_inputs(layout: RowLayout, observation: str) -> dict[str, Any]:
         names, texts = tokens[columns.name]
         if not radio:
             texts = {name: _WITHOUT_RADIO[name] if text[2] == _RADIO else text for name, text in texts.items()}
+        if observation == "part":
+            texts = texts | _ALONE[columns.name]
         shape = ["rows", *([] if columns.name == "own" else [columns.name]), len(names)]
         inputs[columns.name] = _described(shape, dict.fromkeys(names, 1), texts)
     return inputs

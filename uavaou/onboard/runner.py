@@ -38,7 +38,7 @@ class Pilot:
         self.session = onnxruntime.InferenceSession(folder / "policy.onnx", options, ["CPUExecutionProvider"])
         self.mission, self.uav, self.slot, self.flown = mission, uav, 1, 0
         self.action, self.draws = action or self.policy["action"], np.random.default_rng([seed, uav])
-        self.shared = self.policy["observation"] == "shared"
+        self.shared, self.alone = (self.policy["observation"] == name for name in ("shared", "part"))
         self.area, self.step = np.array(mission["area_m"]), mission["grid_step_m"]  # (2,) m, m
         self.cds = np.rint(np.array(mission["cds_m"]) / self.step).astype(int)  # (U, 2) cells
         self.altitude = np.array(mission["altitude_m"])  # (U,) m
@@ -160,7 +160,9 @@ class Pilot:
         slots, uav, others, ones = self.mission["slots"], self.uav, self.others, np.ones(len(self.period))
         left, home = slots + 1 - self.slot, self.cds - cell  # slots, (U, 2) grid steps
         spare = min(slots - self.slot, self.mission["budget_steps"][uav] - self.flown) - np.abs(home[uav]).sum()
-        sizes = np.log(len(ones) / 25), np.log(len(home) / 3)
+        mine = np.array(self.mission["part"]) == uav  # (I,)
+        known, uavs = (max(mine.sum(), 1), 1) if self.alone else (len(ones), len(home))
+        sizes = np.log(known / 25), np.log(uavs / 3)
         own = np.array([1, *home[uav] / 5, left / (left + 100), np.clip(spare, 0, 40) / 20, self.altitude[uav] / 100,
                         *sizes])  # fmt: skip
         to_mates = cells[others] - cell if self.shared else np.zeros((len(others), 2))
@@ -173,11 +175,14 @@ class Pilot:
         away = np.maximum(distance - radius, 0)  # grid steps until this UAV covers the device
         steps = np.linalg.norm(self.devices / self.step - cells[others, None], axis=2) - self.radius[others]
         other = np.maximum(steps, 0).min(axis=0, initial=20)  # (I,) until the nearest other UAV does
+        other = np.full_like(other, 20) if self.alone else other
         last = self.last if self.shared else self.last_own
         age = np.sqrt(self.ages(last)) / 20
         devices = np.column_stack([
             ones, to_device / 5, distance / 5, away / 5, radius / 2, in_range, self.period / 5,
             self.waiting(self.last_own), age, self.waiting(last), other / 5, np.clip(away - other, -10, 10) / 5,
-            age / (1 + away), np.array(self.mission["part"]) == uav,
+            age / (1 + away), mine,
         ])  # fmt: skip
+        if self.alone:
+            mates[:], devices[~mine] = 0, 0
         return [own, allowed, mates, devices]
