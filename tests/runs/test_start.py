@@ -137,6 +137,12 @@ def test_weights_that_do_not_fit_are_refused_with_their_sizes(finished: RunFolde
     assert not (tmp_path / "new").exists()
 
 
+def test_a_network_of_tokens_may_learn_to_know_less() -> None:
+    start = Start.at("any-map")
+    config = start.training(Scenario.load("tiny"), {"observation": "part"}, seed=0)
+    assert (start.config.algorithm.observation, config.algorithm.observation) == ("shared", "part")
+
+
 def test_other_weights_than_those_of_the_configuration_are_refused(finished: RunFolder, tmp_path: Path) -> None:
     config = replace(small(), start="0" * 64)
     assert "digest 000000000000: name their run with --from" in refusal(lambda: train(config, tmp_path / "new"))

@@ -66,7 +66,10 @@ class Start:
         family = scenario if isinstance(scenario, Family) else None
         base = scenario.base if isinstance(scenario, Family) else scenario
         self.config.check_fits(base, str(self.folder))
+        tokens = algorithm.rows == self.config.algorithm.rows == "entities"  # of the same features at every level
         for field in _OF_THE_NETWORK:
+            if field == "observation" and tokens:
+                continue
             held, wanted = own.get(field), algorithm.model_dump(mode="json").get(field)
             if held != wanted:
                 raise InputError(
