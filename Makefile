@@ -6,11 +6,12 @@ DEMO := results/demo
 SLOTS := 1000000
 RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 
-.PHONY: help install demo test lint types bench lock clean
+.PHONY: help install demo test lint types docs bench lock clean
 
 help:
 	@echo "make demo    train MAPPO on the paper's scenario, evaluate it beside planners, draw the figures (about 3 minutes)"
 	@echo "make test    run all tests"
+	@echo "make docs    the documentation site, into site/"
 	@echo "make lint    ruff; make types: mypy; make bench: speed, side by side"
 
 install: $(VENV)/.installed
@@ -43,6 +44,12 @@ lint: install
 
 types: install
 	$(BIN)/mypy
+
+# A broken link is an error.
+docs: export NO_MKDOCS_2_WARNING = 1
+docs: install
+	$(BIN)/mkdocs build --strict --quiet
+	@echo "site/index.html"
 
 bench: install
 	$(BIN)/python -m benchmarks

@@ -73,6 +73,8 @@ def imports(module: str) -> frozenset[str]:
 
 def layer(module: str) -> str:
     room, _, rest = module.partition(".")
+    if rest == "__main__":  # python -m uavaou: the command line by another name
+        return "uavaou_cli"
     return rest.split(".")[0] if room == "uavaou" else room
 
 

@@ -8,9 +8,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import typer.main
 
-from tests.documents import PAGES, ROOT, blocks, code_spans
+from tests.documents import PAGES, ROOT, blocks, code_spans, commands, unknown_options
 from uavaou import Scenario
+from uavaou_cli.main import app
 
 DOCS = ROOT / "docs"
 pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -69,6 +71,36 @@ def test_uavaou_exports_what_it_imports(page: Path) -> None:
         for names in re.findall(r"^from uavaou import (.*)$", code, flags=re.MULTILINE):
             for name in names.split(", "):
                 assert hasattr(uavaou, name), name
+
+
+@pages
+def test_commands_have_these_options(page: Path) -> None:
+    root = typer.main.get_command(app)
+    for arguments in commands(page):
+        assert not unknown_options(root, arguments), arguments
+
+
+@pages
+def test_code_is_python_and_pictures_have_a_text(page: Path) -> None:
+    for code in [*blocks(page, "python"), *blocks(page, "py")]:
+        compile(code, str(page), "exec")
+    assert "![](" not in page.read_text(encoding="utf-8")
+
+
+def test_the_site_has_every_page_and_every_public_name() -> None:
+    import uavaou
+
+    listed = re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert {str(page.relative_to(ROOT)) for page in PAGES} <= set(listed)
+    assert all((ROOT / name).is_file() for name in listed)
+    described = re.findall(r"^::: [\w.]+\.(\w+)$", (DOCS / "api.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert sorted(described) == sorted(uavaou.__all__)
+
+
+def test_the_citation_states_this_version() -> None:
+    import uavaou
+
+    assert f"version: {uavaou.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
 def test_architecture_names_every_room() -> None:

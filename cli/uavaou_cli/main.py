@@ -41,7 +41,7 @@ _STYLE: dict[str, Any] = {
     "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": 100},
     "rich_markup_mode": None,  # rich alone takes longer to import than the help takes to print
 }
-app = typer.Typer(**_STYLE, add_completion=False, pretty_exceptions_enable=False)
+app = typer.Typer(**_STYLE, pretty_exceptions_enable=False)
 app.command("fly", short_help="Fly one mission of a scenario and draw its map.")(fly.fly)
 app.command("train", short_help="Train a policy.")(train.train)
 app.command("tune", short_help="Search for better settings of an algorithm.")(tune.tune)

@@ -1,6 +1,7 @@
 """The options that several commands share, and the checks of values, paths and devices before anything is computed."""
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,6 +39,19 @@ def seconds(help: str) -> Any:
     return typer.Option(metavar="S", help=help, callback=check)
 
 
+def shipped(kind: str) -> Callable[[str], list[str]]:
+    """What a shell completes: the names of a kind that come with the package; files, where none begins like that."""
+
+    def complete(incomplete: str) -> list[str]:
+        from uavaou.runs.released import released_names
+        from uavaou.zoo import zoo_names
+
+        names = released_names() if kind == "policies" else zoo_names(kind)
+        return [name for name in names if name.startswith(incomplete)]
+
+    return complete
+
+
 def choice(help: str, *allowed: str) -> Any:
     """An option for one of the ``allowed`` words; another word gets the nearest one as a hint."""
 
@@ -46,15 +60,35 @@ def choice(help: str, *allowed: str) -> Any:
             raise unknown(option.opts[0], value, allowed)
         return value
 
-    return typer.Option(metavar="|".join(allowed), help=help, callback=check)
+    def complete(incomplete: str) -> list[str]:
+        return [word for word in allowed if word.startswith(incomplete)]
+
+    return typer.Option(metavar="|".join(allowed), help=help, callback=check, autocompletion=complete)
 
 
 RUNS = "Folders of training runs, or names of released policies."
 RunName = Annotated[
-    str, typer.Argument(metavar="RUN", help="The folder of a training run, or the name of a released policy.")
+    str,
+    typer.Argument(
+        metavar="RUN",
+        help="The folder of a training run, or the name of a released policy.",
+        autocompletion=shipped("policies"),
+    ),
 ]
-ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A preset's name, or the path of a YAML file.")]
-StudyName = Annotated[str, typer.Argument(metavar="STUDY", help="A study's name (paper, smoke), or a YAML file.")]
+ScenarioName = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="A preset's name, or the path of a YAML file.",
+        autocompletion=shipped("scenarios"),
+    ),
+]
+StudyName = Annotated[
+    str,
+    typer.Argument(
+        metavar="STUDY", help="A study's name (paper, smoke), or a YAML file.", autocompletion=shipped("studies")
+    ),
+]
 Episodes = Annotated[int, number("Missions that each policy plays.", 1, MOST_EPISODES)]
 Seed = Annotated[int, number("Mission j is seeded with N + j.", 0, LARGEST_SEED)]
 Changes = Annotated[list[str] | None, option("Change scenario.FIELD. Repeatable.", "KEY=VALUE", "--set")]

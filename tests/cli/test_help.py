@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
 from typing import Any
@@ -11,12 +12,12 @@ import typer
 
 from tests.cli.commands import call, run_process
 from uavaou.planners import PLANNERS
-from uavaou_cli.main import app
+from uavaou_cli.main import app, main
 from uavaou_cli.tables import WIDTH
 
 # Scripts and docs rely on every one of these.
 COMMANDS = {
-    "": "--version --plugin",
+    "": "--version --plugin --install-completion --show-completion",
     "train": "--scenario --family --algorithm --seed --slots --config --from --continue --out --resume "
     "--checkpoint-every --device --backend --set --quiet",
     "tune": "--scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out --set --quiet",
@@ -69,6 +70,36 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     import uavaou
 
     assert call(capsys, "--version") == (0, f"uavaou {uavaou.__version__}\n", "")
+
+
+def test_python_runs_the_package(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["python -m uavaou", "--version"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module("uavaou", run_name="__main__")
+    assert (ended.value.code, capsys.readouterr().out.startswith("uavaou ")) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [
+        ("uavaou sc", ["scenarios"]),
+        ("uavaou fly pap", ["paper", "paper-table1"]),
+        ("uavaou export any", ["any-map"]),
+        ("uavaou export run --format o", ["onnx"]),
+        ("uavaou study run sm", ["smoke"]),
+        ("uavaou plot t", ["trajectories"]),
+        ("uavaou fly nothing-like-it", []),
+    ],
+)
+def test_a_shell_completes(
+    words: str, completed: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("_UAVAOU_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert (ended.value.code, capsys.readouterr().out.split()) == (0, completed)
 
 
 def test_help_names_every_planner(capsys: pytest.CaptureFixture[str]) -> None:

@@ -38,11 +38,6 @@ def test_the_worked_example_flies_as_an_evaluation(
     monkeypatch.delitem(sys.modules, "runner")
 
 
-def test_the_loop_of_a_drone_is_python() -> None:
-    (loop,) = blocks(PAGE, "py")
-    compile(loop, str(PAGE), "exec")
-
-
 def test_a_map_is_for_onnx_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, out, err = call(capsys, f"export any-map --scenario paper --out {tmp_path}/x.safetensors")
     assert (code, out, err) == (2, "", "uavaou: --scenario: --format onnx alone writes a map\n")

@@ -312,7 +312,8 @@ class MAPPO(SafeSaveLoad, PPO):
         Args:
             batch: of whole slots.
             clip_range: of the probability ratio.
-            mean, std: advantages are ``(A - mean) / std``, unless they are normalised in each minibatch.
+            mean: of the rollout's advantages A.
+            std: advantages are ``(A - mean) / std``, unless they are normalised in each minibatch.
         """
         policy = self.policy
         distribution = policy.action_distribution(batch.local)
