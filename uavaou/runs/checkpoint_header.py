@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictInt, Valid
 from uavaou.algorithms.io.tensor_file import CHECKSUM, ArrayFile
 from uavaou.errors import InputError
 from uavaou.fields import Number, Whole, explain_validation
+from uavaou.runs.folder import RunFolder
 
 SCHEMA = 2  # 1 had no checksum; its policies are still read
 
@@ -44,6 +45,27 @@ class TrainingProgress(BaseModel):
 def write_header(progress: TrainingProgress) -> dict[str, str]:
     """The text of a checkpoint's header."""
     return {"schema": str(SCHEMA), "progress": json.dumps(progress.model_dump())}
+
+
+def open_policy(folder: RunFolder) -> tuple[ArrayFile, TrainingProgress]:
+    """Open the policy of a run that is flown, and read where its training stood.
+
+    Raises:
+        InputError: there is none yet, it is lost, or its file cannot be read.
+    """
+    path = folder.policy
+    none_yet = InputError(f"'{folder}' holds no checkpoint yet: its training has not reached the first one")
+    if not path.is_file():
+        raise none_yet
+    file = ArrayFile(path)
+    progress = read_header(file)
+    if path == folder.last:
+        if progress.slots == 0:
+            raise none_yet
+        if progress.best_score is not None:
+            remedy = f"restore it, or copy {folder.last.name} in its place to fly the policy of slot {progress.slots:,}"
+            raise InputError(f"{folder.best}: the best policy of '{folder}' is missing: {remedy}")
+    return file, progress
 
 
 def read_header(file: ArrayFile, oldest: int = 1) -> TrainingProgress:

@@ -13,12 +13,12 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from uavaou.algorithms.io.save_load import load_policy_arrays
-from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
+from uavaou.algorithms.io.tensor_file import POLICY
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import flatten
 from uavaou.envs.spaces import split_actions
 from uavaou.errors import InputError
-from uavaou.runs.checkpoint_header import read_header
+from uavaou.runs.checkpoint_header import open_policy
 from uavaou.runs.folder import RunFolder
 from uavaou.scenario import Scenario
 from uavaou.world import World
@@ -129,10 +129,7 @@ def load_run(
     config = folder.read_config()
     scenario = config.scenario if scenario is None else Scenario.load(scenario)
     config.check_fits(scenario, str(folder))
-    if not folder.policy.is_file():
-        raise InputError(f"'{folder}' holds no checkpoint yet: its training has not reached the first one")
-    checkpoint = ArrayFile(folder.policy)  # opened once: a training at work may put another in its place
-    progress = read_header(checkpoint)
+    checkpoint, progress = open_policy(folder)  # opened once: a training at work may put another in its place
     algorithm = config.algorithm
     seen = {name: getattr(algorithm, name) for name in ("observation", "collection", "rows")}
     env = flatten(scenario, missions=1, **seen)

@@ -134,6 +134,8 @@ class Recorder(BaseCallback):
         self.num_timesteps = self.model.num_timesteps
         for name, value in self.progress.figures.items():
             self.logger.record(name, value)
+        if not self._folder.last.exists():  # from now on, a run without a checkpoint has lost it
+            self._save(finished=False)
 
     def _on_step(self) -> bool:
         check_rewards(self.locals["rewards"], self._slots, self.kept)

@@ -13,6 +13,7 @@ from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
 from uavaou.family import Family
 from uavaou.fields import short
+from uavaou.runs.checkpoint_header import open_policy
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 
@@ -42,7 +43,7 @@ class Start:
 
     @cached_property
     def _file(self) -> ArrayFile:
-        return ArrayFile(self.folder.policy)
+        return open_policy(self.folder)[0]
 
     @cached_property
     def digest(self) -> str:

@@ -154,7 +154,15 @@ def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
         raise InputError(f"'{folder.path}' went on to {held.slots:,} slots: use --continue {folder.path} --resume")
     if held not in config.stages()[-2:]:  # as it is, or as it was at the budget before
         raise InputError(f"'{folder.path}' holds a run with another configuration (see its config.yaml); not resumed")
-    return folder.last.is_file() or folder.previous.is_file()
+    if folder.last.is_file() or folder.previous.is_file():
+        return True
+    for path in (folder.episodes, folder.progress, folder.best):
+        if path.is_file() and (path == folder.best or path.read_bytes().count(b"\n") > 1):
+            raise InputError(
+                f"'{folder.path}' holds a run ({path.name}), but no checkpoint to go on from: restore its checkpoints, "
+                "or move the folder away to begin anew"
+            )
+    return False
 
 
 def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> TrainingProgress:
@@ -193,8 +201,7 @@ def _learn(
         model.set_logger(Logger(str(folder.path), writers))
         try:
             # No logging by SB3: it would write a row before the update that the row is about.
-            first = progress.slots == 0
-            model.learn(remaining * rows, callback=recorder, log_interval=sys.maxsize, reset_num_timesteps=first)
+            model.learn(remaining * rows, callback=recorder, log_interval=sys.maxsize, reset_num_timesteps=False)
         except Interrupted:
             pass
         except (EOFError, ConnectionError) as error:
