@@ -83,15 +83,17 @@ class ArrayFile:
         return sum(int(np.prod(shape)) for shape in self.shapes.values())
 
     def read(self, name: str) -> NDArray[Any]:
-        """One array.
+        """One array; no sound training leaves a number that is not finite.
 
         Raises:
-            InputError: the file does not hold it, or in a type that NumPy does not have.
+            InputError: the file does not hold it, or in a type that NumPy does not have, or it is not finite.
         """
         try:
             array: NDArray[Any] = self._file.get_tensor(name)
         except (SafetensorError, TypeError, ValueError, AttributeError, KeyError) as error:
             raise InputError(f"{self.path}: '{name}' cannot be read ({error})") from error
+        if array.dtype.kind == "f" and not (finite := np.isfinite(array)).all():
+            raise InputError(f"{self.path}: '{name}' holds {array[~finite].flat[0]}, not finite numbers alone")
         return array
 
     def digest(self, prefix: str = "") -> str:
