@@ -17,6 +17,7 @@ import pytest
 import torch as th
 from safetensors.numpy import load_file
 
+from tests.runs.stopped_runs import SMALL, StoppedError, assert_ends_as, every_update, flip, small, stop_in_update
 from uavaou import InputError, Scenario
 from uavaou.algorithms.io import tensor_file
 from uavaou.algorithms.registry import load_config
@@ -25,69 +26,6 @@ from uavaou.runs import recorder as callback
 from uavaou.runs.checkpoint import DamagedCheckpointWarning
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.policy import load_run
-from uavaou.runs.train import train
-
-SMALL = {
-    "slots": 240, "missions": 4, "rollout_slots": 12, "batch_rows": 96, "evaluate_every_slots": 120,
-    "evaluation_missions": 2, "hidden": [8],
-}  # fmt: skip
-
-
-def small(**changes: Any) -> RunConfig:
-    return RunConfig(Scenario.load("tiny"), load_config("mappo", SMALL | changes), seed=0)
-
-
-def every_update(config: RunConfig, folder: RunFolder, **options: Any) -> Any:
-    return train(config, folder, checkpoint_every_s=0, **options)
-
-
-class StoppedError(Exception):
-    """Raised in the middle of a training."""
-
-
-def stop_in_update(monkeypatch: pytest.MonkeyPatch, update: int) -> None:
-    seen = {"updates": 0}
-    check = callback.check_learner
-
-    def counted(*arguments: Any) -> None:
-        check(*arguments)
-        seen["updates"] += 1
-        if seen["updates"] == update:
-            raise StoppedError
-
-    monkeypatch.setattr(callback, "check_learner", counted)
-
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunFolder, RunFolder]:
-    """One run as it ends, and one stopped after its third checkpoint."""
-    place = tmp_path_factory.mktemp("runs")
-    whole, stopped = RunFolder(place / "whole"), RunFolder(place / "stopped")
-    every_update(small(), whole)
-    with pytest.MonkeyPatch.context() as patch:
-        stop_in_update(patch, 4)
-        with pytest.raises(StoppedError):
-            every_update(small(), stopped)
-    return whole, stopped
-
-
-@pytest.fixture
-def stopped(runs: tuple[RunFolder, RunFolder], tmp_path: Path) -> RunFolder:
-    return RunFolder(Path(shutil.copytree(runs[1].path, tmp_path / "run")))
-
-
-def assert_ends_as(folder: RunFolder, whole: RunFolder) -> None:
-    one, other = load_file(folder.last), load_file(whole.last)
-    assert one.keys() == other.keys()
-    for name in one:
-        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
-
-
-def flip(path: Path, place: int) -> None:
-    content = bytearray(path.read_bytes())
-    content[place] ^= 4
-    path.write_bytes(content)
-
 
 # -- damage --------------------------------------------------------------------------------------------
 

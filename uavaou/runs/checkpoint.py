@@ -16,8 +16,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from uavaou.algorithms.io.save_load import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
 from uavaou.errors import InputError
+from uavaou.fields import short
 from uavaou.runs.checkpoint_header import SCHEMA, TrainingProgress, read_header, write_header
-from uavaou.runs.folder import RunFolder
+from uavaou.runs.folder import RunConfig, RunFolder
 
 _WORLD, _STREAM, _LEARNER, _REPLAY = "world.", "stream.", "learner.", "replay."
 _UNUSABLE = (KeyError, ValueError, TypeError, IndexError, RuntimeError, AttributeError, OverflowError)
@@ -61,7 +62,7 @@ def save_training(
     newest.replace(folder.last)
 
 
-def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[TrainingProgress, Arrays]:
+def load_training(folder: RunFolder, model: BaseAlgorithm, config: RunConfig) -> tuple[TrainingProgress, Arrays]:
     """Load the newest checkpoint that is whole into a learner; returns where it stood and the missions in progress.
 
     A damaged ``last`` is set aside as ``last.damaged``, with a warning that names it and the one taken.
@@ -76,6 +77,10 @@ def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[TrainingProg
         try:
             file = ArrayFile(path)
             progress = read_header(file, oldest=SCHEMA)
+            longest = max(_longest_rollout(model), config.scenario.slots) * config.algorithm.missions
+            if wrong := progress.fits(config, longest):
+                value = short(getattr(progress, wrong))
+                raise InputError(f"{path}: damaged: {wrong} = {value} cannot be at slot {progress.slots:,} of this run")
             world = _load_state(file, model)
         except InputError as error:
             problems.append(str(error))
@@ -86,6 +91,12 @@ def load_training(folder: RunFolder, model: BaseAlgorithm) -> tuple[TrainingProg
             warnings.warn(message, DamagedCheckpointWarning, stacklevel=2)
         return progress, world
     raise InputError("; ".join(problems) + "; no checkpoint is left to resume from")
+
+
+def _longest_rollout(model: BaseAlgorithm) -> int:
+    """Steps of the environment from one update to the next."""
+    often = getattr(model, "train_freq", 1)
+    return int(getattr(model, "n_steps", 0) or getattr(often, "frequency", often))
 
 
 def _load_state(file: ArrayFile, model: BaseAlgorithm) -> Arrays:

@@ -1,16 +1,19 @@
 """What a checkpoint's header says: the schema of the file and where its training stands. Reading it needs no torch."""
 
 import json
-from typing import Annotated, Literal, Self
+import math
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictInt, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictInt, ValidationError
 
 from uavaou.algorithms.io.tensor_file import CHECKSUM, ArrayFile
 from uavaou.errors import InputError
-from uavaou.fields import Number, Whole, explain_validation
-from uavaou.runs.folder import RunFolder
+from uavaou.fields import NonNegative, Number, Whole, explain_validation
+from uavaou.runs.folder import RunConfig, RunFolder
 
 SCHEMA = 2  # 1 had no checksum; its policies are still read
+
+ROWS_AN_EVALUATION = 50  # of progress.csv at most; learners that update every few slots would write millions
 
 Count = Annotated[Whole, Field(ge=0, le=10**15)]
 
@@ -23,23 +26,45 @@ class TrainingProgress(BaseModel):
     slots: Count = 0  # of all missions together
     agent_steps: Count | None = None  # slots of UAVs; None: in files of earlier versions
     missions: Count = 0  # finished training missions, rows of episodes.csv
-    recent: tuple[Number, ...] = ()  # mean AoU of the last of them, s; those of a family do not end together
-    wall_s: Number = 0.0
+    recent: tuple[NonNegative, ...] = ()  # mean AoU of the last of them, s; those of a family do not end together
+    wall_s: NonNegative = 0.0
     updates: Count = 0
     next_evaluation: Count = 0  # slots
-    best_score: Number | None = None  # mean AoU on the validation missions, s
+    best_score: NonNegative | None = None  # mean AoU on the validation missions, s
     best_action: Literal["greedy", "sample"] = "greedy"  # the action that the best score was reached with
     rows: Count = 0  # of progress.csv
     row_slots: Count = 0  # slots at the last of them
+    episodes_sha256: str | None = None  # of these rows of episodes.csv; None: in files of earlier versions
+    progress_sha256: str | None = None
     figures: dict[str, StrictInt | StrictFloat] = {}  # logged since; may be nan
     budget_left: Number = 1.0  # the argument of SB3's schedules, from 1 to 0
-    cpu_s: Number | None = None  # of the training processes so far, playing and learning; None: not measured
+    cpu_s: NonNegative | None = None  # of the training processes so far, playing and learning; None: not measured
 
-    @model_validator(mode="after")
-    def _agree(self) -> Self:
-        if self.row_slots > self.slots:
-            raise ValueError(f"row_slots = {self.row_slots}: expected at most slots = {self.slots}")
-        return self
+    def fits(self, config: RunConfig, longest: int) -> str | None:
+        """The first field that no training of ``config`` has at these ``slots``; None where all agree.
+
+        Args:
+            config: of the run.
+            longest: slots from one update to the next, of all missions together.
+        """
+        algorithm, family, slots = config.algorithm, config.family, self.slots
+        together, every = algorithm.missions, algorithm.evaluate_every_slots
+        steps = 0 if self.agent_steps is None else self.agent_steps
+        uavs = (1, family.most[0]) if family else (config.scenario.uavs,) * 2  # the fewest and the most of a mission
+        ended = slots // together // config.scenario.slots * together  # where all missions are equally long
+        left = {1 - slots / algorithm.slots} | ({0.0} if config.budgets else set())  # 0: beyond the first budget
+        agree = {
+            "slots": slots % together == 0 and slots < config.slots + longest,
+            "agent_steps": self.agent_steps is None or slots * uavs[0] <= steps <= slots * uavs[1],
+            "missions": self.missions <= slots if family else self.missions == ended,
+            "recent": len(self.recent) <= min(self.missions, together),
+            "next_evaluation": self.next_evaluation == (slots // every + 1) * every,
+            "best_score": self.best_score is not None or slots < every,
+            "row_slots": 0 <= slots - self.row_slots < max(every / ROWS_AN_EVALUATION, 1),
+            "rows": (self.rows == 0) == (self.row_slots == 0) and self.rows <= slots,
+            "budget_left": any(math.isclose(self.budget_left, one, abs_tol=1e-9) for one in left),
+        }
+        return next((name for name, holds in agree.items() if not holds), None)
 
 
 def write_header(progress: TrainingProgress) -> dict[str, str]:

@@ -19,7 +19,7 @@ from uavaou.evaluation.evaluate import evaluate
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.files import write_json
 from uavaou.runs.checkpoint import save_policy, save_training
-from uavaou.runs.checkpoint_header import TrainingProgress
+from uavaou.runs.checkpoint_header import ROWS_AN_EVALUATION, TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.machine import describe_machine
@@ -29,7 +29,6 @@ from uavaou.runs.validation import family_score
 
 CHECKPOINT_EVERY_S = 30.0
 MOST_SHARE = 0.025  # of the wall-clock goes to checkpoints: a large replay is written less often
-_ROWS_AN_EVALUATION = 50  # of progress.csv at most; learners that update every few slots would write millions
 
 
 class Display(Protocol):
@@ -84,7 +83,7 @@ class Recorder(BaseCallback):
     ) -> None:  # fmt: skip
         super().__init__()
         self.progress = progress
-        self.progress_csv = ProgressCsv(folder.progress, progress.rows)
+        self.progress_csv = ProgressCsv(folder.progress, progress.rows, progress.progress_sha256)
         self.stopped_by: signal.Signals | None = None
         self._config = config
         self._folder = folder
@@ -96,7 +95,7 @@ class Recorder(BaseCallback):
         self._uavs = self._layout.uavs  # rows of a mission
         self.agent_steps = agent_steps(progress, config)
         self._recent: deque[float] = deque(progress.recent, config.algorithm.missions)  # s
-        self.episodes_csv = EpisodesCsv(folder.episodes, progress.missions)
+        self.episodes_csv = EpisodesCsv(folder.episodes, progress.missions, progress.episodes_sha256)
         self._machine = describe_machine()
         self._saved = progress.slots  # slots at the last checkpoint
         self._checkpoints, self._checkpoints_s = 0, 0.0
@@ -187,8 +186,8 @@ class Recorder(BaseCallback):
         raise Interrupted
 
     def _log(self, scores: dict[str, float]) -> None:
-        """Write a row of progress.csv, at most ``_ROWS_AN_EVALUATION`` from one evaluation to the next."""
-        every = self._config.algorithm.evaluate_every_slots / _ROWS_AN_EVALUATION
+        """Write a row of progress.csv, at most ``ROWS_AN_EVALUATION`` from one evaluation to the next."""
+        every = self._config.algorithm.evaluate_every_slots / ROWS_AN_EVALUATION
         if not scores and self._slots - self.progress.row_slots < every:
             return
         self.logger.record("time/slots", self._slots)
@@ -235,6 +234,8 @@ class Recorder(BaseCallback):
             "updates": getattr(self.model, "_n_updates", 0),
             "figures": {name: plain(value) for name, value in self.logger.name_to_value.items() if value is not None},
             "budget_left": self.model._current_progress_remaining,
+            "episodes_sha256": self.episodes_csv.sha256,
+            "progress_sha256": self.progress_csv.sha256,
         }
         return self.progress.model_copy(update=now)
 

@@ -166,7 +166,7 @@ def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
 
 
 def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> TrainingProgress:
-    progress, missions = load_training(folder, model)
+    progress, missions = load_training(folder, model, config)
     model.num_timesteps = progress.slots * env.row_layout.uavs
     model._n_updates = progress.updates
     model._current_progress_remaining = progress.budget_left
