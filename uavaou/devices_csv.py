@@ -1,5 +1,6 @@
 """The devices of a scenario from a CSV file."""
 
+from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +28,7 @@ def read_devices_csv(path: Path, fields: dict[str, Any], stated_devices: Any) ->
     named = fields.pop("devices_csv")
     if not isinstance(named, str) or "\0" in named:
         raise InputError(f"{path}: devices_csv = {named!r}: expected the path of a CSV file")
-    try:
-        inside = (path.parent / named).resolve().is_relative_to(path.parent.resolve())
-    except (OSError, RuntimeError):  # a circle of symbolic links
-        inside = False
-    if not inside:
+    if not Path(realpath(path.parent / named)).is_relative_to(realpath(path.parent)):
         remedy = "move it there, or give it with --set scenario.devices_csv=FILE"
         raise InputError(f"{path}: devices_csv = {short(named)}: it is not in the scenario's folder: {remedy}")
     read_devices(path.parent / named, str(path), fields, stated_devices)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -157,7 +158,7 @@ def _evaluate_suite(
     plan = plan_suite(suite, configs, list(planners), scenario, base, overrides.scenario)
     for path in filter(None, (out, json)):
         writable_file(path)
-    if out is not None and json is not None and out.resolve() == json.resolve():
+    if out is not None and json is not None and realpath(out) == realpath(json):
         raise InputError(f"--out and --json are both '{out}': give each a file of its own")
     if not configs and not planners:
         show(_point_lines(plan))

@@ -4,7 +4,9 @@ No heavy module is imported here or at the top of a command's module, so that ``
 """
 
 import os
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Sequence
 from functools import cache, partial
@@ -15,24 +17,30 @@ import typer
 from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
+from uavaou.runs.interrupt import exit_code, interrupt_at_sigterm, was_interrupt
 from uavaou_cli import evaluate, export, fly, plan, plot, scenarios, study, train, tune
 from uavaou_cli.options import given_path, option
 
 BAD_INPUT = 2
 _PATHS = ("--out", "--json", "--config", "--space")  # options whose values are paths
-INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 # Typer exports one usage error; its base class covers all of them, wherever this Typer keeps its Click.
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
 
 
 class _Commands(TyperGroup):
-    """Suggests the nearest command for an unknown one, whatever the version of Typer."""
+    """Suggests the nearest command for an unknown one, and answers an interrupt, whatever the version of Typer."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
             raise unknown("command", args[0], self.list_commands(ctx))
         return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as error:  # Typer would end without a word
+            raise typer.Exit(_complain("interrupted", exit_code(error))) from None
 
 
 _STYLE: dict[str, Any] = {
@@ -108,11 +116,13 @@ _command = cache(partial(typer.main.get_command, app))  # built once for all cal
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 0, 2 for bad input, 130 after an interrupt, 1 when stdout is closed.
+    """Run one command and return its exit code: 0, 2 for bad input, 130 or 143 after a signal, 1 when stdout is closed.
 
     Bad input is one line on stderr. Any other exception is a bug and keeps its traceback.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    terminated = signal.getsignal(signal.SIGTERM)
+    interrupt_at_sigterm(signal.SIG_DFL)
     warnings.formatwarning = lambda message, *_, **__: f"uavaou: warning: {message}\n"
     try:
         code = _command()(arguments, prog_name="uavaou", standalone_mode=False, obj={"arguments": arguments})
@@ -121,17 +131,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _complain(str(error), BAD_INPUT)
     except _USAGE_ERROR as error:
         return _complain(_explain_usage(error), BAD_INPUT)
-    except (typer.Abort, KeyboardInterrupt):
-        return _complain("interrupted", INTERRUPTED)
+    except (typer.Abort, KeyboardInterrupt) as error:
+        return _complain("interrupted", exit_code(error))
     except SystemError as error:
-        from uavaou.runs.interrupt import was_interrupt
-
         if not was_interrupt(error):
             raise
-        return _complain("interrupted", INTERRUPTED)
+        return _complain("interrupted", exit_code(error))
     except BrokenPipeError:  # uavaou ... | head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, terminated or signal.SIG_DFL)
     return code if isinstance(code, int) else 0
 
 

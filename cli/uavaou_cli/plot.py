@@ -1,6 +1,7 @@
 """``uavaou plot``: the figures of studies and training runs, and the pictures of one mission."""
 
 import sys
+from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
 from typing import Annotated
 
@@ -25,7 +26,7 @@ def figures(
 
     Without RUN, every study in results/studies is drawn anew. Seeds of one algorithm become one line.
     """
-    given = list({folder.resolve(): folder for folder in run or []}.values())  # a run given twice is not two seeds
+    given = list({realpath(folder): folder for folder in run or []}.values())  # a run given twice is not two seeds
     studies = [folder for folder in given if (folder / "study.yaml").is_file()]
     runs = [folder for folder in given if folder not in studies]
     if not given:

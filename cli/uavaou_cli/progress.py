@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import typer
 
+from uavaou.runs.interrupt import exit_code
 from uavaou_cli.tables import duration
 
 if TYPE_CHECKING:
@@ -270,7 +271,13 @@ def _running(state: StudyState) -> str:
     return "; ".join(f"{title}: {', '.join(found[:_MOST_VARIANTS])}" for title, found in lists.items() if found)
 
 
-def stopped(arguments: list[str], kept: str = "", code: int = 130) -> typer.Exit:
-    """Tell the user, after an interrupt, which command goes on, and what it has ``kept``; the exit is to be raised."""
+def stopped(arguments: list[str], by: BaseException | int, kept: str = "") -> typer.Exit:
+    """Tell the user, after an interrupt, which command goes on, and what it has ``kept``; the exit is to be raised.
+
+    Args:
+        arguments: of the command.
+        by: the interrupt, or the number of the signal.
+        kept: words that follow on "interrupted".
+    """
     print(f"uavaou: interrupted{kept}; to go on: {shlex.join(['uavaou', *arguments])}", file=sys.stderr)
-    return typer.Exit(code)
+    return typer.Exit(128 + by if isinstance(by, int) else exit_code(by))

@@ -55,13 +55,13 @@ def run(
         progress = stack.enter_context(StudyDisplay(quiet))
         try:
             outcome = run_study(chosen, out, performer, progress.show, quiet, checkpoint_every)
-        except KeyboardInterrupt:
-            raise stopped(ctx.obj["arguments"]) from None
+        except KeyboardInterrupt as error:
+            raise stopped(ctx.obj["arguments"], error) from None
     for key, reason in outcome.failed.items():
         print(f"uavaou: {key} failed: {reason}", file=sys.stderr)
     if outcome.stopped_by is not None:
         kept = f" with {outcome.done} of {outcome.total} parts done"
-        raise stopped(ctx.obj["arguments"], kept, 128 + outcome.stopped_by)
+        raise stopped(ctx.obj["arguments"], outcome.stopped_by, kept)
     show(_result_lines(folder))
     if outcome.failed:
         raise typer.Exit(1)

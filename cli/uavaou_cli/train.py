@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
+from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -98,12 +99,12 @@ def train(
             checkpoint_every_s=checkpoint_every,
             display=None if quiet else TrainingDisplay(plan.scenario.slot_length_s),
         )  # fmt: skip
-    except KeyboardInterrupt:
-        raise stopped(_resuming(again, folder)) from None
+    except KeyboardInterrupt as error:
+        raise stopped(_resuming(again, folder), error) from None
     if outcome.stopped_by is not None:
         slots = outcome.progress.slots
         kept = f" after {slots:,} slots, which are saved" if slots else ""
-        raise stopped(_resuming(again, folder), kept, 128 + outcome.stopped_by)
+        raise stopped(_resuming(again, folder), outcome.stopped_by, kept)
     show(_lines(outcome, plan, ctx.obj["plugins"]))
 
 
@@ -152,10 +153,12 @@ def _overrides(items: list[str] | None, slots: int | None) -> Overrides:
 
 
 def _again(path: Path, out: Path) -> tuple[RunConfig, RunFolder]:
-    """The training of a ``config.yaml``, and its folder."""
-    from uavaou.runs.folder import config_folder, read_config
+    """The training of a ``config.yaml``, and its folder: that of the file, where it is a run of ``out``."""
+    from uavaou.runs.folder import RunFolder, config_folder, read_config
 
-    config = read_config(path)
+    config, own = read_config(path), RunFolder(path.parent)
+    if own.episodes.is_file() and realpath(own.path / "../../..") == realpath(out):
+        return config, own  # its name may spell the settings otherwise: --slots as published, 1e-4 for 0.0001
     return config, config_folder(out, config)
 
 

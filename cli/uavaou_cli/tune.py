@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -79,7 +80,7 @@ def tune(
     search = Search(overrides.of_scenario(base), settings, varied, seconds, slots, seed, first)
     run = run_folder(out, base, overrides.scenario, settings.name, overrides.algorithm, seed)
     folder = SearchFolder(run.path.parent)
-    if from_ is not None and folder.path.resolve() == from_.resolve():
+    if from_ is not None and realpath(folder.path) == realpath(from_):
         raise InputError(f"--from {from_}: the best of it would go into its own folder: choose another --out")
     wanted = top or trials or DEFAULT_TRIALS
     from uavaou.tuning.trials import read_trials, run_search
@@ -90,8 +91,8 @@ def tune(
         with TuningDisplay(quiet, wanted, search.scenario.slot_length_s) as progress:
             progress.show(read_trials(folder))
             records = run_search(folder, wanted, jobs, ctx.obj["plugins"], progress.show)
-    except KeyboardInterrupt:
-        raise stopped(ctx.obj["arguments"]) from None
+    except KeyboardInterrupt as error:
+        raise stopped(ctx.obj["arguments"], error) from None
     show(_lines(folder, search, records, scenario, ctx.obj["plugins"]))
 
 

@@ -17,6 +17,7 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working folder but for a file in the way and two scenarios that cannot be used."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("in the way")
+    (tmp_path / "circle").symlink_to("circle")
     (tmp_path / "twins.yaml").write_text("base: quickstart\ndevices: 2\ndevices_m: [[10, 10], [10, 10]]\n")
     (tmp_path / "list.yaml").write_text("- paper\n")
     return tmp_path

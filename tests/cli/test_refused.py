@@ -105,6 +105,17 @@ BAD_INPUTS = [
     ("eval --policy random --scenario twins.yaml", "same position"),
     ("eval --policy random --set scenario.slots=1", "slots = 1"),
     ("eval --policy random --set algorithm.gamma=0.9", "algorithm.gamma"),
+    # a circle of symbolic links
+    ("eval circle", "'circle' does not exist"),
+    ("eval --policy random --json circle --suite fading --out circle", "circle"),
+    ("plot figures circle", "'circle' does not exist"),
+    ("fly tiny --policy circle", "circle"),
+    ("tune --seconds 1 --from circle", "circle"),
+    ("train --config circle", "circle: cannot be read"),
+    ("train --from circle", "'circle' does not exist"),
+    ("train --continue circle", "'circle' does not exist"),
+    ("train --out circle", "cannot write to 'circle"),
+    ("train --scenario ./circle", "circle: cannot be read"),
     # plot
     ("plot figures", "uavaou study run paper"),
     ("plot figures nowhere", "'nowhere' does not exist"),

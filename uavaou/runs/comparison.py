@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
 from typing import Protocol
 
@@ -34,7 +35,7 @@ def read_runs(folders: Iterable[str]) -> dict[str, RunConfig]:
     """
     spellings: dict[Path, str] = {}
     for name in folders:
-        spellings.setdefault(RunFolder.at(name).path.resolve(), name)
+        spellings.setdefault(Path(realpath(RunFolder.at(name).path)), name)
     return {name: RunFolder.at(name).read_config() for name in spellings.values()}
 
 

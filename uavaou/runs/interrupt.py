@@ -21,14 +21,28 @@ def ignore_repeats() -> None:
     _repeats_count = False
 
 
-def interrupt_at_sigterm() -> None:
-    """From now on, the first SIGTERM raises KeyboardInterrupt in this process, and the next mean nothing."""
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came, which is answered as Ctrl-C is."""
+
+
+def interrupt_at_sigterm(repeats: signal.Handlers = signal.SIG_IGN) -> None:
+    """From now on, the first SIGTERM raises :class:`Terminated` in this process; the next have the handler ``repeats``.
+
+    A process outside of whose main thread this is called, or that ignores SIGTERM, is left as it is.
+    """
 
     def leave(*_: object) -> None:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        raise KeyboardInterrupt
+        signal.signal(signal.SIGTERM, repeats)
+        raise Terminated
 
-    signal.signal(signal.SIGTERM, leave)
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) != signal.SIG_IGN:
+        signal.signal(signal.SIGTERM, leave)
+
+
+def exit_code(error: BaseException) -> int:
+    """The exit code of a command that an interrupt ended, as shells report it: 143 after SIGTERM, else 130."""
+    causes = (error, error.__cause__, error.__context__)
+    return 128 + (signal.SIGTERM if any(isinstance(one, Terminated) for one in causes) else signal.SIGINT)
 
 
 @contextmanager

@@ -1,0 +1,74 @@
+"""A signal at a moment at which nothing is trained yet, and what goes on after one."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.commands import TINY, call
+from uavaou.scenario import Scenario
+
+
+def killed(number: signal.Signals) -> Any:
+    """A function that is sent a signal."""
+
+    def play(*_: Any, **__: Any) -> None:
+        os.kill(os.getpid(), number)
+        time.sleep(5)
+
+    return play
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+@pytest.mark.parametrize(
+    ("command", "part", "says"),
+    [
+        ("train --scenario tiny", "uavaou.runs.train.train", "interrupted; to go on: uavaou train --scenario tiny\n"),
+        ("study run smoke", "uavaou.studies.runner.run_study", "interrupted; to go on: uavaou study run smoke\n"),
+        ("audit tiny", "uavaou.reports.audit.audit", "uavaou: interrupted\n"),
+        ("train --scenario tiny", "uavaou.scenario.Scenario.load", "uavaou: interrupted\n"),
+    ],
+)
+def test_a_signal_at_any_moment_is_answered(
+    number: signal.Signals, code: int, command: str, part: str, says: str, workplace: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(part, killed(number))
+    returned, out, err = call(capsys, command)
+    assert (returned, out) == (code, "")
+    assert says in err
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_a_process_that_ignores_sigterm_goes_on_doing_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, load = signal.signal(signal.SIGTERM, signal.SIG_IGN), Scenario.load
+    monkeypatch.setattr(Scenario, "load", lambda name: os.kill(os.getpid(), signal.SIGTERM) or load(name))
+    try:
+        assert call(capsys, "audit tiny")[0] == 0
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_a_configuration_goes_on_in_the_folder_that_it_lies_in(
+    workplace: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(capsys, f"{TINY} --set algorithm.learning_rate=5e-4")[0] == 0
+    (config,) = workplace.glob("results/*/*/seed-0/config.yaml")
+    assert "learning_rate=5e-4" in str(config)  # not 0.0005
+    again = f"train --quiet --config {shlex.quote(str(config))}"
+    code, out, _ = call(capsys, f"{again} --resume")
+    assert code == 0
+    assert f"run folder:      {config.parent}\n" in out
+    assert "already holds a run" in call(capsys, again)[2]
+    assert list(workplace.glob("results/*/*/seed-0")) == [config.parent]
+    assert call(capsys, f"{again} --out elsewhere")[0] == 0
+    assert len(list(workplace.glob("elsewhere/*/*/seed-0/config.yaml"))) == 1
