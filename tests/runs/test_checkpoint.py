@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import errno
 import os
 import resource
@@ -17,7 +16,16 @@ import pytest
 import torch as th
 from safetensors.numpy import load_file
 
-from tests.runs.stopped_runs import SMALL, StoppedError, assert_ends_as, every_update, flip, small, stop_in_update
+from tests.runs.stopped_runs import (
+    SMALL,
+    StoppedError,
+    assert_ends_as,
+    every_update,
+    flip,
+    small,
+    stop_in_update,
+    without_wall,
+)
 from uavaou import InputError, Scenario
 from uavaou.algorithms.io import tensor_file
 from uavaou.algorithms.registry import load_config
@@ -236,7 +244,7 @@ def test_a_replay_is_part_of_the_checkpoint(
     assert_ends_as(parted, whole)
     assert not any(name.startswith("replay.") for name in load_file(whole.last))  # it has no more use for it
     for name in ("episodes.csv", "progress.csv"):
-        one, other = (_without_wall(folder.path / name) for folder in (whole, parted))
+        one, other = (without_wall(folder.path / name) for folder in (whole, parted))
         assert one == other
         assert len(one) > 2
 
@@ -260,8 +268,3 @@ def test_missions_in_other_processes_are_part_of_it_too(
             every_update(config, folder, backend=before)
     every_update(config, folder, backend=after, resume=True)
     assert_ends_as(folder, runs[0])  # which one process has stepped
-
-
-def _without_wall(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return [{name: value for name, value in row.items() if "wall" not in name} for row in csv.DictReader(file)]

@@ -196,8 +196,9 @@ def _learn(
     with Interrupts(quiet=display is None) as interrupts, closing(display) if display is not None else nullcontext():
         if display is not None:
             display.start(config.slots, progress.slots, _mean_uavs(config))
-        recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s, after_update)
-        writers: list[KVWriter] = [recorder.progress_csv, TensorBoardOutputFormat(str(folder.path / "tensorboard"))]
+        with writing(folder.path):
+            recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s, after_update)
+            writers: list[KVWriter] = [recorder.progress_csv, TensorBoardOutputFormat(str(folder.path / "tensorboard"))]
         model.set_logger(Logger(str(folder.path), writers))
         try:
             # No logging by SB3: it would write a row before the update that the row is about.
