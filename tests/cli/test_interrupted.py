@@ -41,7 +41,11 @@ def test_a_signal_at_any_moment_is_answered(
 ) -> None:  # fmt: skip
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(part, killed(number))
-    returned, out, err = call(capsys, command)
+    ctrl_c = signal.signal(signal.SIGINT, signal.default_int_handler)  # which background jobs ignore
+    try:
+        returned, out, err = call(capsys, command)
+    finally:
+        signal.signal(signal.SIGINT, ctrl_c)
     assert (returned, out) == (code, "")
     assert says in err
     assert signal.getsignal(signal.SIGTERM) == before

@@ -1,0 +1,209 @@
+"""Every reader of a stranger's file as a fuzz target, a valid file of each kind, and mutations that know the formats.
+
+A reader may answer with what it read, or with an InputError of one line; anything else is a finding.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import tempfile
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uavaou.algorithms.io import save_load
+from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
+from uavaou.algorithms.registry import load_config
+from uavaou.devices_csv import read_devices_csv
+from uavaou.errors import InputError
+from uavaou.evaluation.recorded_mission import read_mission
+from uavaou.family import Family
+from uavaou.plain_yaml import parse_yaml
+from uavaou.planners.plan import RoutePlan
+from uavaou.reports.figures import read_runs
+from uavaou.reports.suites import read_suite
+from uavaou.runs.checkpoint_header import TrainingProgress, read_header, write_header
+from uavaou.runs.folder import EPISODE_COLUMNS, RunConfig, RunFolder
+from uavaou.runs.records import EpisodesCsv, ProgressCsv
+from uavaou.runs.results import read_evaluation
+from uavaou.scenario import Scenario
+from uavaou.studies.study import Study
+from uavaou.suites.suite import Suite
+from uavaou.tuning.search import Search, SearchFolder
+from uavaou.tuning.search_space import SearchSpace
+from uavaou.zoo import zoo_path
+from uavaou_cli.overrides import parse_overrides
+
+ODD = (
+    *("!!int '2'", "!!bool foo", "!!timestamp foo", "!!binary x", "! 3", "&a [*a]", "*a", "<<: {a: 1}", "? x", "- - -"),
+    *("010", "1:1", "1:1.5", "1e999", ".inf", ".nan", "-0.0", "0x1F", "1e-400", "9" * 400, "9" * 40, "-1", "0", "2.5"),
+    *("true", "null", "''", "[]", "{}", "[[[]]]", "{low: 1}", "nan", "inf", "1_000", "1e3", "%YAML 2.0", "---", "..."),
+    *("/dev/zero", "../x.csv", "devices.csv", "tiny", "\u2028", "\x00", "\ud7ff", '"\\ud800"', "é" * 50, "x" * 5000),
+    *(",", '"', "\r", "[", "{"),
+)
+
+
+@cache
+def place() -> Path:
+    """A folder in memory, where there is one."""
+    return Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
+
+
+def _file(name: str, read: Callable[[Path], Any], content: bytes) -> None:
+    path = place() / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(content)
+    read(path)
+
+
+def _checkpoint(path: Path) -> None:
+    file = ArrayFile(path)
+    read_header(file, oldest=2).fits(RunConfig(Scenario.load("tiny"), load_config("mappo")), 1000)
+    for name in file.shapes:
+        file.read(name)
+
+
+def _episodes(path: Path) -> None:
+    (path.parent / "config.yaml").write_text(RunConfig(Scenario.load("tiny"), load_config("mappo"), 0).to_yaml())
+    read_runs([path.parent])
+
+
+def _rows(path: Path) -> None:
+    kept = path.read_bytes()
+    for table in (EpisodesCsv, ProgressCsv):
+        path.write_bytes(kept)
+        table(path, 1, "0" * 64).close()
+
+
+def _overrides(path: Path) -> None:
+    overrides = parse_overrides(path.read_bytes().decode("utf-8", "surrogateescape").split("\n"))
+    overrides.of_scenario(Scenario.load("tiny"))
+    overrides.of_algorithm("mappo")
+
+
+READERS: dict[str, Callable[[Path], Any]] = {
+    "checkpoint.safetensors": _checkpoint,
+    "learner.safetensors": lambda path: save_load.read_header(ArrayFile(path)),
+    "scenario.yaml": Scenario.load,
+    "config.yaml": lambda path: RunFolder(path.parent).read_config(),
+    "devices.csv": lambda path: read_devices_csv(path.with_name("s.yaml"), {"devices_csv": path.name}, None),
+    "eval.json": read_evaluation,
+    "run/episodes.csv": _episodes,
+    "family.yaml": Family.load,
+    "study.yaml": Study.load,
+    "suite.yaml": lambda path: Suite.load(str(path)),
+    "space.yaml": partial(SearchSpace.load, "mappo"),
+    "search/search.yaml": lambda path: SearchFolder(path.parent).read(),
+    "mission.json": read_mission,
+    "plan.json": RoutePlan.load,
+    "suite.csv": read_suite,
+    "rows.csv": _rows,
+    "set.txt": _overrides,
+    "any.yaml": lambda path: parse_yaml(path.read_bytes().decode("utf-8", "replace"), "f"),
+}
+
+
+@cache
+def seeds() -> dict[str, bytes]:
+    """A valid file for each reader."""
+    tiny, mappo = Scenario.load("tiny"), load_config("mappo")
+    files = {name: place() / f"seed-{Path(name).name}" for name in READERS}
+    arrays = {"policy.weight": np.ones((2, 3), np.float32), "stream.numpy": np.zeros(4, np.uint32)}
+    about = {"class": "MAPPO", "arguments": {}, "layout": {}, "rows": 2}
+    write_arrays(files["checkpoint.safetensors"], arrays, write_header(TrainingProgress()))
+    learner = {"kind": "uavaou learner", "schema": "1", "about": json.dumps(about)}
+    write_arrays(files["learner.safetensors"], arrays, learner)
+    slots, uavs, devices = tiny.slots, tiny.uavs, tiny.devices
+    cells = np.rint(np.asarray(tiny.cds_m) / tiny.grid_step_m).astype(int).tolist()
+    layout = {
+        "devices_m": [[0, 0]] * devices,
+        **dict.fromkeys(("bandwidth_hz", "transmit_power_w", "update_period_slots"), [1] * devices),
+    }
+    mission = {
+        "schema": 1,
+        "policy": "p",
+        "training_seed": 0,
+        "mission_seed": 1,
+        "scenario": tiny.to_dict(),
+        "layout": layout,
+        "positions_m": [[[0, 0]] * uavs] * slots,
+        "collected_by": [[-1] * devices] * slots,
+        "age_sum_slots": [[1] * devices] * slots,
+    }
+    plan = {"planner": "tour", "scenario": tiny.to_dict(), "mean_aou_s": 1.0, "bound_s": None, "interrupted": False}
+    search = Search(tiny, mappo, SearchSpace.load("mappo"), None, 500, 0, ())
+    texts = {
+        "scenario.yaml": "base: tiny\nslots: 20\nbandwidth_hz: {low: 15000, high: 2.0e+4}\ndevices_csv: devices.csv\n",
+        "config.yaml": RunConfig(tiny, mappo, 0).to_yaml(),
+        "devices.csv": "x_m,y_m,transmit_power_mw\n120,430,0.5\n710,95,0.8\n",
+        "eval.json": '{"scenario": "tiny", "episodes": 1, "policies": {"mappo": '
+        '{"mean_aou_s": [1.0], "communications": [2], "devices_served": [3]}}}',
+        "run/episodes.csv": ",".join(EPISODE_COLUMNS) + "\n1,60,0.1,-3,4,6,7\n",
+        "family.yaml": "base: tiny\nuavs: {among: [1, 2], weights: [1, 2.5]}\narea_m: {low: 200, high: 500}\n",
+        "study.yaml": zoo_path("studies", "smoke").read_text(),
+        "suite.yaml": "description: d\nscenario: tiny\naxis: {label: x}\npoints: [{label: a, x: 0, set: {slots: 9}}]\n",
+        "space.yaml": zoo_path("tuning", "mappo").read_text(),
+        "search/search.yaml": search.to_yaml(),
+        "mission.json": json.dumps(mission),
+        "plan.json": json.dumps(plan | {"routes": [[cell] * slots for cell in cells]}),
+        "suite.csv": "suite,axis,scale,point,x\ns,x,linear,1,1\n",
+        "rows.csv": "mission,slots\n1,2\n3,4\n",
+        "set.txt": "scenario.bandwidth_hz.low=14e3\nscenario.slots=9\nalgorithm.hidden=[8, 8]",
+        "any.yaml": "a: {b: [1, 2.5, x], 'c': true}\nd:\n  - e: null\n",
+    }
+    for name, text in texts.items():
+        files[name].write_text(text, encoding="utf-8")
+    return {name: path.read_bytes() for name, path in files.items()}
+
+
+def read(name: str, content: bytes) -> None:
+    """Give content to the reader of that file's name.
+
+    Raises:
+        Exception: a finding.
+    """
+    try:
+        _file(name, READERS[name], content)
+    except InputError as error:
+        if "\n" in str(error):
+            raise ValueError("more than one line") from error
+
+
+def mutated(name: str, content: bytes, rng: random.Random) -> bytes:
+    """A file like ``content``, with one to three changes where its format has parts."""
+    header = 0
+    if name.endswith(".safetensors") and rng.random() < 0.7:  # inside of the header, whose length then fits
+        header = int.from_bytes(content[:8], "little")
+        changed = content[8 : 8 + header]
+        for _ in range(rng.randint(1, 3)):
+            changed = _change(changed, rng)
+        return len(changed).to_bytes(8, "little") + changed + content[8 + header :]
+    for _ in range(rng.randint(1, 3)):
+        content = _change(content, rng)
+    return content
+
+
+def _change(content: bytes, rng: random.Random) -> bytes:
+    """Another token, line, bit or end."""
+    odd = rng.choice(ODD).encode("utf-8", "replace")
+    kind = rng.choice(("token", "token", "token", "line", "bit", "cut", "insert"))
+    if kind == "token":
+        ends = [k for k, byte in enumerate(content) if byte in b" ,:[]{}\n\"'="] or [0]
+        first = rng.choice(ends)
+        last = next((end for end in ends if end > first), len(content))
+        return content[: first + 1] + (b" " if rng.random() < 0.5 else b"") + odd + content[last:]
+    if kind == "line":
+        lines = content.split(b"\n")
+        k = rng.randrange(len(lines))
+        lines[k:k] = [rng.choice(lines)] if rng.random() < 0.5 else [b"key: " + odd]
+        return b"\n".join(lines)
+    at = rng.randrange(len(content) + 1)
+    if kind == "cut":
+        return content[:at]
+    if kind == "insert" or at == len(content):
+        return content[:at] + odd + content[at:]
+    return content[:at] + bytes([content[at] ^ (1 << rng.randrange(8))]) + content[at + 1 :]

@@ -1,0 +1,33 @@
+"""The CI-length form of the fuzzer: the same targets and mutations, the same on every machine."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from tests.fuzz.targets import READERS, mutated, read, seeds
+from uavaou.errors import InputError
+
+OF_EACH = 150  # mutations
+SLOW = ("family.yaml", "study.yaml", "search/search.yaml", "run/episodes.csv")  # a tenth of them
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", READERS)
+def test_bent_files_are_read_or_refused_in_one_line(name: str) -> None:
+    rng, seed = random.Random(name), seeds()[name]
+    for _ in range(OF_EACH // (10 if name in SLOW else 1)):
+        content = mutated(name, seed, rng)
+        try:
+            read(name, content)
+        except Exception as error:
+            raise AssertionError(f"a finding in {name}: {content!r}") from error
+
+
+@pytest.mark.parametrize("name", ["scenario.yaml", "set.txt", "any.yaml", "plan.json", "mission.json", "suite.yaml"])
+def test_the_seeds_are_valid(name: str) -> None:
+    try:
+        (_ := seeds()[name]) and read(name, _)
+    except InputError as error:
+        raise AssertionError(name) from error
