@@ -6,13 +6,14 @@ DEMO := results/demo
 SLOTS := 1000000
 RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 
-.PHONY: help install demo test lint types docs bench lock clean
+.PHONY: help install demo test lint types docs bench zero-shot lock clean
 
 help:
 	@echo "make demo    train MAPPO on the paper's scenario, evaluate it beside planners, draw the figures (about 3 minutes)"
 	@echo "make test    run all tests"
 	@echo "make docs    the documentation site, into site/"
 	@echo "make lint    ruff; make types: mypy; make bench: speed, side by side"
+	@echo "make zero-shot   measure the released policy any-map (or POLICY=NAME) on all suites: tables, figures, page (10 minutes)"
 
 install: $(VENV)/.installed
 
@@ -53,6 +54,9 @@ docs: install
 
 bench: install
 	$(BIN)/python -m benchmarks
+
+zero-shot: install
+	$(BIN)/python -m benchmarks.zero_shot $(POLICY)
 
 lock:
 	rm -rf .lock-venv && $(PYTHON) -m venv .lock-venv

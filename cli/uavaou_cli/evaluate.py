@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
@@ -202,8 +203,8 @@ def _suite_lines(plan: SuitePlan, results: Sequence[PointResult], episodes: int,
     units = ("", "", "", "(slots)", "95 %", "", "")
     lines = [*wrapped(head), "", *aligned([heads, units, *_suite_rows(plan, results)], left=3)]
     refused = _paragraphs(f"{result.flown.name}: {result.refusal}" for result in results if result.refusal)
-    lines += [*_violations(results), *_budgets(results), *_reasons(plan.points), *refused]
-    lines += [*_elsewhere(plan, results), *_missing_lines(plan.missing), *_unused(plan)]
+    lines += [*_beside_reference(plan, results), *_violations(results), *_budgets(results), *_reasons(plan.points)]
+    lines += [*refused, *_elsewhere(plan, results), *_missing_lines(plan.missing), *_unused(plan)]
     if any(point.scenario is None for point in plan.points) or plan.missing:
         lines += ["", "- not played, see above"]
     return lines
@@ -230,6 +231,34 @@ def _suite_cells(result: PointResult, several_seeds: bool) -> tuple[str, ...]:
         return name, flown.kind, "-", "", "", ""
     counts = figure(result.mean("communications")), f"{result.mean('devices_served'):.1f}"
     return name, flown.kind, *interval_figures(result.mean_aou_slots), *counts
+
+
+def _beside_reference(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
+    """Each policy beside ``best-first``, where that planner plays: point by point, and over several points."""
+    from uavaou.suites.play import RATIO_ABOVE, REFERENCE
+
+    others = [one for one in results if not one.refusal and one.flown.policy != REFERENCE]
+    compared = [(one, found) for one in others if not math.isnan((found := one.compared(results)).difference)]
+    if not compared:
+        return []
+    rows = [(plan.suite.axis.label, "policy", f"to {REFERENCE}", "worst mission")]
+    ratios: dict[str, list[float]] = {}
+    for one, found in compared:
+        name, beside = one.flown.policy, f"{found.difference:+.2f} slots"
+        if one.mean_aou_slots.value - found.difference > RATIO_ABOVE:
+            beside = f"{found.ratio:.2f}"
+            ratios.setdefault(name, []).append(found.ratio)
+        rows.append((one.flown.point.label, name, beside, f"{found.worst_mission:.2f}"))
+    means = [
+        f"{name}: geometric mean of the ratios {math.exp(sum(map(math.log, found)) / len(found)):.3f}"
+        for name, found in ratios.items()
+        if len(found) > 1
+    ]
+    note = (
+        f"to {REFERENCE}: the ratio of the mean AoU where {REFERENCE} has more than {RATIO_ABOVE} slots, else the "
+        f"difference; worst mission: the largest mean AoU of one, as a multiple of 2 x {REFERENCE} + 5 slots"
+    )
+    return ["", *aligned(rows, left=2), "", *wrapped(note), *means]
 
 
 def _violations(results: Sequence[PointResult]) -> list[str]:

@@ -84,19 +84,24 @@ def _draw_runs(runs: list[Path], target: Path) -> None:
 
 def suite(
     file: Annotated[
-        list[Path] | None, typer.Argument(help="Tables of `uavaou eval --suite --out`. [default: results/suites/*.csv]")
+        list[Path] | None,
+        typer.Argument(help="Tables of `uavaou eval --suite --out`. [default: all below results/suites]"),
     ] = None,
-    out: Annotated[Path | None, option("Where the pictures go. [default: beside each FILE]", "DIR")] = None,
+    out: Annotated[Path | None, option("Where the pictures go. [default: beside a suite's first FILE]", "DIR")] = None,
 ) -> None:
-    """Draw the mean AoU of each policy over the points of a suite, as PNG and PDF."""
-    files = list(dict.fromkeys(file or sorted(Path("results/suites").glob("*.csv"))))
+    """Draw the mean AoU of each policy over the points of a suite, as PNG and PDF.
+
+    Tables of one suite become one figure.
+    """
+    shipped = Path("results/suites")
+    files = list(dict.fromkeys(file or [*sorted(shipped.glob("*.csv")), *sorted(shipped.glob("*/*.csv"))]))
     if not files:
         raise InputError("no FILE, and no results/suites/*.csv here: uavaou eval --suite NAME --out FILE writes one")
     for target in {out if out is not None else path.parent for path in files}:
         writable_folder(target)
-    from uavaou.reports.suites import plot_suite, read_suite
+    from uavaou.reports.suites import plot_suite, read_suites
 
-    for table in [read_suite(path) for path in files]:  # all are read before the first is drawn
+    for table in read_suites(files):  # all are read before the first is drawn
         show(plot_suite(table, out if out is not None else table.path.parent))
 
 

@@ -55,6 +55,31 @@ def test_a_suite_is_played_printed_and_written(capsys: pytest.CaptureFixture[str
     assert [set(point["policies"]) for point in whole["points"]][2] == {"greedy"}
 
 
+def test_policies_are_compared_with_best_first_mission_by_mission(
+    capsys: pytest.CaptureFixture[str], place: Path
+) -> None:
+    command = "eval run --policy best-first --suite own.yaml --episodes 3 --quiet --out own.csv --json all.json"
+    code, out, _ = call(capsys, command)
+    assert code == 0
+    rows = {(row["point"], row["policy"]): row for row in csv.DictReader((place / "own.csv").open())}
+    tau = Scenario.load("tiny").slot_length_s
+    for point in json.loads((place / "all.json").read_text())["points"]:
+        row = rows.get((point["label"], "mappo"))
+        if row is None:
+            continue
+        own, best = (np.array(point["policies"][name]["mean_aou_s"]) / tau for name in ("run", "best-first"))
+        assert float(row["ratio"] or "inf") == pytest.approx(
+            own.mean() / best.mean() if best.any() else np.inf, rel=1e-5
+        )
+        assert float(row["difference"]) == pytest.approx(own.mean() - best.mean(), rel=1e-5)
+        assert float(row["worst_mission"]) == pytest.approx((own / (2 * best + 5)).max(), rel=1e-5)
+        words = f"{point['label']} mappo {own.mean() - best.mean():+.2f} slots {float(row['worst_mission']):.2f}"
+        assert words in " ".join(out.split())
+    assert "geometric mean" not in out  # best-first has less than 20 slots everywhere
+    call(capsys, "eval run --suite own.yaml --episodes 2 --quiet --out own.csv")
+    assert {row["ratio"] for row in csv.DictReader((place / "own.csv").open())} == {""}  # best-first did not play
+
+
 def test_a_point_equals_eval_on_its_scenario(capsys: pytest.CaptureFixture[str], place: Path) -> None:
     assert call(capsys, "eval run --suite own.yaml --episodes 3 --quiet --out own.csv")[0] == 0
     call(capsys, "eval run --set scenario.rate_min_bit_s=100000 --episodes 3 --quiet --json plain.json")
@@ -134,7 +159,7 @@ def test_a_damaged_run_is_found_before_anything_is_played(capsys: pytest.Capture
         ("eval run --suite obsrvation", "did you mean 'observation'"),
         ("eval run --suite nowhere.yaml", "suite file 'nowhere.yaml' does not exist"),
         ("eval run --suite fadin.yaml", "suite file 'fadin.yaml' does not exist; did you mean 'fading'?"),
-        ("eval run --suite own", "observation, paper, rate, uavs; or a path ending in .yaml)"),
+        ("eval run --suite own", "observation, paper, rate, uavs, unseen-layouts; or a path ending in .yaml)"),
         ("eval run --suite empty.yaml", "empty.yaml: expected a mapping of field names to values, found nothing"),
         ("eval run --suite misspelt.yaml", "misspelt.yaml: unknown field 'ponits'; did you mean 'points'?"),
         ("eval nowhere --suite fading", "run folder 'nowhere' does not exist"),

@@ -14,7 +14,7 @@ from tests.suites.small_suites import GOOD, OWN, call
 from uavaou.errors import InputError
 from uavaou.planners import make_planner
 from uavaou.reports import style
-from uavaou.reports.suites import plot_suite, read_suite
+from uavaou.reports.suites import plot_suite, read_suite, read_suites
 from uavaou.suites.play import plan_suite, play_suite, write_suite
 from uavaou.suites.suite import Suite
 
@@ -99,6 +99,29 @@ def test_malformed_tables_name_the_place(tmp_path: Path, old: str, new: str, wor
     (tmp_path / "s.csv").write_text(text.replace(old, new, 1))
     with pytest.raises(InputError, match=words):
         read_suite(tmp_path / "s.csv")
+
+
+def test_tables_of_one_suite_are_drawn_together(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    head, suites = "suite,point,x,policy,trained,seed,mean_aou_slots,low,high,axis,scale\n", Path("results/suites")
+    (suites / "mine").mkdir(parents=True)
+    (suites / "s.csv").write_text(
+        head + "s,1,1,mappo,trained,0,7,6,8,x,linear\ns,1,1,greedy,planner,,9,8,10,x,linear\n"
+    )
+    other = "s,1,1,greedy,planner,,99,98,100,x,linear\ns,2,2,any-map,zero-shot,0,3,2,4,x,linear\n"
+    (suites / "mine" / "s.csv").write_text(head + other)
+    (joined,) = read_suites([suites / "s.csv", suites / "mine" / "s.csv"])
+    found = [(row.point, row.policy, row.aou.value) for row in joined.rows]
+    assert found == [("1", "mappo", 7), ("1", "greedy", 9), ("2", "any-map", 3)]  # of a row twice, the first counts
+    assert joined.path == suites / "s.csv"
+    code, out, _ = call(capsys, "plot suite")
+    assert (code, out.split()) == (0, ["results/suites/suite-s.png", "results/suites/suite-s.pdf"])
+    (suites / "mine" / "s.csv").write_text(head + other.replace(",x,", ",y,"))
+    code, out, err = call(capsys, "plot suite")
+    assert (code, out) == (2, "")
+    assert "mine/s.csv: its axis is not that of results/suites/s.csv" in err
 
 
 def test_a_table_from_before_the_newer_columns_is_read(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import textwrap
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,10 +16,13 @@ from uavaou.errors import InputError
 from uavaou.reports import style
 from uavaou.statistics import Interval, interval_over_trainings
 from uavaou.suites.assignment import budget_lines
+from uavaou.suites.play import Compared
 
 _COLUMNS = (
     "suite", "point", "x", "policy", "trained", "seed", "mean_aou_slots", "low", "high", "axis", "scale",
 )  # fmt: skip
+# Older tables lack these; the cell that stands for what they do not say.
+_LATER_COLUMNS = {"training_slots": "", "joined": "yes", "violations": "0", **dict.fromkeys(Compared._fields, "")}
 _ALLOWED = {
     "scale": ("linear", "log", "category"),
     "trained": ("trained", "zero-shot", "planner"),
@@ -40,8 +43,11 @@ class SuiteRow:
     policy: str
     how: str
     aou: Interval  # slots, over missions; low and high are nan for one mission
-    training_slots: int | None = None  # None for a planner, and where the table does not say
-    joined: bool = True  # whether a line leads to the point
+    training_slots: int | None  # None for a planner, and where the table does not say
+    joined: bool  # whether a line leads to the point
+    seed: str  # of the training; empty for a planner
+    violations: int
+    compared: Compared  # with ``best-first``; nan where the table does not say
 
 
 @dataclass(frozen=True)
@@ -67,7 +73,9 @@ def read_suite(path: Path) -> SuiteTable:
     Raises:
         InputError: it cannot be read, or a column is missing or malformed; the message names the line.
     """
-    table = read_csv(path, _COLUMNS).filled("training_slots", "").filled("joined", "yes")  # older tables lack both
+    table = read_csv(path, _COLUMNS)
+    for column, cell in _LATER_COLUMNS.items():
+        table = table.filled(column, cell)
     if not len(table):
         raise InputError(f"{path}: holds no row: nothing was played")
     for column in ("suite", "axis", "scale"):
@@ -81,13 +89,36 @@ def read_suite(path: Path) -> SuiteTable:
     return SuiteTable(path, suite, axis, scale, _rows(table))
 
 
+def read_suites(paths: Iterable[Path]) -> list[SuiteTable]:
+    """Read tables, those of one suite as one table with the path of the first.
+
+    Of several rows on one policy, training seed and point the first counts.
+
+    Raises:
+        InputError: as :func:`read_suite`, or tables of one suite have different axes.
+    """
+    found: dict[str, SuiteTable] = {}
+    for table in map(read_suite, paths):
+        first = found.setdefault(table.suite, table)
+        if (first.axis, first.scale) != (table.axis, table.scale):
+            raise InputError(f"{table.path}: its axis is not that of {first.path}, a table of the same suite")
+        there = {(row.point, row.policy, row.seed) for row in first.rows}
+        if first is not table:
+            first.rows.extend(row for row in table.rows if (row.point, row.policy, row.seed) not in there)
+    return list(found.values())
+
+
 def _rows(table: CsvTable) -> list[SuiteRow]:
     ends = (table.floats(column, missing=True).tolist() for column in ("low", "high"))
     aou = map(Interval, table.floats("mean_aou_slots").tolist(), *ends)
     slots = (None if value < 0 else value for value in table.integers("training_slots", missing=-1).tolist())
     joined = (cell == "yes" for cell in table.text("joined"))
     names = (table.text(column) for column in ("policy", "trained"))
-    columns = zip(table.text("point"), table.floats("x").tolist(), *names, aou, slots, joined, strict=True)
+    rest = table.text("seed"), table.integers("violations").tolist()
+    compared = map(Compared, *(table.floats(column, missing=True).tolist() for column in Compared._fields))
+    columns = zip(
+        table.text("point"), table.floats("x").tolist(), *names, aou, slots, joined, *rest, compared, strict=True
+    )
     return [SuiteRow(*cells) for cells in columns]
 
 

@@ -4,11 +4,15 @@
 of each run, one JSON file of all, and the CSV table.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from uavaou.arrays import Floats
 from uavaou.csv_tables import write_csv
 from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import evaluate
@@ -24,8 +28,10 @@ from uavaou.suites.suite import ResolvedPoint, Suite, resolve_points
 
 CSV_COLUMNS = (
     "suite", "point", "x", "policy", "trained", "seed", "training_slots", "missions", "mean_aou_slots", "low", "high",
-    "communications", "devices_served", "violations", "axis", "scale", "joined",
+    "communications", "devices_served", "violations", "ratio", "difference", "worst_mission", "axis", "scale", "joined",
 )  # fmt: skip
+REFERENCE = "best-first"  # a planner; the others are compared with it where it plays
+RATIO_ABOVE = 20  # slots of mean AoU: below, a ratio to the reference says less than the difference
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,14 @@ class PolicyAtPoint:
         return self.point.scenario
 
 
+class Compared(NamedTuple):
+    """The mean AoU of a policy beside that of ``best-first`` on the same missions; nan where it did not play."""
+
+    ratio: float = math.nan  # of the means over the missions
+    difference: float = math.nan  # of these means, slots
+    worst_mission: float = math.nan  # the largest mean AoU of a mission, as a multiple of 2 x best-first's + 5 slots
+
+
 @dataclass(frozen=True)
 class PointResult:
     """What a policy did at a point, or why a planner refused the point."""
@@ -65,9 +79,24 @@ class PointResult:
         return self.content
 
     @property
+    def missions_slots(self) -> Floats:
+        """Mean AoU of each mission in units of tau, (n,)."""
+        return self.played.mean_aou_s / self.flown.scenario.slot_length_s
+
+    @property
     def mean_aou_slots(self) -> Interval:
         """Mean AoU in units of tau, with its 95 % interval over the missions."""
-        return interval_over_missions(self.played.mean_aou_s / self.flown.scenario.slot_length_s)
+        return interval_over_missions(self.missions_slots)
+
+    def compared(self, results: Iterable[PointResult]) -> Compared:
+        """This policy beside ``best-first`` at the same point, where that is among the ``results``."""
+        for other in results:
+            if other.flown.point is self.flown.point and other.flown.policy == REFERENCE and not other.refusal:
+                own, theirs = self.missions_slots, other.missions_slots  # (n,) each
+                mean = float(theirs.mean())
+                ratio = float(own.mean()) / mean if mean else math.nan
+                return Compared(ratio, float(own.mean()) - mean, float((own / (2 * theirs + 5)).max()))
+        return Compared()
 
     def mean(self, name: str) -> float:
         """The mean over the missions of a metric with one value a mission."""
@@ -217,7 +246,7 @@ def write_suite(
         write_evaluation(json, suite_evaluation(plan, results, episodes, seed))
         notes.append(f"wrote {json}")
     if table is not None:
-        write_csv(table, CSV_COLUMNS, [_row(plan, result) for result in results if not result.refusal])
+        write_csv(table, CSV_COLUMNS, [_row(plan, result, results) for result in results if not result.refusal])
         notes.append(f"wrote {table}")
     return notes
 
@@ -256,11 +285,12 @@ def _policy_key(result: PointResult, own: SuiteRun | None) -> str:
     return run.config.algorithm.name if run is own else str(run.folder)
 
 
-def _row(plan: SuitePlan, result: PointResult) -> list[Any]:
+def _row(plan: SuitePlan, result: PointResult, every: Sequence[PointResult]) -> list[Any]:
     """A row of the table, in the order of ``CSV_COLUMNS``."""
     flown, point, axis = result.flown, result.flown.point.stated, plan.suite.axis
     which = plan.name, point.label, point.x, flown.policy, flown.kind
     training = (None, None) if flown.run is None else (flown.run.config.seed, flown.run.slots)
     aou = len(result.played.mean_aou_s), *result.mean_aou_slots
     counts = result.mean("communications"), result.mean("devices_served"), result.violations
-    return [*which, *training, *aou, *counts, axis.title, axis.scale, "yes" if point.joined else "no"]
+    drawn = axis.title, axis.scale, "yes" if point.joined else "no"
+    return [*which, *training, *aou, *counts, *result.compared(every), *drawn]

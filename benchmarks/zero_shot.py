@@ -1,0 +1,152 @@
+"""What a released policy reaches on maps that it was not trained on: tables, figures, a page, and its model card.
+
+``python -m benchmarks.zero_shot [POLICY] [--table NAME ...] [--jobs N]`` plays suites, writes their tables to
+``results/suites/POLICY/``, draws all suites, and writes the page there and the same text into the model card.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import re
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+from uavaou.files import read_text, write_text
+from uavaou.reports.markdown import rounded, table, with_interval
+from uavaou.reports.suites import SuiteRow, SuiteTable, read_suites
+from uavaou.runs.released import released_folder
+from uavaou.suites.play import RATIO_ABOVE, REFERENCE
+from uavaou.suites.suite import Suite
+from uavaou_cli.main import main as uavaou
+
+SUITES = Path("results/suites")
+# Name of a table -> options of `uavaou eval`, those that take longest first.
+TABLES = {
+    "drawn-uavs": ["--suite", "uavs", "--set", "scenario.layout=resample"],
+    "drawn-devices": ["--suite", "devices", "--set", "scenario.layout=resample"],
+    "uavs": ["--suite", "uavs"],
+    "devices": ["--suite", "devices"],
+    "layouts": ["--suite", "layouts"],
+    "areas": ["--suite", "areas"],
+    "known-layouts": ["--suite", "known-layouts"],
+    "unseen-layouts": ["--suite", "unseen-layouts", "--episodes", "8"],
+}
+PAGE_ORDER = ("unseen-layouts", "layouts", "known-layouts", "drawn-uavs", "drawn-devices", "areas", "uavs", "devices")
+MOST_ROWS = 20  # of a table on the page
+CARD = re.compile(r"(<!-- zero-shot:begin -->\n).*?(<!-- zero-shot:end -->)", re.DOTALL)
+NOTE = f"""\
+Mean AoU in slots with its 95 % interval over missions. All policies of a table fly the same missions: 100 a point, 8 of
+each layout in `unseen-layouts`. *To `{REFERENCE}`* is the ratio of the mean AoU where `{REFERENCE}` has more than
+{RATIO_ABOVE} slots, elsewhere the difference. The *worst mission* has the largest mean AoU as a multiple of
+2 x `{REFERENCE}` + 5 slots. The ratios of the first table are over the points where the other policy has more than
+{RATIO_ABOVE} slots; it lists planners, and policies that were trained for the points (on layout 0 but for
+`known-layouts`)."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.zero_shot", description=__doc__)
+    parser.add_argument("policy", nargs="?", default="any-map", help="a released policy (default: %(default)s)")
+    parser.add_argument("--table", action="append", choices=TABLES, help="measure this alone; repeatable")
+    parser.add_argument("--no-table", action="store_true", help="measure nothing: figures, page and card alone")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="tables at a time (default: all cores)")
+    arguments = parser.parse_args()
+    wanted = [] if arguments.no_table else [name for name in TABLES if name in (arguments.table or TABLES)]
+    policy: str = arguments.policy
+    with ProcessPoolExecutor(arguments.jobs, get_context("spawn"), one_thread) as pool:
+        codes = list(pool.map(measure, [policy] * len(wanted), wanted))
+    if any(codes) or uavaou(["plot", "suite"]):
+        raise SystemExit(1)
+    write_pages(policy, SUITES, released_folder() / policy / "README.md")
+
+
+def one_thread() -> None:
+    """Give each process one core."""
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def measure(policy: str, name: str) -> int:
+    """Play the suite of a table beside ``best-first``, and write the table; returns the command's exit code."""
+    out = SUITES / policy / f"{name}.csv"
+    return uavaou(["eval", policy, "--policy", REFERENCE, *TABLES[name], "--out", str(out), "--quiet"])
+
+
+def write_pages(policy: str, suites: Path, card: Path) -> None:
+    """Write the page of a policy into ``suites/POLICY``, and the same text between the markers of its model card."""
+    places = [suites / policy / f"{name}.csv" for name in PAGE_ORDER]
+    own = [found.suite for found in read_suites(path for path in places if path.is_file())]
+    files = [*sorted(suites.glob("*.csv")), *sorted(suites.glob("*/*.csv"))]  # as `uavaou plot suite` reads them
+    every = {found.suite: found for found in read_suites(files)}
+    tables = [every[suite] for suite in own]
+    figures = [os.path.relpath(found.path.parent / f"suite-{found.suite}.png", suites / policy) for found in tables]
+    head = f"# `{policy}` on maps that it was not trained on\n\n```\npython -m benchmarks.zero_shot {policy}\n```\n\n"
+    sections = [f"{section(policy, t)}\n\n![{t.suite}]({f})" for t, f in zip(tables, figures, strict=True)]
+    write_text(suites / policy / "README.md", head + "\n\n".join([summary(policy, tables), *sections]) + "\n")
+    text = "\n\n".join([summary(policy, tables), *(section(policy, found) for found in tables)])
+    held = read_text(card, 1_000_000)
+    write_text(card, CARD.sub(lambda marks: f"{marks[1]}\n{text}\n\n{marks[2]}", held))
+
+
+def summary(policy: str, tables: Iterable[SuiteTable]) -> str:
+    """A row for each suite and each policy that was trained for its points or is a planner: the ratios over points."""
+    rows, violations = [], 0
+    for found in tables:
+        own = means(found, policy)
+        flown = [row for row in found.rows if row.policy == policy]
+        violations += sum(row.violations for row in flown)
+        worst = max(row.compared.worst_mission for row in flown)
+        for other in dict.fromkeys(row.policy for row in found.rows if row.how != "zero-shot"):
+            theirs = means(found, other)
+            ratios = [own[point] / theirs[point] for point in own if theirs.get(point, 0) > RATIO_ABOVE]
+            if ratios:
+                geometric = math.exp(sum(map(math.log, ratios)) / len(ratios))
+                cells = (f"{cell:.3f}" for cell in (geometric, sum(ratios) / len(ratios), max(ratios)))
+                last = f"{worst:.2f}" if other == REFERENCE else ""
+                rows.append((f"`{found.suite}`", f"`{other}`", str(len(ratios)), *cells, last))
+    head = ("suite", "against", "points", "ratio: geometric mean", "mean", "largest", "worst mission")
+    return "\n\n".join([NOTE, table(head, rows), f"Constraint violations of `{policy}`: {violations:,}."])
+
+
+def section(policy: str, found: SuiteTable) -> str:
+    """A heading, and the table of a suite where it is not long."""
+    name, _, changes = found.suite.partition("+")
+    title = f"## `{found.suite}`\n\n{Suite.load(name).description}" + (f"; with `{changes}`." if changes else ".")
+    if len(found.points) > MOST_ROWS:
+        return title
+    others = [name for name in dict.fromkeys(row.policy for row in found.rows) if name != policy]
+    levels = {name: means(found, name) for name in others}
+    own = {row.point: row for row in found.rows if row.policy == policy}
+    rows = [
+        (
+            point, with_interval(*own[point].aou, digits=4),
+            *(rounded(levels[name][point], 4) if point in levels[name] else "" for name in others), *beside(own[point]),
+        )
+        for point in found.points if point in own
+    ]  # fmt: skip
+    head = (found.axis, *(f"`{name}`" for name in (policy, *others)), f"to `{REFERENCE}`", "worst mission")
+    return f"{title}\n\n{table(head, rows)}"
+
+
+def beside(row: SuiteRow) -> tuple[str, str]:
+    """The comparison with ``best-first``, and the worst mission."""
+    ratio, difference, worst = row.compared
+    above = row.aou.value - difference > RATIO_ABOVE
+    return f"**{ratio:.2f}**" if above else f"{difference:+.2f} slots", f"{worst:.2f}"
+
+
+def means(found: SuiteTable, policy: str) -> dict[str, float]:
+    """The mean AoU of a policy at each point that it flew, slots, over its training seeds."""
+    flown: dict[str, list[float]] = {}
+    for row in found.rows:
+        if row.policy == policy:
+            flown.setdefault(row.point, []).append(row.aou.value)
+    return {point: sum(values) / len(values) for point, values in flown.items()}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""The committed page, model card and numbers of released policies come out of the committed tables."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+
+import pytest
+
+from benchmarks.zero_shot import CARD, TABLES, means, write_pages
+from uavaou.reports.markdown import with_interval
+from uavaou.reports.suites import read_suite
+from uavaou.runs.released import released_folder
+from uavaou.studies.results import read_study
+from uavaou.suites.suite import Suite
+
+ROOT = Path(__file__).resolve().parents[1]
+SUITES = ROOT / "results" / "suites"
+POLICIES = sorted(path.parent.name for path in SUITES.glob("*/README.md"))
+
+
+def test_any_map_is_measured_on_every_suite_of_the_command() -> None:
+    assert "any-map" in POLICIES
+    assert {path.stem for path in SUITES.glob("any-map/*.csv")} == TABLES.keys()
+    for options in TABLES.values():
+        assert Suite.load(options[options.index("--suite") + 1]).points
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_the_committed_page_and_card_come_out_of_the_committed_tables(policy: str, tmp_path: Path) -> None:
+    copy, card = tmp_path / "suites", released_folder() / policy / "README.md"
+    shutil.copytree(SUITES, copy, ignore=shutil.ignore_patterns("*.png", "*.pdf", "README.md"))
+    (tmp_path / "README.md").write_text(CARD.sub(r"\1\2", card.read_text(encoding="utf-8")), encoding="utf-8")
+    write_pages(policy, copy, tmp_path / "README.md")
+    assert (copy / policy / "README.md").read_text(encoding="utf-8") == (SUITES / policy / "README.md").read_text(
+        encoding="utf-8"
+    )
+    assert (tmp_path / "README.md").read_text(encoding="utf-8") == card.read_text(encoding="utf-8")
+
+
+def test_the_readme_states_what_the_tables_hold() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    unseen = read_suite(SUITES / "any-map" / "unseen-layouts.csv")
+    own, best = means(unseen, "any-map"), means(unseen, "best-first")
+    ratio = math.exp(sum(math.log(own[point] / best[point]) for point in own) / len(own))
+    known = read_suite(SUITES / "any-map" / "known-layouts.csv")
+    (first,) = (row for row in known.rows if (row.point, row.policy) == ("0", "any-map"))
+    assert (
+        f"at {with_interval(*first.aou)}, and 64 layouts that it has never seen at {ratio:.2f} of `best-first`" in text
+    )
+
+
+def test_the_layouts_with_trainings_are_those_of_the_studies() -> None:
+    for row in read_suite(SUITES / "known-layouts.csv").rows:
+        study, scenario = ("paper", "paper") if row.point == "0" else ("layouts", f"layout {row.point}")
+        seed = int(row.seed) if row.seed else None
+        values = read_study(ROOT / "results" / "studies" / study).table("missions", row.policy, scenario, seed)
+        assert row.aou.value == pytest.approx(values["mean_aou_slots"].mean(), rel=1e-5)
