@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaou.arrays import Floats
 from uavaou.scenario import Layout, Scenario
-from uavaou.world.coverage import coverage_radius
+from uavaou.world.coverage import drawn_radius
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart (https://jfly.uni-koeln.de/color/).
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
@@ -87,10 +87,7 @@ def draw_ground(axes: Axes, scenario: Scenario) -> None:
 
 def _draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:
     """A disc around each device: where the UAV of middle altitude reaches R_min without fading."""
-    middle = int(np.argsort(scenario.altitudes)[(scenario.uavs - 1) // 2])
-    radius = coverage_radius(scenario, layout)[middle]  # (I,) m
-    # A radius far beyond the area slows the drawing and fills the picture anyway.
-    radius = np.minimum(np.nan_to_num(radius), 3 * (scenario.area_x_m + scenario.area_y_m))
+    radius = drawn_radius(scenario, layout)  # (I,) m
     discs = [Circle(tuple(place), float(r)) for place, r in zip(layout.positions, radius, strict=True) if r > 0]
     fill = PatchCollection(discs, facecolor=_COVERAGE_GREY, edgecolor="none", alpha=0.02, zorder=1)
     rim = PatchCollection(discs, facecolor="none", edgecolor=_COVERAGE_GREY, linewidth=0.4, alpha=0.28, zorder=1)

@@ -74,6 +74,11 @@ class RecordedMission:
         """Mean over slots of sum_i sum_n A_i^n[t], in slots."""
         return float(self.recording.age_sum.sum(axis=1).mean() / self.scenario.slot_length_s)
 
+    @cached_property
+    def age_slots(self) -> Ints:
+        """sum_n A_i^n at each slot's end in slots, which are whole, (K, I)."""
+        return np.rint(self.recording.age_sum / self.scenario.slot_length_s).astype(np.int64)
+
 
 def record_mission(scenario: Scenario, policy: Planner, seed: int) -> Recording:
     """Play one mission, seeded, and keep what every slot looked like."""
@@ -93,7 +98,6 @@ def write_mission(path: Path, mission: RecordedMission) -> None:
         InputError: the file cannot be written.
     """
     recording, layout = mission.recording, mission.recording.layout
-    ages = np.rint(recording.age_sum / mission.scenario.slot_length_s).astype(np.int64)  # (K, I) whole slots
     content: dict[str, Any] = {
         "schema": SCHEMA,
         "policy": mission.policy,
@@ -108,7 +112,7 @@ def write_mission(path: Path, mission: RecordedMission) -> None:
         },
         "positions_m": recording.positions.tolist(),
         "collected_by": recording.collected_by.tolist(),
-        "age_sum_slots": ages.tolist(),
+        "age_sum_slots": mission.age_slots.tolist(),
     }
     parts = [f"{json.dumps(name)}: {_lines(part)}" for name, part in content.items()]
     write_text(path, "{\n" + ",\n".join(parts) + "\n}\n")

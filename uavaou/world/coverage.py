@@ -49,6 +49,16 @@ def coverage_radius(scenario: Scenario, layout: Layout) -> Floats:
     return radius
 
 
+def drawn_radius(scenario: Scenario, layout: Layout) -> Floats:
+    """Return the :func:`coverage_radius` of each device that maps draw, (I,) m: that of the UAV of middle altitude.
+
+    A device out of reach has 0. A radius is cut far beyond the area, where it fills every picture.
+    """
+    middle = int(np.argsort(scenario.altitudes)[(scenario.uavs - 1) // 2])
+    radius = np.nan_to_num(coverage_radius(scenario, layout)[middle])  # (I,) m
+    return np.minimum(radius, 3 * (scenario.area_x_m + scenario.area_y_m))
+
+
 def best_probability(scenario: Scenario, layout: Layout) -> Floats:
     """Return the largest P(R_iu >= R_min) in a slot over all UAVs and grid cells, (I,)."""
     size = max(1, _BLOCK // (scenario.uavs * scenario.columns * scenario.rows))  # devices at a time

@@ -1,0 +1,120 @@
+"""A page that replays missions in a browser: one HTML file that needs no server and no network.
+
+``web/`` holds its parts. The missions stand in it as JSON; what has a number for each slot is packed.
+"""
+
+import base64
+import json
+import zlib
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from uavaou.arrays import Floats
+from uavaou.errors import InputError
+from uavaou.evaluation.recorded_mission import RecordedMission
+from uavaou.files import write_text
+from uavaou.world.coverage import drawn_radius
+
+_WEB = Path(__file__).parent / "web"
+_SCRIPTS = ("mission", "colours", "map", "chart", "table", "player")  # each uses what those before it define
+
+
+def write_replay(path: Path, missions: Mapping[str, RecordedMission]) -> None:
+    """Write the page that replays ``missions``, as :func:`replay_page` makes it.
+
+    Raises:
+        InputError: as :func:`replay_page`, or the file cannot be written.
+    """
+    write_text(path, replay_page(missions))
+
+
+def replay_page(missions: Mapping[str, RecordedMission]) -> str:
+    """The page that replays one mission as several policies flew it, side by side.
+
+    Args:
+        missions: label -> what the policy of that label did. All have one scenario, seed and layout.
+
+    Raises:
+        InputError: they are not one mission.
+    """
+    return fill_page(replay_content(missions))
+
+
+def replay_content(missions: Mapping[str, RecordedMission]) -> dict[str, Any]:
+    """What the page shows, ready for JSON; ages in whole slots, places in m.
+
+    Raises:
+        InputError: the missions differ in scenario, seed or layout.
+    """
+    (name, first), *others = missions.items()
+    for other, mission in others:
+        _check_same(name, first, other, mission)
+    scenario, layout = first.scenario, first.recording.layout
+    return {
+        "scenario": scenario.name,
+        "mission_seed": first.mission_seed,
+        "slots": scenario.slots,
+        "slot_length_s": scenario.slot_length_s,
+        "area_m": [scenario.area_x_m, scenario.area_y_m],
+        "grid_step_m": scenario.grid_step_m,
+        "cds_m": [list(place) for place in scenario.cds_m],
+        "altitudes_m": list(scenario.altitudes_m),
+        "devices": {
+            "x_m": _rounded(layout.positions[:, 0]),
+            "y_m": _rounded(layout.positions[:, 1]),
+            "update_period_slots": layout.update_period.tolist(),
+            "coverage_m": _rounded(drawn_radius(scenario, layout)),
+        },
+        "policies": [{"name": label} | _packed_mission(mission) for label, mission in missions.items()],
+    }
+
+
+def fill_page(content: Mapping[str, Any]) -> str:
+    """The page around the ``content`` that :func:`replay_content` gives."""
+    title = f"{content['scenario']}: {' and '.join(policy['name'] for policy in content['policies'])}"
+    mission = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")  # nothing in it ends the script
+    script = "\n".join(_web(f"{name}.js") for name in _SCRIPTS)
+    page = Template(_web("page.html"))
+    return page.substitute(title=escape(title), style=_web("style.css"), mission=mission, script=script)
+
+
+def _check_same(name: str, first: RecordedMission, other: str, mission: RecordedMission) -> None:
+    """Refuse two missions that cannot stand side by side."""
+    for what in ("scenario", "mission_seed"):
+        if getattr(first, what) != getattr(mission, what):
+            raise InputError(f"'{name}' and '{other}' flew different missions: {what} differs")
+    layouts = vars(first.recording.layout), vars(mission.recording.layout)
+    if any(not np.array_equal(layouts[0][field], layouts[1][field]) for field in layouts[0]):
+        raise InputError(f"'{name}' and '{other}' flew different missions: their devices differ")
+
+
+def _packed_mission(mission: RecordedMission) -> dict[str, str]:
+    """What a policy did, slot by slot: cells (K, U, 2), the UAV of each communication (K, I) or -1, ages (K, I)."""
+    recording = mission.recording
+    carried_by = np.where(recording.communications, recording.collected_by, -1)  # (K, I)
+    cells = np.rint(recording.positions / mission.scenario.grid_step_m)  # (K, U, 2) column, row
+    # Most ages grow by the same number as in the slot before, so that second differences are mostly 0.
+    start = np.zeros((2, mission.age_slots.shape[1]), dtype=np.int64)  # (2, I)
+    bends = np.diff(np.concatenate([start, mission.age_slots]), n=2, axis=0)  # (K, I)
+    return {"cells": _packed(cells), "carried_by": _packed(carried_by), "age_bends": _packed(bends)}
+
+
+def _packed(values: ArrayLike) -> str:
+    """Whole numbers as 32-bit words, the lowest byte first; zlib, base64."""
+    words = np.ascontiguousarray(values).astype("<i4")
+    return base64.b64encode(zlib.compress(words.tobytes(), 9)).decode("ascii")
+
+
+def _rounded(values: Floats) -> list[float]:
+    """Lengths in m to a millimetre, which no screen shows."""
+    return [round(float(value), 3) for value in values]
+
+
+def _web(name: str) -> str:
+    return (_WEB / name).read_text(encoding="utf-8")
