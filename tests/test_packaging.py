@@ -1,4 +1,4 @@
-"""The wheel, away from the repository: the zoo is inside, and nothing is installed as a bare ``cli``."""
+"""The wheel, away from the repository: zoo and replay page are inside, and nothing is installed as a bare ``cli``."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ def test_a_wheel_carries_the_zoo(tmp_path: Path) -> None:
     tops = {path.name for path in site.iterdir() if not path.name.endswith(".dist-info")}
     assert tops == {"uavaou", "uavaou_cli"}
     assert (site / "uavaou" / "py.typed").is_file()
+    web = Path("uavaou", "reports", "replay", "web")
+    assert {path.name for path in (site / web).iterdir()} == {path.name for path in (ROOT / web).iterdir()}
     ours = [str(ROOT), str(ROOT / "cli")]
     kinds = {path.name for path in (ROOT / "zoo_configs").iterdir()}
     assert kinds == {path.name for path in (site / "uavaou" / "zoo_configs").iterdir()}

@@ -9,7 +9,7 @@ import pytest
 from tests.documents import ROOT, blocks, commands
 
 README = ROOT / "README.md"
-COMMANDS = ("fly", "train", "eval", "gap", "plan", "plot", "study", "tune", "audit", "export", "scenarios")
+COMMANDS = ("fly", "replay", "train", "eval", "gap", "plan", "plot", "study", "tune", "audit", "export", "scenarios")
 
 
 @pytest.fixture

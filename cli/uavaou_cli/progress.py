@@ -14,7 +14,9 @@ from uavaou.runs.interrupt import exit_code
 from uavaou_cli.tables import duration
 
 if TYPE_CHECKING:
+    from uavaou.evaluation.recorded_mission import RecordedMission
     from uavaou.planners.plan import PlanningStatus
+    from uavaou.scenario import Scenario
     from uavaou.studies.runner import StudyState
     from uavaou.tuning.search import TrialRecord
     from uavaou.world import World
@@ -184,6 +186,35 @@ class EvaluationDisplay(Display):
         if self.due:  # the mean costs: not in every slot
             mean = world.metrics().mean_aou_s.mean() / world.scenario.slot_length_s
             self.advance(self._before + slots, f"mean AoU so far {mean:,.2f} slots", self._name)
+
+
+class RecordingDisplay(EvaluationDisplay):
+    """Also records the one mission that each policy plays."""
+
+    def __init__(self, quiet: bool, names: list[str], slots: int) -> None:
+        super().__init__(quiet, names, slots)
+        self._snapshots: dict[str, list[dict[str, Any]]] = {}
+
+    def start(self, name: str) -> None:
+        """The next policy begins."""
+        super().start(name)
+        self._shots = self._snapshots.setdefault(name, [])
+
+    def after_slot(self, slots: int, world: World) -> None:
+        """``slots`` of the policy's are done."""
+        super().after_slot(slots, world)
+        self._shots.append(world.snapshot())
+
+    def missions(self, scenario: Scenario, seed: int) -> dict[str, RecordedMission]:
+        """What each policy did in the mission of that seed, by the name that the command gives the policy."""
+        from uavaou.evaluation.recorded_mission import RecordedMission, Recording
+        from uavaou.runs.comparison import recorded_as
+
+        recordings = {name: Recording.from_snapshots(shots) for name, shots in self._snapshots.items()}
+        return {
+            name: RecordedMission(scenario, *recorded_as(name), seed, recording)
+            for name, recording in recordings.items()
+        }
 
 
 class PlanningDisplay(Display):

@@ -20,6 +20,7 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "circle").symlink_to("circle")
     (tmp_path / "twins.yaml").write_text("base: quickstart\ndevices: 2\ndevices_m: [[10, 10], [10, 10]]\n")
     (tmp_path / "list.yaml").write_text("- paper\n")
+    (tmp_path / "twins.json").write_text("{")
     return tmp_path
 
 

@@ -60,6 +60,10 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
         "--episodes": no_counts,
     },
     "export nowhere --out x": {"--format": no_names},
+    "replay greedy": {
+        "--scenario": no_names, "--seed": no_counts, "--format": no_names, "--time-limit": st.just("5"),
+        "--out": st.sampled_from([".", "file/x.html", "x.png", "x", "/dev/null"]),
+    },
     "study run smoke": {
         "--jobs": no_counts | st.just("0"), "--engine": no_names, "--address": no_names, "--out": st.just("file"),
         "--checkpoint-every": no_numbers | st.just("-1"),

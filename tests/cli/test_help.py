@@ -23,6 +23,7 @@ COMMANDS = {
     "tune": "--scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out --set --quiet",
     "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --json --out --set --quiet",
     "fly": "SCENARIO --policy --seed --out --set --quiet",
+    "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --set --quiet",
     "plan": "SCENARIO --planner --time-limit --episodes --seed --out --replace --set --quiet",
     "gap": "SCENARIO RUN --time-limit --episodes --seed --set --quiet",
     "audit": "SCENARIO",

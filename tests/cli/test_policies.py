@@ -137,10 +137,11 @@ def test_fly_shows_a_mission_and_says_where_its_files_are(capsys: pytest.Capture
     assert all(len(line) <= WIDTH for line in table.splitlines())
     assert [line.split()[0] for line in table.splitlines()[-3:] if line] == ["any-map", "best-first"]
     written = [Path(line) for line in files.split()]
-    assert len(written) == 5
+    assert [path.suffix for path in written] == [".html", ".json", ".png", ".pdf", ".png", ".pdf"]
     place = Path("results") / scenario_folder(Scenario.load("mine.yaml")) / "fly" / "any-map"
     assert all(path.parent == place and path.stat().st_size > 500 for path in written)
-    mission = read_mission(written[0])
+    assert all(f'"name":"{name}"' in written[0].read_text() for name in ("any-map", "best-first"))
+    mission = read_mission(written[1])
     assert (mission.policy, mission.mission_seed, mission.scenario.layout_seed) == ("any-map", 7, 3)
     assert f"{mission.mean_aou_slots:.2f}" in table  # the mission drawn is the one in the table
 

@@ -18,6 +18,7 @@ from uavaou.files import read_text, write_json, write_text
 from uavaou.reports.ablations import ablation_table, ablations
 from uavaou.reports.claims import judge
 from uavaou.reports.markdown import rounded, table, with_interval
+from uavaou.reports.replay.page import STUDY_REPLAY, write_study_replay
 from uavaou.reports.scores import PolicyScores, below_bound, study_scores
 from uavaou.reports.training_claims import SMOOTHED, WITHIN
 from uavaou.reports.verdicts import Claim
@@ -36,6 +37,7 @@ evaluation, which no training and no choice of a checkpoint has seen. Mean AoU: 
 interval over seeds; of one seed, and of planners, with a bootstrap interval over missions. IQM: the mean of the middle
 half of all missions, with a stratified bootstrap over seeds and missions. All planners but `random` and `stay` have
 full information. The expected mean AoU of any policy is at least the lower bound."""
+_REPLAY = f"[{STUDY_REPLAY}]({STUDY_REPLAY}) plays one mission of each kept policy, side by side, in a browser."
 _HEAD = ("policy", "seeds", "mean AoU (slots)", "IQM (slots)", "wall-clock of a training", "violations")
 _DIGITS = 4
 
@@ -90,9 +92,10 @@ def report_study(study: Study, out: Path, remark: Callable[[str], None]) -> None
         else:
             from uavaou.studies.best import record_missions  # imports torch
 
-            _, problems = update_results(study, out)
+            results, problems = update_results(study, out)
             _tell(problems, remark)
             record_missions(folder.path)
+            write_study_replay(folder.path, results.algorithms)
         for line in write_report(folder.path, out / "README.md"):
             remark(line)
 
@@ -120,6 +123,7 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
     parts = [
         f"# Study `{results.name}`",
         str(results.settings.get("description", "")),
+        _REPLAY if (folder / STUDY_REPLAY).exists() else "",
         f"```\nuavaou study run {results.argument}\nuavaou study report {results.argument}\nuavaou plot figures\n```",
         _unfinished(results),
         *(f"**Something is wrong: {line}.**" for line in remarks),

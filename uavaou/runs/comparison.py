@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
 from typing import Protocol
+from urllib.parse import unquote
 
 from uavaou.errors import InputError, unknown
 from uavaou.evaluation.evaluate import Evaluation, evaluate
@@ -72,11 +73,32 @@ def make_policy(name: str, scenario: Scenario, time_limit_s: float | None = None
     Raises:
         InputError: there is none of that name, or the policy does not fit the scenario.
     """
-    if name in PLANNERS:
+    if is_planner(name):
         return make_planner(name, time_limit_s)
-    if Path(name).name != name or RunFolder.at(name).path.exists():  # with a path separator it can only be a folder
-        return load_runs([name], scenario)[name]
-    raise unknown("policy", name, [*released_names(), *PLANNERS])
+    return load_runs([name], scenario)[name]
+
+
+def is_planner(name: str) -> bool:
+    """Whether the policy of that name is a planner, and not a released policy or a run.
+
+    Raises:
+        InputError: there is no policy of that name.
+    """
+    if name in PLANNERS:
+        return True
+    if Path(name).name == name and not RunFolder.at(name).path.exists():  # with a separator it can only be a folder
+        raise unknown("policy", name, [*released_names(), *PLANNERS])
+    return False
+
+
+def recorded_as(name: str) -> tuple[str, int | None]:
+    """How a recorded mission calls the policy of that name: a run by its variant and its training seed."""
+    folder = RunFolder.at(name)
+    if name in PLANNERS or folder.is_released:
+        return name, None
+    config, path = folder.read_config(), folder.path.resolve()
+    named_by_us = path.name == f"seed-{config.seed}"
+    return unquote(path.parent.name) if named_by_us else config.algorithm.name, config.seed
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
 from uavaou.family import Family
 from uavaou.fields import Number, PositiveWhole, Whole, reads_schema, short, validated
-from uavaou.files import PathIn, read_json, refuse_links
+from uavaou.files import PathIn, folder_name, read_json, refuse_links
 from uavaou.plain_yaml import to_yaml
 from uavaou.runs.lock import LOCK
 from uavaou.runs.released import nearest_released, released_folder, run_path
@@ -355,3 +355,9 @@ def name_with(base: str, changes: Mapping[str, str]) -> str:
     if len(name) > _LONGEST_NAME:  # file systems end at 255 bytes
         name = f"{name[:_LONGEST_NAME]}~{hashlib.sha256(name.encode()).hexdigest()[:12]}"
     return name
+
+
+def flight_folder(policies: Sequence[str]) -> str:
+    """The name of the folder of what these policies flew, given by planner, released policy or path of a run."""
+    parts = ["-".join(Path(name).relative_to(Path(name).anchor).parts) for name in policies]
+    return name_with(folder_name(",".join(parts)), {})

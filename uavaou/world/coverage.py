@@ -55,8 +55,8 @@ def drawn_radius(scenario: Scenario, layout: Layout) -> Floats:
     A device out of reach has 0. A radius is cut far beyond the area, where it fills every picture.
     """
     middle = int(np.argsort(scenario.altitudes)[(scenario.uavs - 1) // 2])
-    radius = np.nan_to_num(coverage_radius(scenario, layout)[middle])  # (I,) m
-    return np.minimum(radius, 3 * (scenario.area_x_m + scenario.area_y_m))
+    radius: Floats = np.nan_to_num(coverage_radius(scenario, layout)[middle])  # (I,) m
+    return radius.clip(max=3 * (scenario.area_x_m + scenario.area_y_m))
 
 
 def best_probability(scenario: Scenario, layout: Layout) -> Floats:

@@ -6,7 +6,7 @@
 import base64
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from html import escape
 from pathlib import Path
 from string import Template
@@ -17,10 +17,12 @@ from numpy.typing import ArrayLike
 
 from uavaou.arrays import Floats
 from uavaou.errors import InputError
-from uavaou.evaluation.recorded_mission import RecordedMission
+from uavaou.evaluation.recorded_mission import RecordedMission, read_mission
 from uavaou.files import write_text
+from uavaou.reports import style
 from uavaou.world.coverage import drawn_radius
 
+STUDY_REPLAY = "replay.html"
 _WEB = Path(__file__).parent / "web"
 _SCRIPTS = ("mission", "colours", "map", "chart", "table", "player")  # each uses what those before it define
 
@@ -32,6 +34,42 @@ def write_replay(path: Path, missions: Mapping[str, RecordedMission]) -> None:
         InputError: as :func:`replay_page`, or the file cannot be written.
     """
     write_text(path, replay_page(missions))
+
+
+def by_label(
+    missions: Iterable[RecordedMission], algorithms: Mapping[str, str] | None = None
+) -> dict[str, RecordedMission]:
+    """Missions by what people call the policy that flew them, such as ``MAPPO, seed 0``; equal labels are numbered.
+
+    Args:
+        missions: as they shall stand side by side.
+        algorithms: variant -> algorithm, of a study.
+    """
+    flown = list(missions)
+    looks = style.looks([mission.policy for mission in flown], algorithms)
+    labels: dict[str, RecordedMission] = {}
+    for mission in flown:
+        seed = "" if mission.training_seed is None else f", seed {mission.training_seed}"
+        label = looks[mission.policy].label.replace("\\$", "$") + seed  # matplotlib's escape
+        again = sum(other == label or other.startswith(f"{label} (") for other in labels)
+        labels[f"{label} ({again + 1})" if again else label] = mission
+    return labels
+
+
+def write_study_replay(study: Path, algorithms: Mapping[str, str]) -> None:
+    """Write the page of a study's recorded missions, the lowest mean AoU first; none where it has no missions.
+
+    Args:
+        study: ``results/studies/<name>``, which gets ``replay.html``.
+        algorithms: variant -> algorithm.
+
+    Raises:
+        InputError: a recorded mission cannot be read, or the page not be written.
+    """
+    missions = [read_mission(path) for path in sorted(study.glob("mission-*.json"))]
+    if missions:
+        missions.sort(key=lambda mission: mission.mean_aou_slots)
+        write_replay(study / STUDY_REPLAY, by_label(missions, algorithms))
 
 
 def replay_page(missions: Mapping[str, RecordedMission]) -> str:
@@ -52,9 +90,8 @@ def replay_content(missions: Mapping[str, RecordedMission]) -> dict[str, Any]:
     Raises:
         InputError: the missions differ in scenario, seed or layout.
     """
-    (name, first), *others = missions.items()
-    for other, mission in others:
-        _check_same(name, first, other, mission)
+    check_one_mission(missions)
+    first = next(iter(missions.values()))
     scenario, layout = first.scenario, first.recording.layout
     return {
         "scenario": scenario.name,
@@ -75,6 +112,23 @@ def replay_content(missions: Mapping[str, RecordedMission]) -> dict[str, Any]:
     }
 
 
+def check_one_mission(missions: Mapping[str, RecordedMission]) -> None:
+    """Refuse missions that cannot stand side by side.
+
+    Raises:
+        InputError: they differ in scenario, seed or layout.
+    """
+    (name, first), *others = missions.items()
+    for other, mission in others:
+        differing = [what for what in ("scenario", "mission_seed") if getattr(first, what) != getattr(mission, what)]
+        layouts = vars(first.recording.layout), vars(mission.recording.layout)
+        differing += [
+            f"{what} of the devices" for what in layouts[0] if not np.array_equal(*(lay[what] for lay in layouts))
+        ]
+        if differing:
+            raise InputError(f"'{name}' and '{other}' did not fly one mission: they differ in {', '.join(differing)}")
+
+
 def fill_page(content: Mapping[str, Any]) -> str:
     """The page around the ``content`` that :func:`replay_content` gives."""
     title = f"{content['scenario']}: {' and '.join(policy['name'] for policy in content['policies'])}"
@@ -82,16 +136,6 @@ def fill_page(content: Mapping[str, Any]) -> str:
     script = "\n".join(_web(f"{name}.js") for name in _SCRIPTS)
     page = Template(_web("page.html"))
     return page.substitute(title=escape(title), style=_web("style.css"), mission=mission, script=script)
-
-
-def _check_same(name: str, first: RecordedMission, other: str, mission: RecordedMission) -> None:
-    """Refuse two missions that cannot stand side by side."""
-    for what in ("scenario", "mission_seed"):
-        if getattr(first, what) != getattr(mission, what):
-            raise InputError(f"'{name}' and '{other}' flew different missions: {what} differs")
-    layouts = vars(first.recording.layout), vars(mission.recording.layout)
-    if any(not np.array_equal(layouts[0][field], layouts[1][field]) for field in layouts[0]):
-        raise InputError(f"'{name}' and '{other}' flew different missions: their devices differ")
 
 
 def _packed_mission(mission: RecordedMission) -> dict[str, str]:

@@ -141,7 +141,8 @@ class Player {
 
   tick(now) {
     if (!this.playing) return;
-    this.time += Math.min((now - this.before) / 1000, 0.5) * this.speed;
+    const passed = Math.max(0, Math.min(now - this.before, 500)); // a frame's time may lie before the click's
+    this.time += (passed / 1000) * this.speed;
     this.before = now;
     if (this.time >= this.mission.slots) {
       if (!this.loop) { this.pauseAt(this.mission.slots); return; }
