@@ -175,7 +175,7 @@ def test_the_report_prints_every_variant_and_planner(
     after = tables(out)
     assert {name: after[name] for name in before} == before
     missions = {f"mission-{variant}.json" for variant in study.variants}
-    assert after.keys() - before.keys() == {"README.md", "marl-eval.json", *missions}
+    assert after.keys() - before.keys() == {"README.md", "marl-eval.json", "replay.html", *missions}
 
 
 def test_the_report_warns_of_results_below_the_bound(
