@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import base64
-import json
 import re
 import zlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +18,7 @@ from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import RecordedMission, record_mission
 from uavaou.planners import make_planner
 from uavaou.reports.replay.film import film_frame, write_film
-from uavaou.reports.replay.page import by_label, fill_page, replay_page, write_replay
+from uavaou.reports.replay.page import by_label, fill_page, read_content, write_replay
 from uavaou.scenario import Scenario
 
 COMMITTED = sorted([*ROOT.glob("docs/gallery/*.html"), *ROOT.glob("results/studies/*/replay.html")])
@@ -36,17 +34,10 @@ def unpacked(text: str, *shape: int) -> NDArray[np.int32]:
     return np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype="<i4").reshape(shape)
 
 
-def content_of(page: str) -> dict[str, Any]:
-    """What stands in the page as JSON."""
-    found = re.search(r'<script type="application/json" id="mission">(.*?)</script>', page, flags=re.DOTALL)
-    assert found is not None
-    content: dict[str, Any] = json.loads(found[1])
-    return content
-
-
-def test_the_page_holds_the_recorded_mission() -> None:
+def test_the_page_holds_the_recorded_mission(tmp_path: Path) -> None:
     greedy = fly("greedy", "quickstart")
-    content = content_of(replay_page({"greedy": greedy}))
+    write_replay(tmp_path / "x.html", {"greedy": greedy})
+    content = read_content(tmp_path / "x.html")
     scenario, recording = greedy.scenario, greedy.recording
     slots, uavs, devices = scenario.slots, scenario.uavs, scenario.devices
     (policy,) = content["policies"]
@@ -87,20 +78,28 @@ def test_missions_that_are_not_one_are_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_page_asks_for_nothing_and_names_cannot_end_its_script() -> None:
-    page = replay_page({"</script><script>alert(1)</script>": fly("stay")})
+def test_the_page_asks_for_nothing_and_names_cannot_end_its_script(tmp_path: Path) -> None:
+    path = tmp_path / "x.html"
+    write_replay(path, {"</script><script>alert(1)</script>": fly("stay")})
+    page = path.read_text(encoding="utf-8")
     assert page.count("<script") == page.count("</script>") == 2
     assert "<title>tiny: &lt;/script&gt;" in page
     assert "default-src 'none'" in page
     assert not re.search(r"https?:|\bsrc=|@import|url\((?!#)", page)
-    assert content_of(page)["policies"][0]["name"] == "</script><script>alert(1)</script>"
+    assert read_content(path)["policies"][0]["name"] == "</script><script>alert(1)</script>"
 
 
 @pytest.mark.parametrize("page", COMMITTED, ids=lambda page: str(page.relative_to(ROOT)))
 def test_a_committed_page_is_what_is_written_now(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    assert fill_page(content_of(text)) == text
+    assert fill_page(read_content(page)) == text
     assert len(text.encode()) < 400_000
+
+
+def test_another_file_is_no_page(tmp_path: Path) -> None:
+    (tmp_path / "x.html").write_text("<p>")
+    with pytest.raises(InputError, match=r"x\.html.: holds no mission"):
+        read_content(tmp_path / "x.html")
 
 
 def test_the_gallery_is_committed() -> None:

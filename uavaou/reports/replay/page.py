@@ -5,6 +5,7 @@
 
 import base64
 import json
+import re
 import zlib
 from collections.abc import Iterable, Mapping
 from html import escape
@@ -18,11 +19,13 @@ from numpy.typing import ArrayLike
 from uavaou.arrays import Floats
 from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import RecordedMission, read_mission
-from uavaou.files import write_text
+from uavaou.files import read_text, write_text
 from uavaou.reports import style
 from uavaou.world.coverage import drawn_radius
 
 STUDY_REPLAY = "replay.html"
+_CONTENT = re.compile(r'<script type="application/json" id="mission">(.*?)</script>', re.DOTALL)
+_MOST_BYTES = 100_000_000
 _WEB = Path(__file__).parent / "web"
 _SCRIPTS = ("mission", "colours", "map", "chart", "table", "player")  # each uses what those before it define
 
@@ -136,6 +139,19 @@ def fill_page(content: Mapping[str, Any]) -> str:
     script = "\n".join(_web(f"{name}.js") for name in _SCRIPTS)
     page = Template(_web("page.html"))
     return page.substitute(title=escape(title), style=_web("style.css"), mission=mission, script=script)
+
+
+def read_content(page: Path) -> dict[str, Any]:
+    """What stands in a page, as :func:`replay_content` gave it.
+
+    Raises:
+        InputError: the file cannot be read, or is no such page.
+    """
+    found = _CONTENT.search(read_text(page, _MOST_BYTES))
+    if found is None:
+        raise InputError(f"'{page}': holds no mission: expected a page that `uavaou replay` wrote")
+    content: dict[str, Any] = json.loads(found[1])
+    return content
 
 
 def _packed_mission(mission: RecordedMission) -> dict[str, str]:

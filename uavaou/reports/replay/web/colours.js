@@ -5,7 +5,7 @@ const MAGMA = ["#1d1147", "#51127c", "#832681", "#b73779", "#e75263", "#fc8961",
 const POLICY_COLOURS = 6;
 const UAV_COLOURS = 8;
 const DASHES = ["", "7 3", "2 2.5", "9 3 2 3"];
-const SHAPES = ["circle", "square", "diamond", "triangle"];
+const SHAPES = ["circle", "square", "diamond", "triangle", "cross"]; // not as many as dashes: pairs repeat late
 
 const channels = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
 
@@ -63,11 +63,14 @@ function policyMark(k) {
 
 /** The mark of a policy as SVG. */
 function shapeMark(k, x, y, r) {
+  const arm = r * 0.42;
+  const reach = 1.15 * r - arm;
   const paths = {
     circle: `M${x - r} ${y}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0z`,
     square: `M${x - r * 0.9} ${y - r * 0.9}h${1.8 * r}v${1.8 * r}h${-1.8 * r}z`,
     diamond: `M${x} ${y - 1.2 * r}L${x + 1.2 * r} ${y}L${x} ${y + 1.2 * r}L${x - 1.2 * r} ${y}z`,
     triangle: `M${x} ${y - 1.1 * r}L${x + 1.15 * r} ${y + 0.9 * r}H${x - 1.15 * r}z`,
+    cross: `M${x - arm - reach} ${y - arm}h${reach}v${-reach}h${2 * arm}v${reach}h${reach}v${2 * arm}h${-reach}v${reach}h${-2 * arm}v${-reach}h${-reach}z`,
   };
   return `<path class="dot" d="${paths[SHAPES[k % SHAPES.length]]}" fill="currentColor"/>`;
 }
