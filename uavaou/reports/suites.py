@@ -148,7 +148,8 @@ def _figure(table: SuiteTable) -> Figure:
         ends.append((looks[policy], *_draw_policy(axes, table, places, rows, shift, looks[policy])))
     _finish(axes, table, places)
     if table.scale != "category":
-        style.tag_ends(figure, axes, ends)
+        last = max(x for _, x, _ in ends)  # a leader from an earlier point would look like a part of the line
+        style.tag_ends(figure, axes, [end for end in ends if end[1] == last])
     style.legend_below(figure, axes, "\n".join([*_meanings(table), *budgets]))
     return figure
 
