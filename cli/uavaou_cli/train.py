@@ -16,12 +16,13 @@ from uavaou.evaluation.seeds import LARGEST_SEED
 from uavaou_cli.options import Quiet, Results, available_device, choice, number, option, writable_folder
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TrainingDisplay, stopped
-from uavaou_cli.tables import duration, figure, show
+from uavaou_cli.tables import duration, figure, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.runs.folder import RunConfig, RunFolder
     from uavaou.runs.train import Outcome
 
+_FEWEST_ROUNDS = 3  # missions one after another that make a curve
 _ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # for the help, which must not import the registry; tested
 
 
@@ -190,6 +191,13 @@ def _lines(outcome: Outcome, config: RunConfig, plugins: Sequence[str]) -> list[
         lines.append(
             f"best validation: {mean} {figure(in_slots)} slots ({figure(progress.best_score)} s), "
             f"{progress.best_action} actions"
+        )
+    missions = config.algorithm.missions
+    together = missions * config.scenario.slots  # training slots until the missions end
+    if config.family is None and progress.slots < _FEWEST_ROUNDS * together:
+        lines += wrapped(
+            f"too short to see: {missions} missions end together, every {together:,} slots, so figures 3 to 6 need "
+            f"{_FEWEST_ROUNDS * together:,}; aou-wall-clock shows the validations"
         )
     named = [word for place in plugins for word in ("--plugin", place)]
     command = ["uavaou", *named, "eval", str(folder), "--policy", "random", "--policy", "greedy"]

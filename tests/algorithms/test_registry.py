@@ -301,3 +301,11 @@ def test_fields_keep_the_order_of_the_committed_configurations(name: str) -> Non
     committed = yaml.safe_load(path.read_text())["algorithm"]
     fields = list(RunConfig.load(name).algorithm.model_dump())
     assert [field for field in fields if field in committed] == list(committed)  # newer ones have defaults
+
+
+def test_validations_follow_a_smaller_budget() -> None:
+    from uavaou.algorithms.registry import load_config
+
+    budgets: tuple[dict[str, int], ...] = ({}, {"slots": 1_000_000}, {"slots": 60_000}, {"slots": 1})
+    assert [load_config("vdn", one).evaluate_every_slots for one in budgets] == [100_000, 100_000, 6_000, 1]
+    assert load_config("vdn", {"slots": 1, "evaluate_every_slots": 7}).evaluate_every_slots == 7

@@ -88,6 +88,13 @@ def test_seeds_of_an_algorithm_are_one_line_in_slots(tmp_path: Path, drawn: dict
     assert wall["MAPPO (3 seeds)"].get_ydata()[-1] == pytest.approx(60 / TAU)
 
 
+def test_a_training_too_short_for_a_curve_says_so(tmp_path: Path, drawn: dict[str, Any]) -> None:
+    for missions, short in ((2 * LANES, True), (3 * LANES, False)):
+        plot_runs([write_run(tmp_path / str(missions), missions=missions, evaluation=False)], tmp_path / "out")
+        title = drawn["out/figure-4-aou"].legends[0].get_title().get_text()
+        assert (f"too short for a curve: missions end every {LANES * SLOTS} training slots" in title) == short
+
+
 def test_all_planners_evaluated_beside_a_run_are_drawn(tmp_path: Path, drawn: dict[str, Any]) -> None:
     folder = write_run(tmp_path)
     rng = np.random.default_rng(0)

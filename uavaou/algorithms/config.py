@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from uavaou.envs.vec_env import MissionVecEnv
 
+FEWEST_VALIDATIONS = 10  # of a training, where its settings do not say how often
+
 Fraction = Annotated[NonNegative, Field(le=1)]
 HiddenSizes = Annotated[tuple[Annotated[PositiveWhole, Field(le=65_536)], ...], Field(min_length=1, max_length=16)]
 
@@ -46,6 +48,11 @@ class AlgorithmConfig(BaseModel):
     def rows(self) -> str:
         """The format of the rows that the policy reads: ``flat``, or ``entities``."""
         return "flat"
+
+    def with_enough_validations(self) -> Self:
+        """The settings with validations often enough for a curve, which a budget below the published one may need."""
+        most = -(-self.slots // FEWEST_VALIDATIONS)
+        return self.model_copy(update={"evaluate_every_slots": min(self.evaluate_every_slots, most)})
 
     @model_validator(mode="after")
     def _processes_divide_missions(self) -> Self:

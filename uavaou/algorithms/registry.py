@@ -134,7 +134,8 @@ def _load_file(path: Path) -> None:
 def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> AlgorithmConfig:
     """Load an algorithm's published configuration, with some fields changed.
 
-    Where ``overrides`` choose ``network: set``, a file such as ``mappo-set.yaml`` replaces some published fields.
+    Where ``overrides`` choose ``network: set``, a file such as ``mappo-set.yaml`` replaces some published fields. Where
+    they change the budget and not ``evaluate_every_slots``, that is at most a tenth of the budget.
 
     Raises:
         InputError: the algorithm or a field is unknown, or a value cannot be used.
@@ -146,7 +147,9 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
         of_network = entry.defaults.with_name(f"{entry.defaults.stem}-set.yaml")
         published |= read_yaml_mapping(of_network) if of_network.is_file() else {}
     fields = published | {"name": algorithm} | overrides
-    return validated(entry.config, fields, f"algorithm '{algorithm}'")
+    config = validated(entry.config, fields, f"algorithm '{algorithm}'")
+    follows = "slots" in overrides and "evaluate_every_slots" not in overrides
+    return config.with_enough_validations() if follows else config
 
 
 def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:

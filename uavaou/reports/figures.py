@@ -37,6 +37,7 @@ from uavaou.studies.results import StudyResults, Table, read_study
 Evaluations = Mapping[PartKey, PolicyResult]
 
 _LEARNED_NAMES = ("policy", "model", "learned")  # what an evaluation may call the run's own policy
+_FEWEST_POINTS = 3  # of a curve over training
 _TIMES = 100  # points of a curve over wall-clock time
 _TRAINING_FIGURES = {
     "figure-3-reward": drawing.REWARD,
@@ -203,7 +204,11 @@ class _Scenario:
         """Figures 3 to 6: a measure of the training missions over training."""
         slots = self._study.scenarios[self._scenario]["slots"]
         points = {name: [(run["slots"] / slots, run[measure.column]) for run in runs] for name, runs in curves.items()}
-        figure, axes = self._measure_figure({name: _line(runs) for name, runs in points.items()}, measure)
+        lines = {name: _line(runs) for name, runs in points.items()}
+        first = next(iter(lines.values())).x
+        short = len(first) < _FEWEST_POINTS  # a training is too short for this figure where a mission is long for it
+        note = f"\ntoo short for a curve: missions end every {first[0] * slots:,.0f} training slots" if short else ""
+        figure, axes = self._measure_figure(lines, measure, note)
         drawing.label_training(axes, slots)
         return figure
 
@@ -216,14 +221,16 @@ class _Scenario:
         axes.set_xlabel(f"wall-clock time of training ({unit})")
         return figure
 
-    def _measure_figure(self, lines: Mapping[str, drawing.Line], measure: drawing.Measure) -> tuple[Figure, Axes]:
+    def _measure_figure(
+        self, lines: Mapping[str, drawing.Line], measure: drawing.Measure, note: str = ""
+    ) -> tuple[Figure, Axes]:
         """Lines beside the levels of planners and of the bound, which bounds AoU and reward alone."""
         study, scenario, levels = self._study, self._scenario, {}
         for planner in self._planners:
             if planner != "stay":  # its AoU is so high that the differences between the others would not be visible
                 missions = study.missions(planner, measure.column, [scenario])[scenario][0]
                 levels[planner] = interval_over_missions(missions)
-        note = f"\nplanners: {drawing.OVER_MISSIONS}" if levels else ""
+        note = (f"\nplanners: {drawing.OVER_MISSIONS}" if levels else "") + note
         if scenario in study.bounds and measure.column in ("mean_aou_slots", "reward_s"):
             value = study.bounds[scenario] * (-study.mission_s(scenario) if measure.column == "reward_s" else 1.0)
             levels[BOUND] = Interval(value, np.nan, np.nan)

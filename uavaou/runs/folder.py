@@ -31,6 +31,7 @@ from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 SCHEMA = 1
 _LONGEST_NAME = 120
+_MOST_VALIDATIONS = 100  # of a later budget: the interval suits the first one
 EPISODE_COLUMNS = ("mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
 
 
@@ -66,6 +67,13 @@ class RunConfig:
     def slots(self) -> int:
         """The training budget, in slots of all missions together."""
         return self.budgets[-1] if self.budgets else self.algorithm.slots
+
+    @property
+    def evaluate_every_slots(self) -> int:
+        """Slots between two validations: as in the settings, but at most 100 of them in a later budget."""
+        if not self.budgets:
+            return self.algorithm.evaluate_every_slots
+        return max(self.algorithm.evaluate_every_slots, (self.budgets[-1] - self.budgets[-2]) // _MOST_VALIDATIONS)
 
     def stages(self) -> list[RunConfig]:
         """The run as it was at each of its budgets, itself last."""
@@ -327,12 +335,17 @@ def train_command(
 
 
 def _published(algorithm: AlgorithmConfig) -> dict[str, Any]:
-    """The published settings that these start from: those of the algorithm with their network."""
+    """The published settings that these start from: those of the algorithm with their network.
+
+    The interval of validations follows the budget (:func:`load_config`): it differs only where it was set.
+    """
     fields = load_config(algorithm.name).model_dump(mode="json")
     network = getattr(algorithm, "network", None)
-    if network != fields.get("network"):
-        fields = load_config(algorithm.name, {"network": network}).model_dump(mode="json") | {"network": None}
-    return fields
+    chosen = {"network": network} if network != fields.get("network") else {}
+    if chosen:
+        fields = load_config(algorithm.name, chosen).model_dump(mode="json") | {"network": None}
+    follows = load_config(algorithm.name, chosen | {"slots": algorithm.slots})
+    return fields | {"evaluate_every_slots": follows.evaluate_every_slots}
 
 
 def _differences(base: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str, str]:

@@ -187,7 +187,7 @@ class Recorder(BaseCallback):
 
     def _log(self, scores: dict[str, float]) -> None:
         """Write a row of progress.csv, at most ``ROWS_AN_EVALUATION`` from one evaluation to the next."""
-        every = self._config.algorithm.evaluate_every_slots / ROWS_AN_EVALUATION
+        every = self._config.evaluate_every_slots / ROWS_AN_EVALUATION
         if not scores and self._slots - self.progress.row_slots < every:
             return
         self.logger.record("time/slots", self._slots)
@@ -202,7 +202,7 @@ class Recorder(BaseCallback):
         """Save the policy if it is the best so far."""
         action = min(scores, key=lambda name: scores[name])
         improved = self.progress.best_score is None or scores[action] < self.progress.best_score
-        every = self._config.algorithm.evaluate_every_slots
+        every = self._config.evaluate_every_slots
         self._advance(next_evaluation=(self._slots // every + 1) * every)
         if improved:
             self._advance(best_score=scores[action], best_action=action)

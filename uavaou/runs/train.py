@@ -119,7 +119,7 @@ def _train(
                     file.write(config.to_yaml())
             # With worker processes, the CPU time of this one says little: it waits for those that step the missions.
             cpu_s = 0.0 if algorithm.processes == 1 else None
-            started = TrainingProgress(next_evaluation=algorithm.evaluate_every_slots, cpu_s=cpu_s)
+            started = TrainingProgress(next_evaluation=config.evaluate_every_slots, cpu_s=cpu_s)
             progress = _restore(folder, model, env, config) if resuming else started
             return _learn(config, folder, model, env, progress, checkpoint_every_s, display, after_update)
     finally:
@@ -153,7 +153,10 @@ def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
     if config != held and config in held.stages():
         raise InputError(f"'{folder.path}' went on to {held.slots:,} slots: use --continue {folder.path} --resume")
     if held not in config.stages()[-2:]:  # as it is, or as it was at the budget before
-        raise InputError(f"'{folder.path}' holds a run with another configuration (see its config.yaml); not resumed")
+        raise InputError(
+            f"'{folder.path}' holds a run with another configuration (see its config.yaml); "
+            f"that one goes on with: uavaou train --continue {folder.path} --resume"
+        )
     if folder.last.is_file() or folder.previous.is_file():
         return True
     for path in (folder.episodes, folder.progress, folder.best):
