@@ -34,14 +34,16 @@ if TYPE_CHECKING:
     from uavaou.runs.comparison import Comparison
     from uavaou.scenario import Scenario
 
+_LEAST_S = 0.1  # that a planner gets
 _PLAN = "plan.json"
 _BOUND_S = 30.0  # for the bound that stands beside a plan; `uavaou gap` takes longer
+_BOUND_FROM_S = 60.0  # limits below leave the bound out: in less time it says nothing, and the plan needs the time
 
 
 def plan(
     scenario: ScenarioName,
     planner: Annotated[str, option("tour, partition-tour, anneal or exact.")] = "anneal",
-    time_limit: Annotated[float | None, seconds("Seconds to plan. [default: a fixed amount of work]")] = None,
+    time_limit: Annotated[float | None, seconds("Seconds for it all. [default: a fixed amount of work]")] = None,
     episodes: Annotated[int, number("Missions that the plan is flown in.", 1, MOST_EPISODES)] = 64,
     seed: Seed = EVALUATION_SEED,
     out: Annotated[
@@ -119,15 +121,18 @@ def _plan_and_report(
     from uavaou.reports.mission_figures import plot_trajectories
     from uavaou.runs.comparison import compare
 
-    planner = make_planner(name, time_limit)
-    assert isinstance(planner, RoutePlanner)
-    layout = scenario.draw_layout()
-    begun = time.monotonic()
-    bound_s = None if name == "exact" else lower_bound(scenario, layout, _BOUND_S).mean_aou_s  # it brings its own
-    with PlanningDisplay(quiet, scenario.slot_length_s, bound_s) as display:
+    layout, begun = scenario.draw_layout(), time.monotonic()
+    with PlanningDisplay(quiet, scenario.slot_length_s) as display:
+        if name != "exact" and (time_limit is None or time_limit >= _BOUND_FROM_S):  # exact brings its own
+            display.measure_from(0, "lower bound")
+            display.bound_s = lower_bound(scenario, layout, _BOUND_S).mean_aou_s
+            display.measure_from(0, "routes")
+        left = None if time_limit is None else max(time_limit - (time.monotonic() - begun), _LEAST_S)
+        planner = make_planner(name, left)
+        assert isinstance(planner, RoutePlanner)
         plan = planner.plan(scenario, layout, display.show)
     took = time.monotonic() - begun
-    plan = plan if bound_s is None else replace(plan, bound_s=bound_s)
+    plan = plan if display.bound_s is None else replace(plan, bound_s=display.bound_s)
     planner.keep(plan, scenario, layout)
     write_json(folder / _PLAN, plan.to_dict(scenario))
     with EvaluationDisplay(quiet, [name], episodes * scenario.slots) as flights:
@@ -149,6 +154,8 @@ def _plan_lines(scenario: Scenario, plan: RoutePlan, took_s: float, path: Path) 
     if plan.gap is not None and plan.bound_s is not None:
         proven = "proven optimal" if plan.gap < 1e-9 else f"gap {plan.gap:.1%}"
         lines.append(f"lower bound:       {figure(plan.bound_s / tau)} slots, {proven}")
+    else:
+        lines.append(f"lower bound:       none with a --time-limit below {_BOUND_FROM_S:.0f}; see uavaou gap")
     return [*lines, f"plan:              {path}"]
 
 

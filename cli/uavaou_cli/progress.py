@@ -72,19 +72,22 @@ class Display:
         elif not self.quiet:
             print(text, file=sys.stderr, flush=True)
 
-    def measure_from(self, done: float, name: str = "") -> None:
-        """Measure the rate from now on, when ``done`` of the total is done and the part ``name`` begins."""
+    def measure_from(self, done: float, name: str = "", text: str = "") -> None:
+        """Measure the rate from now on: ``done`` of the total is done, and the part ``name`` begins with ``text``."""
         now = time.monotonic()
         self._marks = deque([(now, done)], maxlen=_MARKS)
         self._next = now + (_LINE_EVERY_S if self._bar is None else _BAR_EVERY_S)
         if self._bar is not None:
-            self._bar.update(self._bar.task_ids[0], completed=self._share(done), description=name, text="")
+            self._bar.update(self._bar.task_ids[0], completed=self._share(done), description=name, text=text)
 
     def _share(self, done: float) -> float:
         return min(done / self.total, 1.0) if self.total else 1.0
 
     def _speed(self, rate: float) -> str:
         return f"{rate:,.0f} {self._unit}/s" if self._unit else ""
+
+    def _left(self, done: float, rate: float) -> str:
+        return f"{duration(max(self.total - done, 0) / rate)} left"
 
     @property
     def due(self) -> bool:
@@ -109,7 +112,7 @@ class Display:
             self._marks.append((now, done))
         parts = [self._speed(rate) if rate > 0 else "", figure]
         if rate > 0:
-            parts.append(f"{duration(max(self.total - done, 0) / rate)} left")
+            parts.append(self._left(done, rate))
         share, text = self._share(done), ", ".join(filter(None, parts))
         if self._bar is not None:
             self._next = now + _BAR_EVERY_S
@@ -168,24 +171,37 @@ class TrainingDisplay(Display):
 
 
 class EvaluationDisplay(Display):
-    """Shows the missions of policies, ``slots`` of each: the slots played, and the mean AoU of the present policy."""
+    """Shows the missions of policies, ``slots`` of each: the slots played, and the mean AoU of the present policy.
+
+    The time left is that of the present policy, because others may be a thousand times slower. It does not count the
+    planning before take-off, which is over when the first slot has been played.
+    """
 
     def __init__(self, quiet: bool, names: list[str], slots: int) -> None:
         super().__init__(quiet, slots * len(names))
         self._names, self._slots = names, slots  # in the order in which they play
         self._name, self._before = "", 0  # slots of the policies that have played
+        self._took_off = False
 
     def start(self, name: str) -> None:
         """The next policy begins."""
         self._before = self._slots * self._names.index(name)
         self._name = name if len(name) <= _NAME_WIDTH else "..." + name[3 - _NAME_WIDTH :]
-        self.measure_from(self._before, self._name)
+        self._took_off = False
+        self.measure_from(self._before, self._name, "before take-off")
 
     def after_slot(self, slots: int, world: World) -> None:
         """``slots`` of the policy's are done; for :func:`uavaou.evaluation.evaluate.evaluate`."""
-        if self.due:  # the mean costs: not in every slot
+        if not self._took_off:
+            self._took_off = True
+            self.measure_from(self._before + slots, self._name)
+        elif self.due:  # the mean costs: not in every slot
             mean = world.metrics().mean_aou_s.mean() / world.scenario.slot_length_s
             self.advance(self._before + slots, f"mean AoU so far {mean:,.2f} slots", self._name)
+
+    def _left(self, done: float, rate: float) -> str:
+        left = f"{duration(max(self._before + self._slots - done, 0) / rate)} left"
+        return left if self._before + self._slots >= self.total else f"{left} for this policy"
 
 
 class RecordingDisplay(EvaluationDisplay):
@@ -220,20 +236,20 @@ class RecordingDisplay(EvaluationDisplay):
 class PlanningDisplay(Display):
     """Shows the best routes so far, the bound on them, and the gap between the two."""
 
-    def __init__(self, quiet: bool, slot_length_s: float, bound_s: float | None) -> None:
+    def __init__(self, quiet: bool, slot_length_s: float) -> None:
         super().__init__(quiet, 1.0, "", slot_length_s)
-        self._bound_s = bound_s  # None where the planner finds it itself
+        self.bound_s: float | None = None  # None where there is none, or the planner finds it itself
 
     def show(self, progress: PlanningStatus) -> None:
         """Show the best routes so far; for :meth:`uavaou.planners.plan.RoutePlanner.plan`."""
         if not self.due and progress.share < 1.0:
             return
         figure = f"mean AoU {progress.incumbent_s / self._tau_s:,.2f} slots"
-        bound_s = self._bound_s if progress.bound_s is None else progress.bound_s
+        bound_s = self.bound_s if progress.bound_s is None else progress.bound_s
         if bound_s is not None:
             gap = 1 - bound_s / progress.incumbent_s if progress.incumbent_s else 0.0
             figure += f", bound {bound_s / self._tau_s:,.2f}, gap {gap:.1%}"
-        self.advance(progress.share, figure)
+        self.advance(progress.share, figure, "routes")
 
 
 class TuningDisplay(Display):

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from tests.cli.commands import TRAIN, call, contents, runs
+from uavaou.errors import InputError
 from uavaou.runs.recorder import Recorder
 from uavaou_cli import plan
 from uavaou_cli.tables import WIDTH
@@ -101,6 +103,27 @@ def test_a_plan_never_takes_the_place_of_another(
         assert (code, "already holds a plan" in err) == (2, True), command
     monkeypatch.setattr(plan, "_plan_and_report", lambda *_: None)
     assert call(capsys, "plan tiny --replace")[0] == 0
+
+
+@pytest.mark.parametrize(("limit", "left"), [(5, 5.0), (90, 60.0), (60, 30.0)])
+def test_a_time_limit_is_that_of_bound_and_plan_together(
+    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch, limit: int, left: float
+) -> None:
+    clock, given = SimpleNamespace(s=0.0), []
+
+    def bound(*_: Any) -> Any:
+        clock.s += 30
+        return SimpleNamespace(mean_aou_s=1.0)
+
+    def planner(_: str, limit_s: float) -> Any:
+        given.append(limit_s)
+        raise InputError("enough")
+
+    monkeypatch.setattr(plan, "time", SimpleNamespace(monotonic=lambda: clock.s))
+    monkeypatch.setattr("uavaou.planners.bound.lower_bound", bound)
+    monkeypatch.setattr("uavaou.planners.make_planner", planner)
+    assert call(capsys, f"plan tiny --time-limit {limit} --quiet") == (2, "", "uavaou: enough\n")
+    assert given == [left]
 
 
 def test_gap_orders_policies_between_bound_and_random(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 from uavaou_cli import progress
-from uavaou_cli.progress import Display, PlanningDisplay, TrainingDisplay
+from uavaou_cli.progress import Display, EvaluationDisplay, PlanningDisplay, TrainingDisplay
 
 
 @pytest.fixture(autouse=True)
@@ -75,9 +77,29 @@ def test_a_bar_fits_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: 
 
 
 def test_planning_shows_the_gap_to_the_bound(capsys: pytest.CaptureFixture[str]) -> None:
-    with PlanningDisplay(False, slot_length_s=2.0, bound_s=18.0) as display:
+    with PlanningDisplay(False, slot_length_s=2.0) as display:
+        display.bound_s = 18.0
         display.show(SimpleNamespace(share=1.0, incumbent_s=20.0, bound_s=None))  # type: ignore[arg-type]
     assert "mean AoU 10.00 slots, bound 9.00, gap 10.0%" in capsys.readouterr().err
+
+
+def test_the_time_left_of_missions_leaves_out_the_planning_and_other_policies(
+    capsys: pytest.CaptureFixture[str], clock: SimpleNamespace
+) -> None:
+    world: Any = SimpleNamespace(
+        metrics=lambda: SimpleNamespace(mean_aou_s=np.array([4.0])), scenario=SimpleNamespace(slot_length_s=2.0)
+    )
+    display = EvaluationDisplay(False, ["anneal", "greedy"], slots=1000)
+    for name in ("anneal", "greedy"):
+        display.start(name)
+        clock.s += 28 if name == "anneal" else 0  # plans before take-off
+        for slots in (100, 200):
+            display.after_slot(slots, world)
+            clock.s += 1
+        display.after_slot(300, world)
+    shown = capsys.readouterr().err.splitlines()
+    assert shown[1] == " 15%  anneal: 100 slots/s, mean AoU so far 2.00 slots, 7.0 s left for this policy"
+    assert shown[-1] == " 65%  greedy: 100 slots/s, mean AoU so far 2.00 slots, 7.0 s left"
 
 
 def test_a_job_that_stands_still_keeps_a_time_left(capsys: pytest.CaptureFixture[str], clock: SimpleNamespace) -> None:

@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from uavaou.planners.plan import PlanningStatus, RoutePlan, RoutePlanner, broken
 from uavaou.planners.rolling import Rolling
 from uavaou.planners.search import trial_age
 from uavaou.planners.stationary_duals import stationary_duals
-from uavaou.planners.tour import close_enough_tours, fleet_routes
+from uavaou.planners.tour import Tour, close_enough_tours, fleet_routes
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.ages import AgeLedger
@@ -118,6 +120,34 @@ def test_exact_proves_tiny() -> None:
     assert plan.gap == 0.0
     for name in PLANNERS:
         assert evaluate(make_planner(name), TINY, 1, 0).mean_aou_s >= plan.mean_aou_s - 1e-9
+
+
+def test_the_limit_of_exact_covers_the_annealing_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks, given, solve = iter([0.0]), [], Program.solve
+
+    def limited(program: Program, start: Any, time_limit_s: float | None, report: Any) -> Any:
+        given.append(time_limit_s)
+        return solve(program, start, time_limit_s, report)
+
+    monkeypatch.setattr("uavaou.planners.exact.time", SimpleNamespace(monotonic=lambda: next(ticks, 50.0)))
+    monkeypatch.setattr(Program, "solve", limited)
+    plan = Exact(60).plan(TINY, TINY.draw_layout())
+    assert given == [10.0]
+    assert not plan.interrupted
+
+
+def test_tours_search_longer_only_in_the_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits: list[float | None] = []
+    monkeypatch.setattr(
+        "uavaou.planners.tour.close_enough_tours",
+        lambda coverages, limit=None: limits.append(limit) or close_enough_tours(coverages),
+    )
+    for limit in (1e-6, 1000.0):
+        assert not Tour(limit).plan(TINY, TINY.draw_layout()).interrupted
+    assert limits[:2] == [None, None]
+    assert len(limits) == 3
+    assert limits[2] is not None
+    assert 0 < limits[2] < 1000
 
 
 def test_exact_refuses_what_it_cannot_do() -> None:

@@ -25,6 +25,7 @@ from uavaou.world.flight import Flight
 PROPOSALS_A_SLOT = 4000  # without a time limit; about half a minute on `paper`
 _HOT, _COLD = 0.06, 0.002  # first and last temperature, in slots of age for each slot of the mission
 _CHUNK_S = 0.25  # between two looks at the clock and the keyboard
+_TOURS_SHARE = 0.25  # of the time limit, after which no other tour is begun
 _FIRST_CHUNK = 5000  # proposals; without a time limit, of every chunk
 
 
@@ -40,7 +41,10 @@ class Anneal(RoutePlanner):
     def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
         """Anneal; see :class:`RoutePlanner`."""
         started = time.monotonic()
-        starts = [tour().plan(scenario, layout).routes for tour in (Tour, PartitionTour)]
+        starts = []
+        for tour in (Tour, PartitionTour):
+            if self.time_limit_s is None or time.monotonic() - started < _TOURS_SHARE * self.time_limit_s:
+                starts.append(tour().plan(scenario, layout).routes)
         starts.append(best_first_routes(scenario, layout))
         start = min(starts, key=lambda routes: expected_mean_aou(scenario, layout, routes))
         search, interrupted = _Annealing(scenario, layout, start), False

@@ -55,11 +55,19 @@ class Exact(RoutePlanner):
                 f"exact: scenario '{scenario.name}' needs {size:,} variables, at most {LARGEST:,} are supported: "
                 "use fewer slots, cells or devices, or another planner"
             )
-        start = Anneal().plan(scenario, layout)
-        if start.interrupted:
+        started, late = time.monotonic(), False
+
+        def in_time(_: PlanningStatus) -> None:
+            nonlocal late
+            late = self.time_limit_s is not None and time.monotonic() - started > self.time_limit_s / 2
+            if late:
+                raise KeyboardInterrupt  # ends the annealing, which keeps the best routes
+
+        start = Anneal().plan(scenario, layout, in_time)
+        if start.interrupted and not late:
             return replace(start, planner=self.name, bound_s=0.0)
         per_slot = scenario.slot_length_s / scenario.slots
-        incumbent, started = start.mean_aou_s, time.monotonic()
+        incumbent = start.mean_aou_s
 
         def report(total: float, bound: float) -> None:
             share = (time.monotonic() - started) / self.time_limit_s if self.time_limit_s is not None else 0.0
@@ -67,7 +75,9 @@ class Exact(RoutePlanner):
                 best = min(total * per_slot, incumbent)
                 on_progress(PlanningStatus(min(share, 1.0), best, max(bound, 0.0) * per_slot))
 
-        solution = Program(scenario, layout).solve(start.routes, self.time_limit_s, report)
+        program = Program(scenario, layout)
+        left = None if self.time_limit_s is None else max(self.time_limit_s - (time.monotonic() - started), 0.0)
+        solution = program.solve(start.routes, left, report)
         mean = expected_mean_aou(scenario, layout, solution.routes)
         routes, mean = (solution.routes, mean) if mean <= incumbent else (start.routes, incumbent)
         plan = RoutePlan(self.name, routes, mean, min(solution.bound * per_slot, mean), solution.interrupted)

@@ -10,7 +10,9 @@ coverage probability are tried, and the tours with the lowest expected age are t
 import pickle
 import subprocess
 import sys
+import time
 from abc import abstractmethod
+from collections.abc import Iterator
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -35,25 +37,35 @@ class _Tours(RoutePlanner):
     """Plan tours with dwell times for each coverage of the devices, and take the best."""
 
     def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
-        """Plan the tours; see :class:`RoutePlanner`. A time limit adds a longer search after the usual one."""
+        """Plan the tours; see :class:`RoutePlanner`. A time limit adds a longer search in the time that is left."""
+        started = time.monotonic()
         probability = coverage_probability(scenario, layout).mean(axis=0)  # (X, Y, I)
         best = probability.max(axis=(0, 1))  # (I,)
         routes = np.tile(Flight(scenario).cds, (scenario.slots, 1, 1))  # (K, U, 2): stay if no device is in reach
         expected = expected_age(scenario, layout, routes)
         least, interrupted = expected.total_age, False
-        limits = [None] if self.time_limit_s is None else [None, self.time_limit_s]
+        searches = 1 if self.time_limit_s is None else 2
         try:
             coverages = [(probability >= share * best) & (best > 0.0) for share in _THRESHOLDS if best.any()]
-            found = (tours for limit in limits if coverages for tours in self._tours(scenario, coverages, limit))
+            limits = self._limits(started) if coverages else ()
+            found = (tours for limit in limits for tours in self._tours(scenario, coverages, limit))
             for done, tours in enumerate(found, start=1):
                 dwelling, age = _with_dwell_times(scenario, expected, tours)
                 routes, least = (dwelling, age) if age < least else (routes, least)
                 if on_progress is not None:
-                    share = done / (len(limits) * len(_THRESHOLDS))
+                    share = done / (searches * len(_THRESHOLDS))
                     on_progress(PlanningStatus(share, scenario.slot_length_s * least / scenario.slots))
         except KeyboardInterrupt:
             interrupted = True
         return RoutePlan(self.name, routes, expected_mean_aou(scenario, layout, routes), interrupted=interrupted)
+
+    def _limits(self, started: float) -> Iterator[float | None]:
+        """The time of each search: none for the usual one, then the time left, without that of the dwell times."""
+        yield None
+        if self.time_limit_s is not None:
+            usual = time.monotonic() - started  # the second search is followed by dwell times too
+            if self.time_limit_s > 2 * usual:
+                yield self.time_limit_s - 2 * usual
 
     @abstractmethod
     def _tours(self, scenario: Scenario, coverages: list[Bools], time_limit_s: float | None) -> list[list[Ints]]:
