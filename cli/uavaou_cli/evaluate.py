@@ -22,6 +22,7 @@ from uavaou_cli.options import (
     Seed,
     choice,
     option,
+    refuse_scenarios,
     seconds,
     writable_file,
 )
@@ -106,6 +107,7 @@ def _make_planners(
 
     if not folders and not names and suite is None:
         raise InputError(f"nothing to evaluate: give run folders, or --policy with one of {', '.join(PLANNERS)}")
+    refuse_scenarios(folders)
     for name in folders:
         if name in PLANNERS and not Path(name).exists():
             raise InputError(f"run folder '{name}' does not exist; for the planner of that name, write --policy {name}")

@@ -7,7 +7,16 @@ from typing import Annotated
 
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED
 from uavaou_cli.evaluate import evaluation_lines
-from uavaou_cli.options import Changes, Quiet, ScenarioName, number, option, writable_folder
+from uavaou_cli.options import (
+    Changes,
+    Quiet,
+    ScenarioName,
+    ScenarioOption,
+    needed_scenario,
+    number,
+    option,
+    writable_folder,
+)
 from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import RecordingDisplay
 from uavaou_cli.tables import say, show
@@ -17,7 +26,8 @@ _REFERENCES = ("best-first", "greedy")  # planners that need no time; also the d
 
 
 def fly(
-    scenario: ScenarioName,
+    scenario: ScenarioName = None,
+    scenario_option: ScenarioOption = None,
     policy: Annotated[
         str | None, option("A released policy, a run's folder or a planner. [default: any-map]", "NAME")
     ] = None,
@@ -37,7 +47,7 @@ def fly(
 
     overrides = parse_overrides(set_ or [])
     overrides.only_of_scenario("a policy flies as it is")
-    base = Scenario.load(scenario)
+    base = Scenario.load(needed_scenario(scenario, scenario_option))
     flown = overrides.of_scenario(base)
     chosen = _default() if policy is None else policy
     reference = next(name for name in _REFERENCES if name != chosen)

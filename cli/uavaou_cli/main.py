@@ -117,7 +117,9 @@ _command = cache(partial(typer.main.get_command, app))  # built once for all cal
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 0, 2 for bad input, 130 or 143 after a signal, 1 when stdout is closed.
+    """Run one command and return its exit code: 0, 2 for bad input, 130 or 143 after a signal.
+
+    It is 1 when stdout is closed, and when an audit finds errors.
 
     Bad input is one line on stderr. Any other exception is a bug and keeps its traceback.
     """

@@ -1,7 +1,7 @@
 """The options that several commands share, and the checks of values, paths and devices before anything is computed."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -76,10 +76,10 @@ RunName = Annotated[
     ),
 ]
 ScenarioName = Annotated[
-    str,
+    str | None,
     typer.Argument(
         metavar="SCENARIO",
-        help="A preset's name, or the path of a YAML file.",
+        help="A preset (see `uavaou scenarios`) or a YAML file.",
         autocompletion=shipped("scenarios"),
     ),
 ]
@@ -89,11 +89,39 @@ StudyName = Annotated[
         metavar="STUDY", help="A study's name (paper, smoke), or a YAML file.", autocompletion=shipped("studies")
     ),
 ]
+ScenarioOption = Annotated[str | None, option("The same as SCENARIO.", "NAME", "--scenario")]
 Episodes = Annotated[int, number("Missions that each policy plays.", 1, MOST_EPISODES)]
 Seed = Annotated[int, number("Mission j is seeded with N + j.", 0, LARGEST_SEED)]
 Changes = Annotated[list[str] | None, option("Change scenario.FIELD. Repeatable.", "KEY=VALUE", "--set")]
 Results = Annotated[Path, option("The folder of all results.", "DIR")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
+
+
+def stated_scenario(argument: str | None, option: str | None) -> str | None:
+    """The scenario of a command that takes it as SCENARIO and as ``--scenario``; None where neither is given."""
+    if argument is not None and option is not None:
+        raise InputError(f"SCENARIO '{argument}' and --scenario {option}: give one of them")
+    return argument if option is None else option
+
+
+def needed_scenario(argument: str | None, option: str | None) -> str:
+    """As :func:`stated_scenario`, for a command that cannot do without one."""
+    chosen = stated_scenario(argument, option)
+    if chosen is None:
+        raise InputError("missing argument 'SCENARIO': a preset (see uavaou scenarios) or a YAML file")
+    return chosen
+
+
+def refuse_scenarios(runs: Iterable[str]) -> None:
+    """Refuse the scenario among the arguments of a command whose arguments are runs, and say how it is given."""
+    from uavaou.zoo import zoo_names
+
+    for name in runs:
+        if (name in zoo_names("scenarios") and not (Path(name) / "config.yaml").exists()) or Path(name).suffix in (
+            ".yaml",
+            ".yml",
+        ):
+            raise InputError(f"'{name}' is a scenario, and arguments are runs here: write --scenario {name}")
 
 
 def given_path(option: str, text: str) -> Path:

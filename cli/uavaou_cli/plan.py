@@ -18,9 +18,12 @@ from uavaou_cli.options import (
     Episodes,
     Quiet,
     ScenarioName,
+    ScenarioOption,
     Seed,
+    needed_scenario,
     number,
     option,
+    refuse_scenarios,
     seconds,
     writable_folder,
 )
@@ -41,7 +44,8 @@ _BOUND_FROM_S = 60.0  # limits below leave the bound out: in less time it says n
 
 
 def plan(
-    scenario: ScenarioName,
+    scenario: ScenarioName = None,
+    scenario_option: ScenarioOption = None,
     planner: Annotated[str, option("tour, partition-tour, anneal or exact.")] = "anneal",
     time_limit: Annotated[float | None, seconds("Seconds for it all. [default: a fixed amount of work]")] = None,
     episodes: Annotated[int, number("Missions that the plan is flown in.", 1, MOST_EPISODES)] = 64,
@@ -62,7 +66,9 @@ def plan(
 
     if planner not in ROUTE_PLANNERS:
         raise unknown("--planner", planner, ROUTE_PLANNERS)
-    chosen, place = _fixed_scenario(scenario, set_, "uavaou plan: the scenario draws a new layout each mission")
+    chosen, place = _fixed_scenario(
+        needed_scenario(scenario, scenario_option), set_, "uavaou plan: the scenario draws a new layout each mission"
+    )
     folder = out or place / "plan" / name_with(planner, {} if time_limit is None else {"time_limit": f"{time_limit:g}"})
     if (folder / _PLAN).exists() and not replace_:
         raise InputError(f"'{folder}' already holds a plan: add --replace to plan anew, or choose another --out")
@@ -71,8 +77,9 @@ def plan(
 
 
 def gap(
-    scenario: ScenarioName,
+    scenario: ScenarioName = None,
     run: Annotated[list[str] | None, typer.Argument(help=RUNS)] = None,
+    scenario_option: ScenarioOption = None,
     time_limit: Annotated[
         float | None, seconds("Seconds that annealing may take. [default: a fixed amount of work]")
     ] = None,
@@ -81,8 +88,15 @@ def gap(
     set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
-    """Compare planners and trained runs with the lower bound and with random moves."""
-    chosen, _ = _fixed_scenario(scenario, set_, "uavaou gap: the bound is that of one layout")
+    """Compare planners and trained runs with the lower bound and with random moves.
+
+    With --scenario, all arguments are runs.
+    """
+    if scenario_option is not None and scenario is not None:
+        scenario, run = None, [scenario, *(run or [])]
+    name = needed_scenario(scenario, scenario_option)
+    chosen, _ = _fixed_scenario(name, set_, "uavaou gap: the bound is that of one layout")
+    refuse_scenarios(run or [])
     from uavaou.planners import gap_planners, make_planner
     from uavaou.planners.bound import lower_bound
     from uavaou.runs.comparison import compare, load_runs

@@ -1,7 +1,11 @@
 """``uavaou scenarios``: the presets, and ``uavaou audit``: whether the numbers of one fit together."""
 
-from uavaou_cli.options import ScenarioName
+import typer
+
+from uavaou_cli.options import ScenarioName, ScenarioOption, needed_scenario
 from uavaou_cli.tables import aligned, show, wrapped
+
+FOUND_ERRORS = 1
 
 
 def scenarios() -> None:
@@ -19,9 +23,15 @@ def scenarios() -> None:
     show(["", "paper is the default; the path of a YAML file can stand for a name"])
 
 
-def audit(scenario: ScenarioName) -> None:
-    """Check a scenario: the link budget of every device, and what does not fit together."""
+def audit(scenario: ScenarioName = None, scenario_option: ScenarioOption = None) -> None:
+    """Check a scenario: the link budget of every device, and what does not fit together.
+
+    The exit code is 1 where there are errors.
+    """
     from uavaou.reports import audit as report
     from uavaou.scenario import Scenario
 
-    show(report.audit_lines(report.audit(Scenario.load(scenario))))
+    found = report.audit(Scenario.load(needed_scenario(scenario, scenario_option)))
+    show(report.audit_lines(found))
+    if found.of_level("error"):
+        raise typer.Exit(FOUND_ERRORS)  # so that `uavaou audit x.yaml && uavaou train x.yaml` stops here

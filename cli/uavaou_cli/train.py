@@ -13,7 +13,17 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import LARGEST_SEED
-from uavaou_cli.options import Quiet, Results, available_device, choice, number, option, writable_folder
+from uavaou_cli.options import (
+    Quiet,
+    Results,
+    ScenarioName,
+    available_device,
+    choice,
+    number,
+    option,
+    stated_scenario,
+    writable_folder,
+)
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TrainingDisplay, stopped
 from uavaou_cli.tables import duration, figure, show, wrapped
@@ -28,8 +38,9 @@ _ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # for the help, which must not im
 
 def train(
     ctx: typer.Context,
-    scenario: Annotated[
-        str | None, option("A preset (see `uavaou scenarios`) or a YAML file. [default: paper]")
+    scenario: ScenarioName = None,
+    scenario_option: Annotated[
+        str | None, option("The same as SCENARIO. [default: paper]", "NAME", "--scenario")
     ] = None,
     family: Annotated[
         str | None, option("Train on draws of a family (any, layouts) or a YAML file, instead of one scenario.")
@@ -67,6 +78,8 @@ def train(
 
     Writes DIR/<scenario>/<algorithm>/seed-<N>/ or DIR/family-<name>/..., and prints what to type next.
     """
+    _refuse_other_names(scenario)
+    scenario = stated_scenario(scenario, scenario_option)
     given = {
         "--scenario": scenario,
         "--family": family,
@@ -107,6 +120,27 @@ def train(
         kept = f" after {slots:,} slots, which are saved" if slots else ""
         raise stopped(_resuming(again, folder), outcome.stopped_by, kept)
     show(_lines(outcome, plan, ctx.obj["plugins"]))
+
+
+def _refuse_other_names(scenario: str | None) -> None:
+    """Refuse an argument that names an algorithm, a family or a run, and say how each is given."""
+    from uavaou.algorithms.registry import algorithm_names
+    from uavaou.runs.released import run_path
+    from uavaou.zoo import zoo_names
+
+    if scenario is None or Path(scenario).is_file():
+        return
+    for kind, way, names in (
+        ("an algorithm", "--algorithm", algorithm_names()),
+        ("a family", "--family", zoo_names("families")),
+    ):
+        if scenario in names:
+            raise InputError(f"'{scenario}' is {kind}, and the argument is a scenario: write {way} {scenario}")
+    if scenario and run_path(scenario).is_dir() and scenario not in zoo_names("scenarios"):
+        raise InputError(
+            f"'{scenario}' is a run, and the argument is a scenario: --from {scenario} begins with its weights, "
+            f"--continue {scenario} goes on with it"
+        )
 
 
 def _refuse(option: str, others: Mapping[str, object], why: str) -> None:

@@ -12,7 +12,7 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import LARGEST_SEED
-from uavaou_cli.options import Quiet, number, option, writable_folder
+from uavaou_cli.options import Quiet, ScenarioName, number, option, stated_scenario, writable_folder
 from uavaou_cli.options import seconds as seconds_option
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TuningDisplay, stopped
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     Start = tuple[AlgorithmConfig, SearchSpace, tuple[dict[str, Any], ...]]  # settings, space, first trials
 
+DEFAULT_SCENARIO = "quickstart"
 DEFAULT_TRIALS = 12
 DEFAULT_TOP = 4
 MOST_TRIALS = 100_000
@@ -34,7 +35,10 @@ _BEST_TRIALS = 5  # that are shown
 
 def tune(
     ctx: typer.Context,
-    scenario: Annotated[str, option("A preset (see `uavaou scenarios`) or a YAML file.")] = "quickstart",
+    scenario: ScenarioName = None,
+    scenario_option: Annotated[
+        str | None, option("The same as SCENARIO. [default: quickstart]", "NAME", "--scenario")
+    ] = None,
     algorithm: Annotated[str | None, option("The algorithm to tune. [default: mappo, or that of --from]")] = None,
     seconds: Annotated[float | None, seconds_option("Each trial's budget, in CPU seconds of one core.")] = None,
     slots: Annotated[int | None, number("Each trial's budget, in slots, instead.", 1, 10**12)] = None,
@@ -76,7 +80,8 @@ def tune(
     from uavaou.scenario import Scenario
     from uavaou.tuning.search import Search, SearchFolder
 
-    base = Scenario.load(scenario)
+    source = stated_scenario(scenario, scenario_option) or DEFAULT_SCENARIO
+    base = Scenario.load(source)
     search = Search(overrides.of_scenario(base), settings, varied, seconds, slots, seed, first)
     run = run_folder(out, base, overrides.scenario, settings.name, overrides.algorithm, seed)
     folder = SearchFolder(run.path.parent)
@@ -93,7 +98,7 @@ def tune(
             records = run_search(folder, wanted, jobs, ctx.obj["plugins"], progress.show)
     except KeyboardInterrupt as error:
         raise stopped(ctx.obj["arguments"], error) from None
-    show(_lines(folder, search, records, scenario, ctx.obj["plugins"]))
+    show(_lines(folder, search, records, source, ctx.obj["plugins"]))
 
 
 def _start(name: str, space: Path | None, overrides: Overrides) -> Start:

@@ -18,15 +18,16 @@ from uavaou_cli.tables import WIDTH
 # Scripts and docs rely on every one of these.
 COMMANDS = {
     "": "--version --plugin --install-completion --show-completion",
-    "train": "--scenario --family --algorithm --seed --slots --config --from --continue --out --resume "
+    "train": "SCENARIO --scenario --family --algorithm --seed --slots --config --from --continue --out --resume "
     "--checkpoint-every --device --backend --set --quiet",
-    "tune": "--scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out --set --quiet",
+    "tune": "SCENARIO --scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out "
+    "--set --quiet",
     "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --json --out --set --quiet",
-    "fly": "SCENARIO --policy --seed --out --set --quiet",
+    "fly": "SCENARIO --scenario --policy --seed --out --set --quiet",
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --set --quiet",
-    "plan": "SCENARIO --planner --time-limit --episodes --seed --out --replace --set --quiet",
-    "gap": "SCENARIO RUN --time-limit --episodes --seed --set --quiet",
-    "audit": "SCENARIO",
+    "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
+    "gap": "SCENARIO RUN --scenario --time-limit --episodes --seed --set --quiet",
+    "audit": "SCENARIO --scenario",
     "export": "RUN --out --format --scenario",
     "scenarios": "",
     "plot": "",
@@ -118,7 +119,10 @@ def test_scenarios_fit_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
 def test_audit_prints(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = call(capsys, "audit quickstart")
     assert (code, err) == (0, "")
-    assert "errors" in out
+    assert "0 errors" in out
+    code, out, err = call(capsys, "audit --scenario paper-table1")
+    assert (code, err) == (1, "")
+    assert "5 errors" in out
 
 
 def test_a_reader_that_stops_early_is_no_error() -> None:

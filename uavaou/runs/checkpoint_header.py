@@ -48,7 +48,9 @@ class TrainingProgress(BaseModel):
             longest: slots from one update to the next, of all missions together.
         """
         algorithm, family, slots = config.algorithm, config.family, self.slots
-        together, every = algorithm.missions, algorithm.evaluate_every_slots
+        together = algorithm.missions
+        intervals = {stage.evaluate_every_slots for stage in config.stages()}  # a larger budget may have a longer one
+        every = max(intervals)
         steps = 0 if self.agent_steps is None else self.agent_steps
         uavs = (1, family.most[0]) if family else (config.scenario.uavs,) * 2  # the fewest and the most of a mission
         ended = slots // together // config.scenario.slots * together  # where all missions are equally long
@@ -58,7 +60,7 @@ class TrainingProgress(BaseModel):
             "agent_steps": self.agent_steps is None or slots * uavs[0] <= steps <= slots * uavs[1],
             "missions": self.missions <= slots if family else self.missions == ended,
             "recent": len(self.recent) <= min(self.missions, together),
-            "next_evaluation": self.next_evaluation == (slots // every + 1) * every,
+            "next_evaluation": self.next_evaluation in {(slots // one + 1) * one for one in intervals},
             "best_score": self.best_score is not None or slots < every,
             "row_slots": 0 <= slots - self.row_slots < max(every / ROWS_AN_EVALUATION, 1),
             "rows": (self.rows == 0) == (self.row_slots == 0) and self.rows <= slots,
