@@ -92,11 +92,13 @@ def gap(
 
     With --scenario, all arguments are runs.
     """
+    run = run or []
     if scenario_option is not None and scenario is not None:
-        scenario, run = None, [scenario, *(run or [])]
+        run.insert(0, scenario)
+        scenario = None
     name = needed_scenario(scenario, scenario_option)
     chosen, _ = _fixed_scenario(name, set_, "uavaou gap: the bound is that of one layout")
-    refuse_scenarios(run or [])
+    refuse_scenarios(run)
     from uavaou.planners import gap_planners, make_planner
     from uavaou.planners.bound import lower_bound
     from uavaou.runs.comparison import compare, load_runs
