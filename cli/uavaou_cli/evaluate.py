@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from os.path import realpath  # Path.resolve fails in a circle of symbolic links
@@ -28,7 +27,7 @@ from uavaou_cli.options import (
 )
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import EvaluationDisplay
-from uavaou_cli.tables import aligned, figure, interval_figures, say, show, two_line_table, wrapped
+from uavaou_cli.tables import aligned, command_line, figure, interval_figures, say, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
     from uavaou.evaluation.evaluate import Evaluation
@@ -313,7 +312,7 @@ def _missing_lines(missing: Sequence[MissingTraining]) -> list[str]:
     lines: list[str] = []
     for one in missing:
         lines += _paragraphs([f"no run of {one.policy} fits {', '.join(one.labels)}; this trains one:"])
-        lines.append("  " + shlex.join(one.command))
+        lines.append("  " + command_line(one.command))
     return lines
 
 

@@ -2,6 +2,8 @@
 
 import tempfile
 from collections.abc import Callable, Iterable
+from contextlib import suppress
+from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,6 +11,8 @@ import typer
 
 from uavaou.errors import InputError, unknown
 from uavaou.evaluation.seeds import LARGEST_SEED, MOST_EPISODES
+
+MOST_SLOTS = 10**12
 
 
 def option(help: str, metavar: str = "NAME", *names: str) -> Any:
@@ -26,6 +30,30 @@ def number(help: str, lowest: float, highest: float = float("inf"), metavar: str
         return value
 
     return typer.Option(metavar=metavar, help=help, callback=check)
+
+
+_MULTIPLES = {"k": 10**3, "M": 10**6}
+
+
+def budget(help: str) -> Any:
+    """An option for a whole number above 0, typed as ``200000``, ``200_000``, ``200k``, ``1e6`` or ``1M``."""
+
+    def parse(text: str) -> Any:
+        with suppress(ArithmeticError, ValueError):
+            number = Decimal(text[:-1] if text[-1:] in _MULTIPLES else text) * _MULTIPLES.get(text[-1:], 1)
+            if number == int(number):
+                return int(number)
+        return text  # is refused below: an error here would lose its message
+
+    def check(option: typer.CallbackParam, value: Any) -> Any:
+        if isinstance(value, str):
+            raise InputError(f"{option.opts[0]} = {value}: expected a whole number, such as 200000, 200k or 1e6")
+        if value is not None and not 1 <= value <= MOST_SLOTS:
+            limit = f"at most {MOST_SLOTS:,}" if value > MOST_SLOTS else "at least 1"
+            raise InputError(f"{option.opts[0]} {value}: must be {limit}")
+        return value
+
+    return typer.Option(metavar="N", help=help, parser=parse, callback=check)
 
 
 def seconds(help: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 import time
 from collections import deque
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import typer
 
 from uavaou.runs.interrupt import exit_code
-from uavaou_cli.tables import duration
+from uavaou_cli.tables import command_line, duration
 
 if TYPE_CHECKING:
     from uavaou.evaluation.recorded_mission import RecordedMission
@@ -326,5 +325,5 @@ def stopped(arguments: list[str], by: BaseException | int, kept: str = "") -> ty
         by: the interrupt, or the number of the signal.
         kept: words that follow on "interrupted".
     """
-    print(f"uavaou: interrupted{kept}; to go on: {shlex.join(['uavaou', *arguments])}", file=sys.stderr)
+    print(f"uavaou: interrupted{kept}; to go on: {command_line(['uavaou', *arguments])}", file=sys.stderr)
     return typer.Exit(128 + by if isinstance(by, int) else exit_code(by))

@@ -15,7 +15,7 @@ import typer
 from uavaou.errors import InputError
 from uavaou_cli.options import Quiet, Results, StudyName, choice, given_path, number, option, writable_folder
 from uavaou_cli.progress import StudyDisplay, stopped
-from uavaou_cli.tables import WIDTH, aligned, duration, interval_figures, show, wrapped
+from uavaou_cli.tables import WIDTH, aligned, command_line, duration, interval_figures, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.reports.scores import PolicyScores
@@ -62,7 +62,7 @@ def run(
     if outcome.stopped_by is not None:
         kept = f" with {outcome.done} of {outcome.total} parts done"
         raise stopped(ctx.obj["arguments"], outcome.stopped_by, kept)
-    show(_result_lines(folder))
+    show([*_result_lines(folder), f"next:    {command_line(['uavaou', 'plot', 'figures', str(folder)])}"])
     if outcome.failed:
         raise typer.Exit(1)
 

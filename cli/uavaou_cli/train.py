@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from os.path import realpath
@@ -18,6 +17,7 @@ from uavaou_cli.options import (
     Results,
     ScenarioName,
     available_device,
+    budget,
     choice,
     number,
     option,
@@ -26,7 +26,7 @@ from uavaou_cli.options import (
 )
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TrainingDisplay, stopped
-from uavaou_cli.tables import duration, figure, show, wrapped
+from uavaou_cli.tables import command_line, duration, figure, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.runs.folder import RunConfig, RunFolder
@@ -51,7 +51,9 @@ def train(
     seed: Annotated[
         int | None, number("Seed of the training; two seeds never share a mission. [default: 0]", 0, LARGEST_SEED)
     ] = None,
-    slots: Annotated[int | None, number("Budget, in slots of all missions. [default: as published]", 1)] = None,
+    slots: Annotated[
+        int | None, budget("Budget, in slots of all missions, such as 60k or 1e6. [default: as published]")
+    ] = None,
     config: Annotated[Path | None, option("Train the config.yaml of a run again as it was.", "FILE")] = None,
     from_: Annotated[
         str | None, option("Begin with the weights of a run or a released policy, and its settings.", "RUN", "--from")
@@ -98,7 +100,9 @@ def train(
             _refuse("--family", {"--scenario": scenario}, "a family has a base scenario")
         if from_ is not None:
             _refuse("--from", {"--algorithm": algorithm}, "the run's settings are taken")
-        plan, folder = _plan(scenario, family, from_, algorithm or "mappo", seed or 0, _overrides(set_, slots), out)
+        plan, folder = _plan(
+            scenario, family, from_, (algorithm or "mappo").lower(), seed or 0, _overrides(set_, slots), out
+        )
     writable_folder(folder.path)
     available_device(device)
     resume = resume or continue_ is not None
@@ -235,4 +239,4 @@ def _lines(outcome: Outcome, config: RunConfig, plugins: Sequence[str]) -> list[
         )
     named = [word for place in plugins for word in ("--plugin", place)]
     command = ["uavaou", *named, "eval", str(folder), "--policy", "random", "--policy", "greedy"]
-    return [*lines, f"next:            {shlex.join(command)}"]
+    return [*lines, f"next:            {command_line(command)}"]

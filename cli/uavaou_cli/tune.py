@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
@@ -12,11 +11,11 @@ import typer
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import LARGEST_SEED
-from uavaou_cli.options import Quiet, ScenarioName, number, option, stated_scenario, writable_folder
+from uavaou_cli.options import Quiet, ScenarioName, budget, number, option, stated_scenario, writable_folder
 from uavaou_cli.options import seconds as seconds_option
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TuningDisplay, stopped
-from uavaou_cli.tables import aligned, figure, show, wrapped
+from uavaou_cli.tables import aligned, command_line, figure, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.algorithms.config import AlgorithmConfig
@@ -41,7 +40,7 @@ def tune(
     ] = None,
     algorithm: Annotated[str | None, option("The algorithm to tune. [default: mappo, or that of --from]")] = None,
     seconds: Annotated[float | None, seconds_option("Each trial's budget, in CPU seconds of one core.")] = None,
-    slots: Annotated[int | None, number("Each trial's budget, in slots, instead.", 1, 10**12)] = None,
+    slots: Annotated[int | None, budget("Each trial's budget, in slots, instead.")] = None,
     trials: Annotated[
         int | None, number(f"Number of trials, earlier ones included. [default: {DEFAULT_TRIALS}]", 1, MOST_TRIALS)
     ] = None,
@@ -66,6 +65,7 @@ def tune(
     if (seconds is None) == (slots is None):
         raise InputError("each trial's budget: give --seconds S or --slots N, one of them")
     overrides = parse_overrides(set_ or [])
+    algorithm = None if algorithm is None else algorithm.lower()
     if from_ is None:
         if top is not None:
             raise InputError("--top needs a search to take trials from: add --from DIR")
@@ -164,5 +164,5 @@ def _lines(
         ]
         lines += [line, *wrapped(", ".join(changed) or "as published", indent="    ")]
     settings = search.settings(search.space.restored(best[0].values))
-    command = shlex.join(train_command(scenario, search.scenario, settings, plugins))
+    command = command_line(train_command(scenario, search.scenario, settings, plugins))
     return [*lines, "", f"table:  {folder.table}", f"best:   {folder.best}", f"train:  {command}"]

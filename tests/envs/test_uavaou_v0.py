@@ -113,5 +113,8 @@ def test_rendering() -> None:
     assert frame.dtype == np.uint8
     assert frame.ndim == 3
     assert frame.std() > 5
+    silent = uavaou_v0.parallel_env("tiny")
+    with pytest.warns(UserWarning, match="without specifying any render mode.*render_mode='rgb_array'"):
+        assert silent.render() is None
     with pytest.raises(InputError, match="did you mean 'rgb_array'"):
         uavaou_v0.parallel_env("tiny", render_mode="rgb_aray")

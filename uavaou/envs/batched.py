@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from uavaou.envs.rewards import training_reward
 from uavaou.envs.spaces import action_space, row_space, split_actions
+from uavaou.envs.uavaou_v0 import warn_of_no_mode
 from uavaou.family import Family
 from uavaou.scenario import Scenario
 from uavaou.world import World
@@ -91,6 +92,8 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
 
     def render(self) -> Any:
         """A map of the first mission, (H, W, 3)."""
+        if self.render_mode is None:
+            warn_of_no_mode()
         if self.render_mode is None or self.world is None:
             return None
         from uavaou.envs.map import render_frame  # imports matplotlib

@@ -45,18 +45,17 @@ def uav_offset(scenario: Scenario) -> Floats:
 
 
 def age_scale(scenario: Scenario, layout: Layout, ages: ArrayLike | None = None) -> LogNorm:
-    """A logarithmic colour scale for age sums in s; an age of 0 takes the lowest colour.
+    """A logarithmic colour scale for age sums in slots; an age of 0 takes the lowest colour.
 
     Without ``ages`` the scale runs from one slot to the age of a device that is never collected, so that all
     frames of a mission share it; with ``ages`` it spans them.
     """
-    tau = scenario.slot_length_s
     if ages is None:
         # m grows by one every k_i slots and S by m a slot: about K^2 / (2 k_i) slots in the end.
-        low, high = tau, tau * scenario.slots**2 / (2 * float(layout.update_period.min()))
+        low, high = 1.0, scenario.slots**2 / (2 * float(layout.update_period.min()))
     else:
         aged = np.asarray(ages, dtype=np.float64)
-        aged = aged[aged > 0] if np.any(aged > 0) else np.array([tau])
+        aged = aged[aged > 0] if np.any(aged > 0) else np.ones(1)
         low, high = float(aged.min()), float(aged.max())
     return LogNorm(low, max(high, 2 * low), clip=True)
 
@@ -96,14 +95,14 @@ def _draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:
 
 
 def draw_devices(axes: Axes, layout: Layout, age: ArrayLike, scale: LogNorm, area: ArrayLike = 32.0) -> None:
-    """Devices as discs coloured by ``age`` (I,) s, their ``area`` (I,) in square points."""
+    """Devices as discs coloured by ``age`` (I,) slots, their ``area`` (I,) in square points."""
     style: dict[str, Any] = {"cmap": AGE_COLOURS, "edgecolors": "black", "linewidths": 0.6, "zorder": 5}
     x, y = layout.positions.T
     axes.scatter(x, y, s=area, c=np.asarray(age, dtype=np.float64), norm=scale, **style)
 
 
 def add_age_bar(axes: Axes, scale: LogNorm, label: str, **place: Any) -> Colorbar:
-    """A colour bar in seconds beside the axes; ``place`` goes to ``Figure.colorbar``."""
+    """A colour bar beside the axes; ``place`` goes to ``Figure.colorbar``."""
     figure = axes.get_figure(root=True)
     assert figure is not None
     place = place if "cax" in place else {"ax": axes, "fraction": 0.046, "pad": 0.02} | place
@@ -164,10 +163,10 @@ def render_frame(
     if trails is not None:
         _draw_trails(axes, scenario, np.asarray(trails)[: max(snapshot["slot"], 1)])
     _draw_links(axes, scenario, layout, positions, np.asarray(snapshot["collected_by"]))
-    draw_devices(axes, layout, snapshot["age_sum"], age_scale(scenario, layout))
+    ages = np.asarray(snapshot["age_sum"]) / scenario.slot_length_s  # (I,) slots
+    draw_devices(axes, layout, ages, age_scale(scenario, layout))
     _draw_uavs(axes, scenario, positions)
-    total = float(np.sum(snapshot["age_sum"]))
-    axes.set_title(f"slot {snapshot['slot']} of {scenario.slots}     total age {total:,.0f} s", fontsize=11)
+    axes.set_title(f"slot {snapshot['slot']} of {scenario.slots}     AoU {ages.sum():,.4g} slots", fontsize=11)
     return _pixels(figure)[..., :3].copy()
 
 
@@ -186,7 +185,7 @@ def _frame_ground(
     draw_ground(axes, scenario)
     _draw_coverage(axes, scenario, layout)
     bar = figure.add_axes((0.87, 0.09, 0.025, 0.83))
-    add_age_bar(axes, age_scale(scenario, layout), "age sum of the device (s)", cax=bar)
+    add_age_bar(axes, age_scale(scenario, layout), "age sum of the device (slots)", cax=bar)
     ground = _pixels(figure)
     ground.flags.writeable = False  # the cache shares it
     return ground

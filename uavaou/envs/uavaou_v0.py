@@ -12,6 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, ClassVar
 
+import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
@@ -56,6 +57,14 @@ def parallel_env(
 def env(**kwargs: Any) -> AECEnv[str, NDArray[np.float32], Any]:
     """Make the same environment in PettingZoo's turn-based (AEC) form."""
     return parallel_to_aec(parallel_env(**kwargs))
+
+
+def warn_of_no_mode() -> None:
+    """Warn of ``render()`` on an environment that was made without a render mode, as PettingZoo's own do."""
+    gymnasium.logger.warn(
+        "You are calling render method without specifying any render mode: make the environment with "
+        f"render_mode='{RENDER_MODES[0]}'"
+    )
 
 
 def check_render_mode(render_mode: str | None) -> None:
@@ -135,6 +144,7 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
     def render(self) -> NDArray[np.uint8] | None:
         """A map of devices coloured by age, coverage, and UAVs with their trails, (H, W, 3)."""
         if self.render_mode is None:
+            warn_of_no_mode()
             return None
         from uavaou.envs.map import render_frame  # imports matplotlib
 

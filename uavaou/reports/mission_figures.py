@@ -24,6 +24,7 @@ _DEVICE_AREA = (12.0, 75.0)  # square points, of the least and the most collecte
 _LINE_WIDTH = (0.6, 2.4)  # points, of a step flown once and of the one flown most
 _LEGEND_UAVS = 8  # colours repeat beyond
 _LEGEND_COLUMNS = 4
+_ROUTES = "square: CDS; line: route, wider where flown more often"
 _PANELS_A_ROW = 3
 _MOST_PANELS = 12
 
@@ -54,7 +55,8 @@ def _map(scenario: Scenario, recording: Recording) -> Figure:
     maps.draw_devices(axes, recording.layout, mean_age, scale, _device_area(counts, int(counts.max())))
     maps.add_age_bar(axes, scale, "mean age sum (slots)", cax=age_bar)
     style.label_log_axis(age_bar.yaxis, *age_bar.get_ylim())
-    figure.legend(handles=_fleet_handles(scenario), loc="upper center", ncols=_LEGEND_COLUMNS, borderpad=0)
+    handles = _fleet_handles(scenario)
+    figure.legend(handles=handles, loc="upper center", ncols=_LEGEND_COLUMNS, borderpad=0, title=_ROUTES)
     title = "communications of the device"
     figure.legend(handles=_count_handles(counts), loc="lower center", ncols=3, title=title, borderpad=0)
     return figure
@@ -76,7 +78,7 @@ def _map_places(scenario: Scenario) -> tuple[Figure, Axes, Axes, Axes]:
     left, map_width, bottom, bar_size = 0.62, 2.2, 1.2, 0.09  # in
     step = scenario.grid_step_m
     map_height = float(np.clip(map_width * (scenario.area_y_m + step) / (scenario.area_x_m + step), 1.2, 5.5))
-    legend = 0.15 + 0.17 * math.ceil(min(scenario.uavs, _LEGEND_UAVS) / _LEGEND_COLUMNS)
+    legend = 0.3 + 0.17 * math.ceil(min(scenario.uavs, _LEGEND_UAVS) / _LEGEND_COLUMNS)
     height = bottom + map_height + legend
     figure = style.new_figure(height, layout=None)
 
@@ -255,12 +257,16 @@ def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Fig
         _draw_map(axes, mission.scenario, mission.recording)
         maps.draw_devices(axes, mission.recording.layout, ages, scale, _device_area(counts, most) / 2)
         axes.set_title(_title(mission, labels, "\n"))
+    for place, axes in enumerate(panels.ravel()[: len(missions)]):
         axes.label_outer()
+        if place + columns >= len(missions):  # the lowest of its column
+            axes.tick_params(labelbottom=True)
+            axes.set_xlabel("$x$ (m)")
     text = "mean age sum of the device (slots)"
     bar = maps.add_age_bar(panels[0, 0], scale, text, ax=panels, fraction=0.03, shrink=0.85)
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
     between = "; " if columns > 1 else "\n"
-    title = f"line: wider where flown more often{between}device: larger with more communications"
+    title = f"{_ROUTES}{between}device: larger with more communications"
     figure.legend(handles=_fleet_handles(scenario), loc="outside lower center", ncols=4, title=title)
     return figure
 

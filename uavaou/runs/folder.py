@@ -31,6 +31,7 @@ from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 SCHEMA = 1
 _LONGEST_NAME = 120
+_MOST_NAMED = 5  # runs in a hint
 _MOST_VALIDATIONS = 100  # of a later budget: the interval suits the first one
 EPISODE_COLUMNS = ("mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
 
@@ -209,10 +210,18 @@ class RunFolder:
             problem = "is not a folder" if self.path.exists() else f"does not exist{nearest_released(self.path)}"
             raise InputError(f"run folder '{self.path}' {problem}")
         if not self.exists():
-            raise InputError(f"'{self.path}' is not a run folder: it holds no config.yaml")
+            raise InputError(f"'{self.path}' is not a run folder: it holds no config.yaml{_runs_below(self.path)}")
         if not self.is_released:  # installers may link the files of a package
             refuse_links(self.path)
         return read_config(self.config)
+
+
+def _runs_below(folder: Path) -> str:
+    """The hint for a folder above runs: which they are."""
+    found = [path.parent for depth in range(1, 4) for path in folder.glob("*/" * depth + "config.yaml")]
+    more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
+    names = ", ".join(str(path) for path in sorted(found)[:_MOST_NAMED])
+    return f"; runs below it: {names}{more}" if found else ""
 
 
 class ConfigFile(BaseModel):

@@ -62,6 +62,9 @@ class _Range(Dimension):
         return self
 
 
+_DIGITS = 4  # of a drawn number
+
+
 class LogUniform(_Range):
     """A number between two bounds, its logarithm uniform."""
 
@@ -70,7 +73,11 @@ class LogUniform(_Range):
     high: Positive
 
     def suggest(self, trial: Trial, field: str) -> float:  # noqa: D102
-        return trial.suggest_float(field, self.low, self.high, log=True)
+        return self.restored(trial.suggest_float(field, self.low, self.high, log=True))
+
+    def restored(self, stored: float) -> float:  # noqa: D102
+        # Digits that no training can tell apart make commands that no person can read.
+        return min(max(float(f"{stored:.{_DIGITS}g}"), self.low), self.high)
 
 
 class Integer(_Range):

@@ -1,0 +1,48 @@
+"""What a person types and reads: budgets in short, names in capitals, commands that a shell takes as they are."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.cli.commands import call
+from uavaou_cli.tables import command_line
+
+
+@pytest.mark.parametrize("text", ["96", "9.6e1", "0.096k", "0_96"])
+def test_a_budget_may_be_typed_in_short(capsys: pytest.CaptureFixture[str], workplace: Path, text: str) -> None:
+    (workplace / "results" / "tiny").mkdir(parents=True)
+    (workplace / "results" / "tiny" / "vdn+slots=96").write_text("in the way")
+    code, out, err = call(capsys, f"train tiny --slots {text} --algorithm VDN")
+    assert (code, out) == (2, "")
+    assert "results/tiny/vdn+slots=96" in err
+
+
+@pytest.mark.parametrize("text", ["many", "1.5", "1G", "k", "", "1e400", "nan"])
+def test_another_budget_is_refused(capsys: pytest.CaptureFixture[str], workplace: Path, text: str) -> None:
+    for command in ("train tiny", "tune tiny"):
+        code, out, err = call(capsys, shlex.join([*command.split(), "--slots", text]))
+        assert (code, out) == (2, "")
+        assert err.startswith("uavaou: --slots ")
+        assert "whole number, such as 200000, 200k or 1e6" in err or "at most 1,000,000,000,000" in err
+
+
+def test_commands_are_quoted_only_where_a_shell_needs_it() -> None:
+    words = ["uavaou", "eval", "results/valley~1a2b/mappo+slots=60000/seed-0", "~x", "layout 1", ""]
+    line = command_line(words)
+    assert line == "uavaou eval results/valley~1a2b/mappo+slots=60000/seed-0 '~x' 'layout 1' ''"
+    assert shlex.split(line) == words
+
+
+def test_a_folder_above_runs_says_which_they_are(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+    for seed in range(7):
+        run = workplace / "r" / "mappo" / f"seed-{seed}"
+        run.mkdir(parents=True)
+        (run / "config.yaml").write_text("")
+    code, _, err = call(capsys, "eval r")
+    assert code == 2
+    assert "'r' is not a run folder" in err
+    assert "runs below it: r/mappo/seed-0, r/mappo/seed-1, " in err
+    assert err.endswith(" and 2 more\n")
