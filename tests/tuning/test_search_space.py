@@ -91,8 +91,8 @@ def test_a_damaged_search_yaml_is_one_line_that_names_the_field(
 
 def test_drawn_numbers_have_few_digits_and_stay_in_their_range() -> None:
     space = SearchSpace.from_dict(
-        {"learning_rate": {"kind": "log-uniform", "low": 0.00012345678, "high": 0.01}}, "mine"
+        {"learning_rate": {"kind": "log-uniform", "low": 0.00012344321, "high": 0.01}}, "mine"
     )
     stored = {"learning_rate": 0.00098765432101}
     assert space.restored(stored) == {"learning_rate": 0.0009877}
-    assert space.restored({"learning_rate": 0.00012345678}) == {"learning_rate": 0.00012345678}
+    assert space.restored({"learning_rate": 0.00012344321}) == {"learning_rate": 0.00012344321}
