@@ -4,9 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := results/demo
 SLOTS := 1000000
+RUNS := 5000000
 RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 
-.PHONY: help install demo test lint types docs bench zero-shot lock clean
+.PHONY: help install demo test lint types docs bench zero-shot audit fuzz lock clean
 
 help:
 	@echo "make demo    train MAPPO on the paper's scenario, evaluate it beside planners, draw the figures (about 3 minutes)"
@@ -14,6 +15,7 @@ help:
 	@echo "make docs    the documentation site, into site/"
 	@echo "make lint    ruff; make types: mypy; make bench: speed, side by side"
 	@echo "make zero-shot   measure the released policy any-map (or POLICY=NAME) on all suites: tables, figures, page (10 minutes)"
+	@echo "make audit   known vulnerabilities of the locked versions; make fuzz: a night of fuzzing"
 
 install: $(VENV)/.installed
 
@@ -59,6 +61,18 @@ bench: install
 zero-shot: install
 	$(BIN)/python -m benchmarks.zero_shot $(POLICY)
 
+# Known vulnerabilities of the locked versions, from the Python Packaging Advisory Database.
+audit:
+	rm -rf .audit-venv && $(PYTHON) -m venv .audit-venv
+	.audit-venv/bin/pip install --quiet --disable-pip-version-check pip-audit
+	.audit-venv/bin/pip-audit --requirement requirements.lock --no-deps --disable-pip --progress-spinner off
+	rm -rf .audit-venv
+
+fuzz: install
+	$(BIN)/pip install --quiet --disable-pip-version-check atheris
+	$(BIN)/python tests/fuzz/loaders.py --seeds .fuzz-corpus
+	$(BIN)/python tests/fuzz/loaders.py .fuzz-corpus -runs=$(RUNS) -max_len=4096
+
 lock:
 	rm -rf .lock-venv && $(PYTHON) -m venv .lock-venv
 	.lock-venv/bin/pip install --quiet torch==2.13.0 hatchling
@@ -68,4 +82,4 @@ lock:
 	rm -rf .lock-venv
 
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .audit-venv .fuzz-corpus .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -67,7 +67,9 @@ def fault(place: Path, site: str = "", behind: bool = False, effect: Effect = di
         return watching
 
     def written(file: Any, mode: str = "r", *_: Any, **__: Any) -> Any:
-        return None if isinstance(file, int) or not set(mode) & set("wxa") else os.path.abspath(file)
+        if isinstance(file, int) or not set(mode) & set("wxa") or os.path.isdir(file):  # of files without a name
+            return None
+        return os.path.abspath(file)
 
     def flushed(fd: Any) -> str:
         return os.readlink(f"/proc/self/fd/{fd if isinstance(fd, int) else fd.fileno()}")

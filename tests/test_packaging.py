@@ -15,9 +15,11 @@ pytest.importorskip("hatchling")
 
 @pytest.mark.slow
 def test_a_wheel_carries_the_zoo(tmp_path: Path) -> None:
-    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
-    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    for folder in (tmp_path, tmp_path / "again"):
+        build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+        subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
     (wheel,) = tmp_path.glob("uavaou-*.whl")
+    assert wheel.read_bytes() == (tmp_path / "again" / wheel.name).read_bytes()
     site = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)

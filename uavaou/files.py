@@ -43,10 +43,10 @@ def replacing(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
         with partial.open(mode.replace("w", "x"), encoding=encoding, newline=newline) as file:
             yield file
             flush_to_disk(file)
+        partial.replace(path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
-    partial.replace(path)
 
 
 @contextmanager

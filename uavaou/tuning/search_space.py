@@ -157,7 +157,7 @@ class SearchSpace:
             if not isinstance(content, dict) or "kind" not in content:
                 raise InputError(f"{where}: expected a mapping such as {{kind: integer, low: 1, high: 9}}")
             kind = content["kind"]
-            if kind not in KINDS:
+            if not isinstance(kind, str) or kind not in KINDS:
                 raise InputError(f"{where}: {unknown('kind', str(kind), KINDS)}")
             dimensions[name] = validated(KINDS[kind], content, where)
         return cls(dimensions)
