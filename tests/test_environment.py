@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import errno
 import os
 import shlex
 import socket
@@ -14,8 +15,11 @@ from typing import Any
 import pytest
 
 from tests.cli.commands import TINY, call
+from tests.faults import fail, fault
 from tests.test_architecture import MODULES, ROOT
 from uavaou.algorithms.io.tensor_file import ArrayFile
+from uavaou.errors import InputError
+from uavaou.files import write_text
 
 COMMANDS = ["scenarios", "audit tiny", "fly tiny --policy greedy --quiet", "plan tiny --planner tour --quiet", TINY]
 
@@ -61,3 +65,14 @@ def test_no_wall_clock_is_read() -> None:
             if isinstance(node, ast.Attribute):
                 name = ast.unparse(node)
                 assert name not in ("time.time", "time.localtime", "datetime.now", "datetime.datetime.now"), path
+
+
+def test_a_file_that_cannot_take_its_place_leaves_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file"
+    path.write_text("before")
+    with (
+        fault(tmp_path, "rename file.partial", effect=fail(errno.EIO)),
+        pytest.raises(InputError, match="cannot write"),
+    ):
+        write_text(path, "after")
+    assert {each.name: each.read_text() for each in tmp_path.iterdir()} == {"file": "before"}

@@ -31,6 +31,7 @@ def test_shipped_spaces_hold_the_published_settings(name: str) -> None:
         ({"gamma": 3}, "gamma: expected a mapping"),
         ({"gamma": {"low": 1}}, "gamma: expected a mapping"),
         ({"gamma": {"kind": "uniform", "low": 0, "high": 1}}, "unknown kind 'uniform'; did you mean 'log-uniform'"),
+        ({"gamma": {"kind": {}, "low": 0, "high": 1}}, "unknown kind '{}'"),
         ({"gamma": {"kind": "log-uniform", "low": 0, "high": 1}}, "low = 0"),
         ({"gamma": {"kind": "log-uniform", "low": 0.5}}, "field high is missing"),
         ({"gamma": {"kind": "log-uniform", "low": 0.5, "high": 1, "hihg": 1}}, "'hihg'; did you mean 'high'"),
