@@ -28,4 +28,4 @@ def test_the_tour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
     out = capsys.readouterr().out
     assert "0 errors" in out
     assert "any-map" in out
-    assert (tmp_path / "tour" / "drone" / "policy.onnx").is_file()
+    assert all((tmp_path / "tour" / name).is_file() for name in ("mission.html", "drone/policy.onnx"))
