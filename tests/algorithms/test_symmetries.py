@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from uavaou import Scenario, World
 from uavaou.algorithms.mappo import MAPPO
 from uavaou.algorithms.qlearning import VDN
 from uavaou.envs.flatten import flatten
+from uavaou.runs.folder import RunConfig
+from uavaou.runs.policy import load_run
 from uavaou.world.entities import make_views
 from uavaou.world.flight import STEP_OF_MOVE
 
@@ -19,6 +22,7 @@ pytestmark = pytest.mark.slow
 
 SCENARIO = Scenario.load("quickstart").replace(slots=60, fading="none", area_x_m=600, area_y_m=600)
 SIDE = 600.0
+NETWORK = {"network": "set", "net_arch": [16], "averages_views": True}
 
 
 def transformed(point: tuple[float, float], swap: bool, flip_x: bool, flip_y: bool) -> tuple[float, float]:
@@ -52,7 +56,7 @@ def flown(policy: Any, scenario: Scenario, observation: str, collection: str) ->
 @pytest.mark.parametrize("learner", [MAPPO, VDN])
 def test_a_policy_flies_a_turned_map_as_the_map(learner: Any, collection: str) -> None:
     env = flatten(SCENARIO, 2, observation="shared", collection=collection, rows="entities")
-    model = learner(env=env, seed=1, policy_kwargs={"network": "set", "net_arch": [16]})
+    model = learner(env=env, seed=1, policy_kwargs=NETWORK)
     with th.no_grad():  # a policy with preferences, which an untrained one hardly has
         for parameter in model.policy.parameters():
             parameter.normal_(std=0.4)
@@ -65,11 +69,23 @@ def test_a_policy_flies_a_turned_map_as_the_map(learner: Any, collection: str) -
         assert same == pytest.approx(aou)
 
 
+@pytest.mark.parametrize("learner", [MAPPO, VDN])
+def test_a_policy_that_learned_one_map_decides_by_its_own_view(learner: Any, tmp_path: Path) -> None:
+    for layout, averages in (("fixed", False), ("resample", True)):
+        env = flatten(SCENARIO.replace(layout=layout), 2, collection="auto", rows="entities")
+        model = learner(env=env, policy_kwargs={"network": "set", "net_arch": [16]}, device="cpu")
+        model.save(tmp_path / layout)
+        for policy in (model.policy, learner.load(tmp_path / layout, device="cpu").policy):
+            assert (policy.symmetries is not None) == averages
+    assert load_run("any-map", SCENARIO).model.policy.symmetries is not None
+    assert not RunConfig.load("mappo", SCENARIO).maps_vary
+
+
 @pytest.mark.parametrize("collection", ["auto", "select"])
 @pytest.mark.parametrize("learner", [MAPPO, VDN])
 def test_predict_decides_as_a_flying_uav(learner: Any, collection: str) -> None:
     env = flatten(SCENARIO, 4, observation="shared", collection=collection, rows="entities")
-    model = learner(env=env, seed=1, policy_kwargs={"network": "set", "net_arch": [16]}, device="cpu")
+    model = learner(env=env, seed=1, policy_kwargs=NETWORK, device="cpu")
     with th.no_grad():
         for parameter in model.policy.parameters():
             parameter.normal_(std=0.4)
@@ -81,7 +97,7 @@ def test_predict_decides_as_a_flying_uav(learner: Any, collection: str) -> None:
 
 def test_a_step_and_its_mirror_image_belong_together() -> None:
     env = flatten(SCENARIO, 1, observation="local", collection="auto", rows="entities")
-    symmetries = MAPPO(env=env, policy_kwargs={"network": "set"}).policy.symmetries
+    symmetries = MAPPO(env=env, policy_kwargs=NETWORK).policy.symmetries
     assert symmetries is not None
     rows = th.from_numpy(env.reset()[:, : env.local_size])
     home = rows[:, env.row_layout.token_feature("own", "home_x").start :][:, :2]  # (U, 2) the way home

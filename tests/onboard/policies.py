@@ -41,12 +41,13 @@ def scores(policy: Any, local: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def lively(
-    algorithm: str = "mappo", scenario: Scenario = QUICK, action: str = "greedy", **settings: Any
+    algorithm: str = "mappo", scenario: Scenario = QUICK, action: str = "greedy", views: int = 8, **settings: Any
 ) -> TrainedPolicy:
     """A policy in the planners' interface that chooses each move about as often as the others."""
     config = load_config(algorithm, {"hidden": [16, 16], **settings})
     seen = {"observation": config.observation, "collection": config.collection, "rows": config.rows}
     env = flatten(scenario, 1, **seen)
+    env.maps_vary = views == 8  # in the training: then it decides by eight views of the map
     model = make_model(config, env, seed=1, device="cpu")
     policy: Any = model.policy
     generator = th.Generator().manual_seed(2)

@@ -78,7 +78,8 @@ def pilots_of(trained: TrainedPolicy, folder: Path, **options: Any) -> list[Pilo
     [("mlp", "local"), ("mlp", "shared"), ("set", "part"), ("set", "local"), ("set", "shared")],
 )
 def test_it_flies_as_the_policy(network: str, observation: str, collection: str, tmp_path: Path) -> None:
-    trained = lively(scenario=SCENARIO, network=network, observation=observation, collection=collection)
+    views = 1 if observation == "local" else 8
+    trained = lively(scenario=SCENARIO, views=views, network=network, observation=observation, collection=collection)
     made = fly(trained, pilots_of(trained, tmp_path))
     assert len({move for moves in made for move in moves}) >= 3
 

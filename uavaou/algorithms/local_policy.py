@@ -14,6 +14,10 @@ from uavaou.world.views import RowLayout
 class LocalPolicy(BasePolicy):
     """An SB3 policy over rows ``[local | global]`` that acts on ``local``; comes before SB3's class among the bases.
 
+    Args:
+        averages_views: whether a policy of entities decides in flight by the mean over the symmetries of the square.
+            It should where maps vary in training; the algorithm fills it in from the VecEnv.
+
     Attributes:
         row_layout: which columns of a row hold what.
         depends_on_sizes: whether the weights fit only the numbers of UAVs and devices that they were trained with.
@@ -23,10 +27,15 @@ class LocalPolicy(BasePolicy):
     row_layout: RowLayout
     depends_on_sizes: ClassVar[bool] = True
 
+    def __init__(self, *args: Any, averages_views: bool = True, **kwargs: Any) -> None:
+        self.averages_views = averages_views
+        super().__init__(*args, **kwargs)
+
     @cached_property
     def symmetries(self) -> SquareSymmetries | None:
-        """The symmetries that a flying UAV averages its decision over; None for flat rows, which have none."""
-        return SquareSymmetries(self.row_layout) if self.row_layout.rows == "entities" else None
+        """The symmetries that a flying UAV averages its decision over; flat rows have none."""
+        averages = self.averages_views and self.row_layout.rows == "entities"
+        return SquareSymmetries(self.row_layout) if averages else None
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False

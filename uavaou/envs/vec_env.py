@@ -90,6 +90,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
         scenario: that all missions play, or the family's base.
         views: of that scenario, without padding.
         row_layout: which columns of a row hold what, with padding.
+        maps_vary: whether each mission has a layout of its own.
         local_size, global_size: a row is ``[local | global]``.
     """
 
@@ -100,6 +101,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
         self.views = views
         self.row_layout = layout = views.layout if draws is None else draws.views.layout
         self.missions = missions
+        self.maps_vary = draws is not None or views.scenario.layout == "resample"
         self.local_size, self.global_size = layout.local_size, layout.global_size
         self.observation_space, self.action_space = row_space(layout), action_space(layout)
         self._next_seed: int | None = seed

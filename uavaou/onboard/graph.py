@@ -164,10 +164,10 @@ def _values_of_moves(graph: _Graph, features: str, network: UtilityNetwork, allo
 
 
 def _of_entities(graph: _Graph, policy: Any) -> Decision:
-    """The mean over the eight views of the map; tensors of views have the shape (B, 8, ...)."""
+    """The mean over the eight views of the map, or the row's own view; tensors have the shape (B, 8 or 1, ...)."""
     of_mappo, selects = isinstance(policy, CentralizedValuePolicy), policy.row_layout.selects
     body: SetNetwork = policy.actor_body if of_mappo else policy.utilities.body
-    views, moves_of_view = _views(graph)
+    views, moves_of_view = _views(graph, 1 if policy.symmetries is None else 8)
     features, devices = _encode(graph, views, body.encoder)
     features = graph.layers(features, body.layers)
     if of_mappo:
@@ -186,21 +186,21 @@ def _of_entities(graph: _Graph, policy: Any) -> Decision:
     return moves, selecting, "allowed_moves", graph("Gather", "devices", np.array(own), axis=2)
 
 
-def _views(graph: _Graph) -> tuple[dict[str, str], NDArray[np.int64]]:
-    """Each input as the eight views see it, and where the moves of the row are among those of the views, (8, 5)."""
+def _views(graph: _Graph, count: int) -> tuple[dict[str, str], NDArray[np.int64]]:
+    """Each input as the first views see it, and where the moves of the row are among those of the views, (count, 5)."""
     columns = local_columns(2, 1)
     symmetries = SquareSymmetries(RowLayout(2, 1, "auto", columns, (), "entities"))
     views = {}
     for part in columns:
         width = MOVES if part.name == "allowed_moves" else part.width
         run = slice(part.start, part.start + width)
-        source, sign = symmetries.source[:, run].numpy() - part.start, symmetries.sign[:, run].numpy()  # (8, width)
+        source, sign = (array[:count, run].numpy() for array in (symmetries.source, symmetries.sign))  # (count, width)
         tokens = part.name in ("teammates", "devices")
-        seen = graph("Gather", part.name, source, axis=2 if tokens else 1)  # (B, 8, width) or (B, tokens, 8, width)
+        seen = graph("Gather", part.name, source - part.start, axis=2 if tokens else 1)  # (B, 8, width) or (B, tokens, 8, width)
         views[part.name] = graph("Mul", graph("Transpose", seen, perm=[0, 2, 1, 3]) if tokens else seen,
                                  sign[:, None] if tokens else sign)  # fmt: skip
     views["own"] = graph("Concat", views["own"], views["allowed_moves"], axis=2)
-    return views, symmetries.move.numpy() + MOVES * np.arange(len(symmetries.move))[:, None]
+    return views, symmetries.move[:count].numpy() + MOVES * np.arange(count)[:, None]
 
 
 def _encode(graph: _Graph, views: dict[str, str], encoder: SetEncoder) -> tuple[str, str]:

@@ -76,6 +76,11 @@ class RunConfig:
             return self.algorithm.evaluate_every_slots
         return max(self.algorithm.evaluate_every_slots, (self.budgets[-1] - self.budgets[-2]) // _MOST_VALIDATIONS)
 
+    @property
+    def maps_vary(self) -> bool:
+        """Whether missions of the training have layouts of their own."""
+        return self.family is not None or self.scenario.layout == "resample"
+
     def stages(self) -> list[RunConfig]:
         """The run as it was at each of its budgets, itself last."""
         earlier = [self.budgets[:count] if count > 1 else () for count in range(1, len(self.budgets))]

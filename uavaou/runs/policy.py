@@ -133,6 +133,7 @@ def load_run(
     algorithm = config.algorithm
     seen = {name: getattr(algorithm, name) for name in ("observation", "collection", "rows")}
     env = flatten(scenario, missions=1, **seen)
+    env.maps_vary = config.maps_vary  # in its training
     hidden = getattr(algorithm, "hidden", ())
     if sum(a * b for a, b in pairwise(hidden)) > checkpoint.elements:  # build no networks that it cannot fill
         numbers = f"{checkpoint.elements:,} numbers"

@@ -31,7 +31,8 @@ def partition(devices: Floats, cds: Floats, radius: Floats, update_period: Ints)
     if len(cds) == 1:
         return owner
     for layout, positions in enumerate(devices):
-        order = np.lexsort(positions.T)  # the plan must not depend on the order of the devices
+        # The plan depends neither on the order of the devices nor on the side that the map is seen from.
+        order = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=-1))
         owner[layout, order] = _best_plan(
             positions[order], cds, radius[layout][:, order], 1.0 / update_period[layout][order]
         )

@@ -119,10 +119,13 @@ class SafeSaveLoad(BaseAlgorithm):
 
     @staticmethod
     def _policy_arguments(env: Any, given: dict[str, Any] | None, **defaults: Any) -> dict[str, Any]:
-        """The policy's arguments: those given, before the defaults and the row layout of ``env``."""
+        """The policy's arguments: those given, before the defaults and what ``env`` tells."""
         if env is not None and not hasattr(env, "row_layout"):
             raise InputError(f"env = {env!r}: expected what uavaou.flatten returns, or a VecEnv with a row_layout")
-        return ({} if env is None else {"row_layout": env.row_layout}) | defaults | (given or {})
+        told = {} if env is None else {"row_layout": env.row_layout}
+        if env is not None and env.row_layout.rows == "entities":
+            told["averages_views"] = getattr(env, "maps_vary", True)
+        return told | defaults | (given or {})
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Record the arguments of the constructor."""
@@ -221,6 +224,8 @@ class SafeSaveLoad(BaseAlgorithm):
         given = {name: value for name, value in self._given.items() if name not in _NOT_SAVED}
         policy_kwargs = dict(given.get("policy_kwargs") or {})
         policy_kwargs.pop("row_layout", None)
+        if self.policy.row_layout.rows == "entities":
+            policy_kwargs["averages_views"] = self.policy.averages_views
         given["policy_kwargs"] = policy_kwargs
         for name, value in given.items():
             if callable(value) and not isinstance(value, type):  # a schedule

@@ -1,7 +1,7 @@
 """The symmetries of the square: a map that is turned or mirrored asks for the same flight, turned or mirrored.
 
 A network learns that only roughly. The mean of its outputs over all eight symmetries has it exactly, and decides better
-than the network alone.
+than the network alone. Where it has learned one map alone, it has seen that from one side: there the mean is worse.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,7 @@ class SquareSymmetries:
         layout: of the rows.
 
     Attributes:
-        source: the column that each column of a view shows, (8, local).
+        source: the column that each column of a view shows, (8, local); the first view is the row itself.
         sign: 1, or -1 where the view has the opposite of it, (8, local).
         move: the move of a view that is each move of the row, (8, 5).
     """
