@@ -196,7 +196,9 @@ def _views(graph: _Graph, count: int) -> tuple[dict[str, str], NDArray[np.int64]
         run = slice(part.start, part.start + width)
         source, sign = (array[:count, run].numpy() for array in (symmetries.source, symmetries.sign))  # (count, width)
         tokens = part.name in ("teammates", "devices")
-        seen = graph("Gather", part.name, source - part.start, axis=2 if tokens else 1)  # (B, 8, width) or (B, tokens, 8, width)
+        seen = graph(
+            "Gather", part.name, source - part.start, axis=2 if tokens else 1
+        )  # (B, 8, width) or (B, tokens, 8, width)
         views[part.name] = graph("Mul", graph("Transpose", seen, perm=[0, 2, 1, 3]) if tokens else seen,
                                  sign[:, None] if tokens else sign)  # fmt: skip
     views["own"] = graph("Concat", views["own"], views["allowed_moves"], axis=2)
