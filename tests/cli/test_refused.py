@@ -16,7 +16,7 @@ BAD_INPUTS = [
     ("plot trajectores x", "did you mean 'trajectories'?"),
     ("scenarios paper", "unexpected"),
     # train
-    ("train quickstart", "unexpected"),
+    ("train quickstart paper", "unexpected"),
     ("train --sed 3", "did you mean '--seed'?"),
     ("train --seed", "--seed"),
     ("train --seed x", "--seed"),
