@@ -224,8 +224,9 @@ class SafeSaveLoad(BaseAlgorithm):
         given = {name: value for name, value in self._given.items() if name not in _NOT_SAVED}
         policy_kwargs = dict(given.get("policy_kwargs") or {})
         policy_kwargs.pop("row_layout", None)
-        if self.policy.row_layout.rows == "entities":
-            policy_kwargs["averages_views"] = self.policy.averages_views
+        policy: Any = self.policy
+        if policy.row_layout.rows == "entities":
+            policy_kwargs["averages_views"] = policy.averages_views
         given["policy_kwargs"] = policy_kwargs
         for name, value in given.items():
             if callable(value) and not isinstance(value, type):  # a schedule
