@@ -45,7 +45,7 @@ def test_progress_goes_to_stderr_unless_quiet(
     command = "eval --scenario tiny --policy stay --policy random --episodes 2"
     _, out, err = call(capsys, command)
     lines = err.splitlines()
-    assert len(lines) == 2 * 12  # a line a slot
+    assert len(lines) == 2 * 11  # a line a slot
     assert lines[-1].startswith("100%  random: ")
     assert all("slots/s, mean AoU so far" in line and "s left" in line for line in lines)
     assert call(capsys, f"{command} --quiet") == (0, out, "")
