@@ -206,9 +206,10 @@ def test_a_running_study_is_reported_from_its_tables(
     assert {name: after[name] for name in before if name != ".lock"} == {
         name: content for name, content in before.items() if name != ".lock"
     }
-    page = after["README.md"]
+    page = after["README.md"].split(b"\n\n")
     assert main(command) == 0
-    assert tables(out)["README.md"] == page
+    finished = tables(out)["README.md"].split(b"\n\n")
+    assert [part for part in finished if b"replay.html" not in part] == page  # it may record missions only now
 
 
 @pytest.mark.parametrize("after", range(1, len(COLUMNS)))
