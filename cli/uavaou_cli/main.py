@@ -177,7 +177,7 @@ def _explain_usage(error: Any) -> str:
         message = misread
     elif hasattr(error, "possibilities"):
         options = [name for param in ctx.command.params for name in param.opts] if ctx is not None else []
-        message = f"unknown option '{error.option_name}'{nearest(error.option_name, options)}"
+        message = f"unknown option {error.option_name!r}{nearest(error.option_name, options)}"
     else:
         message = " ".join(error.format_message().split()).rstrip(".")
         message = message[:1].lower() + message[1:]

@@ -158,9 +158,10 @@ def test_a_killed_training_leaves_no_process_behind_and_resumes_with_as_many(tmp
     broken = started(tmp_path / "broken")
     run = RunFolder(tmp_path / "broken")
     deadline = time.monotonic() + 120
-    while not run.last.is_file() and time.monotonic() < deadline:
+    children: list[str] = []  # the first checkpoint is written before the gradient worker starts
+    while not (run.last.is_file() and children) and time.monotonic() < deadline:
         time.sleep(0.01)
-    children = Path(f"/proc/{broken.pid}/task/{broken.pid}/children").read_text().split()
+        children = Path(f"/proc/{broken.pid}/task/{broken.pid}/children").read_text().split()
     broken.kill()
     assert ended(broken) == -signal.SIGKILL
     assert len(children) == 1
