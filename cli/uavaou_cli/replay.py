@@ -11,7 +11,7 @@ import typer
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED
 from uavaou_cli.evaluate import evaluation_lines
-from uavaou_cli.options import Changes, Quiet, choice, number, option, seconds, writable_file
+from uavaou_cli.options import Changes, Quiet, choice, number, option, refuse_scenarios, seconds, writable_file
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import Display, RecordingDisplay
 from uavaou_cli.tables import show
@@ -50,6 +50,7 @@ def replay(
     from uavaou.runs.folder import flight_folder, scenario_folder
 
     names = list(dict.fromkeys(policy))
+    refuse_scenarios(names)
     form = _format(format, out)
     overrides = parse_overrides(set_ or [])
     overrides.only_of_scenario("a policy flies as it is")

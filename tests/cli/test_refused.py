@@ -146,6 +146,7 @@ BAD_INPUTS = [
     ("gap --scenario tiny quickstart", "'quickstart' is a scenario, and arguments are runs here"),
     ("gap --scenario tiny nowhere", "'nowhere' does not exist"),
     ("eval paper --policy greedy", "'paper' is a scenario, and arguments are runs here: write --scenario paper"),
+    ("replay paper greedy", "'paper' is a scenario, and arguments are runs here: write --scenario paper"),
     ("eval list.yaml --policy greedy", "write --scenario list.yaml"),
     ("plan tiny --scenario paper", "SCENARIO 'tiny' and --scenario paper: give one of them"),
     ("plan --scenario papr", "did you mean 'paper'?"),
