@@ -47,13 +47,16 @@ def test_no_single_device_is_better_moved() -> None:
             assert _literal_cost(other, devices[0], period[0]) > least - 1e-6
 
 
+def _way(a: np.ndarray, b: np.ndarray) -> float:
+    return float(max(np.abs(a - b).sum() - REACH * 2 * 1.2, 0.0))
+
+
 def _literal_cost(plan: np.ndarray, devices: np.ndarray, period: np.ndarray) -> float:
     total = 0.0
     for u in range(2):
         part = np.flatnonzero(plan == u)
         tours = (part[[0, *order]] for order in permutations(range(1, len(part)))) if len(part) else iter(())
-        ways = lambda a, b: max(np.abs(devices[a] - devices[b]).sum() - REACH * 2 * 1.2, 0.0)  # noqa: E731
-        length = min((sum(ways(t[k - 1], t[k]) for k in range(len(t))) for t in tours), default=0.0)
+        length = min((sum(_way(devices[t[k - 1]], devices[t[k]]) for k in range(len(t))) for t in tours), default=0.0)
         total += (1 / period[part]).sum() * (length + STOP * len(part)) ** POWER
     return total
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 FEWEST_VALIDATIONS = 10  # of a training, where its settings do not say how often
 
+Observation = Literal["location", "part", "local", "shared"]  # of flat rows, of entities, or of both
 Fraction = Annotated[NonNegative, Field(le=1)]
 HiddenSizes = Annotated[tuple[Annotated[PositiveWhole, Field(le=65_536)], ...], Field(min_length=1, max_length=16)]
 
@@ -32,7 +33,7 @@ class AlgorithmConfig(BaseModel):
     slots: PositiveWhole  # training budget: slots of all missions together
     missions: Annotated[PositiveWhole, Field(le=65_536)]  # played in parallel
     processes: PositiveWhole = 1  # that step the missions
-    observation: Literal["location", "part", "local", "shared"] = "local"
+    observation: Observation = "local"
     collection: Literal["select", "auto"] = "select"
     reward: Literal["root", "aou"] = "root"
     evaluate_every_slots: PositiveWhole  # an evaluation on validation missions, and a checkpoint, this often

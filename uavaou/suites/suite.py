@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, StrictBool, field_validator, model_validator
 
+from uavaou.algorithms.config import Observation
 from uavaou.errors import InfeasibleError, InputError, nearest
 from uavaou.fields import Number, short, validated
 from uavaou.scenario import Scenario
@@ -40,7 +41,7 @@ class Point(BaseModel, frozen=True, extra="forbid"):
     label: Text
     x: Number  # in the axis' unit
     set: dict[str, Any] = {}  # fields of the scenario
-    observation: Literal["location", "part", "local", "shared"] | None = None  # None: that of each run
+    observation: Observation | None = None  # None: that of each run
     joined: StrictBool = True  # false: no line leads to it in the figure, since x is only a position beside the others
 
     @field_validator("set", mode="before")

@@ -110,36 +110,44 @@ def _improve(plan: Ints, ways: Floats, covered: Bools, weight: Floats) -> float:
         stops[u] += 1
         weights[u] += weight[i]
     for _ in range(_ROUNDS):
-        moved = False
         for u in range(uavs):
             lengths[u] = _shorten(ways[u], tours[u, : stops[u]]) + STOP * stops[u]
-        for i in range(count):
-            u = plan[i]
-            at = int(np.argmax(tours[u, : stops[u]] == i))
-            before, after = tours[u, (at - 1) % stops[u]], tours[u, (at + 1) % stops[u]]
-            saved = ways[u, before, i] + ways[u, i, after] - ways[u, before, after] + STOP
-            gain = _cost(weights[u], lengths[u]) - _cost(weights[u] - weight[i], lengths[u] - saved)
-            least, to, where, longer = gain - 1e-9, -1, 0, 0.0
-            for v in range(uavs):
-                if v == u or not covered[v, i]:
-                    continue
-                position, way = _insertion(ways[v], tours[v, : stops[v]], i)
-                loss = _cost(weights[v] + weight[i], lengths[v] + way + STOP) - _cost(weights[v], lengths[v])
-                if loss < least:
-                    least, to, where, longer = loss, v, position, way + STOP
-            if to >= 0:
-                tours[u, at : stops[u] - 1] = tours[u, at + 1 : stops[u]].copy()
-                _insert(tours[to], stops[to], where, i)
-                stops[u], stops[to] = stops[u] - 1, stops[to] + 1
-                lengths[u], lengths[to] = lengths[u] - saved, lengths[to] + longer
-                weights[u], weights[to] = weights[u] - weight[i], weights[to] + weight[i]
-                plan[i], moved = to, True
-        if not moved:
+        if not _move_devices(plan, ways, covered, weight, tours, stops, lengths, weights):
             break
     total = 0.0
     for u in range(uavs):
         total += _cost(weights[u], lengths[u])
     return total
+
+
+@compiled
+def _move_devices(
+    plan: Ints, ways: Floats, covered: Bools, weight: Floats, tours: Ints, stops: Ints, lengths: Floats, weights: Floats
+) -> bool:
+    """Give each device to the tour that makes the cost least; return whether one has moved."""
+    moved = False
+    for i in range(len(plan)):
+        u = plan[i]
+        at = int(np.argmax(tours[u, : stops[u]] == i))
+        before, after = tours[u, (at - 1) % stops[u]], tours[u, (at + 1) % stops[u]]
+        saved = ways[u, before, i] + ways[u, i, after] - ways[u, before, after] + STOP
+        gain = _cost(weights[u], lengths[u]) - _cost(weights[u] - weight[i], lengths[u] - saved)
+        least, to, where, longer = gain - 1e-9, -1, 0, 0.0
+        for v in range(len(tours)):
+            if v == u or not covered[v, i]:
+                continue
+            position, way = _insertion(ways[v], tours[v, : stops[v]], i)
+            loss = _cost(weights[v] + weight[i], lengths[v] + way + STOP) - _cost(weights[v], lengths[v])
+            if loss < least:
+                least, to, where, longer = loss, v, position, way + STOP
+        if to >= 0:
+            tours[u, at : stops[u] - 1] = tours[u, at + 1 : stops[u]].copy()
+            _insert(tours[to], stops[to], where, i)
+            stops[u], stops[to] = stops[u] - 1, stops[to] + 1
+            lengths[u], lengths[to] = lengths[u] - saved, lengths[to] + longer
+            weights[u], weights[to] = weights[u] - weight[i], weights[to] + weight[i]
+            plan[i], moved = to, True
+    return moved
 
 
 @compiled
