@@ -22,6 +22,7 @@ from uavaou_cli import evaluate, export, fly, plan, plot, replay, scenarios, stu
 from uavaou_cli.options import given_path, option
 
 BAD_INPUT = 2
+LONGEST_COMPLAINT = 2000  # characters
 _PATHS = ("--out", "--json", "--config", "--space")  # options whose values are paths
 
 # Typer exports one usage error; its base class covers all of them, wherever this Typer keeps its Click.
@@ -150,6 +151,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _complain(message: str, code: int) -> int:
+    if len(message) > LONGEST_COMPLAINT:  # what was typed may be of any length: show how it begins, and what is allowed
+        half = LONGEST_COMPLAINT // 2
+        message = f"{message[:half]} ... {message[-half:]}"
     print(f"uavaou: {message}", file=sys.stderr)
     return code
 

@@ -161,6 +161,11 @@ def test_flags(refused: Callable[..., None], data: st.DataObject) -> None:
 
 
 @pytest.mark.slow
+def test_a_value_of_any_length_is_refused_in_a_short_line(refused: Callable[..., None]) -> None:
+    refused("train", "--slots", "-" * 5000)
+
+
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(
     command=st.sampled_from([*OPTIONS, "audit tiny", "scenarios", "plot figures nowhere"]),
