@@ -29,7 +29,10 @@ SCENARIOS = {"tiny": Scenario.load("tiny"), "quickstart": Scenario.load("quickst
     f"paper+layout_seed={seed}": Scenario.load("paper").replace(layout_seed=seed) for seed in range(1, 6)
 }
 COLUMNS = ("scenario", "policy", "mean_aou_slots", "low", "high", "method", "seconds")
-POLICIES = ["bound", "exact", "rolling", "anneal", "best-first", "greedy", "tour", "partition-tour", "random"]
+POLICIES = [
+    "bound", "exact", "rolling", "anneal", "best-first", "greedy", "local-greedy-parts", "local-greedy", "tour",
+    "partition-tour", "random",
+]  # fmt: skip
 
 
 def main() -> None:

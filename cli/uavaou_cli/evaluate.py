@@ -39,7 +39,9 @@ if TYPE_CHECKING:
     from uavaou.suites.suite import ResolvedPoint
 
 # For the help, which must not import the planners; a test compares it with the registry.
-_PLANNER_NAMES = "random, stay, greedy, best-first, tour, partition-tour, anneal, rolling or exact"
+_PLANNER_NAMES = (
+    "random, stay, greedy, best-first, local-greedy, local-greedy-parts, tour, partition-tour, anneal, rolling or exact"
+)
 
 
 def evaluate(

@@ -14,6 +14,8 @@ PLANNERS: dict[str, str] = {
     "stay": "uavaou.planners.base:Stay",
     "greedy": "uavaou.planners.greedy:Greedy",
     "best-first": "uavaou.planners.greedy:BestFirst",
+    "local-greedy": "uavaou.planners.local_greedy:LocalGreedy",
+    "local-greedy-parts": "uavaou.planners.local_greedy:LocalGreedyParts",
     "tour": "uavaou.planners.tour:Tour",
     "partition-tour": "uavaou.planners.tour:PartitionTour",
     "anneal": "uavaou.planners.anneal:Anneal",
@@ -48,6 +50,7 @@ def gap_planners(scenario: Scenario) -> list[str]:
     """The planners that show how far a scenario's best policy is from the bound: ``exact`` where it can plan."""
     from uavaou.planners.exact import LARGEST, program_size
 
-    names = ["rolling", "anneal", "best-first", "greedy", "partition-tour", "tour", "random"]
+    names = ["rolling", "anneal", "best-first", "greedy", "local-greedy-parts", "local-greedy"]
+    names += ["partition-tour", "tour", "random"]
     solvable = scenario.fading == "none" and program_size(scenario, scenario.draw_layout()) <= LARGEST
     return ["exact", *names] if solvable else names

@@ -1,6 +1,6 @@
-"""The protocol of a planner, and the two planners that ignore the state of the world."""
+"""The protocol of a planner, what policies know, and the two planners that ignore the state of the world."""
 
-from typing import Protocol
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
@@ -11,10 +11,16 @@ from uavaou.world.flight import STAY, STEP_OF_MOVE
 _PLANNER_STREAM = 2  # spawn key: differs from those of missions (no key) and layouts (1)
 
 
+# What a policy reads in flight. Only `everything` goes beyond what a fleet could have on board: it is the World itself,
+# with every true age and the present channel of every UAV. A plan made before take-off may use the whole map.
+Knowledge = Literal["nothing", "location", "local", "shared", "everything"]
+
+
 class Planner(Protocol):
     """A policy that is not learned and flies a World of N missions.
 
-    Call ``reset`` at the start of a mission, then ``act`` before each ``World.step``.
+    Call ``reset`` at the start of a mission, then ``act`` before each ``World.step``. A policy that reads less than the
+    whole World says so by an attribute ``knows``; see :func:`knowledge`.
     """
 
     def reset(self, world: World, seed: int) -> None:
@@ -30,6 +36,12 @@ class Planner(Protocol):
         ...
 
 
+def knowledge(policy: object) -> Knowledge:
+    """Return what a policy reads in flight; one that does not say so may read everything."""
+    known: Knowledge = getattr(policy, "knows", "everything")
+    return known
+
+
 def mission_rngs(world: World, seed: int) -> list[np.random.Generator]:
     """Return the planner's random stream of each mission: mission j has ``seed + j``."""
     seeds = [np.random.SeedSequence(seed + mission, spawn_key=(_PLANNER_STREAM,)) for mission in range(world.missions)]
@@ -38,6 +50,8 @@ def mission_rngs(world: World, seed: int) -> list[np.random.Generator]:
 
 class Random:
     """Draw each move uniformly from the five; collect every device in range."""
+
+    knows: ClassVar[Knowledge] = "nothing"
 
     def reset(self, world: World, seed: int) -> None:
         """Seed the stream of mission j with ``seed + j``."""
@@ -50,6 +64,8 @@ class Random:
 
 class Stay:
     """Keep every UAV over its CDS; collect every device in range."""
+
+    knows: ClassVar[Knowledge] = "nothing"
 
     def reset(self, world: World, seed: int) -> None:
         """Prepare nothing."""

@@ -13,6 +13,7 @@ import numpy as np
 from uavaou.arrays import Bools, Ints
 from uavaou.errors import InputError
 from uavaou.files import read_json
+from uavaou.planners.base import Knowledge
 from uavaou.planners.search import ExpectedAge, recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
@@ -136,6 +137,7 @@ class RoutePlanner(ABC):
     """
 
     name: ClassVar[str]
+    knows: ClassVar[Knowledge] = "nothing"
 
     def __init__(self, time_limit_s: float | None = None) -> None:
         self.time_limit_s = time_limit_s

@@ -91,6 +91,8 @@ _LOOKS = {
     "stay": Look(GREY, "_", (0, (5, 1.5, 1, 1.5)), "stay"),
     "greedy": Look(BLACK, "*", (0, (4, 1.5)), "greedy"),
     "best-first": Look(GREEN, "P", (0, (5, 1.5, 1, 1.5)), "best-first"),
+    "local-greedy": Look("#7A4A12", "d", (0, (1.2, 1)), "local-greedy"),
+    "local-greedy-parts": Look("#14532D", ">", (0, (1.2, 1)), "local-greedy-parts"),
     "anneal": Look(PURPLE, "X", (0, (4, 1.5)), "anneal"),
     "rolling": Look(BLACK, "p", (0, (2.5, 1)), "rolling"),
     "bound": Look(BLACK, "", (0, (1, 1.5)), "lower bound"),

@@ -1,0 +1,105 @@
+"""A rule that learns nothing and reads local information alone: each UAV follows the pull of its own devices."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from uavaou.arrays import Bools, Floats, Ints
+from uavaou.planners.base import Knowledge
+from uavaou.world import World
+from uavaou.world.coverage import cell_coverage
+from uavaou.world.entities import coverage_and_parts
+from uavaou.world.flight import neighbours
+
+_SHARE = 0.5  # of a UAV's best coverage probability for a device, from which a cell is good enough to collect it
+_REACH = 1.0  # lambda, grid steps: the pull of a device falls by 1/e with each
+
+
+class LocalGreedy:
+    """Make the allowed move to the cell c with the largest
+
+        sum_i w_ui A_i exp(-d_i(c) / lambda),
+
+    lambda being one grid step. A_i is the UAV's own estimate of the age sum of device i, from k_i and the slot in which
+    it last collected i itself; a device in its range is collected now and has A_i = 0. d_i(c) are the steps from c to
+    the nearest cell with at least half of the UAV's best coverage probability for i. w_ui is 1 for the devices of the
+    UAV and 0 for all others: a device belongs to the UAV with the nearest CDS among those that can collect it.
+
+    All of this is part of the observation ``local``: the map and every CDS are told before take-off, the rest is the
+    UAV's own. Ties go to the lowest UAV and to the first move, which is to stay.
+    """
+
+    knows: ClassVar[Knowledge] = "local"
+
+    def reset(self, world: World, seed: int) -> None:
+        """Compute the pull of each device on each cell, for each layout; draw nothing from ``seed``."""
+        scenario = world.scenario
+        layouts = [world.layout(mission) for mission in range(len(world.device_positions))]  # L
+        probability = np.stack([cell_coverage(scenario, layout) for layout in layouts])  # (L, U, C, I)
+        best = probability.max(axis=2, keepdims=True)  # (L, U, 1, I)
+        good = (probability >= _SHARE * best) & (best > 0.0)
+        grid = (*good.shape[:2], scenario.columns, scenario.rows, scenario.devices)
+        steps = steps_to(good.reshape(grid)).reshape(good.shape)
+        owner = self._owners(world, best[:, :, 0] > 0.0)  # (L, I)
+        own = owner[:, None] == np.arange(scenario.uavs)[:, None]  # (L, U, I)
+        self._pull = own[:, :, None] * np.exp(-steps / _REACH)  # (L, U, C, I)
+        self._target = neighbours(scenario)[0]  # (C, 5)
+
+    def act(self, world: World) -> tuple[Ints, Bools | None]:
+        """Return the allowed move of each UAV with the largest pull, (N, U)."""
+        missions, uavs = world.missions, world.scenario.uavs
+        # The slot's own collections, which the moves do not change.
+        last = np.where(world.in_range, world.slot, world.last_collection_by)  # (N, U, I)
+        age = estimated_age(world.slot, last, world.update_period[:, None])  # (N, U, I) slots
+        cell = world.cells @ [world.scenario.rows, 1]  # (N, U)
+        layout = (np.arange(missions) % len(self._pull))[:, None, None]  # (N, 1, 1), all 0 for a common layout
+        pull = self._pull[layout, np.arange(uavs)[:, None], self._target[cell]]  # (N, U, 5, I)
+        # A matrix product may round differently with N; near-ties would then depend on the batch.
+        value = np.einsum("nui,numi->num", age.astype(np.float64), pull)
+        return np.where(world.allowed_moves, value, -1.0).argmax(axis=-1), None
+
+    def _owners(self, world: World, reaches: Bools) -> Ints:
+        """Return the UAV that each device belongs to, (L, I); ``reaches`` is where a UAV can collect it, (L, U, I)."""
+        cds = world.flight.cds * world.scenario.grid_step_m  # (U, 2) m
+        away = np.abs(world.device_positions[:, None] - cds[:, None]).sum(axis=-1)  # (L, U, I) m
+        owner: Ints = np.where(reaches, away, np.inf).argmin(axis=1)
+        return owner
+
+
+class LocalGreedyParts(LocalGreedy):
+    """The rule of :class:`LocalGreedy` with the parts of :func:`uavaou.world.partition.partition` for the nearest CDS.
+
+    That plan is a function of the map alone, so that it too is told before take-off.
+    """
+
+    def _owners(self, world: World, reaches: Bools) -> Ints:
+        return coverage_and_parts(world)[1]
+
+
+def estimated_age(slot: int, last: Ints, period: Ints) -> Ints:
+    """Return the age sum in slots at the end of ``slot`` of a device that was last collected in slot ``last``.
+
+    Update n is generated in slot n k, at whose end it has an age of one slot (eq. 1); update 0 begins with none.
+
+    Args:
+        slot: t.
+        last: slot of the last collection, 0 for never.
+        period: k, slots.
+    """
+    newest, delivered = slot // period, last // period
+    waiting = newest - delivered
+    ages: Ints = waiting * (slot + 1) - period * (newest * (newest + 1) - delivered * (delivered + 1)) // 2
+    ages += slot * (last == 0)
+    return ages
+
+
+def steps_to(good: Bools) -> Floats:
+    """Return the grid steps from each cell to the nearest that is ``good``, (..., X, Y, I); infinite without one."""
+    steps: Floats = np.where(good, 0.0, np.inf)
+    for axis in (-3, -2):
+        line = np.moveaxis(steps, axis, 0)  # a view
+        for there in range(1, len(line)):
+            np.minimum(line[there], line[there - 1] + 1, out=line[there])
+        for there in range(len(line) - 2, -1, -1):
+            np.minimum(line[there], line[there + 1] + 1, out=line[there])
+    return steps
