@@ -25,6 +25,8 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/pip install --quiet --disable-pip-version-check -r requirements.lock
 	@$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@echo "Compiling what every command needs (half a minute, once) ..."
+	@$(BIN)/uavaou fly tiny --quiet --out $(VENV)/first-flight > /dev/null
 	@touch $@
 
 demo: install

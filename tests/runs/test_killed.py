@@ -24,7 +24,7 @@ from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.policy import load_run
 from uavaou.runs.train import train
 
-KILLS = 20
+KILLS = 8  # at random; tests/runs/test_faults.py kills at every write
 ON_POLICY = {"rollout_slots": 25, "batch_rows": 100}
 OFF_POLICY = {
     "replay_slots": 600, "learning_starts": 200, "batch_slots": 16, "slots_per_update": 20, "target_update": 5,
@@ -104,7 +104,7 @@ def test_a_training_killed_at_random_times_is_the_one_never_touched(
     assert untouched.exitcode == 0
     length = time.monotonic() - began
     kills = runs = 0
-    while kills < (KILLS if processes == 1 else 5):
+    while kills < (KILLS if processes == 1 else 3):
         folder = RunFolder(tmp_path / f"killed-{runs}")
         kills += kill_until_done(config, folder.path, seed=runs, longest_s=length / 2)
         assert_the_same(whole, folder)
@@ -173,8 +173,7 @@ def test_a_killed_training_leaves_no_process_behind_and_resumes_with_as_many(tmp
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-@pytest.mark.parametrize("processes", [1, 2])
+@pytest.mark.parametrize(("number", "code", "processes"), [(signal.SIGINT, 130, 2), (signal.SIGTERM, 143, 1)])
 def test_a_signal_is_answered_with_a_checkpoint(
     number: signal.Signals, code: int, processes: int, tmp_path: Path
 ) -> None:

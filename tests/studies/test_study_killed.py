@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 from tests.command_line import start_command
 from uavaou.runs.lock import holder
@@ -76,26 +77,29 @@ def assert_the_same(one: Path, other: Path, study: Study) -> None:
 
 @pytest.fixture(scope="module")
 def untouched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Study]:
-    """The long study, run without a stop."""
-    place = tmp_path_factory.mktemp("untouched")
-    (place / "long.yaml").write_text(LONG)
-    study = Study.load(place / "long.yaml")
-    assert run_study(study, place / "out", Processes(2), lambda state: None, quiet=True).failed == {}
+    """The long study, run without a stop, once for all processes of the tests."""
+    own = tmp_path_factory.getbasetemp()
+    place = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "untouched-study"
+    with FileLock(f"{place}.lock"):
+        place.mkdir(exist_ok=True)
+        (place / "long.yaml").write_text(LONG)
+        study = Study.load(place / "long.yaml")
+        ended = run_study(study, place / "out", Processes(2), lambda state: None, quiet=True)  # or finds it finished
+        assert ended.failed == {}
     return place, study
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_makes_every_run_save_and_the_same_command_goes_on(
-    number: signal.Signals, code: int, untouched: tuple[Path, Study], tmp_path: Path
+def test_sigterm_makes_every_run_save_and_the_same_command_goes_on(
+    untouched: tuple[Path, Study], tmp_path: Path
 ) -> None:
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
     process = start_command(line, tmp_path / "stderr")
     folders = wait_for_missions(tmp_path / "out", 2, 20)
-    os.killpg(process.pid, number)  # as a terminal does: to the children too
+    os.killpg(process.pid, signal.SIGTERM)  # to the children too
     process.join(120)
-    assert process.exitcode == code
+    assert process.exitcode == 143
     said = (tmp_path / "stderr").read_text()
     assert said.count("\n") == 1, said
     assert said.split("to go on: uavaou ")[1] == f"{line}\n"

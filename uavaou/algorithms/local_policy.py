@@ -7,6 +7,7 @@ import numpy as np
 from stable_baselines3.common.policies import BasePolicy
 
 from uavaou.algorithms.nets.symmetries import SquareSymmetries
+from uavaou.algorithms.postpone_dynamo import postpone_dynamo
 from uavaou.errors import InputError
 from uavaou.world.views import RowLayout
 
@@ -29,6 +30,7 @@ class LocalPolicy(BasePolicy):
 
     def __init__(self, *args: Any, averages_views: bool = True, **kwargs: Any) -> None:
         self.averages_views = averages_views
+        postpone_dynamo()
         super().__init__(*args, **kwargs)
 
     @cached_property
