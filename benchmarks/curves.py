@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from uavaou.csv_tables import read_csv, write_csv
-from uavaou.envs.map import BLACK, BLUE, VERMILLION
+from uavaou.envs.map import BLACK, BLUE, ORANGE
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.reports import style
 from uavaou.scenario import Scenario
@@ -67,7 +67,7 @@ def draw(rows: list[Row], folder: Path) -> None:
     """``curves.png`` and ``.pdf``: AoU on the validation missions against wall-clock, beside `greedy`."""
     scenario = Scenario.load(SCENARIO)
     greedy = evaluate("greedy", scenario).mean_aou_s / scenario.slot_length_s
-    looks = {"select": BLUE, "auto": VERMILLION}
+    looks = {"select": BLUE, "auto": ORANGE}  # which differ in grey too
     with style.house_style():
         figure, axes = style.new_axes(3.0)
         for collection, cores in dict.fromkeys(row[:2] for row in rows):
@@ -77,7 +77,7 @@ def draw(rows: list[Row], folder: Path) -> None:
         axes.axhline(greedy, color=BLACK, linewidth=0.8, linestyle=":", label="greedy, and half of it")
         axes.axhline(greedy / 2, color=BLACK, linewidth=0.8, linestyle=":")
         axes.set(yscale="log", ylim=(30, 1000), xlim=(0, None), xlabel="wall-clock time of training (s)")
-        axes.set_ylabel("AoU on validation missions (τ)")
+        axes.set_ylabel("mean AoU on the\nvalidation missions (slots)")
         style.label_log_axis(axes.yaxis, 30, 1000)
         style.legend_below(figure, axes, "likeliest action; one seed")
         style.save(figure, folder, "curves")

@@ -85,7 +85,7 @@ def write_pages(policy: str, suites: Path, card: Path) -> None:
     tables = [every[suite] for suite in own]
     figures = [os.path.relpath(found.path.parent / f"suite-{found.suite}.png", suites / policy) for found in tables]
     head = f"# `{policy}` on maps that it was not trained on\n\n```\npython -m benchmarks.zero_shot {policy}\n```\n\n"
-    sections = [f"{section(policy, t)}\n\n![{t.suite}]({f})" for t, f in zip(tables, figures, strict=True)]
+    sections = [f"{section(policy, t)}\n\n![{seen(policy, t)}]({f})" for t, f in zip(tables, figures, strict=True)]
     write_text(suites / policy / "README.md", head + "\n\n".join([summary(policy, tables), *sections]) + "\n")
     text = "\n\n".join([summary(policy, tables), *(section(policy, found) for found in tables)])
     held = read_text(card, 1_000_000)
@@ -130,6 +130,12 @@ def section(policy: str, found: SuiteTable) -> str:
     ]  # fmt: skip
     head = (found.axis, *(f"`{name}`" for name in (policy, *others)), f"to `{REFERENCE}`", "worst mission")
     return f"{title}\n\n{table(head, rows)}"
+
+
+def seen(policy: str, found: SuiteTable) -> str:
+    """The text of a suite's figure for those who do not see it."""
+    others = [name for name in dict.fromkeys(row.policy for row in found.rows) if name != policy]
+    return f"Mean AoU over the {found.axis}, {policy} beside {', '.join(others)}"
 
 
 def beside(row: SuiteRow) -> tuple[str, str]:

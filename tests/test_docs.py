@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import typer.main
+from PIL import Image
 
 from tests.documents import PAGES, ROOT, blocks, code_spans, commands, unknown_options
 from uavaou import Scenario
@@ -84,7 +85,8 @@ def test_commands_have_these_options(page: Path) -> None:
 def test_code_is_python_and_pictures_have_a_text(page: Path) -> None:
     for code in [*blocks(page, "python"), *blocks(page, "py")]:
         compile(code, str(page), "exec")
-    assert "![](" not in page.read_text(encoding="utf-8")
+    for text in re.findall(r"!\[([^\]]*)\]\(", page.read_text(encoding="utf-8")):
+        assert len(text.split()) > 3, text  # says what is seen
 
 
 def test_the_site_has_every_page_and_every_public_name() -> None:
@@ -127,11 +129,13 @@ def test_reading_a_study(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
     assert "14.4" in capsys.readouterr().out
 
 
-def test_a_study_and_a_suite_of_your_own(tmp_path: Path) -> None:
+def test_a_study_and_a_suite_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from uavaou.studies.study import Study
     from uavaou.suites.suite import Suite
 
-    for page, kind in (("studies", Study), ("suites", Suite)):
+    monkeypatch.chdir(tmp_path)  # where the scenario of policies.md lies
+    (tmp_path / "valley.yaml").write_text("base: quickstart\n", encoding="utf-8")
+    for page, kind in (("studies", Study), ("suites", Suite), ("policies", Study)):
         (content,) = blocks(DOCS / f"{page}.md", "yaml")
         (tmp_path / f"{page}.yaml").write_text(content, encoding="utf-8")
         assert kind.load(tmp_path / f"{page}.yaml").name == page
@@ -144,6 +148,15 @@ def test_a_search_space_of_your_own(tmp_path: Path) -> None:
 
     (content,) = blocks(DOCS / "tuning.md", "yaml")
     assert len(SearchSpace.from_dict(yaml.safe_load(content), "tuning.md").dimensions) == 3
+
+
+def test_frames_from_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (code,) = blocks(DOCS / "replay.md", "python")
+    assert code.count("60") == 2
+    exec(code.replace("60", "2").replace("slot-2", "slot"), {})
+    assert Image.open("slot.png").size == (640, 576)
+    assert Image.open("mission.gif").n_frames == 3
 
 
 def test_the_example_of_an_own_algorithm_is_the_file() -> None:

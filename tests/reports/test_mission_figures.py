@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from uavaou.envs.map import FRAME_SHAPE, render_frame
-from uavaou.evaluation.recorded_mission import Recording
-from uavaou.reports.mission_figures import plot_trajectories
+from uavaou.envs.map import FRAME_SHAPE, draw_ground, render_frame
+from uavaou.evaluation.recorded_mission import RecordedMission, Recording
+from uavaou.reports import style
+from uavaou.reports.mission_figures import mission_figures, plot_trajectories
 from uavaou.scenario import Scenario
 from uavaou.world import World
 
@@ -38,6 +40,24 @@ def test_trajectories_are_drawn(tmp_path: Path) -> None:
         f"mission-{kind}.{end}" for kind in ("map", "ages") for end in ("png", "pdf")
     ]
     assert all(is_drawn(path) for path in paths if path.suffix == ".png")
+
+
+def test_missions_side_by_side_name_the_layout_and_the_mission() -> None:
+    scenario = Scenario.load("quickstart").replace(layout_seed=3)
+    mission = RecordedMission(scenario, "greedy", None, 10000, patrol(scenario)[1])
+    with style.house_style():
+        figures = mission_figures([mission, mission], {})
+    assert {figure.get_suptitle() for figure in figures.values()} == {"quickstart, layout seed 3: mission 10000"}
+
+
+def test_each_cds_has_the_numbers_of_its_uavs() -> None:
+    corner, middle = (0.0, 0.0), (200.0, 200.0)
+    scenario = Scenario.load("tiny").replace(
+        uavs=6, altitudes_m=tuple(80.0 + u for u in range(6)), cds_m=(corner, middle, corner, corner, corner, middle)
+    )
+    axes = Figure().add_subplot()
+    draw_ground(axes, scenario)
+    assert [text.get_text() for text in axes.texts] == ["0…4", "1,5"]
 
 
 def test_recording_counts_communications_as_the_world_does() -> None:

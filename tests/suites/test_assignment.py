@@ -98,6 +98,7 @@ def test_budgets_are_listed_where_they_differ() -> None:
     assert budget_lines([("mappo", "10", 1000), ("vdn", "10", 3000)]) == [
         "mappo: trained with slots = 1,000", "vdn: trained with slots = 3,000"
     ]  # fmt: skip
+    assert budget_lines([("any-map", "10", 1000), ("vdn", "10", 3000)]) == []  # its model card states its stages
     flown = [("mappo", "10", 1000), *[("mappo", "25", 3000)] * 5, ("mappo", "50", 1000)]
     assert budget_lines(flown) == ["mappo: trained with slots = 1,000 at 10, 50; 3,000 at 25"]
 

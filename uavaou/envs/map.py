@@ -13,6 +13,7 @@ from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LogNorm, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
@@ -30,6 +31,7 @@ FRAME_SHAPE = (576, 640, 3)  # (H, W, 3): multiples of 16, as video encoders lik
 _FRAME_DPI = 100
 _TRAIL_SLOTS = 40  # a frame shows the recent past; older slots would hide the map
 _COVERAGE_GREY = "#555555"
+_MOST_NUMBERS = 3  # of UAVs with one CDS
 
 
 def uav_colour(uav: int) -> str:
@@ -66,7 +68,7 @@ def _set_limits(axes: Axes, scenario: Scenario) -> None:
 
 
 def draw_ground(axes: Axes, scenario: Scenario) -> None:
-    """The area in metres, its grid, and each UAV's CDS as a square in the UAV's colour."""
+    """The area in metres, its grid, and each UAV's CDS as a square in the UAV's colour, with its number."""
     step = scenario.grid_step_m
     _set_limits(axes, scenario)
     axes.set(xlabel="$x$ (m)", ylabel="$y$ (m)")
@@ -82,6 +84,15 @@ def draw_ground(axes: Axes, scenario: Scenario) -> None:
         # Nested squares show all UAVs that share a CDS.
         side = 7.5 + 3.5 * (scenario.cds_m[:u].count((x, y)))
         axes.plot(x, y, "s", ms=side, mfc="none", mec=uav_colour(u), mew=1.3, zorder=4, clip_on=False)
+    for place in dict.fromkeys(scenario.cds_m):
+        _number_cds(axes, place, [u for u, own in enumerate(scenario.cds_m) if own == place])
+
+
+def _number_cds(axes: Axes, place: tuple[float, float], uavs: list[int]) -> None:
+    """The numbers of the UAVs of a CDS in its square: colours alone are not told apart in grey."""
+    text = ",".join(map(str, uavs)) if len(uavs) <= _MOST_NUMBERS else f"{uavs[0]}…{uavs[-1]}"
+    number = axes.annotate(text, place, (0, -0.5), textcoords="offset points", fontsize=6, annotation_clip=False)
+    number.set(ha="center", va="center", zorder=4.5, path_effects=[withStroke(linewidth=1.5, foreground="white")])
 
 
 def _draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:

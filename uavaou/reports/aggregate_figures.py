@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter
 from uavaou.arrays import Floats
 from uavaou.envs.map import BLACK
 from uavaou.reports import style
-from uavaou.reports.drawing import Looks
+from uavaou.reports.drawing import Looks, band_alpha
 from uavaou.reports.scores import FIXED_RULES, comparable, in_all_scenarios
 from uavaou.statistics import Interval, interquartile_mean, performance_profile, probability_of_improvement
 from uavaou.studies.results import StudyResults
@@ -77,7 +77,7 @@ def _row_label(look: style.Look, tables: Mapping[str, Floats]) -> str:
 
 def _label(figure: Figure, text: str, note: str) -> None:
     """What the x axis shows and what the bars mean, across the figure: long row names leave the axes little room."""
-    figure.supxlabel(f"{text}\n{note}", fontsize=7, linespacing=1.3)
+    figure.supxlabel(f"{text}\nline: estimate; bar: {note}", fontsize=7, linespacing=1.3)
 
 
 def _draw_bars(axes: Axes, estimates: Sequence[Interval], looks: Sequence[style.Look]) -> None:
@@ -119,7 +119,7 @@ def _profile_figure(scores: Scores, unit: str, looks: Looks, note: str) -> Figur
         share, bottom, top = performance_profile(tables, thresholds)
         look = looks[name]
         marks: Any = {"marker": look.marker, "markevery": (0.02 + 0.05 * (turn % 4), 0.2)}  # of the axes' diagonal
-        axes.fill_between(thresholds, bottom, top, color=look.colour, alpha=0.18, linewidth=0)
+        axes.fill_between(thresholds, bottom, top, color=look.colour, alpha=band_alpha(scores), linewidth=0)
         axes.plot(thresholds, share, color=look.colour, linestyle=look.dash, label=look.label, **marks)
     if wide:
         axes.set_xscale("log")

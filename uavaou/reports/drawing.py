@@ -1,6 +1,6 @@
 """The paper's figures 3 to 8 as drawings of lines with bands, levels and points."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,7 +64,7 @@ def measure_figure(
     figure, axes = style.new_axes(height_in=3.0)
     sign = -1.0 if measure.mirrored else 1.0
     alike = len({line.seeds for line in lines.values()}) == 1  # the legend's title then gives the number
-    alpha = _band_alpha(lines)
+    alpha = band_alpha(lines)
     for turn, (name, line) in enumerate(lines.items()):
         seeds = "" if alike else f" ({line.seeds} seed{'s' if line.seeds > 1 else ''})"
         _draw_line(axes, line, sign, looks[name], looks[name].entry + seeds, alpha, **_marks(looks[name], line, turn))
@@ -87,7 +87,7 @@ def measure_figure(
     return figure, axes
 
 
-def _band_alpha(lines: Mapping[str, Line]) -> float:
+def band_alpha(lines: Collection[str]) -> float:
     """Many bands on top of one another must not hide the lines."""
     return 0.18 if len(lines) < 5 else 0.09
 
@@ -95,7 +95,7 @@ def _band_alpha(lines: Mapping[str, Line]) -> float:
 def _marks(look: style.Look, line: Line, turn: int) -> dict[str, Any]:
     """About eight markers on a line, at other points than those of the lines before and after it."""
     every = max(1, len(line.x) // 8)
-    return {"marker": look.marker, "markevery": (turn * every // 4 % every, every)}
+    return {"marker": look.marker, "markevery": ((2 * turn + 1) * every // 8 % every, every)}
 
 
 def _draw_line(axes: Axes, line: Line, sign: float, look: style.Look, label: str, alpha: float, **marks: Any) -> None:
@@ -143,7 +143,7 @@ def execution_figure(lines: Mapping[str, Line], looks: Looks, slot_length_s: flo
     figure, axes = style.new_axes(height_in=3.0)
     for turn, (name, line) in enumerate(lines.items()):
         width, look = 0.8 if style.is_planner(name) else 1.2, looks[name]
-        _draw_line(axes, line, 1.0, look, look.entry, _band_alpha(lines), linewidth=width, **_marks(look, line, turn))
+        _draw_line(axes, line, 1.0, look, look.entry, band_alpha(lines), linewidth=width, **_marks(look, line, turn))
     slots = max(float(line.x[-1]) for line in lines.values())
     axes.set(xlabel="slot $t$ of the mission", ylabel="AoU (slots)", xlim=(0, slots))
     _scale_y(axes, np.concatenate([line.y.value for line in lines.values()]), log=True)
@@ -174,8 +174,9 @@ def _draw_by_period(axes: Axes, group: ByPeriod, shift: float, look: style.Look)
     faint: dict[str, Any] = {"alpha": 0.35, "markersize": 3, "markeredgewidth": 0}
     axes.plot(group.period + shift, group.counts, ".", color=look.colour, **faint)
     mean, low, high = group.mean
+    reach = None if np.isnan(low).all() else np.nan_to_num(np.stack([mean - low, high - mean]))  # (2, P)
     axes.errorbar(
-        group.values + shift, mean, yerr=np.nan_to_num(np.stack([mean - low, high - mean])),  # (2, P)
+        group.values + shift, mean, yerr=reach,
         color=look.colour, marker=look.marker or "_", markersize=4, linestyle="none", elinewidth=1.0, capsize=1.8,
         label=look.label,
     )  # fmt: skip

@@ -24,7 +24,7 @@ _DEVICE_AREA = (12.0, 75.0)  # square points, of the least and the most collecte
 _LINE_WIDTH = (0.6, 2.4)  # points, of a step flown once and of the one flown most
 _LEGEND_UAVS = 8  # colours repeat beyond
 _LEGEND_COLUMNS = 4
-_ROUTES = "square: CDS; line: route, wider where flown more often"
+_ROUTES = "square: CDS of the UAV; line: route, wider where flown more often"
 _PANELS_A_ROW = 3
 _MOST_PANELS = 12
 
@@ -232,6 +232,13 @@ def mission_figures(missions: Sequence[RecordedMission], algorithms: Mapping[str
     return {"missions-side-by-side": _maps(shown, labels), "missions-device-ages": _all_ages(shown, labels, scale)}
 
 
+def _flown(mission: RecordedMission) -> str:
+    """Which mission of which map it is."""
+    scenario = mission.scenario
+    drawn = scenario.layout == "fixed" and scenario.devices_m is None
+    return f"{scenario.name}{f', layout seed {scenario.layout_seed}' if drawn else ''}: mission {mission.mission_seed}"
+
+
 def _title(mission: RecordedMission, labels: Mapping[str, str], between: str) -> str:
     seed = "" if mission.training_seed is None else f", seed {mission.training_seed}"
     return f"{labels[mission.policy]}{seed}{between}AoU {mission.mean_aou_slots:,.4g} slots"
@@ -244,7 +251,7 @@ def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Fig
     scenario = missions[0].scenario
     shape = (scenario.area_y_m + scenario.grid_step_m) / (scenario.area_x_m + scenario.grid_step_m)
     width = style.PAGE_WIDTH_IN if columns > 1 else style.COLUMN_WIDTH_IN
-    height = rows * (0.45 + (width - 1.2) / columns * float(np.clip(shape, 0.4, 2))) + 0.8
+    height = rows * (0.45 + (width - 1.2) / columns * float(np.clip(shape, 0.4, 2))) + 1.0
     figure = style.new_figure(height, width_in=width)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     mean_ages = [_ages_in_slots(mission.scenario, mission.recording).mean(axis=0) for mission in missions]  # (I,) each
@@ -262,6 +269,7 @@ def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Fig
         if place + columns >= len(missions):  # the lowest of its column
             axes.tick_params(labelbottom=True)
             axes.set_xlabel("$x$ (m)")
+    figure.suptitle(_flown(missions[0]), fontsize=8)
     text = "mean age sum of the device (slots)"
     bar = maps.add_age_bar(panels[0, 0], scale, text, ax=panels, fraction=0.03, shrink=0.85)
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
@@ -275,13 +283,14 @@ def _all_ages(missions: Sequence[RecordedMission], labels: Mapping[str, str], sc
     """A strip a mission: each device a row, its age in colour over the slots, a tick for each communication."""
     devices = missions[0].scenario.devices
     strip_in = float(np.clip(0.05 * devices, 0.9, 3.0))
-    height = len(missions) * (strip_in + 0.25) + 0.9
+    height = len(missions) * (strip_in + 0.25) + 1.1
     figure = style.new_figure(height, width_in=style.PAGE_WIDTH_IN)
     strips = figure.subplots(len(missions), 1, sharex=True, squeeze=False)[:, 0]
     for axes, mission in zip(strips, missions, strict=True):
         _draw_strip(axes, mission.recording, _ages_in_slots(mission.scenario, mission.recording), scale)
         axes.set_title(_title(mission, labels, ": "), pad=3)
         axes.label_outer()
+    figure.suptitle(_flown(missions[0]), fontsize=8)
     bar = maps.add_age_bar(strips[0], scale, "age sum of the device (slots)", ax=list(strips), fraction=0.02, pad=0.01)
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
     _legend_of_communications(figure, missions[0].scenario)

@@ -108,7 +108,9 @@ _DASHES: tuple[Any, ...] = (
 )  # fmt: skip
 _LONGEST_TAG = 14  # characters that have room beside the axes
 _TAG_STEP_IN = 0.105  # from one tag to the next
-_LEADER: dict[str, Any] = {"arrowstyle": "-", "linewidth": 0.5, "shrinkA": 0, "shrinkB": 0, "relpos": (0, 0.5)}
+_LEADER: dict[str, Any] = {
+    "arrowstyle": "-", "linewidth": 0.6, "linestyle": (0, (1, 1.5)), "shrinkA": 0, "shrinkB": 0, "relpos": (0, 0.5),
+}  # fmt: skip
 _TAGGED_AXES_IN = 1.4  # height of axes with tags, about
 
 

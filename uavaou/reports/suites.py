@@ -175,9 +175,10 @@ def _draw_policy(
     above = 2.0 if rows[0].how == "planner" else 3.0  # whether filled or hollow must be seen
     drawn = {label: found for label in places if (found := [row for row in rows if row.point == label])}
     means = {label: _over_seeds(found) for label, found in drawn.items()}
-    if table.scale != "category":  # categories have no way from one to the next
-        apart = {row.point for row in rows if not row.joined}
-        along = [label for label in means if label not in apart]
+    # Categories have no way from one to the next.
+    joined = set() if table.scale == "category" else {row.point for row in rows if row.joined}
+    along = [label for label in means if label in joined]
+    if along:
         axes.plot(
             [places[label] for label in along], [means[label].value for label in along],
             color=look.colour, linestyle=look.dash, linewidth=1.0, zorder=above,
@@ -189,7 +190,7 @@ def _draw_policy(
         axes.errorbar(
             places[label] + shift, aou.value, yerr=reach, color=look.colour, marker=look.marker, markersize=4,
             markerfacecolor="white" if drawn[label][0].how == "zero-shot" else look.colour,
-            linestyle=look.dash if table.scale != "category" else "none", linewidth=1.0, elinewidth=1.0, capsize=1.8,
+            linestyle=look.dash if along else "none", linewidth=1.0, elinewidth=1.0, capsize=1.8,
             label=entry if label == next(iter(means)) else None, zorder=above,
         )  # fmt: skip
     return places[label], aou.value
@@ -201,7 +202,7 @@ def _over_seeds(rows: Sequence[SuiteRow]) -> Interval:
 
 
 def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
-    axes.set(xlabel=table.axis, ylabel="mean AoU (slots)")
+    axes.set(xlabel=table.axis.replace("k_i", "$k_i$"), ylabel="mean AoU (slots)")
     if table.scale == "log" and min(places.values()) > 0:
         axes.set_xscale("log")
         axes.xaxis.set_minor_locator(NullLocator())

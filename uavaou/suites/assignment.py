@@ -16,6 +16,7 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
 from uavaou.runs.folder import RunConfig, RunFolder, train_command
+from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.suites.suite import ResolvedPoint, Suite
 
@@ -249,11 +250,16 @@ def _plain(value: Any) -> str:
 def budget_lines(flown: Iterable[tuple[str, str, int]]) -> list[str]:
     """How long each policy was trained, where not all of them were trained alike; else nothing.
 
+    Released policies have no line: they were trained in several stages, which their model cards state.
+
     Args:
         flown: policy, point label and training slots of every run at every point that it flew.
     """
     found: dict[str, dict[int, dict[str, None]]] = {}  # policy -> slots -> labels, in the order of the points
+    released = released_names()
     for policy, label, slots in flown:
+        if policy in released:
+            continue
         found.setdefault(policy, {}).setdefault(slots, {})[label] = None
     if len({slots for budgets in found.values() for slots in budgets}) < 2:
         return []
