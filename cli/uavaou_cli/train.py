@@ -234,8 +234,8 @@ def _lines(outcome: Outcome, config: RunConfig, plugins: Sequence[str]) -> list[
     together = missions * config.scenario.slots  # training slots until the missions end
     if config.family is None and progress.slots < _FEWEST_ROUNDS * together:
         lines += wrapped(
-            f"too short to see: {missions} missions end together, every {together:,} slots, so figures 3 to 6 need "
-            f"{_FEWEST_ROUNDS * together:,}; aou-wall-clock shows the validations"
+            f"short training: {missions} missions end together, every {together:,} slots; below "
+            f"{_FEWEST_ROUNDS * together:,}, figures 3 to 6 show the validation missions instead"
         )
     named = [word for place in plugins for word in ("--plugin", place)]
     command = ["uavaou", *named, "eval", str(folder), "--policy", "random", "--policy", "greedy"]

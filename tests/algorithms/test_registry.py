@@ -306,6 +306,12 @@ def test_fields_keep_the_order_of_the_committed_configurations(name: str) -> Non
 def test_validations_follow_a_smaller_budget() -> None:
     from uavaou.algorithms.registry import load_config
 
-    budgets: tuple[dict[str, int], ...] = ({}, {"slots": 1_000_000}, {"slots": 60_000}, {"slots": 1})
-    assert [load_config("vdn", one).evaluate_every_slots for one in budgets] == [100_000, 100_000, 6_000, 1]
-    assert load_config("vdn", {"slots": 1, "evaluate_every_slots": 7}).evaluate_every_slots == 7
+    def validations(**settings: int) -> tuple[int, int]:
+        config = load_config("vdn", settings)
+        return config.evaluate_every_slots, config.evaluation_missions
+
+    published = 100_000, 32
+    assert [validations(), validations(slots=500_000)] == [published, published]
+    assert [validations(slots=slots) for slots in (250_000, 60_000, 1)] == [(50_000, 16), (12_000, 8), (1, 8)]
+    assert validations(slots=1, evaluate_every_slots=7) == (7, 32)
+    assert validations(slots=1, evaluation_missions=4) == (1, 4)

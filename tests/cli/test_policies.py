@@ -178,7 +178,7 @@ def test_without_a_released_policy_fly_says_which_planner_flies(
 def test_train_begins_with_a_released_policy(capsys: pytest.CaptureFixture[str], released: Path) -> None:
     code, out, err = call(capsys, "train --from any-map --set scenario.layout_seed=9 --slots 96 --quiet")
     assert (code, err) == (0, "")
-    assert "too short to see: 8 missions end together, every 96 slots" in out
+    assert "short training: 8 missions end together, every 96 slots" in out
     (folder,) = released.glob("results/tiny+layout_seed=9/mappo+*from=*/seed-0")
     assert str(folder.relative_to(released)) in out
     again = f"train --config {folder}/config.yaml --quiet --out other"

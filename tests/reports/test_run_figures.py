@@ -95,6 +95,24 @@ def test_a_training_too_short_for_a_curve_says_so(tmp_path: Path, drawn: dict[st
         assert (f"too short for a curve: missions end every {LANES * SLOTS} training slots" in title) == short
 
 
+def test_a_short_training_is_drawn_by_its_validations(tmp_path: Path, drawn: dict[str, Any]) -> None:
+    played = "evaluation/reward_sample_s,evaluation/communications_sample,evaluation/devices_served_sample"
+    header = ",".join(VALIDATION) + "," + played
+    for missions, validations, expected in ((2 * LANES, 3, True), (2 * LANES, 2, False), (3 * LANES, 3, False)):
+        folder = write_run(tmp_path / f"{missions} {validations}", missions=missions, evaluation=False)
+        rows = [f"{9 - n},{90 - n},{48 * n},{n},{-1000 + n},{20 + n},{n}" for n in range(1, validations + 1)]
+        (folder / "progress.csv").write_text("\n".join([header, *rows, ",,400,4,,,"]) + "\n")
+        plot_runs([folder], tmp_path / "out")
+        figures = [drawn[f"out/{name}"] for name in sorted(TRAINING_FIGURES)]
+        said = ["validation missions, actions sampled" in one.legends[0].get_title().get_text() for one in figures]
+        assert said == [expected] * 4
+        if expected:
+            lines = [figure.axes[0].get_lines()[0] for figure in figures]
+            assert all(np.allclose(line.get_xdata(), np.array([48, 96, 144]) / SLOTS) for line in lines)
+            found = [line.get_ydata().tolist() for line in lines]
+            assert found == [[999, 998, 997], pytest.approx([89 / TAU, 88 / TAU, 87 / TAU]), [21, 22, 23], [1, 2, 3]]
+
+
 def test_all_planners_evaluated_beside_a_run_are_drawn(tmp_path: Path, drawn: dict[str, Any]) -> None:
     folder = write_run(tmp_path)
     rng = np.random.default_rng(0)

@@ -18,6 +18,7 @@ from safetensors.torch import load_file
 from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import load_config
 from uavaou.evaluation.evaluate import evaluate
+from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.planners import make_planner
 from uavaou.runs import recorder as callback_module
 from uavaou.runs.folder import RunConfig, RunFolder, run_folder
@@ -134,7 +135,17 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
     assert meta["finished"] is True
     assert meta["slots"] * 2 == meta["agent_steps"]
     assert list((folder.path / "tensorboard").iterdir())
-    assert "evaluation/mean_aou_greedy_s" in (folder.path / "progress.csv").read_text()
+    progress, tau = rows(folder.progress), config.scenario.slot_length_s
+    for name in ("rollout/mean_aou", "evaluation/mean_aou_greedy", "evaluation/mean_aou_sample"):  # ages in both units
+        ages = [(float(row[f"{name}_s"]), tau * float(row[f"{name}_slots"])) for row in progress if row[f"{name}_s"]]
+        assert ages == [pytest.approx((age, age)) for age, _ in ages] != []
+    best = f"evaluation/mean_aou_{outcome.progress.best_action}_s"
+    (row,) = (row for row in progress if row.get(best) == str(outcome.progress.best_score))
+    for action in ("greedy", "sample"):
+        played = evaluate(load_run(folder, action=action), config.scenario, 2, VALIDATION_SEED)
+        for name, metric in ((f"reward_{action}_s", "reward"), (f"communications_{action}", "communications")):
+            assert float(row[f"evaluation/{name}"]) == played.values(metric).mean()
+        assert float(row[f"evaluation/mean_aou_{action}_s"]) == played.mean_aou_s
 
 
 @pytest.mark.slow

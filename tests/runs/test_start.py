@@ -101,11 +101,16 @@ def test_its_settings_are_those_of_the_run_and_its_budget_is_the_published_one(f
 
 def test_validations_follow_the_budget(finished: RunFolder) -> None:
     tiny = Scenario.load("tiny")
-    assert Start.at(finished).training(tiny, {"slots": 50}, seed=0).algorithm.evaluate_every_slots == 5
+    assert Start.at(finished).training(tiny, {"slots": 50}, seed=0).algorithm.evaluate_every_slots == 10
     assert replace(small(), budgets=(192, 1_000_192)).evaluate_every_slots == 10_000  # no more than 100 later
     assert replace(small(), budgets=(192, 384)).evaluate_every_slots == small().algorithm.evaluate_every_slots
-    short = RunConfig(tiny, load_config("mappo", {"slots": 60_000}))
-    assert config_folder(Path("r"), short).path.parent.name == "mappo+slots=60000"
+    short = load_config("mappo", {"slots": 60_000})
+    for settings, name in (
+        (short, "mappo+slots=60000"),
+        (short.model_copy(update={"evaluation_missions": 32}), "mappo+evaluation_missions=32,slots=60000"),
+        (load_config("mappo", {"slots": 60, "evaluate_every_slots": 7}), "mappo+evaluate_every_slots=7,slots=60"),
+    ):
+        assert config_folder(Path("r"), RunConfig(tiny, settings)).path.parent.name == name
 
 
 def test_the_digest_of_the_weights_is_in_the_name_of_the_folder(finished: RunFolder) -> None:

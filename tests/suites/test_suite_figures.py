@@ -141,6 +141,6 @@ def test_suites_in_a_run_folder_do_not_change_its_figures(capsys: pytest.Capture
     (place / "off.yaml").write_text(yaml.safe_dump(one | {"points": one["points"][1:2]}))
     for suite in ("alone", "off"):
         call(capsys, f"eval run --policy greedy --suite {suite}.yaml --episodes 2 --quiet")
-    found, _ = read_runs([place / "run"])  # a suite of the run's own point serves figures 7 and 8
+    found = read_runs([place / "run"]).results  # a suite of the run's own point serves figures 7 and 8
     assert found.planners == ("greedy",)
     assert found.table("execution", "greedy")["mean_aou_slots"].size

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
     from uavaou.envs.vec_env import MissionVecEnv
 
-FEWEST_VALIDATIONS = 10  # of a training, where its settings do not say how often
+FEWEST_VALIDATIONS = 5  # of a training, where its settings do not say how often
+FEWEST_MISSIONS = 8  # of a validation, where its settings do not say how many
 
 Observation = Literal["location", "part", "local", "shared"]  # of flat rows, of entities, or of both
 Fraction = Annotated[NonNegative, Field(le=1)]
@@ -50,10 +51,20 @@ class AlgorithmConfig(BaseModel):
         """The format of the rows that the policy reads: ``flat``, or ``entities``."""
         return "flat"
 
-    def with_enough_validations(self) -> Self:
-        """The settings with validations often enough for a curve, which a budget below the published one may need."""
-        most = -(-self.slots // FEWEST_VALIDATIONS)
-        return self.model_copy(update={"evaluate_every_slots": min(self.evaluate_every_slots, most)})
+    def with_enough_validations(self, given: Collection[str]) -> Self:
+        """The settings with validations often enough for a curve, of fewer missions each, where the budget is small.
+
+        Args:
+            given: fields that were chosen, and stay.
+        """
+        usual, most = self.evaluate_every_slots, -(-self.slots // FEWEST_VALIDATIONS)
+        if "evaluate_every_slots" in given or most >= usual:
+            return self
+        changes = {"evaluate_every_slots": most}
+        if "evaluation_missions" not in given:
+            share = -(-self.evaluation_missions * most // usual)
+            changes["evaluation_missions"] = min(self.evaluation_missions, max(FEWEST_MISSIONS, share))
+        return self.model_copy(update=changes)
 
     @model_validator(mode="after")
     def _processes_divide_missions(self) -> Self:

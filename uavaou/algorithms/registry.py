@@ -135,7 +135,7 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
     """Load an algorithm's published configuration, with some fields changed.
 
     Where ``overrides`` choose ``network: set``, a file such as ``mappo-set.yaml`` replaces some published fields. Where
-    they change the budget and not ``evaluate_every_slots``, that is at most a tenth of the budget.
+    they change the budget, validations follow it (:meth:`AlgorithmConfig.with_enough_validations`).
 
     Raises:
         InputError: the algorithm or a field is unknown, or a value cannot be used.
@@ -148,8 +148,7 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
         published |= read_yaml_mapping(of_network) if of_network.is_file() else {}
     fields = published | {"name": algorithm} | overrides
     config = validated(entry.config, fields, f"algorithm '{algorithm}'")
-    follows = "slots" in overrides and "evaluate_every_slots" not in overrides
-    return config.with_enough_validations() if follows else config
+    return config.with_enough_validations(overrides) if "slots" in overrides else config
 
 
 def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:

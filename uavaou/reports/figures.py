@@ -8,9 +8,10 @@ planners that were evaluated beside them. Ages are in slots.
 
 import os
 import signal
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,9 +31,15 @@ from uavaou.runs.folder import RunFolder
 from uavaou.runs.results import PolicyResult, read_evaluations
 from uavaou.scenario import Scenario
 from uavaou.statistics import Band, Interval, band_over_missions, band_over_trainings, interval_over_missions
-from uavaou.studies.condense import VALIDATION_COLUMNS, curve_rows, evaluation_rows, validation_rows
+from uavaou.studies.condense import (
+    VALIDATION_COLUMNS,
+    curve_rows,
+    evaluation_rows,
+    validated_curve_rows,
+    validation_rows,
+)
 from uavaou.studies.folder import BOUND, PartKey, StudyFolder
-from uavaou.studies.results import StudyResults, Table, read_study
+from uavaou.studies.results import COLUMNS, StudyResults, Table, read_study
 
 Evaluations = Mapping[PartKey, PolicyResult]
 
@@ -98,7 +105,8 @@ def _plotted(folder: Path, out_dir: Path) -> list[Path] | InputError:
 def plot_runs(folders: Iterable[Path], out_dir: Path) -> list[Path]:
     """Draw figures 3 to 8 and AoU over wall-clock time of training runs, each as PNG and PDF.
 
-    Figures 7 and 8 need evaluations. Runs on several scenarios get a folder for each.
+    Figures 7 and 8 need evaluations. Figures 3 to 6 show the validation missions where a training is too short for a
+    curve of its own missions. Runs on several scenarios get a folder for each.
 
     Args:
         folders: of the runs, ``.../<scenario>/<algorithm>/seed-<n>``.
@@ -107,10 +115,20 @@ def plot_runs(folders: Iterable[Path], out_dir: Path) -> list[Path]:
     Raises:
         InputError: there is no run, a file of one is missing or malformed, or the figures cannot be written.
     """
-    return _plot_scenarios(*read_runs(folders), out_dir=Path(out_dir))
+    runs = read_runs(folders)
+    validated = _show_validations(runs)
+    return _plot_scenarios(runs.results, runs.evaluations, Path(out_dir), validated)
 
 
-def read_runs(folders: Iterable[Path]) -> tuple[StudyResults, dict[PartKey, PolicyResult]]:
+class Runs(NamedTuple):
+    """Training runs as the tables of a study."""
+
+    results: StudyResults
+    evaluations: dict[PartKey, PolicyResult]  # which also hold values of each mission
+    validated: dict[PartKey, list[list[str]]]  # rows of the table ``curves``, of the validation missions
+
+
+def read_runs(folders: Iterable[Path]) -> Runs:
     """Condense training runs as a study does; runs of one name on one scenario become its seeds.
 
     Planners come from the evaluations: they play the same missions beside every run, so that one result is taken.
@@ -118,23 +136,41 @@ def read_runs(folders: Iterable[Path]) -> tuple[StudyResults, dict[PartKey, Poli
     Args:
         folders: of the runs, ``.../<scenario>/<algorithm>/seed-<n>``; finished, evaluated, or neither.
 
-    Returns:
-        The tables, and the evaluations, which also hold values of each mission.
-
     Raises:
         InputError: there is no run, or a file of one is missing or malformed.
     """
-    results = StudyResults(StudyFolder(Path("runs")), {"scenarios": {}, "variants": {}}, {})
-    evaluations: dict[PartKey, PolicyResult] = {}
+    runs = Runs(StudyResults(StudyFolder(Path("runs")), {"scenarios": {}, "variants": {}}, {}), {}, {})
     for path in folders:
-        _add_run(results, evaluations, RunFolder(Path(path)))
-    if not results.parts:
+        _add_run(runs, RunFolder(Path(path)))
+    if not runs.results.parts:
         raise InputError("no run folders to draw figures from")
-    return results, evaluations
+    return runs
 
 
-def _add_run(results: StudyResults, evaluations: dict[PartKey, PolicyResult], folder: RunFolder) -> None:
-    config = folder.read_config()
+def _show_validations(runs: Runs) -> set[str]:
+    """Put the validation missions in the place of the training missions, in scenarios where a training is too short.
+
+    Returns:
+        Those scenarios.
+    """
+    shown = set()
+    for scenario in runs.results.scenarios:
+        curves = {
+            key: rows["curves"]
+            for key, rows in runs.results.parts.items()
+            if key.scenario == scenario and "curves" in rows
+        }
+        ends = COLUMNS["curves"].index("slots")
+        short = any(len({row[ends] for row in rows}) < _FEWEST_POINTS for rows in curves.values())
+        if short and all(len(runs.validated.get(key, ())) >= _FEWEST_POINTS for key in curves):
+            shown.add(scenario)
+            for key in curves:
+                runs.results.parts[key]["curves"] = runs.validated[key]
+    return shown
+
+
+def _add_run(runs: Runs, folder: RunFolder) -> None:
+    results, evaluations, config = runs.results, runs.evaluations, folder.read_config()
     scenario = config.scenario
     place, variant = _name(scenario, folder.path.parent.parent), _name(config.algorithm, folder.path.parent)
     results.settings["scenarios"].setdefault(place, scenario.to_dict())
@@ -142,9 +178,9 @@ def _add_run(results: StudyResults, evaluations: dict[PartKey, PolicyResult], fo
     seeds = sum(key[:2] == (variant, place) for key in results.parts)
     key = PartKey(variant, place, seeds)  # a number for each run: runs from two folders may have the same seed
     rows = {"curves": curve_rows(key, scenario, folder.episodes)}
-    progress = folder.path / "progress.csv"
-    if progress.is_file() and set(VALIDATION_COLUMNS) <= set(read_csv(progress).columns):
-        rows["validation"] = validation_rows(key, scenario, progress)
+    if folder.progress.is_file() and set(VALIDATION_COLUMNS) <= set(read_csv(folder.progress).columns):
+        rows["validation"] = validation_rows(key, scenario, folder.progress)
+        runs.validated[key] = validated_curve_rows(key, scenario, folder.progress)
     own, found = {style.base_name(variant), *_LEARNED_NAMES}, read_evaluations(folder)
     # The run's own evaluation, or that of a suite whose one point is the run's scenario.
     for policy, result in (found.get("default") or next(iter(found.values()), {})).items():
@@ -162,21 +198,30 @@ def _name(stated: Scenario | AlgorithmConfig, folder: Path) -> str:
     return folder.name if folder.name.split("+", 1)[0] == stated.name else stated.name
 
 
-def _plot_scenarios(study: StudyResults, evaluations: Evaluations, out_dir: Path) -> list[Path]:
+def _plot_scenarios(
+    study: StudyResults, evaluations: Evaluations, out_dir: Path, validated: Collection[str] = ()
+) -> list[Path]:
     paths = []
     with style.house_style():
         for scenario in study.scenarios:
             place = out_dir / folder_name(scenario) if len(study.scenarios) > 1 else out_dir
-            for name, figure in _Scenario(study, scenario, evaluations).figures().items():
+            for name, figure in _Scenario(study, scenario, evaluations, scenario in validated).figures().items():
                 paths += style.save(figure, place, name)
     return paths
 
 
 class _Scenario:
-    """Draws the figures of one scenario of a study, or of runs, whose ``evaluations`` have values of each mission."""
+    """Draws the figures of one scenario of a study, or of runs.
 
-    def __init__(self, study: StudyResults, scenario: str, evaluations: Evaluations) -> None:
-        self._study, self._scenario = study, scenario
+    Args:
+        study: the tables.
+        scenario: its name.
+        evaluations: of runs, with values of each mission.
+        validated: whether the curves are those of the validation missions.
+    """
+
+    def __init__(self, study: StudyResults, scenario: str, evaluations: Evaluations, validated: bool) -> None:
+        self._study, self._scenario, self._validated = study, scenario, validated
         self._results = {key: result for key, result in evaluations.items() if key.scenario == scenario}
         self._looks = style.looks([*study.algorithms, BOUND, *study.planners], study.algorithms)
         best = best_planner(study, [scenario])
@@ -201,13 +246,15 @@ class _Scenario:
         return {name: runs for name in names if (runs := self._study.runs(table, name, self._scenario))}
 
     def _training_figure(self, curves: Mapping[str, list[Table]], measure: drawing.Measure) -> Figure:
-        """Figures 3 to 6: a measure of the training missions over training."""
+        """Figures 3 to 6: a measure of the training missions over training, or of the validation missions."""
         slots = self._study.scenarios[self._scenario]["slots"]
         points = {name: [(run["slots"] / slots, run[measure.column]) for run in runs] for name, runs in curves.items()}
         lines = {name: _line(runs) for name, runs in points.items()}
-        first = next(iter(lines.values())).x
-        short = len(first) < _FEWEST_POINTS  # a training is too short for this figure where a mission is long for it
-        note = f"\ntoo short for a curve: missions end every {first[0] * slots:,.0f} training slots" if short else ""
+        first, note = next(iter(lines.values())).x, ""
+        if self._validated:
+            note = "\nvalidation missions, actions sampled:\ntoo few training missions followed one another"
+        elif len(first) < _FEWEST_POINTS:  # a training is too short for this figure where a mission is long for it
+            note = f"\ntoo short for a curve: missions end every {first[0] * slots:,.0f} training slots"
         figure, axes = self._measure_figure(lines, measure, note)
         drawing.label_training(axes, slots)
         return figure

@@ -351,7 +351,7 @@ def train_command(
 def _published(algorithm: AlgorithmConfig) -> dict[str, Any]:
     """The published settings that these start from: those of the algorithm with their network.
 
-    The interval of validations follows the budget (:func:`load_config`): it differs only where it was set.
+    Validations follow the budget (:func:`load_config`): they differ only where they were set.
     """
     fields = load_config(algorithm.name).model_dump(mode="json")
     network = getattr(algorithm, "network", None)
@@ -359,7 +359,9 @@ def _published(algorithm: AlgorithmConfig) -> dict[str, Any]:
     if chosen:
         fields = load_config(algorithm.name, chosen).model_dump(mode="json") | {"network": None}
     follows = load_config(algorithm.name, chosen | {"slots": algorithm.slots})
-    return fields | {"evaluate_every_slots": follows.evaluate_every_slots}
+    if algorithm.evaluate_every_slots != follows.evaluate_every_slots:
+        return fields
+    return fields | {name: getattr(follows, name) for name in ("evaluate_every_slots", "evaluation_missions")}
 
 
 def _differences(base: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str, str]:

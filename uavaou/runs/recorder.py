@@ -15,17 +15,14 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
-from uavaou.evaluation.evaluate import evaluate
-from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.files import write_json
 from uavaou.runs.checkpoint import save_policy, save_training
 from uavaou.runs.checkpoint_header import ROWS_AN_EVALUATION, TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.machine import describe_machine
-from uavaou.runs.policy import TrainedPolicy
 from uavaou.runs.records import EpisodesCsv, ProgressCsv, plain
-from uavaou.runs.validation import family_score
+from uavaou.runs.validation import MEANS, family_score, mission_means
 
 CHECKPOINT_EVERY_S = 30.0
 MOST_SHARE = 0.025  # of the wall-clock goes to checkpoints: a large replay is written less often
@@ -132,7 +129,7 @@ class Recorder(BaseCallback):
     def _on_training_start(self) -> None:
         self.num_timesteps = self.model.num_timesteps
         for name, value in self.progress.figures.items():
-            self.logger.record(name, value)
+            self._record(name, value)
         if not self._folder.last.exists():  # from now on, a run without a checkpoint has lost it
             self._save(finished=False)
 
@@ -146,7 +143,7 @@ class Recorder(BaseCallback):
             self.episodes_csv.write(missions, self._slots, self._wall_s)
             self._recent.extend(mission["mean_aou_s"] for mission in missions)
             self._advance(missions=self.progress.missions + len(missions))
-            self.logger.record("rollout/mean_aou_s", self._mean_aou_s)
+            self._record("rollout/mean_aou_s", float(np.mean(self._recent)))
         return True
 
     def _on_rollout_start(self) -> None:
@@ -167,8 +164,8 @@ class Recorder(BaseCallback):
             self._display.update(self._slots, self._mean_aou_s)
         scores: dict[str, float] = {}
         if finished or self._slots >= self.progress.next_evaluation:
-            scores = {action: self._score(action) for action in ("greedy", "sample")}
-        self._log(scores)
+            scores = {action: self._validate(action) for action in ("greedy", "sample")}
+        self._log(bool(scores))
         if scores:
             self._note(scores)
         asked = self._interrupts.received is not None
@@ -185,16 +182,21 @@ class Recorder(BaseCallback):
         self.stopped_by = self._interrupts.received
         raise Interrupted
 
-    def _log(self, scores: dict[str, float]) -> None:
+    def _record(self, name: str, value: Any) -> None:
+        """Log a figure; an age also in slots, as people read it, and in seconds for ``progress.csv`` alone."""
+        age = "/mean_aou" in name and name.endswith("_s")
+        if age:
+            self.logger.record(f"{name.removesuffix('_s')}_slots", value / self._config.scenario.slot_length_s)
+        self.logger.record(name, value, exclude="tensorboard" if age else None)
+
+    def _log(self, validated: bool) -> None:
         """Write a row of progress.csv, at most ``ROWS_AN_EVALUATION`` from one evaluation to the next."""
         every = self._config.evaluate_every_slots / ROWS_AN_EVALUATION
-        if not scores and self._slots - self.progress.row_slots < every:
+        if not validated and self._slots - self.progress.row_slots < every:
             return
         self.logger.record("time/slots", self._slots)
         self.logger.record("time/agent_steps", self.agent_steps)
         self.logger.record("time/wall_s", round(self._wall_s, 1))
-        for name, score in scores.items():
-            self.logger.record(f"evaluation/mean_aou_{name}_s", score)
         self.logger.dump(self.agent_steps)
         self._advance(rows=self.progress.rows + 1, row_slots=self._slots)
 
@@ -216,12 +218,15 @@ class Recorder(BaseCallback):
                 f"{self._slots:,} slots: {mean} {missions} validation missions, in slots: {means}{best}"
             )
 
-    def _score(self, action: str) -> float:
-        algorithm = self._config.algorithm
+    def _validate(self, action: str) -> float:
+        """Play the validation missions and log their means; the mean AoU, s."""
         if self._config.family is not None:
-            return family_score(self.model, self._config, action)
-        policy = TrainedPolicy(self.model, self._env.views, action)
-        return evaluate(policy, self._config.scenario, algorithm.evaluation_missions, VALIDATION_SEED).mean_aou_s
+            means = {"mean_aou_s": family_score(self.model, self._config, action)}
+        else:
+            means = mission_means(self.model, self._config, self._env.views, action)
+        for name, mean in means.items():
+            self._record(f"evaluation/{MEANS[name].format(action=action)}", mean)
+        return means["mean_aou_s"]
 
     def _present(self) -> TrainingProgress:
         """Where the training stands now."""

@@ -53,7 +53,7 @@ class Start:
     def training(self, scenario: Scenario | Family, changes: Mapping[str, Any], seed: int) -> RunConfig:
         """The training that begins with these weights: with the run's settings, and the published budget.
 
-        Validations are as often as in the run, and at least ten, where ``changes`` do not say how often.
+        Validations are those of the run, and follow a small budget where ``changes`` do not say how often.
 
         Args:
             scenario: to train on, or the family.
@@ -66,8 +66,7 @@ class Start:
         own = self.config.algorithm.model_dump(mode="json")
         published = {"slots": load_config(own["name"]).slots}
         algorithm = config_from_dict(own | published | dict(changes), self.folder.config)
-        if "evaluate_every_slots" not in changes:
-            algorithm = algorithm.with_enough_validations()
+        algorithm = algorithm.with_enough_validations(changes)
         family = scenario if isinstance(scenario, Family) else None
         base = scenario.base if isinstance(scenario, Family) else scenario
         self.config.check_fits(base, str(self.folder))

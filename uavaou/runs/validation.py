@@ -1,15 +1,48 @@
-"""The validation of a training on a family of scenarios: its policy plays draws that no training plays."""
+"""The validation of a training: its policy plays missions, or draws of a family, that no training plays."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from uavaou.evaluation.evaluate import MISSIONS_TOGETHER
 from uavaou.evaluation.seeds import VALIDATION_DRAWS, VALIDATION_SEED
 from uavaou.runs.folder import RunConfig
 from uavaou.runs.policy import TrainedPolicy, act_together
-from uavaou.world import World
+from uavaou.scenario import Scenario
+from uavaou.world import MissionMetrics, World
 from uavaou.world.entities import make_views
+from uavaou.world.views import RowViews
 
+Flight = tuple[TrainedPolicy, World]
+
+# Metrics of a mission -> where their mean stands in progress.csv, after ``evaluation/``.
+MEANS = {
+    "mean_aou_s": "mean_aou_{action}_s",
+    "reward": "reward_{action}_s",
+    "communications": "communications_{action}",
+    "devices_served": "devices_served_{action}",
+}
 _LEAST_SLOTS = 1.0  # mean AoU that counts as the least: ratios of smaller ones say little
+
+
+def mission_means(model: BaseAlgorithm, config: RunConfig, views: RowViews, action: str) -> dict[str, float]:
+    """The means over the validation missions of what :data:`MEANS` lists.
+
+    The missions are those of :func:`uavaou.evaluate`, without its check of the constraints.
+
+    Args:
+        model: the learner.
+        config: of the run, on one scenario.
+        views: what its UAVs see.
+        action: ``greedy`` or ``sample``.
+    """
+    missions = config.algorithm.evaluation_missions
+    metrics: list[MissionMetrics] = []
+    for first in range(0, missions, MISSIONS_TOGETHER):
+        seed, together = VALIDATION_SEED + first, min(MISSIONS_TOGETHER, missions - first)
+        metrics += _play([_flight(TrainedPolicy(model, views, action), config.scenario, together, seed)])
+    return {name: float(np.concatenate([getattr(batch, name) for batch in metrics]).mean()) for name in MEANS}
 
 
 def family_score(model: BaseAlgorithm, config: RunConfig, action: str) -> float:
@@ -25,17 +58,27 @@ def family_score(model: BaseAlgorithm, config: RunConfig, action: str) -> float:
     family, algorithm = config.family, config.algorithm
     assert family is not None
     most = family.most if algorithm.rows == "entities" else None
-    flights: list[tuple[TrainedPolicy, World]] = []
+    flights: list[Flight] = []
     for mission in range(algorithm.evaluation_missions):
         scenario = family.draw(VALIDATION_DRAWS[mission % len(VALIDATION_DRAWS)])
         views = make_views(scenario, algorithm.observation, algorithm.collection, algorithm.rows, most)
-        policy, world = TrainedPolicy(model, views, action), World(scenario, 1, VALIDATION_SEED + mission)
-        policy.reset(world, VALIDATION_SEED + mission)
-        flights.append((policy, world))
+        flights.append(_flight(TrainedPolicy(model, views, action), scenario, 1, VALIDATION_SEED + mission))
+    tau = [world.scenario.slot_length_s for _, world in flights]  # s
+    ages = [float(played.mean_aou_s[0]) / tau[number] for number, played in enumerate(_play(flights))]  # slots
+    return float(np.exp(np.log(np.maximum(ages, _LEAST_SLOTS)).mean())) * config.scenario.slot_length_s
+
+
+def _flight(policy: TrainedPolicy, scenario: Scenario, missions: int, seed: int) -> Flight:
+    world = World(scenario, missions, seed)
+    policy.reset(world, seed)
+    return policy, world
+
+
+def _play(flights: Sequence[Flight]) -> list[MissionMetrics]:
+    """Play all flights to their ends, side by side."""
     flying = flights
     while flying := [(policy, world) for policy, world in flying if not world.done]:
         policies, worlds = zip(*flying, strict=True)
         for actions, world in zip(act_together(policies, worlds), worlds, strict=True):
             world.step(*actions)
-    ages = [float(world.metrics().mean_aou_s[0]) / world.scenario.slot_length_s for _, world in flights]  # slots
-    return float(np.exp(np.log(np.maximum(ages, _LEAST_SLOTS)).mean())) * config.scenario.slot_length_s
+    return [world.metrics() for _, world in flights]

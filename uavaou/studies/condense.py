@@ -20,6 +20,10 @@ from uavaou.studies.study import Study, StudyRun
 MOST_GROUPS = 200  # of a learning curve
 VALIDATION_COLUMNS = ("time/slots", "time/wall_s", "evaluation/mean_aou_greedy_s", "evaluation/mean_aou_sample_s")
 _CURVE = ("reward_s", "mean_aou_s", "communications", "devices_served")
+_VALIDATED_CURVE = (
+    "evaluation/reward_sample_s", "evaluation/mean_aou_sample_s", "evaluation/communications_sample",
+    "evaluation/devices_served_sample",
+)  # fmt: skip
 
 
 # -- a study -------------------------------------------------------------------------------------------
@@ -153,6 +157,21 @@ def curve_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[str]]:
         last = group[-1]
         rows.append([*_cells(key), str(int(slots[last])), number(wall_s[last]), *map(number, means.values())])
     return rows
+
+
+def validated_curve_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[str]]:
+    """As :func:`curve_rows`, of the validation missions with sampled actions; none where ``progress.csv`` lacks them.
+
+    They stand for the training missions of a training that ends before three of them have followed one another.
+    """
+    names = ("time/slots", "time/wall_s", *_VALIDATED_CURVE)
+    table = read_csv(path)
+    if not set(names) <= set(table.columns):
+        return []
+    table = table.where(cell != "" for cell in table.text(names[-1]))
+    slots, wall_s, reward_s, aou_s, *counts = (table.floats(name) for name in names)  # (V,) each
+    columns = zip(slots, wall_s, reward_s, aou_s / scenario.slot_length_s, *counts, strict=True)
+    return [[*_cells(key), str(int(slot)), *map(number, values)] for slot, *values in columns]
 
 
 def validation_rows(key: PartKey, scenario: Scenario, path: Path) -> list[list[str]]:
