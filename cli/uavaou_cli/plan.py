@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from uavaou.scenario import Scenario
 
 _LEAST_S = 0.1  # that a planner gets
+_AFTERWARDS_S = 2.0  # of a time limit, but at most half of it: to fly the plan and draw it
 _PLAN = "plan.json"
 _BOUND_S = 30.0  # for the bound that stands beside a plan; `uavaou gap` takes longer
 _BOUND_FROM_S = 60.0  # limits below leave the bound out: in less time it says nothing, and the plan needs the time
@@ -143,7 +144,7 @@ def _plan_and_report(
             display.measure_from(0, "lower bound")
             display.bound_s = lower_bound(scenario, layout, _BOUND_S).mean_aou_s
             display.measure_from(0, "routes")
-        left = None if time_limit is None else max(time_limit - (time.monotonic() - begun), _LEAST_S)
+        left = None if time_limit is None else _left(time_limit, time.monotonic() - begun)
         planner = make_planner(name, left)
         assert isinstance(planner, RoutePlanner)
         plan = planner.plan(scenario, layout, display.show)
@@ -157,6 +158,11 @@ def _plan_and_report(
     show(evaluation_lines(comparison, {}))
     recording = record_mission(scenario, planner, seed)
     show(plot_trajectories(scenario, recording, folder, f"mission-{seed}"))
+
+
+def _left(limit_s: float, spent_s: float) -> float:
+    """The time for the routes, after ``spent_s`` of the time limit and before the plan is flown and drawn, s."""
+    return max(limit_s - spent_s - min(_AFTERWARDS_S, limit_s / 2), _LEAST_S)
 
 
 def _plan_lines(scenario: Scenario, plan: RoutePlan, took_s: float, path: Path) -> list[str]:

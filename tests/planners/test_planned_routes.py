@@ -17,7 +17,7 @@ import pytest
 from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS, make_planner
-from uavaou.planners.anneal import Anneal
+from uavaou.planners.anneal import Anneal, best_first_routes
 from uavaou.planners.bound import LagrangianRelaxation, lower_bound
 from uavaou.planners.decomposition import LagrangianDecomposition
 from uavaou.planners.exact import Exact, Program, gap_ages
@@ -140,7 +140,7 @@ def test_tours_search_longer_only_in_the_time_left(monkeypatch: pytest.MonkeyPat
     limits: list[float | None] = []
     monkeypatch.setattr(
         "uavaou.planners.tour.close_enough_tours",
-        lambda coverages, limit=None: limits.append(limit) or close_enough_tours(coverages),
+        lambda coverages, limit, _: limits.append(limit) or close_enough_tours(coverages),
     )
     for limit in (1e-6, 1000.0):
         assert not Tour(limit).plan(TINY, TINY.draw_layout()).interrupted
@@ -148,6 +148,15 @@ def test_tours_search_longer_only_in_the_time_left(monkeypatch: pytest.MonkeyPat
     assert len(limits) == 3
     assert limits[2] is not None
     assert 0 < limits[2] < 1000
+
+
+def test_a_limit_that_has_passed_ends_the_tours_and_the_annealing(monkeypatch: pytest.MonkeyPatch) -> None:
+    layout, late = TINY.draw_layout(), Tour()
+    late.give_up_at = 0.0
+    cds = np.array(TINY.cds_m) / TINY.grid_step_m
+    assert (late.plan(TINY, layout).routes == cds).all()  # the solver has been stopped
+    monkeypatch.setattr("uavaou.planners.anneal.anneal", None)  # a call would fail
+    assert (Anneal(1e-6).plan(TINY, layout).routes == best_first_routes(TINY, layout)).all()
 
 
 def test_exact_refuses_what_it_cannot_do() -> None:
@@ -229,7 +238,7 @@ def test_tours_dwell_where_it_pays(name: str, monkeypatch: pytest.MonkeyPatch) -
     assert seen[-1] == PlanningStatus(1.0, pytest.approx(plan.mean_aou_s))
     assert (plan.routes[1:] == plan.routes[:-1]).all(axis=-1).any()
     monkeypatch.setattr(
-        "uavaou.planners.tour._with_dwell_times", lambda scenario, e, tours: undwelt(scenario, layout, tours)
+        "uavaou.planners.tour._with_dwell_times", lambda scenario, e, tours, _: undwelt(scenario, layout, tours)
     )
     assert plan.mean_aou_s < planner.plan(QUICKSTART, layout).mean_aou_s
 

@@ -140,7 +140,7 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
         ages = [(float(row[f"{name}_s"]), tau * float(row[f"{name}_slots"])) for row in progress if row[f"{name}_s"]]
         assert ages == [pytest.approx((age, age)) for age, _ in ages] != []
     best = f"evaluation/mean_aou_{outcome.progress.best_action}_s"
-    (row,) = (row for row in progress if row.get(best) == str(outcome.progress.best_score))
+    row = next(row for row in progress if row[best] == str(outcome.progress.best_score))
     for action in ("greedy", "sample"):
         played = evaluate(load_run(folder, action=action), config.scenario, 2, VALIDATION_SEED)
         for name, metric in ((f"reward_{action}_s", "reward"), (f"communications_{action}", "communications")):

@@ -7,6 +7,7 @@ at the CDS, and a proposal that exceeds the flight-time budget is rejected.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from typing import ClassVar
@@ -26,6 +27,7 @@ PROPOSALS_A_SLOT = 4000  # without a time limit; about half a minute on `paper`
 _HOT, _COLD = 0.06, 0.002  # first and last temperature, in slots of age for each slot of the mission
 _CHUNK_S = 0.25  # between two looks at the clock and the keyboard
 _TOURS_SHARE = 0.25  # of the time limit, after which no other tour is begun
+_TOURS_END = 0.5  # of the time limit, after which a tour is given up
 _FIRST_CHUNK = 5000  # proposals; without a time limit, of every chunk
 
 
@@ -40,11 +42,12 @@ class Anneal(RoutePlanner):
 
     def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
         """Anneal; see :class:`RoutePlanner`."""
-        started = time.monotonic()
+        started, limit_s = time.monotonic(), math.inf if self.time_limit_s is None else self.time_limit_s
         starts = []
-        for tour in (Tour, PartitionTour):
-            if self.time_limit_s is None or time.monotonic() - started < _TOURS_SHARE * self.time_limit_s:
-                starts.append(tour().plan(scenario, layout).routes)
+        for tour in (Tour(), PartitionTour()):
+            tour.give_up_at = started + _TOURS_END * limit_s
+            if time.monotonic() - started < _TOURS_SHARE * limit_s:
+                starts.append(tour.plan(scenario, layout).routes)
         starts.append(best_first_routes(scenario, layout))
         start = min(starts, key=lambda routes: expected_mean_aou(scenario, layout, routes))
         search, interrupted = _Annealing(scenario, layout, start), False
@@ -60,6 +63,8 @@ class Anneal(RoutePlanner):
     def _cool(self, search: _Annealing, started: float) -> Iterator[float]:
         """Run the search in chunks; yield the fraction of it that is done."""
         fraction, done, proposals, work = 0.0, 0, _FIRST_CHUNK, PROPOSALS_A_SLOT * search.slots
+        if self.time_limit_s is not None and time.monotonic() - started >= self.time_limit_s:
+            return  # even one chunk may have to be compiled
         while fraction < 1.0:
             chunk_started, before = time.monotonic(), fraction
             if self.time_limit_s is None:

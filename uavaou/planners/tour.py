@@ -7,6 +7,7 @@ its part. A UAV dwells at a stop as long as that lowers the exact expected age o
 coverage probability are tried, and the tours with the lowest expected age are taken.
 """
 
+import math
 import pickle
 import subprocess
 import sys
@@ -36,6 +37,8 @@ _THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 class _Tours(RoutePlanner):
     """Plan tours with dwell times for each coverage of the devices, and take the best."""
 
+    give_up_at = math.inf  # s of time.monotonic(): plan() then returns the best so far, or all stay
+
     def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
         """Plan the tours; see :class:`RoutePlanner`. A time limit adds a longer search in the time that is left."""
         started = time.monotonic()
@@ -50,11 +53,13 @@ class _Tours(RoutePlanner):
             limits = self._limits(started) if coverages else ()
             found = (tours for limit in limits for tours in self._tours(scenario, coverages, limit))
             for done, tours in enumerate(found, start=1):
-                dwelling, age = _with_dwell_times(scenario, expected, tours)
+                dwelling, age = _with_dwell_times(scenario, expected, tours, self.give_up_at)
                 routes, least = (dwelling, age) if age < least else (routes, least)
                 if on_progress is not None:
                     share = done / (searches * len(_THRESHOLDS))
                     on_progress(PlanningStatus(share, scenario.slot_length_s * least / scenario.slots))
+        except TimeoutError:
+            pass
         except KeyboardInterrupt:
             interrupted = True
         return RoutePlan(self.name, routes, expected_mean_aou(scenario, layout, routes), interrupted=interrupted)
@@ -78,7 +83,7 @@ class Tour(_Tours):
     name: ClassVar[str] = "tour"
 
     def _tours(self, scenario: Scenario, coverages: list[Bools], time_limit_s: float | None) -> list[list[Ints]]:
-        return [[cells] for cells, _ in close_enough_tours(coverages, time_limit_s)]
+        return [[cells] for cells, _ in close_enough_tours(coverages, time_limit_s, self.give_up_at)]
 
 
 class PartitionTour(_Tours):
@@ -89,10 +94,11 @@ class PartitionTour(_Tours):
     def _tours(self, scenario: Scenario, coverages: list[Bools], time_limit_s: float | None) -> list[list[Ints]]:
         half = None if time_limit_s is None else time_limit_s / 2
         parts: list[list[Bools]] = []  # of each coverage, (X, Y, devices of the part) each
-        for covered, (cells, device) in zip(coverages, close_enough_tours(coverages, half), strict=True):
+        whole = close_enough_tours(coverages, half, self.give_up_at)
+        for covered, (cells, device) in zip(coverages, whole, strict=True):
             part = _cut(cells, scenario.uavs)  # (V,)
             parts.append([covered[..., device[part == own]] for own in np.unique(part)])
-        tours = iter(close_enough_tours([covered for own in parts for covered in own], half))
+        tours = iter(close_enough_tours([covered for own in parts for covered in own], half, self.give_up_at))
         cds = Flight(scenario).cds  # (U, 2)
         return [_assigned([next(tours)[0] for _ in own], cds) for own in parts]
 
@@ -112,7 +118,9 @@ def _cut(cells: Ints, parts: int) -> Ints:
     return part
 
 
-def _with_dwell_times(scenario: Scenario, expected: ExpectedAge, tours: list[Ints]) -> tuple[Ints, float]:
+def _with_dwell_times(
+    scenario: Scenario, expected: ExpectedAge, tours: list[Ints], give_up_at: float
+) -> tuple[Ints, float]:
     """Lengthen the stay at one stop after another while that lowers the age; return routes (K, U, 2) and their age.
 
     ``tours`` are the stops (S, 2) of one tour for the whole fleet or of one for each UAV; ``expected`` is overwritten.
@@ -121,6 +129,8 @@ def _with_dwell_times(scenario: Scenario, expected: ExpectedAge, tours: list[Int
     routes = fleet_routes(scenario, tours, dwell)
     least, improved = _age(scenario, expected, routes), True
     while improved:
+        if time.monotonic() > give_up_at:
+            raise TimeoutError
         improved = False
         for slots, stop in [(one, stop) for one in dwell for stop in range(len(one))]:
             slots[stop] += 1
@@ -188,7 +198,9 @@ def _route(flight: Flight, slots: int, uav: int, loop: Ints) -> Ints:
     return route[1:]
 
 
-def close_enough_tours(coverages: list[Bools], time_limit_s: float | None = None) -> list[tuple[Ints, Ints]]:
+def close_enough_tours(
+    coverages: list[Bools], time_limit_s: float | None = None, give_up_at: float = math.inf
+) -> list[tuple[Ints, Ints]]:
     """Return a short closed tour for each coverage, over cells that cover every device that any cell covers.
 
     A close-enough travelling salesman problem is solved as a generalised one: each cell that covers a device is a node
@@ -197,29 +209,37 @@ def close_enough_tours(coverages: list[Bools], time_limit_s: float | None = None
     Args:
         coverages: whether a cell covers a device, (X, Y, I) each; at least one does.
         time_limit_s: for all tours together; None ends each at a local optimum, the same on every run.
+        give_up_at: s of ``time.monotonic()`` at which the solver is stopped.
 
     Returns:
         The cells of each tour in order, (V, 2), and the device that each cell is visited for, (V,). A tour starts in a
         cell of the device that has the fewest; that stop also covers all other devices in its reach, which have no
         stop of their own.
+
+    Raises:
+        TimeoutError: it was stopped.
     """
     if time_limit_s is not None:
-        return _solve(coverages, time_limit_s / len(coverages))
-    return _local_optima(tuple((covered.shape, covered.tobytes()) for covered in coverages))
+        return _solve(coverages, time_limit_s / len(coverages), give_up_at)
+    return _local_optima(tuple((covered.shape, covered.tobytes()) for covered in coverages), give_up_at)
 
 
 @lru_cache(maxsize=64)  # planners share tours, and a solver process takes longer to start than most tours to find
-def _local_optima(coverages: tuple[tuple[tuple[int, ...], bytes], ...]) -> list[tuple[Ints, Ints]]:
-    return _solve([np.frombuffer(content, dtype=np.bool_).reshape(shape) for shape, content in coverages], None)
+def _local_optima(coverages: tuple[tuple[tuple[int, ...], bytes], ...], give_up_at: float) -> list[tuple[Ints, Ints]]:
+    arrays = [np.frombuffer(content, dtype=np.bool_).reshape(shape) for shape, content in coverages]
+    return _solve(arrays, None, give_up_at)
 
 
-def _solve(coverages: list[Bools], seconds: float | None) -> list[tuple[Ints, Ints]]:
+def _solve(coverages: list[Bools], seconds: float | None, give_up_at: float) -> list[tuple[Ints, Ints]]:
     """Run the solver in its own process, for so many seconds a tour."""
     nodes = [_nodes(covered) for covered in coverages]
     problems = [(np.abs(cells[:, None] - cells).sum(axis=-1), device) for cells, device in nodes]  # (N, N) steps, (N,)
-    solved = subprocess.run(  # -P: no import from the script's own folder
-        [sys.executable, "-P", str(_SOLVER)], input=pickle.dumps((problems, seconds)), capture_output=True
-    )
+    left = None if math.isinf(give_up_at) else max(give_up_at - time.monotonic(), 0.0)
+    command = [sys.executable, "-P", str(_SOLVER)]  # -P: no import from the script's own folder
+    try:
+        solved = subprocess.run(command, input=pickle.dumps((problems, seconds)), capture_output=True, timeout=left)
+    except subprocess.TimeoutExpired:
+        raise TimeoutError from None
     if solved.returncode:
         raise RuntimeError(f"OR-Tools ended with {solved.returncode}:\n{solved.stderr.decode(errors='replace')}")
     orders: list[list[int]] = pickle.loads(solved.stdout)
