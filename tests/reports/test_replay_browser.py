@@ -200,7 +200,7 @@ def test_the_map_draws_what_is_asked_for(still: Replay) -> None:
     assert browser.value(picture) != before
 
 
-@pytest.mark.parametrize(("width", "height", "dark"), [(360, 740, True), (1440, 900, False)], ids=["phone", "desk"])
+@pytest.mark.parametrize(("width", "height", "dark"), [(375, 740, True), (1440, 900, False)], ids=["phone", "desk"])
 def test_it_fits_the_screen_and_every_control_has_a_name(replayed: Replay, width: int, height: int, dark: bool) -> None:
     browser = replayed.browser
     browser.open(replayed.page, width, height, dark=dark, still=True, phone=width < 600)
@@ -208,6 +208,10 @@ def test_it_fits_the_screen_and_every_control_has_a_name(replayed: Replay, width
     assert browser.value("[document.documentElement.scrollWidth, innerWidth]") == [width, width]
     assert browser.value("document.querySelector('.player').getBoundingClientRect().bottom") <= height + 0.5
     assert browser.value("document.querySelector('#maps canvas').clientWidth") >= 140
+    assert (
+        browser.value("(({scrollWidth, clientWidth}) => scrollWidth - clientWidth)(document.querySelector('.scroll'))")
+        == 0
+    )
     every = "[...document.querySelectorAll('button, select, input')]"
     named = "one.textContent.trim() || one.ariaLabel || one.labels?.length"
     assert browser.value(f"{every}.filter((one) => !({named})).length") == 0

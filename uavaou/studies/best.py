@@ -74,11 +74,12 @@ def _model_card(results: StudyResults, run: StudyRun, episodes: int, meta: RunMe
     between = f" (95 % interval over the missions: {low} to {high})" if low else ""
     packages = ", ".join(f"{name} {version}" for name, version in meta.versions.items() if version) or "-"
     seeds = sum(key[:2] == other[:2] for other in results.parts)
+    chosen = f"the best of {seeds} seeds by their" if seeds > 1 else "the best checkpoint of its one seed by its"
     return f"""\
 # {key}
 
-A policy of {algorithm.name}, shared by all UAVs of the fleet, from the study `{results.name}`: the best of {seeds} \
-seeds by their validation missions. Its test figures below chose nothing.
+A policy of {algorithm.name}, shared by all UAVs of the fleet, from the study `{results.name}`: {chosen} validation \
+missions. Its test figures below chose nothing.
 
 - **Trained on**: {key.scenario} ({scenario.uavs} UAVs, {scenario.devices} devices, {scenario.slots} slots; \
 `config.yaml` has every quantity), {int(slots):,} slots = {int(agent_steps):,} agent steps, seed {key.seed}.
