@@ -73,7 +73,7 @@ audit:
 fuzz: install
 	$(BIN)/pip install --quiet --disable-pip-version-check atheris
 	$(BIN)/python tests/fuzz/loaders.py --seeds .fuzz-corpus
-	$(BIN)/python tests/fuzz/loaders.py .fuzz-corpus -runs=$(RUNS) -max_len=4096
+	$(BIN)/python tests/fuzz/loaders.py .fuzz-corpus -runs=$(RUNS) -max_len=8192
 
 lock:
 	rm -rf .lock-venv && $(PYTHON) -m venv .lock-venv

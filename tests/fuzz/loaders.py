@@ -1,11 +1,17 @@
-"""The nightly fuzzer: ``python tests/fuzz/loaders.py CORPUS -runs=5000000 -max_len=4096``, with atheris installed.
+"""The nightly fuzzer: ``python tests/fuzz/loaders.py FOLDER -runs=5000000 -max_len=8192``, with atheris installed.
 
-``python tests/fuzz/loaders.py --seeds CORPUS`` first writes a valid file of each kind, which the fuzzer then bends: its
-own way, and by mutations that know the formats. ``test_targets.py`` plays some thousand of these in CI.
+``python tests/fuzz/loaders.py --seeds FOLDER`` first writes a valid file of each kind and the committed corpus, which
+the fuzzer then bends: its own way, and by mutations that know the formats. An input is a byte, the number of the
+reader, and a file's content. ``test_targets.py`` plays some thousand of these in CI.
+
+``python tests/fuzz/loaders.py --keep FOLDER`` adds what a night has found to the corpus, ``corpus/READER/NAME``: the
+shortest files first, while all together stay below 40 kB. FOLDER is the smallest that reaches the same code
+(``loaders.py -merge=1 FOLDER FOUND``).
 """
 
 from __future__ import annotations
 
+import hashlib
 import random
 import sys
 from pathlib import Path
@@ -14,9 +20,10 @@ import atheris
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[2] / part) for part in ("", "cli")]
 with atheris.instrument_imports(include=["uavaou"]):
-    from tests.fuzz.targets import READERS, mutated, read, seeds
+    from tests.fuzz.targets import CORPUS, READERS, corpus, mutated, read, seeds
 
 NAMES = list(READERS)
+MOST_BYTES = 40_000  # of the corpus
 
 
 def give(data: bytes) -> None:
@@ -34,12 +41,30 @@ def bend(data: bytes, most: int, seed: int) -> bytes:
     return (data[:1] + mutated(NAMES[data[0] % len(NAMES)], data[1:], rng))[:most]
 
 
+def write_seeds(folder: Path) -> None:
+    """Write a valid file of each kind and the committed corpus as inputs of the fuzzer."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [*seeds().items(), *((name, path.read_bytes()) for name, path in corpus())]
+    for number, (name, content) in enumerate(files):
+        (folder / f"{number}-{name.replace('/', '-')}").write_bytes(bytes([NAMES.index(name)]) + content)
+
+
+def keep(folder: Path) -> None:
+    """Add inputs of the fuzzer to the committed corpus."""
+    known = {(name, path.read_bytes()) for name, path in corpus()} | set(seeds().items())
+    left = MOST_BYTES - sum(path.stat().st_size for _, path in corpus())
+    for data in sorted((path.read_bytes() for path in folder.iterdir()), key=lambda data: (len(data), data)):
+        name, content = NAMES[data[0] % len(NAMES)] if data else "", data[1:]
+        if data and (name, content) not in known and (left := left - len(content)) >= 0:
+            (CORPUS / name).mkdir(parents=True, exist_ok=True)
+            (CORPUS / name / hashlib.sha256(content).hexdigest()[:12]).write_bytes(content)
+
+
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--seeds"]:
-        folder = Path(sys.argv[2])
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in seeds().items():
-            (folder / name.replace("/", "-")).write_bytes(bytes([NAMES.index(name)]) + content)
+        write_seeds(Path(sys.argv[2]))
+    elif sys.argv[1:2] == ["--keep"]:
+        keep(Path(sys.argv[2]))
     else:
         atheris.Setup(sys.argv, give, custom_mutator=bend)
         atheris.Fuzz()

@@ -8,10 +8,11 @@ from __future__ import annotations
 import json
 import random
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from uavaou.devices_csv import read_devices_csv
 from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.family import Family
+from uavaou.onboard import runner
 from uavaou.plain_yaml import parse_yaml
 from uavaou.planners.plan import RoutePlan
 from uavaou.reports.figures import read_runs
@@ -47,6 +49,17 @@ ODD = (
 )
 
 
+CORPUS = Path(__file__).with_name("corpus")  # READER/NAME: files that reached code which the seeds do not
+
+
+def corpus() -> Iterator[tuple[str, Path]]:
+    """The committed files, each with the reader that it is for."""
+    for name in READERS:
+        for path in sorted((CORPUS / name).glob("*")):
+            if path.is_file():
+                yield name, path
+
+
 @cache
 def place() -> Path:
     """A folder in memory, where there is one."""
@@ -60,15 +73,21 @@ def _file(name: str, read: Callable[[Path], Any], content: bytes) -> None:
     read(path)
 
 
+@cache
+def config() -> RunConfig:
+    return RunConfig(Scenario.load("tiny"), load_config("mappo"), 0)
+
+
 def _checkpoint(path: Path) -> None:
     file = ArrayFile(path)
-    read_header(file, oldest=2).fits(RunConfig(Scenario.load("tiny"), load_config("mappo")), 1000)
+    read_header(file, oldest=2).fits(config(), 1000)
     for name in file.shapes:
         file.read(name)
 
 
 def _episodes(path: Path) -> None:
-    (path.parent / "config.yaml").write_text(RunConfig(Scenario.load("tiny"), load_config("mappo"), 0).to_yaml())
+    if not (beside := path.with_name("config.yaml")).exists():
+        beside.write_text(config().to_yaml())
     read_runs([path.parent])
 
 
@@ -81,8 +100,34 @@ def _rows(path: Path) -> None:
 
 def _overrides(path: Path) -> None:
     overrides = parse_overrides(path.read_bytes().decode("utf-8", "surrogateescape").split("\n"))
-    overrides.of_scenario(Scenario.load("tiny"))
+    overrides.of_scenario(config().scenario)
     overrides.of_algorithm("mappo")
+
+
+class _Graph:
+    """In place of policy.onnx, which onnxruntime checks: logits of eight devices."""
+
+    def __init__(self, *_: Any) -> None: ...
+
+    def run(self, _: None, rows: dict[str, Any]) -> list[Any]:
+        return [np.zeros((1, 5), np.float32), np.zeros((1, rows.get("devices", np.zeros((1, 8))).shape[1]), np.float32)]
+
+
+def _onboard(path: Path) -> None:
+    """Fly two slots by what was exported, of which one file is new."""
+    for name in ("policy.json", "mission.json"):
+        if name != path.name:
+            (path.parent / name).write_bytes(seeds()[f"onboard/{name}"])
+    with patch.object(runner.onnxruntime, "InferenceSession", _Graph):
+        try:
+            pilot = runner.Pilot(path.parent, 0)
+        except ValueError as error:  # on board, there is no InputError
+            raise InputError(str(error)) from error
+    devices, mates = len(pilot.devices), len(pilot.others)
+    for _ in range(2):
+        if not pilot.done and devices == 8:
+            pilot.decide(pilot.cds[0] * pilot.step, np.ones(devices), np.zeros((mates, 2)))
+            pilot.end_slot(np.zeros(devices, int))
 
 
 READERS: dict[str, Callable[[Path], Any]] = {
@@ -103,6 +148,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "suite.csv": read_suite,
     "rows.csv": _rows,
     "set.txt": _overrides,
+    "onboard/policy.json": _onboard,
+    "onboard/mission.json": _onboard,
     "any.yaml": lambda path: parse_yaml(path.read_bytes().decode("utf-8", "replace"), "f"),
 }
 
@@ -110,7 +157,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
 @cache
 def seeds() -> dict[str, bytes]:
     """A valid file for each reader."""
-    tiny, mappo = Scenario.load("tiny"), load_config("mappo")
+    tiny, mappo = config().scenario, config().algorithm
     files = {name: place() / f"seed-{Path(name).name}" for name in READERS}
     arrays = {"policy.weight": np.ones((2, 3), np.float32), "stream.numpy": np.zeros(4, np.uint32)}
     about = {"class": "MAPPO", "arguments": {}, "layout": {}, "rows": 2}
@@ -138,7 +185,7 @@ def seeds() -> dict[str, bytes]:
     search = Search(tiny, mappo, SearchSpace.load("mappo"), None, 500, 0, ())
     texts = {
         "scenario.yaml": "base: tiny\nslots: 20\nbandwidth_hz: {low: 15000, high: 2.0e+4}\ndevices_csv: devices.csv\n",
-        "config.yaml": RunConfig(tiny, mappo, 0).to_yaml(),
+        "config.yaml": config().to_yaml(),
         "devices.csv": "x_m,y_m,transmit_power_mw\n120,430,0.5\n710,95,0.8\n",
         "eval.json": '{"scenario": "tiny", "episodes": 1, "policies": {"mappo": '
         '{"mean_aou_s": [1.0], "communications": [2], "devices_served": [3]}}}',
@@ -157,6 +204,8 @@ def seeds() -> dict[str, bytes]:
     }
     for name, text in texts.items():
         files[name].write_text(text, encoding="utf-8")
+    for name, kept in (("policy", "flat"), ("mission", "quickstart")):
+        files[f"onboard/{name}.json"] = CORPUS / "onboard" / f"{name}.json" / kept
     return {name: path.read_bytes() for name, path in files.items()}
 
 

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from tests.fuzz.targets import READERS, mutated, read, seeds
+from tests.fuzz.targets import CORPUS, READERS, corpus, mutated, read, seeds
 from uavaou.errors import InputError
 
 OF_EACH = 150  # mutations
@@ -25,7 +25,30 @@ def test_bent_files_are_read_or_refused_in_one_line(name: str) -> None:
             raise AssertionError(f"a finding in {name}: {content!r}") from error
 
 
-@pytest.mark.parametrize("name", ["scenario.yaml", "set.txt", "any.yaml", "plan.json", "mission.json", "suite.yaml"])
+def test_the_corpus_is_read_or_refused_in_one_line() -> None:
+    files = list(corpus())
+    assert len(files) == sum(path.is_file() for path in CORPUS.rglob("*"))
+    assert sum(path.stat().st_size for _, path in files) < 60_000
+    for name, path in files:
+        try:
+            read(name, path.read_bytes())
+        except Exception as error:
+            raise AssertionError(f"a finding: {path}") from error
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "onboard/policy.json",
+        "onboard/mission.json",
+        "scenario.yaml",
+        "set.txt",
+        "any.yaml",
+        "plan.json",
+        "mission.json",
+        "suite.yaml",
+    ],
+)
 def test_the_seeds_are_valid(name: str) -> None:
     try:
         (_ := seeds()[name]) and read(name, _)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,10 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.fuzz.targets import seeds
 from tests.onboard.policies import QUICK, lively
 from uavaou import World
 from uavaou.onboard.export import FILES, inputs_of, write_policy
-from uavaou.onboard.runner import Pilot
+from uavaou.onboard.runner import Pilot, read_mission, read_policy
 from uavaou.runs.policy import TrainedPolicy
 
 SCENARIO = QUICK.replace(slots=60, flight_time_budget_s=140.0)  # shorter than the slots: the budget binds
@@ -167,3 +169,26 @@ def test_the_json_describes_every_column(rows: str, observation: str) -> None:
         assert {column["from"] for column in described["columns"].values()} <= set(SOURCES)
     by_radio = [column for each in inputs.values() for column in each["columns"].values() if column["from"] == "radio"]
     assert bool(by_radio) == (observation == "shared")
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "said"),
+    [
+        ("mission", {"slots": 0}, "slots: expected whole numbers from 1 to 1,000,000"),
+        ("mission", {"part": [0, 1]}, "part: expected whole numbers of shape (8) from -1 to "),
+        ("mission", {"grid_step_m": float("nan")}, "grid_step_m: expected numbers from 0.001 to "),
+        ("mission", {"cds_m": [[0, 0], [1]]}, "cds_m: expected numbers of shape (2, 2) from 0 to "),
+        ("policy", {"action": "best"}, "action: expected one of: greedy, sample"),
+        ("policy", {"schema": True}, "schema: expected one of: 1"),
+        ("policy", {"epsilon": 2}, "epsilon: expected null or a number from 0 to 1"),
+        ("policy", {"rows": "entities"}, "inputs: expected those of rows that are entities"),
+    ],
+)
+def test_what_no_export_wrote_is_refused_in_one_line(
+    file: str, change: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    content = json.loads(seeds()[f"onboard/{file}.json"]) | change
+    (path := tmp_path / f"{file}.json").write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=re.escape(f"{path}: {said}")) as caught:
+        {"mission": read_mission, "policy": read_policy}[file](path)
+    assert "\n" not in str(caught.value)

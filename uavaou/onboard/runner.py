@@ -7,6 +7,7 @@
         pilot.end_slot(collected_by)
 
 policy.json states every column of the rows below with its unit, its scaling and where the UAV has it from.
+A file that no export wrote is refused before take-off, by a ValueError of one line.
 """
 
 import json
@@ -18,6 +19,86 @@ import onnxruntime
 
 STAY, UP, DOWN, RIGHT, LEFT = range(5)
 STEPS = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]])  # (5, 2) grid steps of the moves
+
+MOST_BYTES = 32_000_000  # of policy.json and of mission.json
+MOST, MOST_SLOTS = 10**15, 10**6  # any number of mission.json, and its slots, whose squares are summed
+MISSION = {  # name: shape for U UAVs and I devices, least, whole numbers
+    "slots": ((), 1, True),
+    "area_m": ((2,), 1e-3, False),
+    "grid_step_m": ((), 1e-3, False),
+    "altitude_m": (("U",), 0, False),
+    "cds_m": (("U", 2), 0, False),
+    "budget_steps": (("U",), 0, True),
+    "devices_m": (("I", 2), -MOST, False),
+    "update_period_slots": (("I",), 1, True),
+    "longest_update_period_slots": ((), 1, True),
+    "coverage_radius_m": (("U", "I"), 0, False),
+    "part": (("I",), -1, True),
+}  # fmt: skip
+CHOICES = {
+    "schema": (1,),
+    "rows": ("flat", "entities"),
+    "observation": ("location", "part", "local", "shared"),
+    "action": ("greedy", "sample"),
+}
+TOKENS = ["own", "allowed_moves", "teammates", "devices"]
+COLUMNS = ("position", "uav_id", "to_cds", "allowed_moves", "slots_left", "budget_left", "to_device_x", "to_device_y",
+           "update_period", "in_range", "since_own_collection", "other_positions", "age_sum")  # fmt: skip
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Read a JSON object of a regular file."""
+    if not path.is_file() or path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path}: expected a file of at most {MOST_BYTES:,} bytes")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: cannot be read as JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: expected an object")
+    return content
+
+
+def read_mission(path: Path) -> dict[str, Any]:
+    """Read mission.json and check every number that the pilot uses."""
+    mission, sizes = read(path), dict[str, int]()
+    for name, (shape, least, whole) in MISSION.items():
+        try:
+            array = np.array(mission.get(name))
+        except (ValueError, OverflowError):  # lists of several lengths, or an integer beyond all floats
+            array = np.array(None)
+        most = MOST_SLOTS if name == "slots" else MOST
+        numbers = array.dtype.kind in ("iu" if whole else "iuf") and array.size > 0
+        if numbers and array.ndim == len(shape):
+            wanted = (sizes.setdefault(size, n) if isinstance(size, str) else size
+                      for size, n in zip(shape, array.shape, strict=True))  # fmt: skip
+            if array.shape == tuple(wanted) and ((array >= least) & (array <= most)).all():
+                continue
+        what = "whole numbers" if whole else "numbers"
+        of = " of shape (" + ", ".join(str(sizes.get(str(size), size)) for size in shape) + ")" if shape else ""
+        raise ValueError(f"{path}: {name}: expected {what}{of} from {least} to {most:,}")
+    return mission
+
+
+def read_policy(path: Path) -> dict[str, Any]:
+    """Read policy.json and check everything that the pilot uses."""
+    policy = read(path)
+    for name, allowed in CHOICES.items():
+        if type(policy.get(name)) is not type(allowed[0]) or policy[name] not in allowed:
+            raise ValueError(f"{path}: {name}: expected one of: {', '.join(map(str, allowed))}")
+    epsilon = policy.get("epsilon")
+    if epsilon is not None and not (type(epsilon) in (int, float) and 0 <= epsilon <= 1):
+        raise ValueError(f"{path}: epsilon: expected null or a number from 0 to 1")
+    inputs = policy.get("inputs")
+    known = list(inputs) if isinstance(inputs, dict) else []
+    fits = known == TOKENS
+    if policy["rows"] == "flat":
+        local = inputs["local"] if known == ["local"] else None
+        columns = local.get("columns") if isinstance(local, dict) else None
+        fits = isinstance(columns, dict) and len(columns) > 0 and set(columns) <= set(COLUMNS)
+    if not fits:
+        raise ValueError(f"{path}: inputs: expected those of rows that are {policy['rows']}")
+    return policy
 
 
 class Pilot:
@@ -32,7 +113,9 @@ class Pilot:
 
     def __init__(self, folder: str | Path, uav: int, action: str | None = None, seed: int = 0) -> None:
         folder = Path(folder)
-        self.policy, mission = (json.loads((folder / f"{name}.json").read_text()) for name in ("policy", "mission"))
+        self.policy, mission = read_policy(folder / "policy.json"), read_mission(folder / "mission.json")
+        if uav not in range(len(mission["cds_m"])):
+            raise ValueError(f"uav = {uav}: expected 0 to {len(mission['cds_m']) - 1}")
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         self.session = onnxruntime.InferenceSession(folder / "policy.onnx", options, ["CPUExecutionProvider"])
