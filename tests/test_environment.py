@@ -16,7 +16,9 @@ import pytest
 
 from tests.cli.commands import TINY, call
 from tests.faults import fail, fault
+from tests.scenario_files import refusal
 from tests.test_architecture import MODULES, ROOT
+from uavaou import RunConfig, train
 from uavaou.algorithms.io.tensor_file import ArrayFile
 from uavaou.errors import InputError
 from uavaou.files import write_text
@@ -56,6 +58,13 @@ def test_a_training_without_home_and_locale_is_the_same(
         [*tmp_path.glob(f"{out}/*/*/seed-0/checkpoints/last.safetensors")] for out in ("results", "S*")
     )
     assert ArrayFile(here).digest() == ArrayFile(there).digest()
+
+
+def test_a_name_that_cannot_be_decoded_is_one_line(tmp_path: Path) -> None:
+    """What PYTHONUTF8=0 and the locale C make of --out é, to which TensorBoard cannot write."""
+    config = RunConfig.load("mappo", "tiny")
+    assert "set PYTHONUTF8=1" in refusal(lambda: train(config, tmp_path / "\udcc3\udca9"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_no_wall_clock_is_read() -> None:

@@ -67,9 +67,9 @@ def train(
         after_update: called after each update; an exception that it raises ends the training.
 
     Raises:
-        InputError: the folder holds a run already, holds another one, is written by another process or cannot be
-            written; the weights of ``start`` do not fit; or a loss, a reward or a weight is no longer finite. What the
-            last checkpoint holds is kept.
+        InputError: the folder holds a run already, holds another one, is written by another process, cannot be
+            written or has a name that Python could not decode; the weights of ``start`` do not fit; or a loss, a
+            reward or a weight is no longer finite. What the last checkpoint holds is kept.
 
     >>> from uavaou import RunConfig, train
     >>> config = RunConfig.load("mappo", "quickstart", slots=2000, evaluate_every_slots=1000)
@@ -79,6 +79,7 @@ def train(
     """
     folder = folder if isinstance(folder, RunFolder) else RunFolder(Path(folder))
     refuse_links(folder.path)
+    _refuse_unreadable_name(folder.path)
     source = None if start is None else Start.at(start)
     if source is not None and config.start is None:
         config = replace(config, start=source.digest)
@@ -124,6 +125,20 @@ def _train(
             return _learn(config, folder, model, env, progress, checkpoint_every_s, display, after_update)
     finally:
         env.close()
+
+
+def _refuse_unreadable_name(path: Path) -> None:
+    """Refuse a path that Python could not decode, such as of letters beyond ASCII where the locale is C.
+
+    TensorBoard cannot write to it.
+    """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise InputError(
+            f"'{path}': the encoding of file names is {sys.getfilesystemencoding()} here, which has not all of its "
+            "letters: set PYTHONUTF8=1, or a locale of UTF-8"
+        ) from error
 
 
 def _begin_with(digest: str, source: Start | None, model: BaseAlgorithm) -> None:
