@@ -7,7 +7,7 @@ SLOTS := 1000000
 RUNS := 5000000
 RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 
-.PHONY: help install demo test lint types docs bench zero-shot audit fuzz lock clean
+.PHONY: help install demo test lint types docs bench zero-shot audit fuzz faults lock clean
 
 help:
 	@echo "make demo    train MAPPO on the paper's scenario, evaluate it beside planners, draw the figures (about 3 minutes)"
@@ -16,6 +16,7 @@ help:
 	@echo "make lint    ruff; make types: mypy; make bench: speed, side by side"
 	@echo "make zero-shot   measure the released policy any-map (or POLICY=NAME) on all suites: tables, figures, page (10 minutes)"
 	@echo "make audit   known vulnerabilities of the locked versions; make fuzz: a night of fuzzing"
+	@echo "make faults  every fault at every write of every command and learner (hours); CI plays some of them"
 
 install: $(VENV)/.installed
 
@@ -74,6 +75,12 @@ fuzz: install
 	$(BIN)/pip install --quiet --disable-pip-version-check atheris
 	$(BIN)/python tests/fuzz/loaders.py --seeds .fuzz-corpus
 	$(BIN)/python tests/fuzz/loaders.py .fuzz-corpus -runs=$(RUNS) -max_len=8192
+
+# For some of them: make faults ONLY="tests/runs/test_faults.py -k qmix"
+faults: export OMP_NUM_THREADS = 1
+faults: ONLY ?= tests/runs/test_faults.py tests/cli/test_faults.py tests/studies/test_study_faults.py tests/tuning/test_tune_faults.py
+faults: install
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal --exhaustive $(ONLY)
 
 lock:
 	rm -rf .lock-venv && $(PYTHON) -m venv .lock-venv

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from uavaou.errors import InputError
-from uavaou.files import writing
+from uavaou.files import replacing, writing
 from uavaou_cli.options import RunName, choice, option, writable_file, writable_folder
 from uavaou_cli.tables import show
 
@@ -43,10 +43,13 @@ def export(
     ours = hasattr(model, "save_sb3")
     if format == "safetensors" and not ours:
         raise InputError(f"'{run}': a {type(model).__name__} has no format but its own: --format sb3")
-    write = model.save_sb3 if ours and format == "sb3" else model.save
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        write(out)
+        if format == "safetensors":
+            model.save(out)
+        else:
+            with replacing(out, "wb") as file:  # a zip that was begun would be taken for a policy
+                (model.save_sb3 if ours else model.save)(file)
     print(out)
 
 

@@ -16,14 +16,14 @@ from uavaou.runs import recorder as callback
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.train import train
 
-SMALL = {
-    "slots": 240, "missions": 4, "rollout_slots": 12, "batch_rows": 96, "evaluate_every_slots": 120,
-    "evaluation_missions": 2, "hidden": [8],
-}  # fmt: skip
+SMALL = {"slots": 240, "missions": 4, "evaluate_every_slots": 120, "evaluation_missions": 2, "hidden": [8]}
+ON_POLICY = {"rollout_slots": 12, "batch_rows": 96}
+REPLAY = {"replay_slots": 96, "learning_starts": 24, "batch_slots": 8, "slots_per_update": 48, "epsilon_fraction": 1.0}
 
 
-def small(**changes: Any) -> RunConfig:
-    return RunConfig(Scenario.load("tiny"), load_config("mappo", SMALL | changes), seed=0)
+def small(algorithm: str = "mappo", **changes: Any) -> RunConfig:
+    own = ON_POLICY if algorithm in ("mappo", "ippo") else REPLAY
+    return RunConfig(Scenario.load("tiny"), load_config(algorithm, SMALL | own | changes), seed=0)
 
 
 def every_update(config: RunConfig, folder: RunFolder, **options: Any) -> Any:

@@ -1,78 +1,124 @@
-"""A training that is killed, or whose disk fails, at every moment at which it writes, ends as the one never touched."""
+"""A training that is killed, stopped, or whose disk fails, wherever it writes, ends as the one never touched.
+
+CI plays some of the trials; ``make faults`` plays all.
+"""
 
 from __future__ import annotations
 
-import os
 import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.faults import ERRORS, fail, fault, killed
-from tests.runs.stopped_runs import assert_ends_as, every_update, small, without_wall
-from tests.scenario_files import refusal
-from uavaou.runs.folder import RunFolder
+from tests.faults import Trial, assert_ended_well, chosen, ended, play, sites_of, trials
+from tests.runs.stopped_runs import StoppedError, assert_ends_as, every_update, small, stop_in_update, without_wall
+from uavaou.family import Family
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.start import Start, continued
 
-Runs = tuple[RunFolder, RunFolder]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
+
+FAMILY = Family.from_dict({"name": "sizes", "base": "tiny", "uavs": {"low": 1, "high": 3}})
+TOKENS = {"network": "set", "worlds": 2}
+LEARNERS: dict[str, RunConfig] = {
+    "mappo": small(),
+    "ippo": small("ippo"),
+    "vdn": small("vdn"),
+    "qmix": small("qmix"),
+    "family": RunConfig(FAMILY.base, small(**TOKENS).algorithm, 0, FAMILY),
+    "two processes": small(processes=2),
+}
+IN_CI = {"mappo": 6, "ippo": 1, "vdn": 2, "qmix": 2, "family": 1, "two processes": 1, "from": 2, "continue": 2}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A training from where the faults begin."""
+
+    whole: RunFolder  # never touched
+    before: Path | None  # the run's folder at the beginning; None: there is none
+    go_on: Callable[[RunFolder], Any]  # the command, at first and after a fault
 
 
 @pytest.fixture(scope="module")
-def sites(runs: Runs, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Where the rest of a stopped training writes."""
-    rest = RunFolder(Path(shutil.copytree(runs[1].path, tmp_path_factory.mktemp("rest") / "run")))
-    with fault(rest.path) as passed:
-        every_update(small(), rest, resume=True)
-    found = sorted({site for site in passed if "tfevents" not in site and ".lock" not in site})
-    assert len(found) > 15
-    return found
+def cases(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Case]:
+    """The trainings by name, made when first asked for."""
+    place = tmp_path_factory.mktemp("cases")
+
+    def from_another(name: str) -> Case:
+        finished = case("mappo").whole
+        start = Start.at(finished)
+        config = start.training(start.config.scenario, {"slots": 96}, seed=1)
+        if name == "from":
+            before, go_on = None, lambda folder: every_update(config, folder, start=finished, resume=True)
+        else:
+            before, larger = finished.path, continued(finished, 336, resume=False)
+            go_on = lambda folder: every_update(larger, folder, resume=True)  # noqa: E731
+        whole = RunFolder(place / f"{name} whole")
+        if before is not None:
+            shutil.copytree(before, whole.path)
+        go_on(whole)
+        return Case(whole, before, go_on)
+
+    @cache
+    def case(name: str) -> Case:
+        if name not in LEARNERS:
+            return from_another(name)
+        config, whole, stopped = LEARNERS[name], RunFolder(place / f"{name} whole"), RunFolder(place / name)
+        every_update(config, whole)
+        with pytest.MonkeyPatch.context() as patch:
+            stop_in_update(patch, 4)
+            with pytest.raises(StoppedError):
+                every_update(config, stopped)
+        return Case(whole, stopped.path, lambda folder: every_update(config, folder, resume=True))
+
+    return case
 
 
-def rest_of(stopped: RunFolder, place: Path) -> tuple[RunFolder, Any]:
-    """A copy of a stopped training, and the command that goes on with it."""
-    rest = RunFolder(Path(shutil.copytree(stopped.path, place / "run", dirs_exist_ok=False)))
-    return rest, lambda: every_update(small(), rest, resume=True)
+def copy(case: Case, place: Path) -> RunFolder:
+    folder = RunFolder(place / "run")
+    if case.before is not None:
+        shutil.copytree(case.before, folder.path)
+    return folder
 
 
-def goes_on_as_if_untouched(folder: RunFolder, whole: RunFolder) -> None:
-    every_update(small(), folder, resume=True)
+def assert_as_untouched(folder: RunFolder, whole: RunFolder) -> None:
     assert_ends_as(folder, whole)
     assert folder.finished
     left = {path.name for path in folder.path.rglob("*") if path.is_file()}
     assert not {name for name in left if "partial" in name or "newest" in name or "damaged" in name}
     for one, other in ((folder.episodes, whole.episodes), (folder.progress, whole.progress)):
         assert without_wall(one) == without_wall(other)
+    assert folder.config.read_bytes() == whole.config.read_bytes()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("behind", [False, True], ids=["in front", "behind"])
-def test_killed_at_any_write_a_training_ends_as_the_untouched_one(
-    behind: bool, sites: list[str], runs: Runs, tmp_path: Path
+@pytest.mark.parametrize("name", IN_CI)
+def test_wherever_it_is_stopped_a_training_ends_as_the_untouched_one(
+    name: str, cases: Callable[[str], Case], tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    for number, site in enumerate(sites):
-        folder, go_on = rest_of(runs[1], tmp_path / str(number))
-        assert killed(go_on, folder.path, site, behind), site
-        goes_on_as_if_untouched(folder, runs[0])
+    case = cases(name)
+    rest = copy(case, tmp_path)
+    sites = sites_of(lambda: case.go_on(rest), tmp_path)
+    assert len(sites) > 15
 
+    def one(trial: Trial, place: Path) -> None:
+        folder = copy(case, place)
+        end = ended(lambda: case.go_on(folder) and 0, folder.path, trial)
+        assert_ended_well(end, trial, silent="meta.json" in trial.site)  # it only says how far the training is
+        case.go_on(folder)
+        assert_as_untouched(folder, case.whole)
 
-@pytest.mark.slow
-@pytest.mark.parametrize("behind", [False, True], ids=["in front", "behind"])
-def test_an_error_at_any_write_is_one_line_and_costs_nothing(
-    behind: bool, sites: list[str], runs: Runs, tmp_path: Path
-) -> None:
-    for number, site in enumerate(sites):
-        folder, go_on = rest_of(runs[1], tmp_path / str(number))
-        code = ERRORS[number % len(ERRORS)]
-        with fault(folder.path, site, behind, fail(code)):
-            if "meta.json" in site:  # it only says how far the training is
-                go_on()
-            else:
-                assert os.strerror(code) in refusal(go_on), site
-        goes_on_as_if_untouched(folder, runs[0])
+    play(chosen(trials(sites), IN_CI[name], request.config), one, tmp_path)
 
 
 @pytest.mark.parametrize("site", ["rename last.safetensors", "flush best.safetensors.partial", "open episodes.csv"])
-def test_a_training_killed_early_begins_again(site: str, runs: Runs, tmp_path: Path) -> None:
+def test_a_training_killed_early_begins_again(site: str, cases: Callable[[str], Case], tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
-    assert killed(lambda: every_update(small(), folder), tmp_path, site, behind=True)
-    goes_on_as_if_untouched(folder, runs[0])
+    trial = Trial(site, True, "SIGKILL")
+    assert_ended_well(ended(lambda: every_update(small(), folder) and 0, tmp_path, trial), trial)
+    every_update(small(), folder, resume=True)
+    assert_as_untouched(folder, cases("mappo").whole)

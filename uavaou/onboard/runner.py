@@ -93,7 +93,7 @@ def read_policy(path: Path) -> dict[str, Any]:
     known = list(inputs) if isinstance(inputs, dict) else []
     fits = known == TOKENS
     if policy["rows"] == "flat":
-        local = inputs["local"] if known == ["local"] else None
+        local = inputs["local"] if isinstance(inputs, dict) and known == ["local"] else None
         columns = local.get("columns") if isinstance(local, dict) else None
         fits = isinstance(columns, dict) and len(columns) > 0 and set(columns) <= set(COLUMNS)
     if not fits:

@@ -95,6 +95,7 @@ class SearchFolder:
 
     config = PathIn("search.yaml")  # what is searched
     journal = PathIn("journal.log")  # Optuna's
+    journal_lock = PathIn("journal.lock")  # held by a process while it appends to the journal
     lock = PathIn("search.lock")  # held by a process for as long as it chooses a trial or writes the tables
     table = PathIn("tune.csv")  # a row for each trial
     best = PathIn("best.yaml")  # the best trial's settings, in the form of zoo_configs/algorithms/*.yaml

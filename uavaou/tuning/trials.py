@@ -1,12 +1,13 @@
 """Hyperparameter search on Optuna: trials of an ordinary training each, by as many processes as join.
 
-Processes share a journal file and two kinds of locks, which the operating system lifts when a process dies:
+Processes share a journal file and three kinds of locks, which the operating system lifts when a process dies:
 what it was playing is then tried again. Trials are compared at equal fractions of their budgets, and a budget of CPU
 seconds becomes slots by a short training before each trial, so that every schedule ends with it.
 """
 
 import math
 import multiprocessing
+import os
 import shutil
 import signal
 import tempfile
@@ -22,6 +23,7 @@ import torch as th
 
 from uavaou.algorithms.registry import load_plugin
 from uavaou.errors import InputError
+from uavaou.files import writing
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.interrupt import children_ignore_ctrl_c, interrupt_at_sigterm
 from uavaou.runs.recorder import AfterUpdate, TrainingStatus
@@ -48,6 +50,32 @@ _LOOK_EVERY_S = 0.5
 _PATIENCE_S = 20.0  # for workers to end by themselves after an interrupt
 
 
+_REFUSED = 2  # exit code of a worker that has met an InputError
+
+
+class _JournalLock:
+    """Held while something is appended to Optuna's journal.
+
+    Optuna's own lock outlives a killed process by half a minute. A line that a killed process or a full disk left
+    without an end is removed: the next one would be appended to it, and the journal could not be read any more.
+    """
+
+    def __init__(self, folder: SearchFolder) -> None:
+        self._journal, self._lock = folder.journal, FileLock(folder.journal_lock)
+
+    def acquire(self) -> bool:
+        """Wait for the lock."""
+        self._lock.acquire()
+        content = self._journal.read_bytes()
+        if not content.endswith(b"\n"):
+            os.truncate(self._journal, content.rfind(b"\n") + 1)
+        return True
+
+    def release(self) -> None:
+        """Release the lock."""
+        self._lock.release()
+
+
 def read_trials(folder: SearchFolder) -> list[TrialRecord]:
     """How every trial of a search stands, by number."""
     return _records(_study(folder))
@@ -66,13 +94,15 @@ def run_search(
         show: called now and then with how the trials stand.
 
     Raises:
-        InputError: a worker was killed.
+        InputError: a worker was killed, or a file cannot be written.
         RuntimeError: a worker ended with an error, which it has printed.
     """
     study = _study(folder)
     jobs = min(jobs, trials - sum(record.counts for record in _records(study)))
-    start = multiprocessing.get_context("spawn").Process  # torch's threads do not survive a fork
-    workers = [start(target=_worker, args=(folder.path, trials, list(plugins)), daemon=True) for _ in range(jobs)]
+    context = multiprocessing.get_context("spawn")  # torch's threads do not survive a fork
+    refusals = context.SimpleQueue()
+    arguments = folder.path, trials, list(plugins), refusals
+    workers = [context.Process(target=_worker, args=arguments, daemon=True) for _ in range(jobs)]
     with children_ignore_ctrl_c():
         for worker in workers:
             worker.start()
@@ -94,12 +124,14 @@ def run_search(
         if code is not None and code < 0:
             ended_by = signal.Signals(-code).name
             raise InputError(f"a worker was ended by {ended_by}: the same command goes on without loss")
+        if code == _REFUSED:
+            raise InputError(refusals.get())
         if code:
             raise RuntimeError(f"a worker ended with code {code}; its error stands above")
     return _records(study)
 
 
-def _worker(path: Path, trials: int, plugins: Sequence[str]) -> None:
+def _worker(path: Path, trials: int, plugins: Sequence[str], refusals: Any) -> None:
     """What a worker process runs; asked to end, it gives back what it was playing."""
     interrupt_at_sigterm()
     th.set_num_threads(1)
@@ -109,26 +141,35 @@ def _worker(path: Path, trials: int, plugins: Sequence[str]) -> None:
         work(SearchFolder(path), trials)
     except KeyboardInterrupt:
         raise SystemExit(128 + signal.SIGINT) from None
+    except InputError as problem:
+        refusals.put(str(problem))
+        raise SystemExit(_REFUSED) from None
 
 
 def work(folder: SearchFolder, trials: int) -> None:
-    """Play trials of a search, one after the other, until ``trials`` have ended or are being played."""
+    """Play trials of a search, one after the other, until ``trials`` have ended or are being played.
+
+    Raises:
+        InputError: a file cannot be written; the trial in progress is played again by the next call.
+    """
     search, study = folder.read(), _study(folder)
     if search.seconds is not None:
         warm_up(search)
-    while (claimed := _claim(folder, search, study, trials)) is not None:
-        trial, values, lock = claimed
-        with lock:
-            _play(folder, search, study, trial, values)
-        with FileLock(folder.lock):
-            write_results(folder, search, _records(study))
+    with writing(folder.path):
+        while (claimed := _claim(folder, search, study, trials)) is not None:
+            trial, values, lock = claimed
+            with lock:
+                _play(folder, search, study, trial, values)
+            with FileLock(folder.lock):
+                write_results(folder, search, _records(study))
 
 
 def _study(folder: SearchFolder) -> optuna.Study:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     pruner = optuna.pruners.MedianPruner(_PRUNE_AFTER_TRIALS, _PRUNE_AFTER_REPORTS)
-    with FileLock(folder.lock):
-        storage = JournalStorage(JournalFileBackend(str(folder.journal)))
+    with writing(folder.journal), FileLock(folder.lock):
+        lock: Any = _JournalLock(folder)  # it has the methods of Optuna's
+        storage = JournalStorage(JournalFileBackend(str(folder.journal), lock))
         return optuna.create_study(storage=storage, study_name="uavaou", pruner=pruner, load_if_exists=True)
 
 
@@ -194,6 +235,10 @@ def _play(folder: SearchFolder, search: Search, study: optuna.Study, trial: Tria
             raise KeyboardInterrupt
         study.tell(trial, outcome.progress.best_score)
     except InputError as problem:
+        if isinstance(problem.__cause__, OSError):  # a full disk is no fault of these settings
+            with suppress(OSError):
+                _give_back(study, trial)
+            raise
         trial.set_user_attr("reason", str(problem))
         study.tell(trial, state=TrialState.FAIL)
     except optuna.TrialPruned:

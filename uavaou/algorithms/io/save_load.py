@@ -7,6 +7,7 @@ and optimizer in safetensors, with its constructor arguments as JSON. Loading ch
 import inspect
 import json
 from itertools import pairwise
+from io import BufferedIOBase
 from pathlib import Path
 from typing import Any, Self
 
@@ -206,7 +207,7 @@ class SafeSaveLoad(BaseAlgorithm):
             raise InputError(f"{file.path}: no {cls.__name__} can be made of it ({error})") from error
         return learner
 
-    def save_sb3(self, path: str | Path, exclude: Any = None, include: Any = None) -> None:
+    def save_sb3(self, path: str | Path | BufferedIOBase, exclude: Any = None, include: Any = None) -> None:
         """Write SB3's own zip, for tools that read it. Loading such a file runs the code in it."""
         super().save(path, exclude=[*(exclude or ()), "_given"], include=include)
 
