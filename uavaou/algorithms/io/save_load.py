@@ -6,8 +6,8 @@ and optimizer in safetensors, with its constructor arguments as JSON. Loading ch
 
 import inspect
 import json
-from itertools import pairwise
 from io import BufferedIOBase
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
 
