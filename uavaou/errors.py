@@ -1,7 +1,11 @@
 """Errors that the user can correct: the message is one line written for a person."""
 
 import difflib
+import re
+import shlex
 from collections.abc import Iterable
+
+_PLAIN_WORD = re.compile(r"[\w@%+=:,./-][\w@%+=:,./~-]*", re.ASCII)  # a ~ at the beginning alone means a home folder
 
 
 class InputError(ValueError):
@@ -23,6 +27,12 @@ def nearest(word: str, allowed: Iterable[str]) -> str:
     """Return a hint such as ``; did you mean 'slots'?``, or an empty string if no allowed word is near."""
     matches = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.5)
     return f"; did you mean '{matches[0]}'?" if matches else ""
+
+
+def command_line(words: Iterable[object]) -> str:
+    """The words of a command as one types them: quoted where a shell would read them in another way."""
+    texts = map(str, words)
+    return " ".join(text if _PLAIN_WORD.fullmatch(text) else shlex.quote(text) for text in texts)
 
 
 def unknown(kind: str, word: str, allowed: Iterable[str]) -> InputError:

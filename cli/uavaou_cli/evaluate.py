@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavaou.errors import InputError
+from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou_cli.options import (
     RUNS,
@@ -27,7 +27,7 @@ from uavaou_cli.options import (
 )
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import EvaluationDisplay
-from uavaou_cli.tables import aligned, command_line, figure, interval_figures, say, show, two_line_table, wrapped
+from uavaou_cli.tables import aligned, figure, interval_figures, say, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
     from uavaou.evaluation.evaluate import Evaluation
@@ -205,10 +205,10 @@ def _suite_lines(plan: SuitePlan, results: Sequence[PointResult], episodes: int,
     heads = (plan.suite.axis.label, "policy", "how", "mean AoU", "interval", "comm.", "served")
     units = ("", "", "", "(slots)", "95 %", "", "")
     lines = [*wrapped(head), "", *aligned([heads, units, *_suite_rows(plan, results)], left=3)]
-    refused = _paragraphs(f"{result.flown.name}: {result.refusal}" for result in results if result.refusal)
     lines += [*_beside_reference(plan, results), *_violations(results), *_budgets(results), *_reasons(plan.points)]
-    lines += [*refused, *_elsewhere(plan, results), *_missing_lines(plan.missing), *_unused(plan)]
-    if any(point.scenario is None for point in plan.points) or plan.missing:
+    unplayed = _unplayed(plan, results)
+    lines += [*unplayed, *_elsewhere(plan, results), *_missing_lines(plan.missing), *_unused(plan)]
+    if any(point.scenario is None for point in plan.points) or unplayed:
         lines += ["", "- not played, see above"]
     return lines
 
@@ -289,6 +289,19 @@ def _reasons(points: Sequence[ResolvedPoint]) -> list[str]:
             reason = f"infeasible: {point.problem}" if point.problem else point.remark
             labels.setdefault(reason, []).append(point.label)
     return _paragraphs(f"{', '.join(found)}: {reason}" for reason, found in labels.items())
+
+
+def _unplayed(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
+    """Why policies do not fly feasible points; the points of one policy with one reason together."""
+    from uavaou.suites.assignment import why_unfit
+
+    unfit = [(one.policy, one.point) for one in plan.assignments if one.kind is None]
+    found = [(policy, point, why_unfit(policy, point, plan.runs)) for policy, point in unfit]
+    found += [(one.flown.policy, one.flown.point, one.refusal) for one in results if one.refusal]
+    labels: dict[tuple[str, str], dict[str, None]] = {}
+    for policy, point, reason in found:
+        labels.setdefault((policy, reason.removeprefix(f"{policy}: ")), {})[point.label] = None
+    return _paragraphs(f"{policy} does not fly {', '.join(at)}: {reason}" for (policy, reason), at in labels.items())
 
 
 def _elsewhere(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:

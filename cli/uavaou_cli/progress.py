@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 import typer
 
+from uavaou.errors import command_line
 from uavaou.runs.interrupt import exit_code
-from uavaou_cli.tables import command_line, duration
+from uavaou_cli.tables import duration
 
 if TYPE_CHECKING:
     from uavaou.evaluation.recorded_mission import RecordedMission

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavaou.errors import InputError
+from uavaou.errors import InputError, command_line
 from uavaou_cli.options import Quiet, Results, StudyName, choice, given_path, number, option, writable_folder
 from uavaou_cli.progress import StudyDisplay, stopped
-from uavaou_cli.tables import WIDTH, aligned, command_line, duration, interval_figures, show, wrapped
+from uavaou_cli.tables import WIDTH, aligned, duration, interval_figures, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.reports.scores import PolicyScores

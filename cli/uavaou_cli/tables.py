@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
-import shlex
 import sys
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -15,7 +13,6 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 _GAP = "  "
-_PLAIN_WORD = re.compile(r"[\w@%+=:,./-][\w@%+=:,./~-]*", re.ASCII)  # a ~ at the beginning alone means a home folder
 
 
 def show(lines: Iterable[object]) -> None:
@@ -27,11 +24,6 @@ def say(notes: Iterable[str], quiet: bool = False) -> None:
     """Print lines for the person at the terminal on stderr."""
     for note in notes if not quiet else []:
         print(note, file=sys.stderr)
-
-
-def command_line(words: Iterable[str]) -> str:
-    """The words of a command as one types them: quoted where a shell would read them in another way."""
-    return " ".join(word if _PLAIN_WORD.fullmatch(word) else shlex.quote(word) for word in words)
 
 
 def wrapped(text: str, indent: str = "") -> list[str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavaou.errors import InputError
+from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import LARGEST_SEED
 from uavaou_cli.options import (
     Quiet,
@@ -26,7 +26,7 @@ from uavaou_cli.options import (
 )
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TrainingDisplay, stopped
-from uavaou_cli.tables import command_line, duration, figure, show, wrapped
+from uavaou_cli.tables import duration, figure, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.runs.folder import RunConfig, RunFolder

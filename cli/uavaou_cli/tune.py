@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from uavaou.errors import InputError
+from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import LARGEST_SEED
 from uavaou_cli.options import Quiet, ScenarioName, budget, number, option, stated_scenario, writable_folder
 from uavaou_cli.options import seconds as seconds_option
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TuningDisplay, stopped
-from uavaou_cli.tables import aligned, command_line, figure, show, wrapped
+from uavaou_cli.tables import aligned, figure, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.algorithms.config import AlgorithmConfig

@@ -105,8 +105,8 @@ def test_a_plan_never_takes_the_place_of_another(
     assert call(capsys, "plan tiny --replace")[0] == 0
 
 
-@pytest.mark.parametrize(("limit", "left"), [(5, 5.0), (90, 60.0), (60, 30.0)])
-def test_a_time_limit_is_that_of_bound_and_plan_together(
+@pytest.mark.parametrize(("limit", "left"), [(1, 0.5), (5, 3.0), (90, 58.0), (60, 28.0)])
+def test_a_time_limit_is_that_of_bound_plan_and_flight_together(
     capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch, limit: int, left: float
 ) -> None:
     clock, given = SimpleNamespace(s=0.0), []

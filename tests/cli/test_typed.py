@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.commands import call
-from uavaou_cli.tables import command_line
+from uavaou.errors import command_line
 
 
 @pytest.mark.parametrize("text", ["96", "9.6e1", "0.096k", "0_96"])

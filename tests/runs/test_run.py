@@ -17,11 +17,12 @@ from safetensors.torch import load_file
 
 from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import load_config
+from uavaou.errors import command_line
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.planners import make_planner
 from uavaou.runs import recorder as callback_module
-from uavaou.runs.folder import RunConfig, RunFolder, run_folder
+from uavaou.runs.folder import RunConfig, RunFolder, flight_folder, run_folder
 from uavaou.runs.policy import load_run
 from uavaou.runs.train import train
 
@@ -189,6 +190,14 @@ def test_a_run_that_cannot_be_built_leaves_nothing_behind(tmp_path: Path) -> Non
     with pytest.raises(InputError, match="not enough memory for the learner"):
         train(small(rollout_slots=1_000_000, missions=65_536), folder)
     assert not folder.path.exists()
+
+
+def test_names_of_folders_need_no_quotes() -> None:
+    own = Scenario.load("paper").replace(name="my valley's (2) map")
+    run = run_folder(Path("r"), own, {"devices_m": "[[0, 0]]"}, "mappo", {"hidden": "[8, 8]"}, 0).path
+    for path in (run, Path(flight_folder([str(run), "any-map"]))):
+        assert command_line([path]) == str(path)
+    assert run.parts[1].startswith("my%20valley%27s%20%282%29%20map~")
 
 
 def test_different_runs_have_different_folders() -> None:

@@ -140,6 +140,10 @@ def test_weights_that_do_not_fit_are_refused_with_their_sizes(finished: RunFolde
     for changes, words in (
         ({"hidden": [9]}, "algorithm.hidden = [9] does not fit its weights, which were trained with [8] and fit no"),
         ({"network": "set", "hidden": [8]}, "algorithm.network = 'set' does not fit its weights"),
+        ({"observation": "prt"}, "--set algorithm.observation = 'prt': input should be .* did you mean 'part'"),
+        ({"missions": 9, "processes": 2}, "--set algorithm.processes = 2: must divide missions = 9"),
+        ({"observation": "prt"}, "--set algorithm.observation = 'prt': input should be 'location', 'part', 'local' or"),
+        ({"missions": 9, "processes": 2}, "--set algorithm.processes = 2: must divide missions = 9"),
         ({"observation": "shared"}, "trained with 'local' and fit no other: leave out --set algorithm.observation"),
     ):
         assert words in refusal(lambda changes=changes: start.training(Scenario.load("tiny"), changes, seed=0))  # type: ignore[misc]

@@ -27,6 +27,7 @@ def test_a_suite_is_played_printed_and_written(capsys: pytest.CaptureFixture[str
         "breaks constraint (Time)",
         "no link: infeasible: no device can be served: R_min = 10000 kbit/s",
         "(constraint Rate)",
+        "mappo does not fly other devices: its network takes 2 UAVs and 4 devices; one with network=set takes any",
         "no run of mappo fits other devices; this trains one:",
         "--set scenario.devices=3",
         "constraint violations: none",
@@ -106,14 +107,17 @@ def test_without_runs_the_missing_trainings_are_printed_and_nothing_is_written(
 
 
 def test_a_planner_that_refuses_a_point_gives_its_reason(capsys: pytest.CaptureFixture[str], place: Path) -> None:
-    points = [{"label": "none", "x": 0}, {"label": "Rice", "x": 1, "set": {"fading": "rician"}}]
+    points = [{"label": "none", "x": 0}] + [
+        {"label": label, "x": x, "set": {"fading": "rician", "rician_factor": x}}
+        for x, label in enumerate(("Rice", "K = 2"), 1)
+    ]
     (place / "faded.yaml").write_text(yaml.safe_dump(GOOD | {"scenario": "tiny", "points": points}))
     code, out, _ = call(capsys, "eval --policy exact --policy stay --suite faded.yaml --episodes 2 --quiet --out o.csv")
     assert code == 0
-    assert "Rice: exact: " in out
-    assert "fading: none" in out
+    (reason,) = (part for part in " ".join(out.split()).split("exact does not fly ")[1:])  # once
+    assert reason.startswith("Rice, K = 2: fading = rician: needs a deterministic channel, fading: none")
     played = {(row["point"], row["policy"]): row for row in csv.DictReader((place / "o.csv").open())}
-    assert list(played) == [("none", "exact"), ("none", "stay"), ("Rice", "stay")]
+    assert list(played) == [("none", "exact"), ("none", "stay"), ("Rice", "stay"), ("K = 2", "stay")]
     assert float(played["none", "exact"]["mean_aou_slots"]) == pytest.approx(4 / 3, abs=1e-3)  # the proven optimum
 
 

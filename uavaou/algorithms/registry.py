@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -165,6 +165,21 @@ def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:
             "if it is one of your own, name what registers it: uavaou --plugin FILE.py ..."
         )
     return validated(find_algorithm(name).config, fields, f"{source}: algorithm")
+
+
+def changed_config(fields: dict[str, Any], changes: Mapping[str, Any]) -> AlgorithmConfig:
+    """A run's settings, which are sound, with some ``changes``; an error blames these.
+
+    Raises:
+        InputError: a value cannot be used.
+    """
+    source = "--set algorithm"
+    try:
+        return validated(find_algorithm(fields["name"]).config, {**fields, **changes}, source)
+    except InputError as error:
+        problem = str(error).removeprefix(f"{source}: ")
+        stated = re.split(r"\W", problem)[0] in changes
+        raise InputError(f"{source}.{problem}" if stated else f"{source}: {problem}") from None
 
 
 def make_model(config: AlgorithmConfig, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:

@@ -21,7 +21,7 @@ from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
 from uavaou.family import Family
 from uavaou.fields import Number, PositiveWhole, Whole, reads_schema, short, validated
-from uavaou.files import PathIn, folder_name, read_json, refuse_links
+from uavaou.files import PathIn, read_json, refuse_links
 from uavaou.plain_yaml import to_yaml
 from uavaou.runs.lock import LOCK
 from uavaou.runs.released import nearest_released, released_folder, run_path
@@ -374,7 +374,7 @@ def _differences(base: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str
 
 
 def _folder_name(base: str, overrides: Mapping[str, str]) -> str:
-    return name_with(quote(base, safe=" ~"), overrides)
+    return name_with(quote(base, safe="~"), overrides)
 
 
 def name_with(base: str, changes: Mapping[str, str]) -> str:
@@ -389,4 +389,4 @@ def name_with(base: str, changes: Mapping[str, str]) -> str:
 def flight_folder(policies: Sequence[str]) -> str:
     """The name of the folder of what these policies flew, given by planner, released policy or path of a run."""
     parts = ["-".join(Path(name).relative_to(Path(name).anchor).parts) for name in policies]
-    return name_with(folder_name(",".join(parts)), {})
+    return name_with(quote(",".join(parts), safe="+=,.-_~%"), {})

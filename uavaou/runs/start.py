@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
-from uavaou.algorithms.registry import config_from_dict, load_config
-from uavaou.errors import InputError
+from uavaou.algorithms.registry import changed_config, config_from_dict, load_config
+from uavaou.errors import InputError, command_line
 from uavaou.family import Family
 from uavaou.fields import short
 from uavaou.runs.checkpoint_header import open_policy
@@ -65,8 +65,7 @@ class Start:
         """
         own = self.config.algorithm.model_dump(mode="json")
         published = {"slots": load_config(own["name"]).slots}
-        algorithm = config_from_dict(own | published | dict(changes), self.folder.config)
-        algorithm = algorithm.with_enough_validations(changes)
+        algorithm = changed_config(own | published, changes).with_enough_validations(changes)
         family = scenario if isinstance(scenario, Family) else None
         base = scenario.base if isinstance(scenario, Family) else scenario
         self.config.check_fits(base, str(self.folder))
@@ -116,7 +115,8 @@ def continued(folder: RunFolder, slots: int | None, resume: bool) -> RunConfig:
     if meta is None or not meta.finished or meta.slots < config.slots:
         if not resume or slots not in (None, config.slots):
             done = f"{0 if meta is None else meta.slots:,} of {config.slots:,} slots are done"
-            raise InputError(f"'{folder}' is not finished: {done}; first: uavaou train --continue {folder} --resume")
+            first = command_line(["uavaou", "train", "--continue", folder, "--resume"])
+            raise InputError(f"'{folder}' is not finished: {done}; first: {first}")
         return config
     if slots is None or slots < config.slots or (slots == config.slots and not resume):
         raise InputError(f"'{folder}' has finished its {config.slots:,} slots: give a larger budget with --slots")

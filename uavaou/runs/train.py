@@ -14,7 +14,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import flatten
 from uavaou.envs.vec_env import MissionVecEnv
-from uavaou.errors import InputError
+from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import training_seeds
 from uavaou.files import refuse_links, replacing, writing
 from uavaou.runs.checkpoint import load_training
@@ -166,11 +166,11 @@ def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
         raise InputError(f"'{folder.path}' already holds a run: add --resume to go on with it, or choose another --out")
     held = folder.read_config()
     if config != held and config in held.stages():
-        raise InputError(f"'{folder.path}' went on to {held.slots:,} slots: use --continue {folder.path} --resume")
+        raise InputError(f"'{folder.path}' went on to {held.slots:,} slots; that one goes on with: {_going_on(folder)}")
     if held not in config.stages()[-2:]:  # as it is, or as it was at the budget before
         raise InputError(
             f"'{folder.path}' holds a run with another configuration (see its config.yaml); "
-            f"that one goes on with: uavaou train --continue {folder.path} --resume"
+            f"that one goes on with: {_going_on(folder)}"
         )
     if folder.last.is_file() or folder.previous.is_file():
         return True
@@ -181,6 +181,10 @@ def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
                 "or move the folder away to begin anew"
             )
     return False
+
+
+def _going_on(folder: RunFolder) -> str:
+    return command_line(["uavaou", "train", "--continue", folder.path, "--resume"])
 
 
 def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> TrainingProgress:

@@ -6,7 +6,6 @@ Reading needs neither torch nor the run folders.
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.csv_tables import CsvTable, number, read_csv, write_csv
-from uavaou.errors import InputError
+from uavaou.errors import InputError, command_line
 from uavaou.files import write_text
 from uavaou.runs.folder import RunConfig
 from uavaou.statistics import interval_over_missions
@@ -75,7 +74,7 @@ class StudyResults:
     @property
     def argument(self) -> str:
         """The study on a command line: the name of a shipped one, else the name of its file."""
-        return shlex.quote(self.name if self.name in zoo_names("studies") else f"{self.name}.yaml")
+        return command_line([self.name if self.name in zoo_names("studies") else f"{self.name}.yaml"])
 
     @property
     def evaluated(self) -> bool:

@@ -204,6 +204,22 @@ def differences(one: Scenario, other: Scenario) -> dict[str, tuple[Any, Any]]:
     return {k: (a.get(k), b.get(k)) for k in a | b if a.get(k) != b.get(k) and k not in ("name", "description")}
 
 
+def why_unfit(policy: str, point: ResolvedPoint, runs: Iterable[SuiteRun]) -> str:
+    """Why none of the ``runs`` of a policy can fly the ``point``."""
+    own = [run.config for run in runs if run.policy == policy]
+    levels = dict.fromkeys(config.algorithm.observation for config in own)
+    if point.stated.observation not in (None, *levels):
+        return f"it was trained with observation {' or '.join(levels)}"
+    sizes = dict.fromkeys(
+        f"{config.scenario.uavs} UAVs and {config.scenario.devices} devices"
+        for config in own
+        if config.algorithm.depends_on_sizes
+    )
+    if sizes:
+        return f"its network takes {' or '.join(sizes)}; one with network=set takes any number"
+    return "its rows have other columns"
+
+
 def missing_trainings(
     assignments: Sequence[Assignment], runs: Sequence[SuiteRun], source: str, base: Scenario
 ) -> list[MissingTraining]:
