@@ -15,12 +15,16 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
+from uavaou.algorithms.registry import load_config
 from uavaou.files import read_text, write_text
+from uavaou.planners import PLANNERS, planner_knowledge
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.suites import SuiteRow, SuiteTable, read_suites
-from uavaou.runs.released import released_folder
+from uavaou.runs.folder import RunFolder
+from uavaou.runs.released import released_folder, released_names
 from uavaou.suites.play import RATIO_ABOVE, REFERENCE
 from uavaou.suites.suite import Suite
+from uavaou.world.knowledge import observed
 from uavaou_cli.main import main as uavaou
 
 SUITES = Path("results/suites")
@@ -107,8 +111,8 @@ def summary(policy: str, tables: Iterable[SuiteTable]) -> str:
                 geometric = math.exp(sum(map(math.log, ratios)) / len(ratios))
                 cells = (f"{cell:.3f}" for cell in (geometric, sum(ratios) / len(ratios), max(ratios)))
                 last = f"{worst:.2f}" if other == REFERENCE else ""
-                rows.append((f"`{found.suite}`", f"`{other}`", str(len(ratios)), *cells, last))
-    head = ("suite", "against", "points", "ratio: geometric mean", "mean", "largest", "worst mission")
+                rows.append((f"`{found.suite}`", told(other), str(len(ratios)), *cells, last))
+    head = ("suite", "against (knows)", "points", "ratio: geometric mean", "mean", "largest", "worst mission")
     return "\n\n".join([NOTE, table(head, rows), f"Constraint violations of `{policy}`: {violations:,}."])
 
 
@@ -128,7 +132,7 @@ def section(policy: str, found: SuiteTable) -> str:
         )
         for point in found.points if point in own
     ]  # fmt: skip
-    head = (found.axis, *(f"`{name}`" for name in (policy, *others)), f"to `{REFERENCE}`", "worst mission")
+    head = (found.axis, *map(told, (policy, *others)), f"to `{REFERENCE}`", "worst mission")
     return f"{title}\n\n{table(head, rows)}"
 
 
@@ -136,6 +140,17 @@ def seen(policy: str, found: SuiteTable) -> str:
     """The text of a suite's figure for those who do not see it."""
     others = [name for name in dict.fromkeys(row.policy for row in found.rows) if name != policy]
     return f"Mean AoU over the {found.axis}, {policy} beside {', '.join(others)}"
+
+
+def told(policy: str) -> str:
+    """The name of a policy with what it reads in flight: learners that are not released observe as published."""
+    if policy in PLANNERS:
+        known = planner_knowledge(policy)
+    elif policy in released_names():
+        known = observed(RunFolder.at(policy).read_config().algorithm.observation)
+    else:
+        known = observed(load_config(policy).observation)
+    return f"`{policy}` ({known})"
 
 
 def beside(row: SuiteRow) -> tuple[str, str]:

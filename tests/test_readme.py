@@ -1,14 +1,23 @@
-"""The README's code runs as printed, it shows every command, and it stays short."""
+"""The README's code runs as printed, its figures are those of the tables, it shows every command, and it is short."""
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from tests.documents import ROOT, blocks, commands
+from uavaou.planners import PLANNERS, planner_knowledge
+from uavaou.reports.claims import judge
+from uavaou.reports.markdown import rounded
+from uavaou.reports.scores import study_scores
+from uavaou.statistics import Interval
+from uavaou.studies.results import read_study
 
 README = ROOT / "README.md"
+PARTS = "local-greedy-parts"
 COMMANDS = ("fly", "replay", "train", "eval", "gap", "plan", "plot", "study", "tune", "audit", "export", "scenarios")
 
 
@@ -42,3 +51,69 @@ def test_the_environment_and_a_learner_from_python() -> None:
 
 def test_it_shows_every_command() -> None:
     assert {arguments[0] for arguments in commands(README)} - {"COMMAND", "--install-completion"} == set(COMMANDS)
+
+
+@pytest.fixture(scope="module")
+def means() -> dict[str, dict[str, Interval]]:
+    """Study and scenario -> policy -> its mean AoU with its interval, from the committed tables."""
+    found = {}
+    for name in ("paper", "layouts"):
+        for scenario, scores in study_scores(read_study(ROOT / "results" / "studies" / name)).items():
+            found[f"{name}: {scenario}"] = {one.policy: one.mean for one in scores}
+    return found
+
+
+def test_the_results_are_those_of_the_tables(means: dict[str, dict[str, Interval]]) -> None:
+    """Mean, interval and knowledge of every policy in the table, with as many digits as it shows."""
+    text = README.read_text(encoding="utf-8")
+    heads, values, levels = (
+        [cell.strip(" `") for cell in line.strip("|").split("|")][1:]
+        for line in re.findall(r"^\|(?: \| QMIX| mean \|| knows \|).*", text, re.M)
+    )
+    found = means["paper: paper"]
+    for head, value, level in zip(heads, values, levels, strict=True):
+        policy = {"bound": "lower bound"}.get(head, head.lower())
+        shown = [cell.replace(",", "") for cell in re.findall(r"[\d.,]+", value)]
+        assert shown == [rounded_like(number, cell) for number, cell in zip(found[policy], shown, strict=False)], head
+        assert len(shown) == (1 if head == "bound" else 3)
+        assert level == (planner_knowledge(policy) if policy in PLANNERS else "" if head == "bound" else "local")
+
+
+def rounded_like(value: float, shown: str) -> str:
+    """A number with the digits of the one that is shown."""
+    if "." not in shown and len(shown) > 3:
+        return rounded(value, 4).replace(",", "")
+    return f"{value:.{len(shown.partition('.')[2])}f}"
+
+
+def test_the_ratios_on_other_layouts_are_those_of_the_tables(means: dict[str, dict[str, Interval]]) -> None:
+    layouts = [means[f"layouts: layout {seed}"] for seed in range(1, 6)]
+    ratios = {name: [one["mappo"].value / one[name].value for one in layouts] for name in ("anneal", PARTS)}
+    text = README.read_text(encoding="utf-8")
+    for name, found in ratios.items():
+        *most, last = (f"{ratio:.2f}" for ratio in found)
+        assert f"{', '.join(most)} and {last} of `{name}`'s" in text
+    page = (ROOT / "results" / "README.md").read_text(encoding="utf-8")
+    for seed, one in enumerate(layouts, start=1):
+        cells = [cell.strip(" *") for cell in re.findall(rf"^\| {seed} \|(.*)\|$", page, re.M)[0].split("|")]
+        mean, low, high = one["mappo"]
+        assert cells[2] == f"{mean:.1f}** ({low:.1f}–{high:.1f})"
+        shown = [f"{one[name].value:.1f}" for name in (PARTS, "anneal", "best-first", "greedy")]
+        assert [cells[3], cells[4], cells[6], cells[7]] == shown
+        assert cells[8:10] == [f"{found[seed - 1]:.2f}" for found in ratios.values()]
+    averages = [f"{sum(found[first:]) / (5 - first):.2f}" for first in (0, 2) for found in ratios.values()]
+    first, second, *fresh = averages
+    assert f"ratios to `anneal` is **{first}**, that to `{PARTS}` **{second}**; over the three fresh layouts" in page
+    assert f"they are {fresh[0]} and {fresh[1]}." in page
+
+
+def test_what_it_says_of_the_claims_is_what_they_say() -> None:
+    claims = judge(read_study(ROOT / "results" / "studies" / "paper"))
+    against = {name: [one.verdict for one in claims if name in one.claim and one.quote] for name in ("VDN", "QMIX")}
+    assert Counter(against["QMIX"]) == {"partly supported": 2, "contradicted": 4, "not supported": 3}
+    assert Counter(against["VDN"]) == {"supported": 5, "partly supported": 1, "not supported": 1}
+    text = README.read_text(encoding="utf-8")
+    assert "no claim is supported, two on training speed are partly supported, and four are contradicted" in text
+    rule = next(one.estimate for one in claims if "learns nothing" in one.claim)
+    assert rule is not None
+    assert f"(ratio {rounded(rule.value)}, {rounded(rule.low)} to {rounded(rule.high)})" in text

@@ -126,7 +126,7 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
     seeds = f"seeds {seed} to {seed + episodes - 1}" if episodes > 1 else f"seed {seed}"
     missions = "missions" if episodes > 1 else "mission"
     lines = wrapped(f"{scenario.name}{changed}: {episodes:,} {missions}, {seeds}")
-    heads = [("action", ""), ("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("communi-", "cations")]
+    heads = [("action", "knows"), ("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("communi-", "cations")]
     heads += [("devices", f"of {scenario.devices}"), ("viola-", "tions")]
     rows = [(name, _cells(result, comparison.policies[name])) for name, result in comparison.results.items()]
     lines += ["", *two_line_table(heads, rows)]
@@ -135,16 +135,17 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
         if broken:
             lines += ["", f"{name} broke constraints: {broken}"]
     note = "below each mean: its 95 % interval over missions" if episodes > 1 else "one mission alone gives no interval"
-    return [*lines, "", note]
+    return [*lines, "", note, "below each action: what the policy knows in flight (docs/planners.md)"]
 
 
 def _cells(result: Evaluation, policy: Planner) -> list[tuple[str, str]]:
     from uavaou.statistics import interval_over_missions
+    from uavaou.world.knowledge import knowledge
 
     aou = result.values("mean_aou_s")  # (N,) s
     columns = aou / result.slot_length_s, aou, result.values("communications"), result.values("devices_served")
     figures = [interval_figures(interval_over_missions(values)) for values in columns]
-    return [(getattr(policy, "action", "-"), ""), *figures, (f"{sum(result.violations.values()):,}", "")]
+    return [(getattr(policy, "action", "-"), knowledge(policy)), *figures, (f"{sum(result.violations.values()):,}", "")]
 
 
 def _evaluate_suite(
@@ -202,9 +203,9 @@ def _suite_lines(plan: SuitePlan, results: Sequence[PointResult], episodes: int,
     """The table of a suite, with missing trainings, infeasible points and how zero-shot runs were trained."""
     count = "1 mission" if episodes == 1 else f"{episodes:,} missions"
     head = f"{plan.name} on {plan.base.name}: {plan.suite.axis.title}; {count} each, seeds from {seed}"
-    heads = (plan.suite.axis.label, "policy", "how", "mean AoU", "interval", "comm.", "served")
-    units = ("", "", "", "(slots)", "95 %", "", "")
-    lines = [*wrapped(head), "", *aligned([heads, units, *_suite_rows(plan, results)], left=3)]
+    heads = (plan.suite.axis.label, "policy", "how", "knows", "mean AoU", "interval", "comm.", "served")
+    units = ("", "", "", "", "(slots)", "95 %", "", "")
+    lines = [*wrapped(head), "", *aligned([heads, units, *_suite_rows(plan, results)], left=4)]
     lines += [*_beside_reference(plan, results), *_violations(results), *_budgets(results), *_reasons(plan.points)]
     unplayed = _unplayed(plan, results)
     lines += [*unplayed, *_elsewhere(plan, results), *_missing_lines(plan.missing), *_unused(plan)]
@@ -218,10 +219,10 @@ def _suite_rows(plan: SuitePlan, results: Sequence[PointResult]) -> list[tuple[s
     seeds = {result.flown.run.config.seed for result in results if result.flown.run is not None}
     for point in plan.points:
         if point.scenario is None:
-            rows.append((point.label, "-", "infeasible", "-", "", "", ""))
+            rows.append((point.label, "-", "infeasible", "", "-", "", "", ""))
             continue
         missing = [one for one in plan.assignments if one.point is point and one.kind is None]
-        rows += [(point.label, one.policy, "-", "-", "", "", "") for one in missing]
+        rows += [(point.label, one.policy, "-", "", "-", "", "", "") for one in missing]
         here = [result for result in results if result.flown.point is point]
         rows += [(point.label, *_suite_cells(result, len(seeds) > 1)) for result in here]
     return rows
@@ -231,9 +232,9 @@ def _suite_cells(result: PointResult, several_seeds: bool) -> tuple[str, ...]:
     flown = result.flown
     name = flown.policy if flown.run is None or not several_seeds else f"{flown.policy} #{flown.run.config.seed}"
     if result.refusal:
-        return name, flown.kind, "-", "", "", ""
+        return name, flown.kind, "", "-", "", "", ""
     counts = figure(result.mean("communications")), f"{result.mean('devices_served'):.1f}"
-    return name, flown.kind, *interval_figures(result.mean_aou_slots), *counts
+    return name, flown.kind, result.played.knows or "", *interval_figures(result.mean_aou_slots), *counts
 
 
 def _beside_reference(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:

@@ -183,18 +183,24 @@ def _plan_lines(scenario: Scenario, plan: RoutePlan, took_s: float, path: Path) 
 
 def _gap_lines(comparison: Comparison, bound: Bound) -> list[str]:
     """One row for the bound and one for each policy, the best first."""
+    from uavaou.world.knowledge import knowledge
+
     scenario, episodes, seed = comparison.scenario, comparison.episodes, comparison.seed
     tau, least = scenario.slot_length_s, bound.mean_aou_s
     played = {name: result.mean_aou_s for name, result in comparison.results.items()}
     best = min(played.values())
     means = {f"lower bound ({bound.method})": least} | dict(sorted(played.items(), key=lambda item: item[1]))
-    heads = [("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("over", "bound"), ("over", "best")]
-    rows = [
-        (name, [(cell, "") for cell in (figure(mean / tau), figure(mean), _ratio(mean, least), _ratio(mean, best))])
-        for name, mean in means.items()
-    ]
+    heads = [("knows", ""), ("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("over", "bound"), ("over", "best")]
+    rows = []
+    for name, mean in means.items():
+        known = knowledge(comparison.policies[name]) if name in played else ""
+        cells = known, figure(mean / tau), figure(mean), _ratio(mean, least), _ratio(mean, best)
+        rows.append((name, [(cell, "") for cell in cells]))
     head = f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}"
-    note = "the expected mean AoU of every policy that does not foresee the channel is at least the bound"
+    note = (
+        "the expected mean AoU of every policy that does not foresee the channel is at least the bound; knows: what "
+        "the policy reads in flight (docs/planners.md)"
+    )
     return [head, "", *two_line_table(heads, rows), "", *wrapped(note)]
 
 

@@ -127,7 +127,7 @@ def _result_lines(folder: Path) -> list[str]:
         lines += ["", *aligned([head, *map(_cells, found)])]
     note = (
         "intervals: Student's over seeds; of one seed, and of planners, a bootstrap over missions; the lower bound is "
-        "one on the expected mean AoU"
+        "one on the expected mean AoU of policies that do not foresee the channel"
     )
     return [*lines, "", *wrapped(note), f"results: {folder}"]
 

@@ -132,6 +132,8 @@ def test_gap_orders_policies_between_bound_and_random(capsys: pytest.CaptureFixt
     names = [line.split()[0] for line in out.splitlines()[4:] if line]
     assert names[0] == "lower"
     assert {"exact", "rolling", "greedy", "random"} < set(names)
+    knows = {line.split()[0]: line.split()[1] for line in out.splitlines()[5:] if line}
+    assert (knows["random"], knows["local-greedy"], knows["rolling"]) == ("nothing", "local", "everything")
     assert all(len(line) <= WIDTH for line in out.splitlines())
 
 
@@ -188,6 +190,7 @@ def test_from_training_to_figures(capsys: pytest.CaptureFixture[str], workplace:
     assert list(content["policies"]) == [str(run), "random", "greedy"]
     for name, entry in content["policies"].items():
         assert ("action" in entry) == (name == str(run))
+        assert entry["knows"] in out
         assert len(entry["mean_aou_s"]) == len(entry["communications"]) == 6
         assert len(entry["aou_over_time_s"]) == len(entry["aou_over_time_low_s"]) == 60
         assert sum(entry["violations"].values()) == 0

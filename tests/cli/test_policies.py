@@ -91,7 +91,7 @@ def test_a_study_evaluates_a_released_policy(capsys: pytest.CaptureFixture[str],
     assert (ended.done, ended.failed) == (3, {})
     assert call(capsys, "study report mine.yaml --out out")[0] == 0
     page = (released / "out" / "studies" / "mine" / "README.md").read_text()
-    assert "`any-map` is a released policy, which observes `local` information." in page
+    assert "| `any-map` | local |" in page
     (released / "mine.yaml").write_text(STUDY.replace("[tiny]", "[quickstart]"))
     code, _, err = call(capsys, "study status mine.yaml --out out")
     assert (code, "'any-map' was trained with 2 uavs and 4 devices" in err) == (2, True)

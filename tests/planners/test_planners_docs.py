@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from uavaou.csv_tables import read_csv
-from uavaou.planners import PLANNERS, make_planner
-from uavaou.planners.base import knowledge
+from uavaou.planners import PLANNERS, planner_knowledge
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "planners.md").read_text(encoding="utf-8")
@@ -30,7 +29,7 @@ def test_the_page_says_of_every_planner_what_it_knows() -> None:
     rows = {
         name: known for names, known in re.findall(r"^\| (`.*?) \| (\w+) \|", PAGE, re.M) for name in names.split(", ")
     }
-    assert {name: rows[f"`{name}`"] for name in PLANNERS} == {name: knowledge(make_planner(name)) for name in PLANNERS}
+    assert {name: rows[f"`{name}`"] for name in PLANNERS} == {name: planner_knowledge(name) for name in PLANNERS}
 
 
 def test_what_they_reach_is_what_the_table_says() -> None:

@@ -39,7 +39,9 @@ def test_every_policy_stands_in_the_table_with_its_mean_the_best_first(tmp_path:
     results = read_study(folder)
     for row in rows[1:]:
         mean = results.table("missions", row[0].strip("| `"))["mean_aou_slots"].mean()
-        assert float(row[2].split()[0].replace(",", "")) == pytest.approx(mean, rel=1e-3)
+        assert float(row[3].split()[0].replace(",", "")) == pytest.approx(mean, rel=1e-3)
+    knows = {row[0].strip("| `"): row[1].strip() for row in rows}
+    assert [knows[name] for name in ("lower bound", "greedy", "random")] == ["", "everything", "nothing"]
     assert json.loads((folder / "marl-eval.json").read_text())
     assert not (tmp_path / "README.md").exists()
 

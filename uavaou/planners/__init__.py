@@ -5,8 +5,9 @@ from pkgutil import resolve_name
 from uavaou.errors import InputError, unknown
 from uavaou.planners.base import Planner
 from uavaou.scenario import Scenario
+from uavaou.world.knowledge import Knowledge, knowledge
 
-__all__ = ["PLANNERS", "PLAN_AHEAD", "ROUTE_PLANNERS", "Planner", "gap_planners", "make_planner"]
+__all__ = ["PLANNERS", "PLAN_AHEAD", "ROUTE_PLANNERS", "Planner", "gap_planners", "make_planner", "planner_knowledge"]
 
 # Each loads on first use: importing a compiler or a solver takes longer than most missions.
 PLANNERS: dict[str, str] = {
@@ -44,6 +45,11 @@ def make_planner(name: str, time_limit_s: float | None = None) -> Planner:
     kind = resolve_name(PLANNERS[name])
     planner: Planner = kind() if time_limit_s is None else kind(time_limit_s)
     return planner
+
+
+def planner_knowledge(name: str) -> Knowledge:
+    """What the planner of that name reads in flight."""
+    return knowledge(resolve_name(PLANNERS[name]))
 
 
 def gap_planners(scenario: Scenario) -> list[str]:

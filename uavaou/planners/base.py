@@ -1,26 +1,22 @@
-"""The protocol of a planner, what policies know, and the two planners that ignore the state of the world."""
+"""The protocol of a planner, and the two planners that ignore the state of the world."""
 
-from typing import ClassVar, Literal, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
 from uavaou.arrays import Bools, Ints
 from uavaou.world import World
 from uavaou.world.flight import STAY, STEP_OF_MOVE
+from uavaou.world.knowledge import Knowledge
 
 _PLANNER_STREAM = 2  # spawn key: differs from those of missions (no key) and layouts (1)
-
-
-# What a policy reads in flight. Only `everything` goes beyond what a fleet could have on board: it is the World itself,
-# with every true age and the present channel of every UAV. A plan made before take-off may use the whole map.
-Knowledge = Literal["nothing", "location", "local", "shared", "everything"]
 
 
 class Planner(Protocol):
     """A policy that is not learned and flies a World of N missions.
 
     Call ``reset`` at the start of a mission, then ``act`` before each ``World.step``. A policy that reads less than the
-    whole World says so by an attribute ``knows``; see :func:`knowledge`.
+    whole World says so by an attribute ``knows``; see :mod:`uavaou.world.knowledge`.
     """
 
     def reset(self, world: World, seed: int) -> None:
@@ -34,12 +30,6 @@ class Planner(Protocol):
     def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Return moves (N, U) and selections (N, U, I) for ``world.slot``; None selects every device in range."""
         ...
-
-
-def knowledge(policy: object) -> Knowledge:
-    """Return what a policy reads in flight; one that does not say so may read everything."""
-    known: Knowledge = getattr(policy, "knows", "everything")
-    return known
 
 
 def mission_rngs(world: World, seed: int) -> list[np.random.Generator]:

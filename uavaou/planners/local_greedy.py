@@ -5,11 +5,11 @@ from typing import ClassVar
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.planners.base import Knowledge
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.entities import coverage_and_parts
 from uavaou.world.flight import neighbours
+from uavaou.world.knowledge import Knowledge
 
 _SHARE = 0.5  # of a UAV's best coverage probability for a device, from which a cell is good enough to collect it
 _REACH = 1.0  # lambda, grid steps: the pull of a device falls by 1/e with each

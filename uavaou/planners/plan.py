@@ -13,12 +13,12 @@ import numpy as np
 from uavaou.arrays import Bools, Ints
 from uavaou.errors import InputError
 from uavaou.files import read_json
-from uavaou.planners.base import Knowledge
 from uavaou.planners.search import ExpectedAge, recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import Flight, first_step
+from uavaou.world.knowledge import Knowledge
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,17 @@ import numpy as np
 from scipy.special import stdtrit
 
 from uavaou.arrays import Floats
-from uavaou.planners import PLANNERS
+from uavaou.planners import PLANNERS, planner_knowledge
+from uavaou.runs.folder import RunFolder
+from uavaou.runs.released import released_names
 from uavaou.statistics import Interval, interquartile_mean, interval_over_missions, interval_over_trainings
 from uavaou.studies.results import StudyResults
+from uavaou.world.knowledge import Knowledge, observed
 
 _CHANCE = 1e-6  # of a false alarm for one training
 _ROUNDED = 1e-5  # relative error of a mean over missions of six digits
 
-FIXED_RULES = ("random", "stay")  # planners that ignore the ages; all others have full information
+FIXED_RULES = ("random", "stay")  # planners that ignore the ages and the map
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,7 @@ class PolicyScores:
 
     Attributes:
         policy: the variant or planner; ``lower bound``.
+        knows: what it reads in flight; empty for the bound, and where the study does not say.
         seeds: trainings; 0 for planners and the bound.
         scores: (S, M) mean AoU in slots of each seed and mission; (1, 1) of the bound.
         wall_s: mean duration of a training, s; None for planners and the bound.
@@ -31,6 +35,7 @@ class PolicyScores:
     """
 
     policy: str
+    knows: str
     seeds: int
     scores: Floats
     wall_s: float | None = None
@@ -70,26 +75,40 @@ def _of_scenario(results: StudyResults, scenario: str) -> list[PolicyScores]:
         runs = results.table("runs", variant, scenario)
         if len(runs["seed"]):
             wall_s, violations = float(runs["wall_s"].mean()), int(runs["violations"].sum())
-            found.append(PolicyScores(variant, len(scores), scores, wall_s, violations))
+            found.append(PolicyScores(variant, known(results, variant), len(scores), scores, wall_s, violations))
         else:
-            found.append(PolicyScores(variant, 0, scores))
+            found.append(PolicyScores(variant, known(results, variant), 0, scores))
     if scenario in results.bounds:
-        found.append(PolicyScores("lower bound", 0, np.array([[results.bounds[scenario]]])))
+        found.append(PolicyScores("lower bound", "", 0, np.array([[results.bounds[scenario]]])))
     return found
+
+
+def known(results: StudyResults, policy: str) -> str:
+    """What a policy of a study reads in flight; empty where the study does not say."""
+    if policy in results.algorithms:
+        observation = results.observation(policy)
+        return "" if observation is None else observed(observation)
+    if policy in PLANNERS:
+        return planner_knowledge(policy)
+    if policy in released_names():
+        return observed(RunFolder.at(policy).read_config().algorithm.observation)
+    return ""
 
 
 # -- references ----------------------------------------------------------------------------------------
 
 
-def best_planner(study: StudyResults, scenarios: Sequence[str]) -> str | None:
-    """The full-information planner of the lowest AoU, by the geometric mean over the scenarios; None without one.
+def best_planner(study: StudyResults, scenarios: Sequence[str], knows: Knowledge | None = None) -> str | None:
+    """The planner of the lowest AoU, by the geometric mean over the scenarios; None without one.
 
-    Released policies, and planners without missions in one of the scenarios, are left out.
+    Released policies, fixed rules, and planners without missions in one of the scenarios, are left out; with ``knows``,
+    also planners that know more or less than that.
     """
     levels = {}
     for name in study.planners:
         flown = study.missions(name, "mean_aou_slots", scenarios)
-        if name in PLANNERS and name not in FIXED_RULES and scenarios and len(flown) == len(scenarios):
+        compared = name in PLANNERS and name not in FIXED_RULES and knows in (None, known(study, name))
+        if compared and scenarios and len(flown) == len(scenarios):
             means = np.array([table.mean() for table in flown.values()])
             levels[name] = float(np.log(np.maximum(means, 1e-300)).mean())
     return min(levels, key=lambda name: levels[name]) if levels else None

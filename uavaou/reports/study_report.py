@@ -22,9 +22,7 @@ from uavaou.reports.replay.page import STUDY_REPLAY, write_study_replay
 from uavaou.reports.scores import PolicyScores, below_bound, study_scores
 from uavaou.reports.training_claims import SMOOTHED, WITHIN
 from uavaou.reports.verdicts import Claim
-from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import HeldError, one_writer
-from uavaou.runs.released import released_names
 from uavaou.studies.condense import gather, refuse_another, update_results
 from uavaou.studies.folder import PartKey, StudyFolder
 from uavaou.studies.marl_eval import to_marl_eval
@@ -35,10 +33,11 @@ _NOTE = """\
 AoU in slots: the mean over the slots of a mission, in units of the slot length τ. The missions are those of the final
 evaluation, which no training and no choice of a checkpoint has seen. Mean AoU: the mean over seeds with Student's 95 %
 interval over seeds; of one seed, and of planners, with a bootstrap interval over missions. IQM: the mean of the middle
-half of all missions, with a stratified bootstrap over seeds and missions. All planners but `random` and `stay` have
-full information. The expected mean AoU of any policy is at least the lower bound."""
+half of all missions, with a stratified bootstrap over seeds and missions. Knows: what a policy reads in flight
+(docs/planners.md); a plan made before take-off may use the whole map. No policy has a mean AoU below the lower bound in
+expectation and without foreseeing the channel."""
 _REPLAY = f"[{STUDY_REPLAY}]({STUDY_REPLAY}) plays one mission of each kept policy, side by side, in a browser."
-_HEAD = ("policy", "seeds", "mean AoU (slots)", "IQM (slots)", "wall-clock of a training", "violations")
+_HEAD = ("policy", "knows", "seeds", "mean AoU (slots)", "IQM (slots)", "wall-clock of a training", "violations")
 _DIGITS = 4
 
 END = "<!-- claims:end -->"
@@ -46,21 +45,24 @@ _BEGIN = re.compile(r"<!-- claims:begin(?: (\S+))? -->")
 _MOST_BYTES = 5_000_000
 
 _RULES = f"""\
-Verdicts are computed. On a direction: *supported* where the whole 95 % interval lies on the claimed side, *partly
-supported* where the estimate alone does, else *not supported*. On a reduction to a share: *supported* where the whole
-interval is at or below the share; *partly supported* where the estimate alone is, or where there is a reduction (the
-whole interval is below 1) that does not reach the share; else *not supported*. One training of an algorithm has no
-interval and supports a claim partly at best. Where some of MAPPO's trainings never converge or never reach the level, a
-claim about that is *partly supported* at best; where none of them does, it is *not supported*. *A figure* is an
-estimate that nobody made a claim about.
+Verdicts are computed. On a direction: *supported* where the whole 95 % interval lies on the claimed side,
+*contradicted* where it lies on the other side, *partly supported* where the estimate alone lies on the claimed side,
+else *not supported*. On a reduction to a share: *supported* where the whole interval is at or below the share; *partly
+supported* where the estimate alone is, or where there is a reduction (the whole interval is below 1) that does not
+reach the share; *contradicted* where the whole interval is above the share without such a reduction; else *not
+supported*. One training of an algorithm has no interval: it supports a claim partly at best and contradicts none. Where
+some of MAPPO's trainings never converge or never reach the level, a claim about that is *partly supported* at best;
+where none of them does, it is *not supported* or *contradicted*. *A figure* is an estimate that nobody made a claim
+about.
 
 Ratios are those of geometric means over trainings, with Welch's interval on the logarithms; against a planner or the
-bound, which is one number, with Student's. The correlation's interval is Student's over seeds. The sample is that of
-trainings: each counts with the mean of its missions. A training has converged at the first evaluation from which on its
-validation AoU, averaged over {SMOOTHED} evaluations, stays within {WITHIN:.0%} of its own best. The level of an
-algorithm's trainings is {WITHIN:.0%} above the mean of the best such AoU of each of them; a training reaches it at its
-first evaluation at or below it. A training that never converges or never reaches the level counts with its whole
-budget."""
+bound, which is one number, with Student's. A communication needs a waiting update, so that a device has at most K/k of
+them; the correlation of their share of this cap is held against that of random moves, with Student's interval over
+seeds. The sample is that of trainings: each counts with the mean of its missions. A training has converged at the first
+evaluation from which on its validation AoU, averaged over {SMOOTHED} evaluations, stays within {WITHIN:.0%} of its own
+best. The level of an algorithm's trainings is {WITHIN:.0%} above the mean of the best such AoU of each of them; a
+training reaches it at its first evaluation at or below it. A training that never converges or never reaches the level
+counts with its whole budget."""
 _CLAIMS_HEAD = ("claim", "the paper's words", "measured", "estimate", "95 % interval", "verdict")
 
 
@@ -165,9 +167,6 @@ def _unfinished(results: StudyResults) -> str:
 def _results(results: StudyResults) -> Iterator[str]:
     """A table for each scenario, the best first."""
     yield _NOTE
-    for name in (name for name in results.planners if name in released_names()):
-        seen = RunFolder.at(name).read_config().algorithm.observation
-        yield f"`{name}` is a released policy, which observes `{seen}` information."
     for scenario, found in study_scores(results).items():
         yield f"## {scenario}\n\n" + table(_HEAD, map(_cells, found))
 
@@ -176,6 +175,7 @@ def _cells(one: PolicyScores) -> tuple[str, ...]:
     alone = one.scores.size == 1 and not one.seeds  # the bound
     return (
         one.policy if alone else f"`{one.policy}`",
+        one.knows,
         str(one.seeds or ""),
         with_interval(*one.mean, digits=_DIGITS),
         "" if alone else with_interval(*one.interquartile_mean, digits=_DIGITS),

@@ -62,7 +62,9 @@ def convergence(study: StudyResults, other: str) -> Claim:
     def measured() -> str:
         return f"slots until convergence: {own.told('not converged')}, {theirs.told('not converged')}; ratio"
 
-    return verdicts.ratio_claim(text, FEWER_ITERATIONS, own.slots, theirs.slots, own.decide, measured, _missing(other))
+    return verdicts.ratio_claim(
+        text, FEWER_ITERATIONS, own.slots, theirs.slots, _sooner(own, theirs), measured, _missing(other)
+    )
 
 
 def time_to_level(study: StudyResults, other: str) -> Claim:
@@ -78,7 +80,9 @@ def time_to_level(study: StudyResults, other: str) -> Claim:
         told = f"{own.told('never')}, {theirs.told('never')}"
         return f"training slots until that AoU{level}: {told}; wall-clock ratio {wall}; ratio in slots"
 
-    return verdicts.ratio_claim(text, FEWER_ITERATIONS, own.slots, theirs.slots, own.decide, measured, _missing(other))
+    return verdicts.ratio_claim(
+        text, FEWER_ITERATIONS, own.slots, theirs.slots, _sooner(own, theirs), measured, _missing(other)
+    )
 
 
 def _missing(other: str) -> str:
@@ -95,7 +99,7 @@ class _Times:
 
     Attributes:
         slots, wall_s: scenario -> (S,), the training slots and the seconds of each training.
-        never: how many trainings never come to it.
+        trainings, never: how many there are, and how many of them never come to it.
     """
 
     def __init__(self, study: StudyResults, variant: str, other: str, when: Callable[[str, Floats], Moment]) -> None:
@@ -109,17 +113,25 @@ class _Times:
             pairs = list(zip(runs, moments, strict=True))
             self.slots |= {scenario: np.array([float(run["slots"][moment.place]) for run, moment in pairs])}
             self.wall_s |= {scenario: np.array([run["wall_s"][moment.place] for run, moment in pairs])}
-        self._trainings = sum(len(group) for group in self.slots.values())
+        self.trainings = sum(len(group) for group in self.slots.values())
 
     def told(self, what: str) -> str:
         """The mean in slots, and how many trainings never came to it."""
-        never = f" ({self.never} of {self._trainings} trainings {what}: the budget counts)" if self.never else ""
+        never = f" ({self.never} of {self.trainings} trainings {what}: the budget counts)" if self.never else ""
         return f"{self._name} {mean(self.slots):,.0f} slots{never}"
 
-    def decide(self, ratio: Interval) -> verdicts.Verdict:
-        """The verdict on fewer slots, weakened where trainings never came to it and count with their budget."""
-        most: verdicts.Verdict = "partly supported" if self.never < self._trainings else "not supported"
-        return verdicts.at_best(lower(ratio), most if self.never else "supported")
+
+def _sooner(own: _Times, theirs: _Times) -> verdicts.Decide:
+    """The verdict on fewer slots, weakened where trainings never come to the moment and count with their budget."""
+
+    def decide(ratio: Interval) -> verdicts.Verdict:
+        verdict = lower(ratio)
+        if own.never:
+            verdict = verdicts.at_best(verdict, "partly supported" if own.never < own.trainings else "not supported")
+        # Those of the other that never come to it would take longer than their budget: they contradict nothing.
+        return "not supported" if verdict == "contradicted" and theirs.never else verdict
+
+    return decide
 
 
 def last_reward(study: StudyResults, other: str) -> Claim:

@@ -1,10 +1,11 @@
 """What a claim is, and how an estimate decides on it.
 
-On a **direction** (fewer, lower, more): supported where the whole 95 % interval lies on the claimed side; partly
-supported where the estimate alone does; otherwise not supported. On a **size** (reduced to a share s): supported where
-the whole interval is at or below s; partly supported where the estimate alone is, or where there is a reduction, the
-whole interval below 1, that does not reach s; otherwise not supported. One training of an algorithm has no interval
-and supports a claim partly at best.
+On a **direction** (fewer, lower, more): supported where the whole 95 % interval lies on the claimed side; contradicted
+where it lies on the other side; partly supported where the estimate alone lies on the claimed side; otherwise not
+supported. On a **size** (reduced to a share s): supported where the whole interval is at or below s; partly supported
+where the estimate alone is, or where there is a reduction, the whole interval below 1, that does not reach s;
+contradicted where the whole interval is above s and there is no such reduction; otherwise not supported. One training
+of an algorithm has no interval: it supports a claim partly at best, and contradicts none.
 
 An estimate that nobody made a claim about is **a figure**: it has no verdict.
 """
@@ -22,7 +23,7 @@ from uavaou.studies.results import StudyResults
 from uavaou.studies.study import JUDGED
 
 Trainings = Mapping[str, Floats]  # scenario -> (S,), one value a training; () for an untrained policy
-Verdict = Literal["supported", "partly supported", "not supported", "not measured", "a figure"]
+Verdict = Literal["supported", "partly supported", "not supported", "contradicted", "not measured", "a figure"]
 Decide = Callable[[Interval], Verdict]
 
 OWN, *BASELINES = JUDGED
@@ -44,6 +45,8 @@ def lower(estimate: Interval, threshold: float = 1) -> Verdict:
     """The verdict on a claim that something is below the threshold."""
     if estimate.high < threshold:  # nan, an unknown interval, supports nothing
         return "supported"
+    if estimate.low > threshold:
+        return "contradicted"
     return "partly supported" if estimate.value < threshold else "not supported"
 
 
@@ -51,6 +54,8 @@ def higher(estimate: Interval) -> Verdict:
     """The verdict on a claim that a ratio is above 1."""
     if estimate.low > 1:
         return "supported"
+    if estimate.high < 1:
+        return "contradicted"
     return "partly supported" if estimate.value > 1 else "not supported"
 
 
@@ -60,14 +65,16 @@ def reduced_to(share: float) -> Decide:
     def decide(ratio: Interval) -> Verdict:
         if ratio.high <= share:
             return "supported"
-        return "partly supported" if ratio.value <= share or ratio.high < 1 else "not supported"
+        if ratio.value <= share or ratio.high < 1:
+            return "partly supported"
+        return "contradicted" if ratio.low > share else "not supported"
 
     return decide
 
 
 def at_best(verdict: Verdict, most: Verdict) -> Verdict:
     """The weaker of two verdicts."""
-    order: tuple[Verdict, ...] = ("not supported", "partly supported", "supported")
+    order: tuple[Verdict, ...] = ("contradicted", "not supported", "partly supported", "supported")
     return order[min(order.index(verdict), order.index(most))]
 
 

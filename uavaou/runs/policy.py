@@ -22,6 +22,7 @@ from uavaou.runs.checkpoint_header import open_policy
 from uavaou.runs.folder import RunFolder
 from uavaou.scenario import Scenario
 from uavaou.world import World
+from uavaou.world.knowledge import Knowledge, observed
 from uavaou.world.views import MOVES, Rows, RowViews
 
 Actions = tuple[NDArray[np.int64], NDArray[np.bool_] | None]
@@ -37,6 +38,11 @@ class TrainedPolicy:
     action: str = "greedy"  # the likeliest; or "sample"
     digest: str = ""  # SHA-256 of the weights in the checkpoint that they were loaded from; empty where none was
     _rngs: list[np.random.Generator] = field(default_factory=list)
+
+    @property
+    def knows(self) -> Knowledge:
+        """What its UAVs read in flight."""
+        return observed(self.views.observation)
 
     def reset(self, world: World, seed: int) -> None:
         """Start missions; mission j samples from a stream seeded with ``seed + j``."""

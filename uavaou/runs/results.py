@@ -26,6 +26,7 @@ from uavaou.runs.checkpoint_header import read_header
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.statistics import band_over_missions
+from uavaou.world.knowledge import knowledge
 
 _PART = re.compile(r"first-\d+")  # the name of an evaluation whose missions are part of default.json's
 _OF_EACH_MISSION = (
@@ -71,6 +72,7 @@ class PolicyResult(_Model):
     aou_over_time_low_s: Values | None = None  # (K,) s, of the 95 % interval; None for one mission
     aou_over_time_high_s: Values | None = None  # (K,) s
     update_period_slots: Values | None = None  # (I,) k_i; None where each mission draws a layout
+    knows: str | None = None  # what the policy reads in flight: nothing, location, local, shared or everything
     action: str | None = None  # of a trained policy: greedy or sample
     policy_sha256: str | None = None  # of a trained policy: the digest of its weights
 
@@ -96,6 +98,7 @@ class PolicyResult(_Model):
             aou_over_time_low_s=means.low if several else None,
             aou_over_time_high_s=means.high if several else None,
             update_period_slots=scenario.draw_layout().update_period if scenario.layout == "fixed" else None,
+            knows=knowledge(policy),
             action=getattr(policy, "action", None),  # planners have neither
             policy_sha256=getattr(policy, "digest", None) or None,
         )

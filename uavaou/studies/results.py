@@ -89,6 +89,11 @@ class StudyResults:
         order = [*(name for name in stated if name in learned), *sorted(learned - stated.keys())]
         return {name: str(_mapping(stated.get(name)).get("name", name)) for name in order}
 
+    def observation(self, variant: str) -> str | None:
+        """What a learned variant observes; None where ``study.yaml`` does not say."""
+        found = _mapping(_mapping(self.settings.get("variants")).get(variant)).get("observation")
+        return found if isinstance(found, str) else None
+
     @property
     def planners(self) -> tuple[str, ...]:
         """The planners evaluated."""

@@ -29,6 +29,7 @@ from uavaou.suites.suite import ResolvedPoint, Suite, resolve_points
 CSV_COLUMNS = (
     "suite", "point", "x", "policy", "trained", "seed", "training_slots", "missions", "mean_aou_slots", "low", "high",
     "communications", "devices_served", "violations", "ratio", "difference", "worst_mission", "axis", "scale", "joined",
+    "knows",
 )  # fmt: skip
 REFERENCE = "best-first"  # a planner; the others are compared with it where it plays
 RATIO_ABOVE = 20  # slots of mean AoU: below, a ratio to the reference says less than the difference
@@ -292,5 +293,5 @@ def _row(plan: SuitePlan, result: PointResult, every: Sequence[PointResult]) -> 
     training = (None, None) if flown.run is None else (flown.run.config.seed, flown.run.slots)
     aou = len(result.played.mean_aou_s), *result.mean_aou_slots
     counts = result.mean("communications"), result.mean("devices_served"), result.violations
-    drawn = axis.title, axis.scale, "yes" if point.joined else "no"
+    drawn = axis.title, axis.scale, "yes" if point.joined else "no", result.played.knows
     return [*which, *training, *aou, *counts, *result.compared(every), *drawn]

@@ -1,0 +1,20 @@
+"""What a policy reads in flight: each policy says it, and every table shows it (docs/planners.md).
+
+Only ``everything`` goes beyond what a fleet could have on board: it is the World itself, with every true age and the
+present channel of every UAV. What is used before take-off does not count: a plan may be made of the whole map.
+"""
+
+from typing import Literal, cast
+
+Knowledge = Literal["nothing", "location", "local", "shared", "everything"]
+
+
+def knowledge(policy: object) -> Knowledge:
+    """Return what a policy, or a class of policies, reads; one without an attribute ``knows`` may read everything."""
+    known: Knowledge = getattr(policy, "knows", "everything")
+    return known
+
+
+def observed(observation: str) -> Knowledge:
+    """Return what a learner with this observation reads; ``part`` is ``local`` about some of the devices."""
+    return "local" if observation == "part" else cast(Knowledge, observation)
