@@ -123,8 +123,8 @@ def _result_lines(folder: Path) -> list[str]:
     if not results.evaluated:
         return [*lines, "", "nothing has been evaluated yet", f"results: {folder}"]
     for scenario, found in study_scores(results).items():
-        head = (scenario, "seeds", "mean AoU", "95 % interval", "violations")
-        lines += ["", *aligned([head, *map(_cells, found)])]
+        head = (scenario, "knows", "seeds", "mean AoU", "95 % interval", "violations")
+        lines += ["", *aligned([head, *map(_cells, found)], left=2)]
     note = (
         "intervals: Student's over seeds; of one seed, and of planners, a bootstrap over missions; the lower bound is "
         "one on the expected mean AoU of policies that do not foresee the channel"
@@ -134,7 +134,7 @@ def _result_lines(folder: Path) -> list[str]:
 
 def _cells(one: PolicyScores) -> tuple[str, ...]:
     violations = "-" if one.violations is None else f"{one.violations:,}"
-    return one.policy, str(one.seeds or "-"), *interval_figures(one.mean), violations
+    return one.policy, one.knows, str(one.seeds or "-"), *interval_figures(one.mean), violations
 
 
 def _status_lines(study: Study, parts: Sequence[PartStatus]) -> list[str]:
