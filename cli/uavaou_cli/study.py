@@ -127,7 +127,7 @@ def _result_lines(folder: Path) -> list[str]:
         lines += ["", *aligned([head, *map(_cells, found)], left=2)]
     note = (
         "intervals: Student's over seeds; of one seed, and of planners, a bootstrap over missions; the lower bound is "
-        "one on the expected mean AoU of policies that do not foresee the channel; violations: of trained policies, and "
+        "one on the expected mean AoU of policies that do not foresee the channel; violations: of trained policies; "
         "uavaou eval --policy counts a planner's"
     )
     return [*lines, "", *wrapped(note), f"results: {folder}"]
