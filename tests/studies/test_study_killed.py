@@ -10,6 +10,7 @@ import shlex
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -216,21 +217,50 @@ def test_a_killed_process_is_a_failure_that_the_same_command_repairs(
     assert_the_same(tmp_path, place / "out", study)
 
 
+class LosingNode(Killing):
+    """Also loses a node, once two other workers than the killed one have been at work."""
+
+    def __init__(self, engine: Engine, lose: Callable[[], None]) -> None:
+        super().__init__(engine, times=1)
+        self._lose = lose
+        self.lost_at: dict[str, int] = {}  # slots of each worker
+
+    def events(self, take: Any, stopping: Any) -> Any:
+        working: dict[str, int] = {}
+        for event in super().events(take, stopping):
+            if isinstance(event, Advanced) and self.killed and not self.lost_at:
+                working[event.report.by] = event.report.slots
+                alive = {by: slots for by, slots in working.items() if int(by.split()[1]) not in self.killed}
+                if len(alive) == 2:
+                    self._lose()
+                    self.lost_at = alive
+            yield event
+
+
 @pytest.mark.slow
-def test_a_killed_worker_of_a_cluster_is_replaced_and_its_run_resumes(
-    untouched: tuple[Path, Study], tmp_path: Path
+def test_a_killed_worker_and_a_lost_node_of_a_cluster_are_replaced_and_their_runs_resume(
+    untouched: tuple[Path, Study], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster as Nodes
+
     from uavaou.studies.cluster import Cluster
 
     place, study = untouched
-    with Cluster(jobs=2) as cluster:
-        engine = Killing(cluster, times=2)
-        ended = run_study(study, tmp_path, engine, ignore, quiet=True, checkpoint_every_s=0)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))  # uavaou is on every node
+    nodes = Nodes(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    try:
+        second = nodes.add_node(num_cpus=1)
+        with Cluster(jobs=None, address=nodes.address) as cluster:
+            engine = LosingNode(cluster, lambda: nodes.remove_node(second, allow_graceful=False))
+            ended = run_study(study, tmp_path, engine, ignore, quiet=True, checkpoint_every_s=0)
+    finally:
+        nodes.shutdown()
     assert ended.failed == {}
     assert ended.done == 3
-    assert len(engine.killed) == 2
-    assert len(engine.workers) >= 4  # who took over is another process
+    assert len(engine.killed) == 1
+    assert all(slots < 16_000 for slots in engine.lost_at.values())
+    assert len(engine.workers - engine.lost_at.keys()) >= 2  # the killed one, and who took over on the first node
     assert_the_same(tmp_path, place / "out", study)
 
 
