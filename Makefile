@@ -68,7 +68,7 @@ zero-shot: install
 audit:
 	rm -rf .audit-venv && $(PYTHON) -m venv .audit-venv
 	.audit-venv/bin/pip install --quiet --disable-pip-version-check pip-audit
-	.audit-venv/bin/pip-audit --requirement requirements.lock --no-deps --disable-pip --progress-spinner off
+	.audit-venv/bin/pip-audit --strict --requirement requirements.lock --no-deps --disable-pip --progress-spinner off
 	rm -rf .audit-venv
 
 fuzz: install

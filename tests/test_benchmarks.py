@@ -6,10 +6,11 @@ import csv
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.__main__ import write
-from benchmarks.endurance import PARTS, endurance
+from benchmarks.endurance import Endurance, repeated, trained
 from benchmarks.environment import scaling, stepping
 from benchmarks.measure import Measurement, Stopwatch, exponent, report
 from benchmarks.training import ALGORITHMS, memory, parts, training
@@ -101,8 +102,15 @@ def test_the_report_gives_ratios_and_the_file_every_figure(tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_endurance_measures_memory_and_rate_on_the_way() -> None:
-    measured = endurance(slots=PARTS * 8000)
-    assert len(measured.slots) == PARTS
-    assert (measured.memory_mib > 50).all()
-    assert (measured.slots_a_cpu_second > 0).all()
+    assert_measured(trained(4 * 8000, parts=4))
+
+
+def test_a_command_is_repeated() -> None:
+    assert_measured(repeated("eval", 4))
+
+
+def assert_measured(measured: Endurance) -> None:
+    assert len(measured.done) >= 2
+    assert min(measured.memory_mib) > 50
+    assert np.all(np.diff(measured.cpu_s) > 0)
     assert measured.lines()[-1].startswith("rate: ")

@@ -73,4 +73,4 @@ def test_wherever_it_is_stopped_a_study_ends_with_the_same_tables(
         run(study, place / "out")
         assert timeless(place / "out") == untouched
 
-    play(chosen(trials(sites), 1, request.config), one, tmp_path)
+    play(chosen(trials(sites), 4, request.config), one, tmp_path)

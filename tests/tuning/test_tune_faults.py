@@ -47,7 +47,7 @@ def test_wherever_it_is_stopped_a_search_ends_with_the_same_trials(
         search(place)
         assert counted(place) == untouched
 
-    play(chosen(trials(sites), 6, request.config), one, tmp_path)
+    play(chosen(trials(sites), 10, request.config), one, tmp_path)
 
 
 def test_a_line_without_an_end_does_not_spoil_the_journal(played: list[RunConfig], tmp_path: Path) -> None:
