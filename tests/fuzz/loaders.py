@@ -5,8 +5,7 @@ the fuzzer then bends: its own way, and by mutations that know the formats. An i
 reader, and a file's content. ``test_targets.py`` plays some thousand of these in CI.
 
 ``python tests/fuzz/loaders.py --keep FOLDER`` adds what a night has found to the corpus, ``corpus/READER/NAME``: the
-shortest files first, while all together stay below 40 kB. FOLDER is the smallest that reaches the same code
-(``loaders.py -merge=1 FOLDER FOUND``).
+shortest files of each reader, up to five of it and 40 kB in all. NAME begins with the SHA-256 of the content.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import random
 import sys
+from collections import Counter
 from pathlib import Path
 
 import atheris
@@ -23,7 +23,7 @@ with atheris.instrument_imports(include=["uavaou"]):
     from tests.fuzz.targets import CORPUS, READERS, corpus, mutated, read, seeds
 
 NAMES = list(READERS)
-MOST_BYTES = 40_000  # of the corpus
+MOST_BYTES, MOST_FILES = 40_000, 5  # of the corpus, and of each reader
 
 
 def give(data: bytes) -> None:
@@ -52,12 +52,14 @@ def write_seeds(folder: Path) -> None:
 def keep(folder: Path) -> None:
     """Add inputs of the fuzzer to the committed corpus."""
     known = {(name, path.read_bytes()) for name, path in corpus()} | set(seeds().items())
+    kept = Counter(name for name, _ in known)
     left = MOST_BYTES - sum(path.stat().st_size for _, path in corpus())
     for data in sorted((path.read_bytes() for path in folder.iterdir()), key=lambda data: (len(data), data)):
         name, content = NAMES[data[0] % len(NAMES)] if data else "", data[1:]
-        if data and (name, content) not in known and (left := left - len(content)) >= 0:
+        if content and (name, content) not in known and kept[name] <= MOST_FILES and left >= len(content):
             (CORPUS / name).mkdir(parents=True, exist_ok=True)
             (CORPUS / name / hashlib.sha256(content).hexdigest()[:12]).write_bytes(content)
+            kept[name], left = kept[name] + 1, left - len(content)
 
 
 if __name__ == "__main__":
