@@ -1,14 +1,15 @@
-"""An independent check of the paper's constraints, by watching a World from outside.
+"""An independent check of a World from outside: the paper's constraints, the channel, the ages and the metrics.
 
-The world holds (Rate), (Association), (Time) and (CDS) by construction. This module shares no code with it: from where
-the UAVs were and whom they collected, it derives the constraints again, and counts what does not hold.
+The world holds (Rate), (Association), (Time) and (CDS) by construction. This module shares no code with it. It draws
+the devices from the scenario and the seeds itself, computes the SNR of every collection from the paper's formulas and
+from the key of the mission's fading, replays eq. (1) from the collections, and counts what does not hold.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +17,33 @@ from numpy.typing import NDArray
 from uavaou.scenario import Scenario
 
 if TYPE_CHECKING:  # the checker reads a World's attributes and runs none of its code
-    from uavaou.world import World
+    from uavaou.world import MissionMetrics, World
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-CONSTRAINTS = ("rate", "association", "flight_time", "bounds", "cds")
+CONSTRAINTS = ("rate", "association", "flight_time", "bounds", "cds", "layout", "ages", "metrics")
 
 _TIME_SLACK_S = 1e-6  # docs/model.md: flight times are compared with this slack
-_RELATIVE_SLACK = 1e-9  # of rates, SNRs and grid coordinates: far above rounding, far below any real breach
-_SCATTER_TAIL = 45.0  # |xi_NLoS|^2 ~ Exp(1) exceeds it with probability exp(-45) = 3e-20
+_RELATIVE_SLACK = 1e-9  # of rates, SNRs, ages and grid coordinates: far above rounding, far below any real breach
 _LIGHT_M_S = 299_792_458.0
+_AUDITED_EVERY = 64  # slots: in one of so many, the SNRs of all pairs are computed, not only those of collections
+_BLOCK = 20_000  # pairs whose SNRs are computed together
+# SplitMix64 (Steele, Lea and Flood, OOPSLA 2014), and the numbers in (0, 1] of its words' first 53 bits
+_GOLDEN, _MIX_1, _MIX_2 = (np.uint64(k) for k in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
+_UNIT = 2.0**-53
+
+
+class _Pairs(NamedTuple):
+    """Pairs of a UAV and a device in some slots, (M,) each; ``collected`` are transfers, the others are audited."""
+
+    mission: Ints
+    slot: Ints
+    uav: Ints
+    device: Ints
+    place: Floats  # (M, 2) m, of the UAV
+    snr: Floats  # as the world has it: 0 where R < R_min
+    collected: NDArray[np.bool_]
 
 
 class ViolationCounter:
@@ -34,42 +51,63 @@ class ViolationCounter:
 
     Call :meth:`observe` after every ``world.step`` of a mission and :meth:`finish` after slot K.
 
-    The keys of the counts: ``rate`` (collected pairs with R < R_min, or whose SNR the stated channel cannot give at
-    that distance), ``association`` (devices and slots without exactly one collecting UAV where a collection is
-    claimed), ``flight_time`` (UAVs over zeta_max), ``bounds`` (UAVs and slots off the area, off the grid, or more than
-    one grid step along one axis from the slot before) and ``cds`` (UAVs away from their CDS in slot 1 or in slot K).
+    The keys of the counts: ``rate`` (collected pairs with R < R_min, and pairs whose SNR is not the one that the
+    channel has there; all collections are compared, and all pairs in one of 64 slots), ``association`` (devices and
+    slots without exactly one collecting UAV where a collection is claimed), ``flight_time`` (UAVs over zeta_max),
+    ``bounds`` (UAVs and slots off the area, off the grid, or more than one grid step along one axis from the slot
+    before), ``cds`` (UAVs away from their CDS in slot 1 or in slot K), ``layout`` (values of devices that are not the
+    scenario's), ``ages`` (devices and slots whose age sum is not what eq. (1) gives for the collections) and
+    ``metrics`` (rewards and figures of the mission that do not follow from these).
 
     Args:
         scenario: what the world claims to simulate.
         missions: N.
+        seed: of mission 0, as the World was given it. Missions after the first go on with its random streams.
 
     Example:
-        >>> checker = ViolationCounter(scenario, missions=world.missions)
+        >>> checker = ViolationCounter(scenario, missions=world.missions, seed=0)
         >>> while not world.done:
-        ...     _ = world.step(policy(world))
-        ...     checker.observe(world)
-        >>> total(checker.finish())
-        {'rate': 0, 'association': 0, 'flight_time': 0, 'bounds': 0, 'cds': 0}
+        ...     checker.observe(world, world.step(policy(world)))
+        >>> sum(total(checker.finish(world)).values())
+        0
     """
 
-    def __init__(self, scenario: Scenario, missions: int) -> None:
+    def __init__(self, scenario: Scenario, missions: int, seed: int = 0) -> None:
         self.scenario = scenario
         self.missions = missions
         self._area = np.array([scenario.area_x_m, scenario.area_y_m])  # (2,) m
         self._cds = np.array(scenario.cds_m, dtype=np.float64)  # (U, 2) m
         self._altitude = np.array(scenario.altitudes_m, dtype=np.float64)  # (U,) m
         self._gain_per_noise = _reference_gain(scenario) / 10 ** ((scenario.noise_power_dbm - 30) / 10)  # 1/W
-        self._least_gain, self._largest_gain = _gain_limits(scenario)
+        self._rngs = [np.random.default_rng(seed + mission) for mission in range(missions)]
         self._start()
 
     def _start(self) -> None:
+        scenario, shape = self.scenario, (self.missions, self.scenario.devices)
         self._counts: dict[str, Ints] = {name: np.zeros(self.missions, dtype=np.int64) for name in CONSTRAINTS}
         self._last_slot = 0
         self._last_positions: Floats = np.empty(0)  # (N, U, 2) m
-        self._distance: Floats = np.zeros((self.missions, self.scenario.uavs))  # (N, U) m, flown
+        self._distance: Floats = np.zeros((self.missions, scenario.uavs))  # (N, U) m, flown
+        self._pairs: list[_Pairs] = []
+        # Eq. (1) with two numbers a device: all pending updates age and are delivered together.
+        self._pending: Ints = np.ones(shape, dtype=np.int64)  # (N, I) updates; number 0 waits from the beginning
+        self._age: Ints = np.zeros(shape, dtype=np.int64)  # (N, I) slots, their sum
+        self._age_total: Ints = np.zeros(self.missions, dtype=np.int64)  # (N,) slots
+        self._communications: Ints = np.zeros(shape, dtype=np.int64)  # (N, I)
 
-    def observe(self, world: World) -> None:
+    def _draw(self) -> None:
+        """Draw what the missions begin with: the devices, and the keys of their fading."""
+        drawn = self.scenario.layout == "resample"
+        layouts = [self.scenario.draw_layout(rng) for rng in self._rngs] if drawn else [self.scenario.draw_layout()]
+        self._layout = {name: np.stack([getattr(one, name) for one in layouts]) for name in vars(layouts[0])}  # (L, I)
+        self._keys = np.array([rng.integers(2**64, dtype=np.uint64) for rng in self._rngs])  # (N,)
+
+    def observe(self, world: World, reward: Floats | None = None) -> None:
         """Look at the slot that ``world`` has just stepped.
+
+        Args:
+            world: the world.
+            reward: what its ``step`` returned, (N,) s; None where nobody uses it.
 
         Raises:
             RuntimeError: a slot was missed, or nothing was stepped yet: the counts would mean nothing.
@@ -79,7 +117,13 @@ class ViolationCounter:
             slot = None if stepped is None else stepped.slot
             raise RuntimeError(f"expected to observe slot {self._last_slot + 1}, the world has stepped slot {slot}")
         self._last_slot = stepped.slot
-        self._check_rate(world, stepped.positions, stepped.snr, stepped.association.collected_by)
+        if stepped.slot == 1:
+            self._draw()
+            self._check_layout(world)
+        self._note_pairs(stepped.positions, stepped.snr, stepped.association.collected_by)
+        self._check_ages(world.ages.age_slots, self._known(stepped.association.collected_by))
+        if reward is not None:
+            self._differ("metrics", reward, -self.scenario.slot_length_s * self._age.sum(axis=1))
         self._check_association(world.last_collection_by == stepped.slot, stepped.association.collected_by)
         self._check_bounds(stepped.positions)
         if stepped.slot in (1, self.scenario.slots):
@@ -87,14 +131,19 @@ class ViolationCounter:
             self._counts["cds"] += away.any(axis=-1).sum(axis=-1)
         self._last_positions = stepped.positions.copy()
 
-    def finish(self) -> list[dict[str, int]]:
+    def finish(self, world: World) -> list[dict[str, int]]:
         """Return each mission's counts, and start anew for the next missions.
+
+        Args:
+            world: the world, whose metrics are compared.
 
         Raises:
             RuntimeError: slot K has not been observed.
         """
         if self._last_slot != self.scenario.slots:
             raise RuntimeError(f"the mission has {self.scenario.slots} slots, {self._last_slot} were observed")
+        self._check_pairs()
+        self._check_metrics(world.metrics())
         if self.scenario.flight_time == "enforce":
             # zeta_u = (2 H_u + distance flown) / nu (eq. flighttime)
             zeta = (2 * self._altitude + self._distance) / self.scenario.speed_m_s  # (N, U) s
@@ -103,21 +152,91 @@ class ViolationCounter:
         self._start()
         return counts
 
-    def _check_rate(self, world: World, positions: Floats, snr: Floats, collected_by: Ints) -> None:
-        """(Rate): B log2(1 + Gamma) >= R_min for every collected pair, with a Gamma that the channel can give."""
-        mission, device = np.nonzero((collected_by >= 0) & (collected_by < self.scenario.uavs))  # (M,), (M,) pairs
-        uav = collected_by[mission, device]  # (M,)
-        place = _rows(world.device_positions, mission, device)  # (M, 2) m
-        bandwidth = _rows(world.channel.bandwidth, mission, device)  # (M,) Hz
-        power = _rows(world.channel.transmit_power, mission, device)  # (M,) W
-        gamma = snr[mission, uav, device]  # (M,)
-        rate = bandwidth * np.log2(1 + gamma)  # (M,) bit/s
-        too_slow = ~(rate >= self.scenario.rate_min_bit_s * (1 - _RELATIVE_SLACK))  # a NaN is no rate
-        ground = np.linalg.norm(positions[mission, uav] - place, axis=-1)  # (M,) m
-        slant = np.hypot(ground, self._altitude[uav])  # (M,) m
-        unfaded = power * self._gain_per_noise / slant**2  # (M,) P beta_0 / (sigma^2 d^2)
-        possible = (gamma >= unfaded * self._least_gain) & (gamma <= unfaded * self._largest_gain)
-        np.add.at(self._counts["rate"], mission, too_slow | ~possible)
+    def _check_layout(self, world: World) -> None:
+        """The devices of the world are those that the scenario states or that its seeds give."""
+        channel = world.channel
+        claimed = {
+            "positions": world.device_positions, "bandwidth": channel.bandwidth,
+            "transmit_power": channel.transmit_power, "update_period": world.update_period,
+        }  # fmt: skip
+        for name, values in claimed.items():
+            own = self._layout[name]
+            differs = ~np.isclose(values, own, rtol=_RELATIVE_SLACK, atol=0.0)  # (L, I) or (L, I, 2)
+            self._counts["layout"] += differs.reshape(len(differs), -1).sum(axis=1)
+
+    def _known(self, collected_by: Ints) -> NDArray[np.bool_]:
+        """Which devices a UAV that there is collects, (N, I)."""
+        return np.asarray((collected_by >= 0) & (collected_by < self.scenario.uavs))
+
+    def _note_pairs(self, positions: Floats, snr: Floats, collected_by: Ints) -> None:
+        """Keep the pairs of this slot whose SNR is to be checked."""
+        if self._last_slot % _AUDITED_EVERY == 1:
+            mission, uav, device = (axis.ravel() for axis in np.indices(snr.shape))
+            collected = collected_by[mission, device] == uav
+        else:
+            mission, device = np.nonzero(self._known(collected_by))
+            uav, collected = collected_by[mission, device], np.ones(len(mission), dtype=np.bool_)
+        slot = np.full(len(mission), self._last_slot)
+        place = positions[mission, uav]
+        self._pairs.append(_Pairs(mission, slot, uav, device, place, snr[mission, uav, device], collected))
+        if sum(len(pairs.slot) for pairs in self._pairs) > _BLOCK:
+            self._check_pairs()
+
+    def _check_pairs(self) -> None:
+        """(Rate): B log2(1 + Gamma) >= R_min for every collected pair; Gamma is the channel's for every pair."""
+        pairs = _Pairs(*map(np.concatenate, zip(*self._pairs, strict=True)))
+        self._pairs.clear()
+        row = pairs.mission % len(self._layout["bandwidth"])  # of the layout; 0 where all missions share one
+        device = {name: values[row, pairs.device] for name, values in self._layout.items()}  # (M, ...)
+        ground = pairs.place - device["positions"]  # (M, 2) m
+        squared = np.einsum("ma,ma->m", ground, ground) + self._altitude[pairs.uav] ** 2  # (M,) m^2
+        unfaded = device["transmit_power"] * self._gain_per_noise / squared  # (M,) P beta_0 / (sigma^2 d^2)
+        expected = unfaded * self._fading(pairs)  # (M,) Gamma
+        slack = _RELATIVE_SLACK * (expected + unfaded)  # a deep fade is a difference of larger numbers
+        rate = device["bandwidth"] * np.log2(1 + expected)  # (M,) bit/s
+        least = self.scenario.rate_min_bit_s
+        reaches = rate >= least * (1 - _RELATIVE_SLACK)
+        right = np.abs(pairs.snr - expected) <= slack  # not of a NaN
+        out_of_range = ~pairs.collected & (pairs.snr == 0.0) & (rate <= least * (1 + _RELATIVE_SLACK))
+        np.add.at(self._counts["rate"], pairs.mission, ~(right & reaches | out_of_range))
+
+    def _fading(self, pairs: _Pairs) -> Floats:
+        """|sqrt(Phi/(Phi+1)) xi_LoS + sqrt(1/(Phi+1)) xi_NLoS|^2 of each pair, from the key of its mission, (M,).
+
+        The words 2 k and 2 k + 1 of the mission's stream belong to the pair and slot k = (t U + u) I + i. They give two
+        standard normals (Box and Muller, 1958), in phase and in quadrature with the line of sight.
+        """
+        if self.scenario.fading == "none":
+            return np.ones(len(pairs.slot))
+        uavs, devices, factor = self.scenario.uavs, self.scenario.devices, self.scenario.rician_factor
+        index = (2 * ((pairs.slot * uavs + pairs.uav) * devices + pairs.device)).astype(np.uint64)
+        first, second = (_uniform(self._keys[pairs.mission], index + np.uint64(k)) for k in (0, 1))
+        scattered = np.sqrt(-2.0 * np.log(first)) * np.exp(2j * np.pi * second)
+        return np.asarray(np.abs(math.sqrt(factor) + scattered / math.sqrt(2.0)) ** 2 / (factor + 1.0))
+
+    def _check_ages(self, age_slots: Ints, collected: NDArray[np.bool_]) -> None:
+        """Eq. (1): an update is generated every k_i slots, and all that wait age by a slot or are delivered."""
+        waiting = self._pending + (self._last_slot % self._layout["update_period"] == 0)  # (N, I)
+        self._communications += collected & (waiting > 0)
+        self._pending = np.where(collected, 0, waiting)
+        self._age = np.where(collected, 0, self._age + waiting)
+        self._age_total += self._age.sum(axis=1)
+        self._counts["ages"] += (age_slots != self._age).sum(axis=1)
+
+    def _check_metrics(self, metrics: MissionMetrics) -> None:
+        """The figures of the missions follow from the collections and from the ways."""
+        tau, slots = self.scenario.slot_length_s, self.scenario.slots
+        self._differ("metrics", metrics.reward, -tau * self._age_total)
+        self._differ("metrics", metrics.mean_aou_s, tau * self._age_total / slots)
+        self._differ("metrics", metrics.communications, self._communications.sum(axis=1))
+        self._differ("metrics", metrics.devices_served, (self._communications > 0).sum(axis=1))
+        zeta = (2 * self._altitude + self._distance) / self.scenario.speed_m_s  # (N, U) s
+        self._differ("metrics", metrics.flight_time_s.T, zeta.T)
+
+    def _differ(self, name: str, values: NDArray[Any], expected: NDArray[Any]) -> None:
+        """Count values (..., N) that are not as expected."""
+        differs = ~np.isclose(values, expected, rtol=_RELATIVE_SLACK, atol=0.0)
+        self._counts[name] += differs.reshape(-1, self.missions).sum(axis=0)
 
     def _check_association(self, collecting: NDArray[np.bool_], collected_by: Ints) -> None:
         """(Association): sum_u alpha_iu <= 1, and the two records of who collected agree.
@@ -151,10 +270,13 @@ def total(violations: Sequence[dict[str, int]]) -> dict[str, int]:
     return {name: sum(mission[name] for mission in violations) for name in CONSTRAINTS}
 
 
-def _rows(values: NDArray[np.float64], mission: Ints, device: Ints) -> Floats:
-    """Per-device values (L, I, ...) of the given pairs; L is N, or 1 for a layout that all missions share."""
-    rows: Floats = values[mission % len(values), device]
-    return rows
+def _uniform(key: NDArray[np.uint64], index: NDArray[np.uint64]) -> Floats:
+    """Numbers in (0, 1] from the words ``index`` of the SplitMix64 streams with seeds ``key``, (M,) each."""
+    bits = key + _GOLDEN * (index + np.uint64(1))  # modulo 2^64
+    bits = (bits ^ (bits >> np.uint64(30))) * _MIX_1
+    bits = (bits ^ (bits >> np.uint64(27))) * _MIX_2
+    bits ^= bits >> np.uint64(31)
+    return np.asarray(((bits >> np.uint64(11)).astype(np.float64) + 1.0) * _UNIT)
 
 
 def _reference_gain(scenario: Scenario) -> float:
@@ -163,15 +285,3 @@ def _reference_gain(scenario: Scenario) -> float:
         return (_LIGHT_M_S / (4 * math.pi * scenario.carrier_frequency_hz)) ** 2
     assert scenario.reference_gain_db is not None
     return float(10 ** (scenario.reference_gain_db / 10))
-
-
-def _gain_limits(scenario: Scenario) -> tuple[float, float]:
-    """The least and the largest fading power gain that can be believed.
-
-    |sqrt(Phi) xi_LoS + xi_NLoS|^2 / (Phi + 1) lies between (sqrt(Phi) -+ |xi_NLoS|)^2 / (Phi + 1).
-    """
-    if scenario.fading == "none":
-        return 1 - _RELATIVE_SLACK, 1 + _RELATIVE_SLACK
-    factor, tail = scenario.rician_factor, math.sqrt(_SCATTER_TAIL)
-    least = max(math.sqrt(factor) - tail, 0.0) ** 2 / (factor + 1)
-    return least, (math.sqrt(factor) + tail) ** 2 / (factor + 1)

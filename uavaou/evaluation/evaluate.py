@@ -72,15 +72,16 @@ def evaluate(
         missions = min(MISSIONS_TOGETHER, episodes - first)
         world = World(scenario, missions, seed + first)
         policy.reset(world, seed + first)
-        checker = ViolationCounter(scenario, missions)
+        checker = ViolationCounter(scenario, missions, seed + first)
         aou = np.empty((missions, scenario.slots))  # (N, K) s
         while not world.done:
             slot = world.slot
-            aou[:, slot - 1] = -world.step(*policy.act(world))
-            checker.observe(world)
+            reward = world.step(*policy.act(world))  # (N,) s
+            aou[:, slot - 1] = -reward
+            checker.observe(world, reward)
             if after_slot is not None:
                 after_slot(first * scenario.slots + missions * slot, world)
-        violations += checker.finish()
+        violations += checker.finish(world)
         batches.append(world.metrics())
         ages.append(aou)
     return Evaluation(batches, total(violations), np.concatenate(ages), scenario.slot_length_s)
