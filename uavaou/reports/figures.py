@@ -90,9 +90,14 @@ def plot_studies(places: Mapping[Path, Path]) -> Iterator[list[Path] | InputErro
     if workers == 1:
         yield from map(_plotted, places, places.values())
         return
-    # Ctrl-C reaches the whole group: a worker ends at once, and this process says so.
-    with ProcessPoolExecutor(workers, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL)) as pool:
+    with ProcessPoolExecutor(workers, initializer=_end_at_once) as pool:
         yield from pool.map(_plotted, places, places.values())
+
+
+def _end_at_once() -> None:
+    """Signals reach the whole group: a worker ends in silence, and the command's process says so."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def _plotted(folder: Path, out_dir: Path) -> list[Path] | InputError:
