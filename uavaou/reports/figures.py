@@ -2,8 +2,8 @@
 
 Everything is drawn from the tables of a study; no policy is loaded. Training runs are condensed to the same tables, in
 memory. Bands and bars are Student's 95 % intervals over training seeds; those of planners, and in figures 7 and 8 those
-of a single run, are bootstrap intervals over missions. Figures of a study show its best planner, figures of runs all
-planners that were evaluated beside them. Ages are in slots.
+of a single run, are bootstrap intervals over missions. Figures of a study show its best planner and its best rule with
+local information, figures of runs all planners that were evaluated beside them. Ages are in slots.
 """
 
 import os
@@ -11,7 +11,7 @@ import signal
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -40,6 +40,7 @@ from uavaou.studies.condense import (
 )
 from uavaou.studies.folder import BOUND, PartKey, StudyFolder
 from uavaou.studies.results import COLUMNS, StudyResults, Table, read_study
+from uavaou.world.knowledge import Knowledge
 
 Evaluations = Mapping[PartKey, PolicyResult]
 
@@ -215,6 +216,14 @@ def _plot_scenarios(
     return paths
 
 
+def _planners_beside(study: StudyResults, scenario: str) -> list[str]:
+    """The best planner with full information or a plan, and the best rule with the local information of learners."""
+    found = {knows: name for knows in get_args(Knowledge) if (name := best_planner(study, [scenario], knows))}
+    local = found.pop("local", None)
+    levels = {name: study.missions(name, "mean_aou_slots", [scenario])[scenario].mean() for name in found.values()}
+    return [*sorted(levels, key=lambda name: levels[name])[:1], *([local] if local else [])]
+
+
 class _Scenario:
     """Draws the figures of one scenario of a study, or of runs.
 
@@ -228,10 +237,9 @@ class _Scenario:
     def __init__(self, study: StudyResults, scenario: str, evaluations: Evaluations, validated: bool) -> None:
         self._study, self._scenario, self._validated = study, scenario, validated
         self._results = {key: result for key, result in evaluations.items() if key.scenario == scenario}
-        self._looks = style.looks([*study.algorithms, BOUND, *study.planners], study.algorithms)
-        best = best_planner(study, [scenario])
         flown = [name for name in study.planners if PartKey(name, scenario) in self._results]
-        self._planners = flown if evaluations else [best] if best else []
+        self._planners = flown if evaluations else _planners_beside(study, scenario)
+        self._looks = style.looks([*study.algorithms, BOUND, *self._planners], study.algorithms)
 
     def figures(self) -> dict[str, Figure]:
         """Figures 3 to 8 and AoU over wall-clock time, those that there are tables for."""

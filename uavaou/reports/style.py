@@ -92,7 +92,7 @@ _LOOKS = {
     "greedy": Look(BLACK, "*", (0, (4, 1.5)), "greedy"),
     "best-first": Look(GREEN, "P", (0, (5, 1.5, 1, 1.5)), "best-first"),
     "local-greedy": Look("#7A4A12", "d", (0, (1.2, 1)), "local-greedy"),
-    "local-greedy-parts": Look("#14532D", ">", (0, (1.2, 1)), "local-greedy-parts"),
+    "local-greedy-parts": Look("#14532D", ">", (0, (8, 1.5)), "local-greedy-parts"),
     "anneal": Look(PURPLE, "X", (0, (4, 1.5)), "anneal"),
     "rolling": Look(BLACK, "p", (0, (2.5, 1)), "rolling"),
     "bound": Look(BLACK, "", (0, (1, 1.5)), "lower bound"),
@@ -106,7 +106,7 @@ _MARKERS = ("s", "^", "X", "v", "P", "<", "D", ">", "p", "*", "h", "d", "8", "H"
 _DASHES: tuple[Any, ...] = (
     (0, (4, 1.2)), "-", (0, (1.2, 1)), (0, (5, 1.2, 1, 1.2)), (0, (8, 1.5)), (0, (5, 1.2, 1, 1.2, 1, 1.2)),
 )  # fmt: skip
-_LONGEST_TAG = 14  # characters that have room beside the axes
+_LONGEST_TAG = 18  # characters that have room beside the axes
 _TAG_STEP_IN = 0.105  # from one tag to the next
 _LEADER: dict[str, Any] = {
     "arrowstyle": "-", "linewidth": 0.6, "linestyle": (0, (1, 1.5)), "shrinkA": 0, "shrinkB": 0, "relpos": (0, 0.5),
