@@ -52,8 +52,9 @@ def test_the_readme_states_what_the_tables_hold() -> None:
 
 
 def test_the_layouts_with_trainings_are_those_of_the_studies() -> None:
+    studies = {name: read_study(ROOT / "results" / "studies" / name) for name in ("paper", "layouts")}
     for row in read_suite(SUITES / "known-layouts.csv").rows:
         study, scenario = ("paper", "paper") if row.point == "0" else ("layouts", f"layout {row.point}")
         seed = int(row.seed) if row.seed else None
-        values = read_study(ROOT / "results" / "studies" / study).table("missions", row.policy, scenario, seed)
+        values = studies[study].table("missions", row.policy, scenario, seed)
         assert row.aou.value == pytest.approx(values["mean_aou_slots"].mean(), rel=1e-5)
