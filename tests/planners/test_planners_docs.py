@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from uavaou.csv_tables import read_csv
@@ -50,3 +51,16 @@ def test_what_they_reach_is_what_the_table_says() -> None:
                 assert number[1].replace(",", "") == f"{found[name, policy]:.{digits}f}", (name, policy)
                 compared += 1
     assert compared > 50
+
+
+def test_the_rules_of_local_information_reach_what_the_page_says() -> None:
+    table = read_csv(ROOT / "results" / "planners" / "layouts.csv")
+    policies, means = np.array(table.text("policy")), table.floats("mean_aou_slots")
+    levels = {name: float(np.exp(np.log(means[policies == name]).mean())) for name in set(policies)}
+    for name, level in levels.items():
+        assert (policies == name).sum() == 10
+        assert re.search(rf"{level:.1f} for `{name}`", PAGE), (name, level)
+    assert f"`local-greedy-parts` has {levels['local-greedy-parts'] / levels['best-first']:.3f} of `best-first`" in PAGE
+    card = (ROOT / "results" / "suites" / "any-map-local" / "README.md").read_text(encoding="utf-8")
+    (ratio,) = re.findall(r"^\| `layouts` \| `best-first` .*?\| 10 \| ([\d.]+)", card, re.M)
+    assert f"`any-map-local`, which learned, {ratio}" in PAGE
