@@ -135,7 +135,7 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
         if broken:
             lines += ["", f"{name} broke constraints: {broken}"]
     note = "below each mean: its 95 % interval over missions" if episodes > 1 else "one mission alone gives no interval"
-    return [*lines, "", note, "below each action: what the policy knows in flight (docs/planners.md)"]
+    return [*lines, "", "below each action: what the policy knows in flight (docs/planners.md)", note]
 
 
 def _cells(result: Evaluation, policy: Planner) -> list[tuple[str, str]]:

@@ -135,7 +135,8 @@ def test_fly_shows_a_mission_and_says_where_its_files_are(capsys: pytest.Capture
     assert (code, err) == (0, "")
     table, files = out.split("one mission alone gives no interval\n")
     assert all(len(line) <= WIDTH for line in table.splitlines())
-    assert [line.split()[0] for line in table.splitlines()[-3:] if line] == ["any-map", "best-first"]
+    names = [line.split()[0] for line in table.splitlines()[-6:-2]]
+    assert names == ["any-map", "local", "best-first", "everything"]
     written = [Path(line) for line in files.split()]
     assert [path.suffix for path in written] == [".html", ".json", ".png", ".pdf", ".png", ".pdf"]
     place = Path("results") / scenario_folder(Scenario.load("mine.yaml")) / "fly" / "any-map"
