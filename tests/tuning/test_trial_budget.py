@@ -82,15 +82,15 @@ def test_cpu_seconds_are_those_of_learning(tmp_path: Path, monkeypatch: pytest.M
     from uavaou.runs import recorder as callback
 
     warm_up(a_search())
-    evaluate = callback.evaluate
+    mission_means = callback.mission_means
 
     def costly(*arguments: Any) -> Any:
         until = time.process_time() + 1.0
         while time.process_time() < until:
             pass
-        return evaluate(*arguments)
+        return mission_means(*arguments)
 
-    monkeypatch.setattr(callback, "evaluate", costly)
+    monkeypatch.setattr(callback, "mission_means", costly)
     seen: list[TrainingStatus] = []
     config = load_config("mappo", SMALL | {"slots": 96, "evaluate_every_slots": 48, "epochs": 1})
     train(RunConfig(Scenario.load("tiny"), config, 0), RunFolder(tmp_path), after_update=seen.append)
