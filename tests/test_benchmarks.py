@@ -49,6 +49,7 @@ def test_memory_is_measured_in_a_process_of_its_own() -> None:
     assert 0 < first.median <= last.median
 
 
+@pytest.mark.slow
 def test_the_parts_add_up() -> None:
     measured = {m.name: m.median for m in parts(repeats=1, rollout_slots=4)}
     rollout = [value for name, value in measured.items() if name.startswith("rollout: ")]

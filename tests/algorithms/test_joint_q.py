@@ -218,6 +218,7 @@ def test_whole_masks_are_read_where_a_row_has_them() -> None:
 # -- learning --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_the_same_seed_gives_the_same_weights(learner: type[JointQLearning]) -> None:
     first, second, other = (small_model(learner, seed=seed).learn(400).policy.state_dict() for seed in (0, 0, 1))

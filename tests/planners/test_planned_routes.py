@@ -181,6 +181,7 @@ def test_gap_ages_are_those_of_the_ledger(period: int) -> None:
                 total += int(ledger.age_slots[0, 0]) if slot > last else 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", [QUICKSTART, TINY])
 @pytest.mark.parametrize("name", ["tour", "partition-tour", "anneal"])
 def test_plans_can_be_flown_as_they_are(name: str, scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -256,6 +257,7 @@ def test_a_tour_stays_home_where_nothing_is_in_reach() -> None:
         assert (planner.plan(deaf, deaf.draw_layout()).routes == deaf.cds_cells).all()
 
 
+@pytest.mark.slow
 def test_the_expected_age_is_the_mean_over_missions() -> None:
     planner = Anneal()
     found = evaluate(planner, QUICKSTART, 4000, 7).values("mean_aou_s")

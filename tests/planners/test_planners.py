@@ -37,6 +37,7 @@ def test_unknown_planner() -> None:
         make_planner("gredy")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["fixed", "resample"])
 @pytest.mark.parametrize("name", [name for name in PLANNERS if name != "exact"])  # which takes no fading
 def test_a_mission_does_not_depend_on_the_batch(name: str, layout: str, monkeypatch: pytest.MonkeyPatch) -> None:

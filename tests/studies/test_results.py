@@ -27,6 +27,7 @@ from uavaou.studies.study import Study
 from uavaou_cli.main import main
 
 
+@pytest.mark.slow
 def test_the_tables_agree_with_the_run_folders(copied: tuple[Study, Path]) -> None:
     study, out = copied
     results = read_study(out / "studies/mine")
@@ -315,6 +316,7 @@ def test_a_part_cut_off_between_two_tables_is_done_again(copied: tuple[Study, Pa
     assert len(read_study(out / "studies/mine").table("missions")["mission"]) == 3 * (4 + 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper", "ablations", "layouts"])
 def test_committed_tables_are_rewritten_to_the_same_bytes(name: str, tmp_path: Path) -> None:
     committed = Path(__file__).resolve().parents[2] / "results/studies" / name

@@ -16,6 +16,7 @@ from uavaou.suites.suite import Suite, resolve_points
 from uavaou.zoo import zoo_names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", zoo_names("suites"))
 def test_all_points_of_shipped_suites_are_feasible(name: str) -> None:
     suite = Suite.load(name)
