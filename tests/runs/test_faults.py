@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -54,10 +54,10 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Case]:
         start = Start.at(finished)
         config = start.training(start.config.scenario, {"slots": 96}, seed=1)
         if name == "from":
-            before, go_on = None, lambda folder: every_update(config, folder, start=finished, resume=True)
+            before, go_on = None, partial(every_update, config, start=finished, resume=True)
         else:
-            before, larger = finished.path, continued(finished, 336, resume=False)
-            go_on = lambda folder: every_update(larger, folder, resume=True)  # noqa: E731
+            larger = continued(finished, 336, resume=False)
+            before, go_on = finished.path, partial(every_update, larger, resume=True)
         whole = RunFolder(place / f"{name} whole")
         if before is not None:
             shutil.copytree(before, whole.path)
