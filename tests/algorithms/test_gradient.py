@@ -70,9 +70,11 @@ def test_the_fast_gradient_is_that_of_the_loss(
     assert_close(pair)
 
 
-def test_the_fast_gradient_is_that_of_the_loss_without_masks() -> None:
+@pytest.mark.parametrize("critic_input", ["global", "both"])
+def test_the_fast_gradient_is_that_of_the_loss_without_masks(critic_input: str) -> None:
     env = flatten(Scenario.load("quickstart").replace(slots=12), missions=4, observation="location")
-    model = MAPPO("CentralizedValuePolicy", env, n_steps=6, batch_size=16, seed=0, device="cpu")
+    arguments: dict[str, Any] = {"n_steps": 6, "batch_size": 16, "seed": 0, "device": "cpu"}
+    model = MAPPO("CentralizedValuePolicy", env, policy_kwargs={"critic_input": critic_input}, **arguments)
     model.learn(6 * 8)
     assert_close(both_gradients(model, np.arange(7)))
 

@@ -14,7 +14,7 @@ from tests.two_step_game import TwoStepGame, play_greedily
 from uavaou import IQL, QMIX, VDN, InputError, Scenario, flatten
 from uavaou.algorithms.qlearning.branches import UtilityNetwork
 from uavaou.algorithms.qlearning.learner import JointQLearning
-from uavaou.algorithms.qlearning.mixers import MIXERS, MonotonicMixer, NoMixer, SumMixer
+from uavaou.algorithms.qlearning.mixers import MIXERS, MonotonicMixer, NoMixer, StateValueMixer, SumMixer
 from uavaou.algorithms.qlearning.replay import JointReplay
 from uavaou.world.views import Columns, RowLayout
 
@@ -56,9 +56,20 @@ def test_an_unknown_mixer_is_refused_with_the_nearest_name() -> None:
         small_model(policy_kwargs={"mixer": "monotone"})
 
 
-@pytest.mark.parametrize("mixer", sorted(MIXERS))
+def test_vdn_may_add_a_value_of_the_state() -> None:
+    policy = small_model(policy_kwargs={"state_value_width": 8}).policy
+    utilities, states = th.randn(8, 2), th.randn(8, policy.row_layout.global_size)
+    mixer = policy.mixer
+    assert isinstance(mixer, StateValueMixer)
+    value = mixer(utilities, states)[:, 0] - utilities.sum(dim=1)  # (8,) of the state alone
+    th.testing.assert_close(mixer(utilities + 1, states)[:, 0], value + utilities.sum(dim=1) + 2)
+    assert len(value.detach().unique()) == 8
+
+
+@pytest.mark.parametrize("mixer", [*sorted(MIXERS), "sum and value"])
 def test_moving_the_statistics_moves_no_prediction(mixer: str) -> None:
-    policy = small_model({"sum": VDN, "monotonic": QMIX, "none": IQL}[mixer]).policy
+    learner = {"sum": VDN, "monotonic": QMIX, "none": IQL}.get(mixer, VDN)
+    policy = small_model(learner, policy_kwargs={"state_value_width": 8} if " " in mixer else {}).policy
     rows = th.randn(6 * 2, policy.row_layout.local_size).abs()  # all allowed
     states = th.randn(6, policy.row_layout.global_size)
     actions = policy.act(rows, None)

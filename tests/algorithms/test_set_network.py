@@ -52,7 +52,7 @@ def with_padding(buffer: SlotRolloutBuffer, layout: RowLayout) -> SlotRolloutBuf
     own, missions = buffer.row_layout, buffer.state.shape[1]
     other = SlotRolloutBuffer(
         buffer.buffer_size, buffer.observation_space, buffer.action_space, n_envs=missions * layout.uavs,
-        row_layout=layout, shared_critic=buffer.shared_critic,
+        row_layout=layout, critic_input=buffer.critic_input,
     )  # fmt: skip
     for name in ARRAYS:
         array = getattr(buffer, name)

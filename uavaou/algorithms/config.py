@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
 
-from uavaou.fields import NonNegative, Positive, PositiveWhole
+from uavaou.fields import NonNegative, Positive, PositiveWhole, Whole
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -120,11 +120,11 @@ class LearnerConfig(AlgorithmConfig):
         }
 
 
-class MappoConfig(LearnerConfig):
-    """MAPPO and IPPO; the fields are the arguments of :class:`uavaou.MAPPO` and its policy."""
+class IppoConfig(LearnerConfig):
+    """IPPO; the fields are the arguments of :class:`uavaou.IPPO` and its policy."""
 
     adam = {"fused": True, "eps": 1e-5}
-    name: Literal["mappo", "ippo"] = "mappo"
+    name: Literal["mappo", "ippo"] = "ippo"
     rollout_slots: Annotated[PositiveWhole, Field(le=1_000_000)]  # slots a mission between updates
     batch_rows: PositiveWhole  # agent steps in a minibatch
     epochs: Annotated[PositiveWhole, Field(le=1000)]
@@ -157,10 +157,26 @@ class MappoConfig(LearnerConfig):
         }
 
 
-class JointQConfig(LearnerConfig):
-    """VDN and IQL; the fields are the arguments of :class:`uavaou.VDN` and its policy."""
+class MappoConfig(IppoConfig):
+    """MAPPO: also what its critic reads."""
 
-    name: Literal["vdn", "iql", "qmix"] = "vdn"
+    name: Literal["mappo"] = "mappo"
+    critic_input: Literal["global", "both"] = "global"  # both: [local | global], of each UAV, in flat rows
+
+    @model_validator(mode="after")
+    def _both_is_flat(self) -> Self:
+        if self.critic_input == "both" and self.network == "set":
+            raise ValueError("critic_input = both: needs network = mlp; the global state of a set holds all tokens")
+        return self
+
+    def _policy_arguments(self) -> dict[str, Any]:
+        return super()._policy_arguments() | {"critic_input": self.critic_input}
+
+
+class JointQConfig(LearnerConfig):
+    """IQL, and what VDN and QMIX share with it; the fields are the arguments of :class:`uavaou.VDN` and its policy."""
+
+    name: Literal["vdn", "iql", "qmix"] = "iql"
     replay_slots: PositiveWhole  # slots of all missions together in the replay
     learning_starts: PositiveWhole  # slots of all missions together before the first gradient step
     batch_slots: PositiveWhole  # joint transitions in a gradient step
@@ -204,6 +220,16 @@ class JointQConfig(LearnerConfig):
             "exploration_final_eps": self.epsilon_end,
             "exploration_fraction": self.epsilon_fraction,
         }
+
+
+class VdnConfig(JointQConfig):
+    """VDN: also a value of the global state beside the sum, as QMIX has."""
+
+    name: Literal["vdn"] = "vdn"
+    state_value_width: Annotated[Whole, Field(ge=0, le=4096)] = 0  # hidden units of V(s); 0: Q_tot is the sum alone
+
+    def _policy_arguments(self) -> dict[str, Any]:
+        return super()._policy_arguments() | {"state_value_width": self.state_value_width}
 
 
 class QmixConfig(JointQConfig):

@@ -19,7 +19,15 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uavaou.algorithms.config import AlgorithmConfig, JointQConfig, LearnerConfig, MappoConfig, QmixConfig
+from uavaou.algorithms.config import (
+    AlgorithmConfig,
+    IppoConfig,
+    JointQConfig,
+    LearnerConfig,
+    MappoConfig,
+    QmixConfig,
+    VdnConfig,
+)
 from uavaou.errors import InputError, unknown
 from uavaou.fields import validated
 from uavaou.zoo import read_yaml_mapping, zoo_folder
@@ -202,8 +210,8 @@ def make_model(config: AlgorithmConfig, env: MissionVecEnv, seed: int, device: s
 
 _OWN: tuple[tuple[str, type[LearnerConfig], str], ...] = (
     ("mappo", MappoConfig, "mappo"),
-    ("ippo", MappoConfig, "mappo"),  # another critic input
-    ("vdn", JointQConfig, "vdn"),
+    ("ippo", IppoConfig, "mappo"),  # another critic input
+    ("vdn", VdnConfig, "vdn"),
     ("qmix", QmixConfig, "qmix"),
     ("iql", JointQConfig, "vdn"),  # another mixer
 )

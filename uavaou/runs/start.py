@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 # The settings that the shapes of the weights follow from.
-_OF_THE_NETWORK = ("network", "observation", "collection", "hidden", "mixer_width", "hypernet_width")
+_OF_THE_NETWORK = (
+    "network", "observation", "collection", "hidden", "critic_input", "state_value_width", "mixer_width",
+    "hypernet_width",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -109,8 +109,7 @@ class MAPPO(SafeSaveLoad, PPO):
         self.advantage_normalization = advantage_normalization
         self.critic_learning_rate = critic_learning_rate
         policy_kwargs = self._policy_arguments(env, policy_kwargs, critic_input=self.critic_input)
-        shared_critic = policy_kwargs["critic_input"] == "global"
-        buffer_kwargs = {"row_layout": policy_kwargs.get("row_layout"), "shared_critic": shared_critic}
+        buffer_kwargs = {"row_layout": policy_kwargs.get("row_layout"), "critic_input": policy_kwargs["critic_input"]}
         kwargs.setdefault("rollout_buffer_class", SlotRolloutBuffer)
         kwargs.setdefault("rollout_buffer_kwargs", buffer_kwargs)
         rows_in_rollout = n_steps * (1 if env is None else env.num_envs)

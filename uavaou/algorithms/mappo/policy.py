@@ -10,13 +10,13 @@ from torch import nn
 
 from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.action_head import MoveAndDeviceLogits, MoveSelectionDistribution
-from uavaou.algorithms.nets.mlp import ACTIVATIONS
+from uavaou.algorithms.nets.mlp import ACTIVATIONS, mlp
 from uavaou.algorithms.nets.set_encoder import check_network, make_body
 from uavaou.algorithms.nets.value_norm import PopArt, ValueScale
-from uavaou.errors import unknown
+from uavaou.errors import InputError, unknown
 from uavaou.world.views import RowLayout
 
-CRITIC_INPUTS = ("global", "local")
+CRITIC_INPUTS = ("global", "local", "both")
 
 
 def inherits(instance: object, base: type, *methods: str) -> bool:
@@ -35,7 +35,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     Args:
         observation_space, action_space, lr_schedule: as SB3 passes them.
         row_layout: names the columns of a row; :class:`~uavaou.MAPPO` takes it from the VecEnv.
-        critic_input: ``global`` (MAPPO) or ``local`` (IPPO).
+        critic_input: ``global`` (MAPPO), ``local`` (IPPO), or ``both``: a UAV's whole row, flat.
         network: ``mlp``, or ``set`` for rows of entities: weights that fit any number of UAVs and devices.
         net_arch: hidden layer sizes of actor and critic; of a ``set``, after its encoder.
         activation: ``relu`` or ``tanh``.
@@ -66,6 +66,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         if activation not in ACTIVATIONS:
             raise unknown("activation", activation, ACTIVATIONS)
         check_network(network, row_layout)
+        if critic_input == "both" and network == "set":
+            raise InputError("critic_input = 'both': expected network = 'mlp'")
         self.row_layout = row_layout
         self.network = network
         self.critic_input = critic_input
@@ -88,7 +90,11 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         self.actor_body = make_body(layout.local, *network, selects=by_token)
         head: nn.Linear = self.action_dist.proba_distribution_net(self._hidden[-1], 0 if by_token else devices)
         of_slot = self.critic_input == "global"
-        self.critic_body = make_body(layout.state if of_slot else layout.local, *network)
+        self.critic_body = (
+            mlp(layout.local_size + layout.global_size, self._hidden, self._activation)
+            if self.critic_input == "both"
+            else make_body(layout.state if of_slot else layout.local, *network)
+        )
         self.value_net = PopArt(self._hidden[-1])
         for module, gain in ((head, 0.01), (self.value_net.linear, 1.0)):
             nn.init.orthogonal_(module.weight, gain=gain)
@@ -146,7 +152,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         return self.distribution_of(self.symmetries.mean(self.logits, local), local)
 
     def normalised_values(self, critic_rows: th.Tensor) -> th.Tensor:
-        """Normalised values of critic inputs (B, global) or, for IPPO, (B, local); (B,)."""
+        """Normalised values of critic inputs (B, global), (B, local) or (B, local + global); (B,)."""
         values: th.Tensor = self.value_net(self.critic_body(critic_rows))
         return values[:, 0]
 
@@ -172,8 +178,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     def predict_values(self, obs: th.Tensor) -> th.Tensor:  # type: ignore[override]
         """Values of rows, (B, 1); the critic evaluates each slot's state once where the rows are whole slots."""
         local_size, uavs = self.row_layout.local_size, self.row_layout.uavs
-        if self.critic_input == "local":
-            return self.critic_values(obs[:, :local_size])[:, None]
+        if self.critic_input != "global":
+            return self.critic_values(obs[:, :local_size] if self.critic_input == "local" else obs)[:, None]
         states = obs[:, local_size:]
         if len(states) % uavs == 0:
             slots = states.view(-1, uavs, states.shape[1])  # (slots, U, global)

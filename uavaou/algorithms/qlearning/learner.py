@@ -152,7 +152,7 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
 class VDN(JointQLearning):
     """Value decomposition networks: Q_tot is the sum of the UAVs' utilities (Sunehag et al. 2018, arXiv 1706.05296).
 
-    Arguments: :class:`JointQLearning`.
+    Arguments: :class:`JointQLearning`; ``policy_kwargs`` takes ``state_value_width``, of a value V(s) beside the sum.
     """
 
     mixer: ClassVar[str] = "sum"

@@ -106,6 +106,32 @@ class SetSumMixer(SumMixer):
             self.bias.mul_(ratio).add_(shift)
 
 
+class StateValueMixer(Mixer):
+    """Q_tot = V(s) + sum_u Q_u: VDN with QMIX's value of the state, but without its weights.
+
+    Args:
+        inner: the sum.
+        features: makes (B, size) of the states.
+        size: of these features.
+        hypernet_width: units of the hidden layer of V.
+    """
+
+    def __init__(self, inner: SumMixer, features: nn.Module, size: int, hypernet_width: int) -> None:
+        nn.Module.__init__(self)
+        self.inner, self.features = inner, features
+        self.value = _hypernet(size, hypernet_width, 1)
+
+    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+        """Q_tot, (B, 1)."""
+        mixed: th.Tensor = self.inner(utilities, states) + self.value(self.features(states))
+        return mixed
+
+    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
+        """Rescale the sum, which takes the shift, and the value."""
+        self.inner.rescale(network, ratio, shift)
+        rescale_linear(cast("Linear", self.value[-1]), ratio)
+
+
 class SetMixer(MonotonicMixer):
     """QMIX's mixing network for any number of UAVs: each UAV's token in the state gives its weights.
 
@@ -129,8 +155,24 @@ class SetMixer(MonotonicMixer):
         return self._mix(utilities, self.first_weights(inputs).abs() * tokens[..., :1], features)
 
 
-def make_mixer(name: str, network: str, layout: RowLayout, width: int, hypernet_width: int) -> Mixer:
-    """Make a mixer of a known name for rows of a layout; ``network`` is ``set`` for any number of UAVs."""
+def make_mixer(
+    name: str, network: str, layout: RowLayout, width: int, hypernet_width: int, state_value_width: int = 0
+) -> Mixer:
+    """Make a mixer of a known name for rows of a layout.
+
+    Args:
+        name: of :data:`MIXERS`.
+        network: ``set`` for any number of UAVs.
+        layout: of the rows.
+        width, hypernet_width: as :class:`Mixer`'s.
+        state_value_width: hidden units of a value of the state beside the sum; 0: there is none.
+    """
+    if state_value_width and name == "sum":
+        inner = cast("SumMixer", make_mixer(name, network, layout, width, hypernet_width))
+        if network == "mlp":
+            return StateValueMixer(inner, nn.Identity(), layout.global_size, state_value_width)
+        encoder = SetEncoder(layout.state)
+        return StateValueMixer(inner, encoder, encoder.size, state_value_width)
     if network == "mlp" or name == "none":
         return MIXERS[name](layout.uavs, layout.global_size, width, hypernet_width)
     return SetSumMixer(layout.state) if name == "sum" else SetMixer(layout.state, width, hypernet_width)

@@ -37,6 +37,7 @@ class JointQPolicy(LocalPolicy):
         masks: whether choices, targets and exploration leave out what is not allowed; without masks the World
             rejects it. The observation is the same.
         mixer_width, hypernet_width: hidden units of the monotonic mixer and of the networks that give its weights.
+        state_value_width: hidden units of a value of the state that the ``sum`` gets; 0: none.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class JointQPolicy(LocalPolicy):
         masks: bool = True,
         mixer_width: int = 32,
         hypernet_width: int = 64,
+        state_value_width: int = 0,
         **kwargs: Any,
     ) -> None:
         for name, value, known in (("activation", activation, ACTIVATIONS), ("mixer", mixer, MIXERS)):
@@ -68,7 +70,7 @@ class JointQPolicy(LocalPolicy):
         self.selection_bias = selection_bias
         self.masks = masks
         self.utilities = self.make_utilities()
-        self.mixer = make_mixer(mixer, network, row_layout, mixer_width, hypernet_width)
+        self.mixer = make_mixer(mixer, network, row_layout, mixer_width, hypernet_width, state_value_width)
         self.target_utilities = deepcopy(self.utilities).requires_grad_(False)
         self.target_mixer = deepcopy(self.mixer).requires_grad_(False)
         self.returns = ReturnStatistics(decay=0.9)
