@@ -36,7 +36,9 @@ def zoo_or_file(kind: str, source: str | Path) -> Path:
         InputError: no configuration has the name, or there is no such file.
     """
     name, names = str(source), zoo_names(kind)
-    singular = kind.removesuffix("ies") + "y" if kind.endswith("ies") else kind.removesuffix("s")
+    plurals = {"ies": "y", "ches": "ch", "s": ""}
+    ending = next(plural for plural in plurals if kind.endswith(plural))
+    singular = kind.removesuffix(ending) + plurals[ending]
     if name in names:
         return zoo_path(kind, name)
     looks_like_file = name.endswith((".yaml", ".yml")) or "/" in name

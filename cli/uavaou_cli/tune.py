@@ -15,7 +15,7 @@ from uavaou_cli.options import Quiet, ScenarioName, budget, number, option, stat
 from uavaou_cli.options import seconds as seconds_option
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TuningDisplay, stopped
-from uavaou_cli.tables import aligned, figure, show, wrapped
+from uavaou_cli.tables import aligned, duration, figure, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.algorithms.config import AlgorithmConfig
@@ -55,13 +55,27 @@ def tune(
     set_: Annotated[
         list[str] | None, option("Change scenario.FIELD; fix algorithm.FIELD. Repeatable.", "KEY=VALUE", "--set")
     ] = None,
+    search: Annotated[
+        str | None, option("Search for several algorithms at equal budgets: a name (local) or a YAML file.")
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Search for better settings, on validation missions, at equal budgets.
 
     Writes DIR/<scenario>/<algorithm>/: tune.csv, best.yaml, and a run folder for each trial. The same
     command goes on with a search that was stopped; processes on several machines can share one.
+    `--search` writes DIR/<name>/: search.csv, and the same for each stage of each algorithm.
     """
+    if search is not None:
+        others = {
+            "SCENARIO": scenario or scenario_option, "--algorithm": algorithm, "--seconds": seconds, "--slots": slots,
+            "--trials": trials, "--from": from_, "--top": top, "--space": space, "--set": set_ or None,
+        }  # fmt: skip
+        for name, given in others.items():
+            if given is not None:
+                raise InputError(f"--search and {name}: give one of them; the search's file says everything")
+        _play_all(ctx, search, jobs, out, quiet)
+        return
     if (seconds is None) == (slots is None):
         raise InputError("each trial's budget: give --seconds S or --slots N, one of them")
     overrides = parse_overrides(set_ or [])
@@ -82,12 +96,20 @@ def tune(
 
     source = stated_scenario(scenario, scenario_option) or DEFAULT_SCENARIO
     base = Scenario.load(source)
-    search = Search(overrides.of_scenario(base), settings, varied, seconds, slots, seed, first)
+    searched = Search(overrides.of_scenario(base), settings, varied, seconds, slots, seed, first)
     run = run_folder(out, base, overrides.scenario, settings.name, overrides.algorithm, seed)
     folder = SearchFolder(run.path.parent)
     if from_ is not None and realpath(folder.path) == realpath(from_):
         raise InputError(f"--from {from_}: the best of it would go into its own folder: choose another --out")
     wanted = top or trials or DEFAULT_TRIALS
+    records = _play(ctx, folder, searched, wanted, jobs, quiet)
+    show(_lines(folder, searched, records, source, ctx.obj["plugins"]))
+
+
+def _play(
+    ctx: typer.Context, folder: SearchFolder, search: Search, wanted: int, jobs: int, quiet: bool
+) -> list[TrialRecord]:
+    """Go on with a search until so many trials have ended."""
     from uavaou.tuning.trials import read_trials, run_search
 
     writable_folder(folder.path)
@@ -95,10 +117,55 @@ def tune(
     try:
         with TuningDisplay(quiet, wanted, search.scenario.slot_length_s) as progress:
             progress.show(read_trials(folder))
-            records = run_search(folder, wanted, jobs, ctx.obj["plugins"], progress.show)
+            return run_search(folder, wanted, jobs, ctx.obj["plugins"], progress.show)
     except KeyboardInterrupt as error:
         raise stopped(ctx.obj["arguments"], error) from None
-    show(_lines(folder, search, records, source, ctx.obj["plugins"]))
+
+
+def _play_all(ctx: typer.Context, name: str, jobs: int, out: Path, quiet: bool) -> None:
+    """Go on with a search for several algorithms, stage by stage."""
+    from uavaou.tuning.tournament import Tournament, write_table
+    from uavaou.tuning.trials import read_trials
+
+    tournament = Tournament.load(name)
+    if not quiet:
+        show(wrapped(
+            f"search {tournament.name}: {len(tournament.arms)} arms, {len(tournament.stages)} stages, "
+            f"{tournament.trainings} trainings; as a whole about {duration(tournament.cpu_s)} of CPU, "
+            f"{duration(tournament.cpu_s / jobs)} with --jobs {jobs}"
+        ))  # fmt: skip
+    table = out / tournament.name / "search.csv"
+    found: dict[tuple[str, int], list[TrialRecord]] = {}
+    for contest in tournament.contests(out):
+        ended = [] if contest.before is None else read_trials(contest.before)
+        search = tournament.search(contest, ended)
+        settings = contest.stage.trials or len(search.first)
+        if not quiet:
+            show([f"{contest.arm}, stage {contest.number}: {settings} settings"])
+        found[contest.arm, contest.number] = _play(ctx, contest.folder, search, settings, jobs, quiet)
+        write_table(table, tournament, out, found)
+    last = {arm: _ranked_lines(records, tournament.scenario.slot_length_s) for (arm, _), records in found.items()}
+    lines = [line for arm, told in last.items() for line in ("", arm, *told)]
+    show([*lines[1:], "", f"table:  {table}"])
+
+
+def _ranked_lines(records: Sequence[TrialRecord], slot_length_s: float) -> list[str]:
+    """The trials of a stage, the best first: the geometric mean AoU of each, and that of each of its layouts."""
+    from uavaou.tuning.search import geometric_mean, ranked
+
+    best = ranked(records)[:_BEST_TRIALS]
+    layouts = sorted({one.layout_seed for record in best for one in record.trainings})
+    rows = [("trial", "mean AoU (slots)", *(f"layout {layout}" for layout in layouts), "trainings")]
+    for record in best:
+        assert record.score is not None
+        cells = []
+        for layout in layouts:
+            scores = [one.score / slot_length_s for one in record.trainings if one.layout_seed == layout]
+            among = f" ({figure(min(scores))}-{figure(max(scores))})" if len(scores) > 1 else ""
+            cells.append(f"{figure(geometric_mean(scores))}{among}" if scores else "-")
+        score = figure(record.score / slot_length_s)
+        rows.append((str(record.number), score, *cells, str(len(record.trainings))))
+    return aligned(rows)
 
 
 def _start(name: str, space: Path | None, overrides: Overrides) -> Start:

@@ -28,7 +28,15 @@ from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.interrupt import children_ignore_ctrl_c, interrupt_at_sigterm
 from uavaou.runs.recorder import AfterUpdate, TrainingStatus
 from uavaou.runs.train import train
-from uavaou.tuning.search import REPORTS, Search, SearchFolder, TrialRecord, write_results
+from uavaou.tuning.search import (
+    REPORTS,
+    Search,
+    SearchFolder,
+    TrainingScore,
+    TrialRecord,
+    geometric_mean,
+    write_results,
+)
 
 try:
     import optuna
@@ -50,6 +58,7 @@ _LOOK_EVERY_S = 0.5
 _PATIENCE_S = 20.0  # for workers to end by themselves after an interrupt
 
 
+_BUDGET, _ENDED = "budget", "trainings"  # Optuna's attributes of a trial: slots of a training, and those that ended
 _REFUSED = 2  # exit code of a worker that has met an InputError
 
 
@@ -207,33 +216,29 @@ def _recover(folder: SearchFolder, study: optuna.Study) -> None:
 
 
 def _give_back(study: optuna.Study, trial: FrozenTrial | Trial) -> None:
-    """End a trial that was not played, and queue its values."""
+    """End a trial that was not played, and queue its values with the trainings that have ended."""
+    kept = {name: trial.user_attrs[name] for name in (_BUDGET, _ENDED) if name in trial.user_attrs}
     study.tell(trial.number, state=TrialState.FAIL)  # without a reason: it does not count
-    study.enqueue_trial(trial.params)
+    study.enqueue_trial(trial.params, user_attrs=kept)
 
 
 def _play(folder: SearchFolder, search: Search, study: optuna.Study, trial: Trial, values: dict[str, Any]) -> None:
     """Train a trial to its budget, unless it is pruned or cannot be trained, and tell the study."""
-    run = folder.trial(trial.number)
+    run = folder.trial(trial.number)  # of the training in progress
     try:
-        slots = search.slots or affordable_slots(search, values)
-
-        def report(status: TrainingStatus) -> None:
-            """Report an evaluation to Optuna, by the tenth of the budget; end the training where Optuna prunes it."""
-            if not status.evaluated or status.best_score is None:
-                return
-            tenth = min(status.slots * REPORTS // slots, REPORTS)
-            trial.report(status.best_score, tenth)
-            for name in ("slots", "cpu_s", "best_score", "best_action"):
-                trial.set_user_attr(name, getattr(status, name))
-            if tenth < REPORTS and trial.should_prune():
-                raise optuna.TrialPruned
-
-        config = RunConfig(search.scenario, search.settings(values, slots), search.seed)
-        outcome = train(config, run, device="cpu", after_update=report, checkpoint_every_s=math.inf)
-        if outcome.stopped_by is not None:
-            raise KeyboardInterrupt
-        study.tell(trial, outcome.progress.best_score)
+        slots = trial.user_attrs.get(_BUDGET) or search.slots or affordable_slots(search, values)
+        trial.set_user_attr(_BUDGET, slots)
+        trainings = search.trainings(values, slots)
+        scores = _Scores(trial, slots, len(trainings))
+        for config in trainings[len(scores.ended) :]:
+            run = folder.training(trial.number, search, config)
+            outcome = train(config, run, device="cpu", after_update=scores.report, checkpoint_every_s=math.inf)
+            if outcome.stopped_by is not None:
+                raise KeyboardInterrupt
+            scores.end(config)
+            for checkpoint in (run.last, run.previous):  # a training is not resumed
+                checkpoint.unlink(missing_ok=True)
+        study.tell(trial, geometric_mean([one.score for one in scores.ended]))
     except InputError as problem:
         if isinstance(problem.__cause__, OSError):  # a full disk is no fault of these settings
             with suppress(OSError):
@@ -247,8 +252,54 @@ def _play(folder: SearchFolder, search: Search, study: optuna.Study, trial: Tria
         _give_back(study, trial)
         shutil.rmtree(run.path, ignore_errors=True)
         raise
-    for checkpoint in (run.last, run.previous):  # a trial is not resumed
+    for checkpoint in (run.last, run.previous):
         checkpoint.unlink(missing_ok=True)
+
+
+class _Scores:
+    """What a trial's trainings have reached, for Optuna: the geometric mean of those so far.
+
+    Trials have the same trainings in the same order, so that they are compared at equal parts of their budgets.
+    """
+
+    def __init__(self, trial: Trial, slots: int, trainings: int) -> None:
+        self.ended = _ended(trial)
+        self._trial, self._slots, self._trainings = trial, slots, trainings
+        self._status: TrainingStatus | None = None  # of the training in progress, at its last evaluation
+        self._tenth = 0  # that was reported last
+
+    def report(self, status: TrainingStatus) -> None:
+        """Report an evaluation to Optuna, by the tenth of the budget; end the training where Optuna prunes it."""
+        if not status.evaluated or status.best_score is None:
+            return
+        self._status = status
+        score = geometric_mean([*(one.score for one in self.ended), status.best_score])
+        actions = dict.fromkeys([*(one.action for one in self.ended), status.best_action])
+        cpu_s = math.fsum([*(one.cpu_s for one in self.ended), status.cpu_s])
+        told = {"slots": status.slots, "cpu_s": cpu_s, "best_score": score, "best_action": ", ".join(actions)}
+        for name, value in told.items():
+            self._trial.set_user_attr(name, value)
+        done = len(self.ended) * self._slots + min(status.slots, self._slots)
+        tenth = done * REPORTS // (self._trainings * self._slots)
+        if tenth > self._tenth:  # of many trainings, several evaluations fall into one
+            self._tenth = tenth
+            self._trial.report(score, tenth)
+            if tenth < REPORTS and self._trial.should_prune():
+                raise optuna.TrialPruned
+
+    def end(self, config: RunConfig) -> None:
+        """Keep what the training has reached, also for a trial that is played again."""
+        status = self._status
+        assert status is not None
+        assert status.best_score is not None
+        place = config.scenario.layout_seed, config.seed
+        score = TrainingScore(*place, status.best_score, status.best_action, status.slots, status.cpu_s)
+        self.ended.append(score)
+        self._trial.set_user_attr(_ENDED, [list(one) for one in self.ended])
+
+
+def _ended(trial: Trial | FrozenTrial) -> list[TrainingScore]:
+    return [TrainingScore(*one) for one in trial.user_attrs.get(_ENDED, [])]
 
 
 def _records(study: optuna.Study) -> list[TrialRecord]:
@@ -262,6 +313,7 @@ def _records(study: optuna.Study) -> list[TrialRecord]:
             cpu_s=trial.user_attrs.get("cpu_s"),
             reason=trial.user_attrs.get("reason", ""),
             values=dict(trial.params),
+            trainings=tuple(_ended(trial)),
         )
         for trial in study.get_trials(deepcopy=False)
     ]
