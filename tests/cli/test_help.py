@@ -21,7 +21,7 @@ COMMANDS = {
     "train": "SCENARIO --scenario --family --algorithm --seed --slots --config --from --continue --out --resume "
     "--checkpoint-every --device --backend --set --quiet",
     "tune": "SCENARIO --scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out "
-    "--set --quiet",
+    "--set --search --quiet",
     "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --json --out --set --quiet",
     "fly": "SCENARIO --scenario --policy --seed --out --set --quiet",
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --set --quiet",

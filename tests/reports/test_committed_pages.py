@@ -25,7 +25,7 @@ def test_the_committed_page_comes_out_of_the_committed_tables(tmp_path: Path, fo
         folder, copy, ignore=shutil.ignore_patterns("figures", "best", "configs", "README.md", "marl-eval*")
     )
     assert write_report(copy, tmp_path / "README.md") == []
-    for name in ("README.md", "marl-eval.json"):
+    for name in ("README.md", "trainings.csv", "marl-eval.json"):
         assert (copy / name).read_text(encoding="utf-8") == (folder / name).read_text(encoding="utf-8"), name
 
 

@@ -21,12 +21,14 @@ from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.replay.page import STUDY_REPLAY, write_study_replay
 from uavaou.reports.scores import PolicyScores, below_bound, study_scores
 from uavaou.reports.training_claims import SMOOTHED, WITHIN
+from uavaou.reports.trainings import trainings_section, write_trainings
 from uavaou.reports.verdicts import Claim
 from uavaou.runs.lock import HeldError, one_writer
 from uavaou.studies.condense import gather, refuse_another, update_results
 from uavaou.studies.folder import PartKey, StudyFolder
 from uavaou.studies.marl_eval import to_marl_eval
 from uavaou.studies.results import StudyResults, read_begun, read_study
+from uavaou.studies.structure import not_needed
 from uavaou.studies.study import Study
 
 _NOTE = """\
@@ -108,7 +110,7 @@ def _tell(problems: Mapping[PartKey, str], remark: Callable[[str], None]) -> Non
 
 
 def write_report(folder: Path, results_page: Path) -> list[str]:
-    """Write ``README.md`` and ``marl-eval.json`` in a study's folder.
+    """Write ``README.md``, ``trainings.csv`` and ``marl-eval.json`` in a study's folder.
 
     Args:
         folder: ``results/studies/<name>``.
@@ -130,6 +132,7 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
         _unfinished(results),
         *(f"**Something is wrong: {line}.**" for line in remarks),
         *_results(results),
+        *trainings_section(results),
         *_comparison(results),
     ]
     claims = judge(results) if results.settings.get("claims") else None
@@ -137,6 +140,7 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
         parts += ["## The paper's claims", claims_markdown(claims)]
     write_text(folder / "README.md", "\n\n".join(part for part in parts if part) + "\n")
     if results.algorithms:
+        write_trainings(folder / "trainings.csv", results)
         write_json(folder / "marl-eval.json", to_marl_eval(results))
     if claims is None:
         return remarks
@@ -150,8 +154,14 @@ def _unfinished(results: StudyResults) -> str:
     """How many trainings there are of how many, where some are missing, and which parts have failed."""
     stated = [results.settings.get(field) for field in ("variants", "scenarios", "seeds")]
     wanted = set(product(*(part if isinstance(part, dict | list) else () for part in stated)))
+    unneeded = not_needed(results, results.settings)
+    wanted -= unneeded
     done = wanted & results.parts.keys()
     lines = []
+    if unneeded:
+        lines.append(
+            f"{len(unneeded):,} trainings are not needed: whatever they did, no verdict on strays would change."
+        )
     if done != wanted:
         lines.append(f"**Not finished: {len(done):,} of {len(wanted):,} trainings are done.** This page covers these.")
     failures = results.folder.read_failures()

@@ -8,6 +8,7 @@ from uavaou.runs.lock import holder
 from uavaou.studies.condense import is_trained, refuse_another, trained_so_far
 from uavaou.studies.folder import ANNEALED, PLAN, PartKey, StudyFolder
 from uavaou.studies.results import StudyResults, read_begun
+from uavaou.studies.structure import not_needed
 from uavaou.studies.study import Study, StudyRun
 
 
@@ -16,7 +17,7 @@ class PartStatus:
     """The state of a training, a planner or a bound."""
 
     key: PartKey
-    state: str  # finished, trained (but not evaluated), running, failed, stopped or waiting
+    state: str  # finished, trained (but not evaluated), running, failed, stopped, waiting or not needed
     slots: int | None = None  # trained; None for planners and bounds
     budget: int | None = None  # slots of the training
     rate: float = 0.0  # slots a second while it runs
@@ -33,7 +34,11 @@ def study_status(study: Study, out: Path) -> list[PartStatus]:
     results = read_begun(folder)
     refuse_another(study, results)
     failures, working = folder.read_failures(), folder.read_working()
-    parts = [_run_status(study, out, run, results, failures) for run in study.runs()]
+    unneeded = not_needed(results, study.resolved())
+    parts = [
+        PartStatus(run.key, "not needed") if run.key in unneeded else _run_status(study, out, run, results, failures)
+        for run in study.runs()
+    ]
     for key in study.planner_parts():
         if key in results.parts:
             parts.append(PartStatus(key, "finished"))
@@ -69,6 +74,6 @@ def _run_status(
 def seconds_left(parts: list[PartStatus]) -> float | None:
     """Until the trainings of a study end at the rate of those that run now; None where none does."""
     rate = sum(part.rate for part in parts)
-    open_parts = [part for part in parts if part.state not in ("finished", "failed")]
+    open_parts = [part for part in parts if part.state not in ("finished", "failed", "not needed")]
     left = sum(max((part.budget or 0) - (part.slots or 0), 0) for part in open_parts)
     return left / rate if rate else None

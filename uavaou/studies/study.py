@@ -18,7 +18,7 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, nearest, unknown
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED, MOST_EPISODES
-from uavaou.fields import Positive, PositiveWhole, short, validated
+from uavaou.fields import Positive, PositiveWhole, Whole, short, validated
 from uavaou.plain_yaml import to_yaml
 from uavaou.planners import PLANNERS, ROUTE_PLANNERS
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
@@ -82,6 +82,8 @@ class StudySettings(BaseModel, frozen=True, extra="forbid"):
     episodes: Annotated[PositiveWhole, Field(le=MOST_EPISODES)] = 100  # missions of the final evaluation
     reference: StrictStr | None = None  # the variant that the report compares the others with; None: no such table
     claims: StrictBool = False  # whether the report judges the paper's claims
+    held: Annotated[list[Annotated[Whole, Field(ge=0)]] | None, Field(min_length=1)] = None  # devices; see structure.py
+    until_decided: StrictBool = False  # whether seeds are left out that cannot change a verdict on strays
 
 
 class StudyFile(StudySettings):
@@ -182,7 +184,11 @@ class Study(StudySettings):
 
     def to_yaml(self) -> str:
         """The content of ``study.yaml``: everything resolved."""
-        content = {
+        return to_yaml(self.resolved(), width=120)
+
+    def resolved(self) -> dict[str, Any]:
+        """Every setting of every run, by plain names and values."""
+        return {
             "schema": SCHEMA,
             "name": self.name,
             "description": self.description,
@@ -195,10 +201,11 @@ class Study(StudySettings):
             "reference": self.reference,
             "claims": self.claims,
             "against": self.against,
+            **({"held": self.held} if self.held else {}),
+            **({"until_decided": True} if self.until_decided else {}),
             "variants": {name: config.model_dump(mode="json") for name, config in self.variants.items()},
             "scenarios": {name: scenario.to_dict() for name, scenario in self.scenarios.items()},
         }
-        return to_yaml(content, width=120)
 
 
 def _scenario(entry: Any, source: str, path: Path) -> tuple[str, Scenario]:
@@ -254,6 +261,7 @@ def _check(study: Study, source: str) -> None:
             raise InputError(f"{source}: planners: {unknown('planner', planner, [*PLANNERS, *released])}")
     _check_distinct(study.planners, f"{source}: planners")
     _check_comparisons(study, source)
+    _check_structure(study, source)
     planned = ["bound: true"] if study.bound else []
     planned += [f"planners: {name}" for name in study.planners if name in _PLAN_AHEAD]
     for name, scenario in study.scenarios.items():
@@ -265,6 +273,16 @@ def _check(study: Study, source: str) -> None:
         if same != run.key:
             names = " and ".join(f"'{a}' and '{b}'" for a, b in zip(run.key, same, strict=True) if a != b)
             raise InputError(f"{source}: {names} are the same training under two names: leave one out")
+
+
+def _check_structure(study: Study, source: str) -> None:
+    """The devices that are to be held must be there, and a rule that ends a study needs them and a reference."""
+    for name, scenario in study.scenarios.items() if study.held else ():
+        if max(study.held or ()) >= scenario.devices or scenario.layout == "resample":
+            expected = f"expected devices from 0 to {scenario.devices - 1} of a fixed layout, on scenario '{name}'"
+            raise InputError(f"{source}: held = {study.held}: {expected}")
+    if study.until_decided and not (study.held and study.reference):
+        raise InputError(f"{source}: until_decided = True: needs held and reference, which say what is decided")
 
 
 def _check_comparisons(study: Study, source: str) -> None:

@@ -1,0 +1,77 @@
+"""The structure of trainings: what is held, who strays, and when a comparison is decided."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import hypergeom
+
+from uavaou import InputError
+from uavaou.statistics.counts import fisher, is_decided
+from uavaou.studies.folder import PartKey
+from uavaou.studies.results import read_study
+from uavaou.studies.structure import held_devices, strays, structures
+from uavaou.studies.study import Study
+
+RESULTS = Path(__file__).resolve().parents[2] / "results" / "studies"
+
+
+def test_the_strays_on_paper_are_the_two_that_are_known() -> None:
+    found = structures(read_study(RESULTS / "paper"))
+    compared = {key: one for key, one in found.items() if key.variant != "vdn"}
+    assert len(compared) == 15
+    assert [key for key, one in compared.items() if one.strays] == [
+        PartKey("mappo", "paper", 1),
+        PartKey("ippo", "paper", 2),
+    ]
+    assert {one.held for one in compared.values() if not one.strays} == {(17, 18, 22)}
+    assert [strays(found, name, "paper") for name in ("mappo", "vdn", "qmix")] == [(1, 5), (5, 5), (0, 5)]
+
+
+def test_stated_devices_take_the_place_of_the_commonest() -> None:
+    results = read_study(RESULTS / "paper")
+    results.settings["held"] = [18]
+    found = structures(results)
+    assert {key.variant for key, one in found.items() if one.strays} == {"vdn"}
+
+
+def test_only_devices_of_the_shortest_period_are_held() -> None:
+    devices: dict[str, Any] = {
+        "device": np.arange(4),
+        "update_period_slots": np.array([2, 2, 4, 2]),
+        "communications": np.array([46.0, 44.0, 25.0, 45.0]),  # of 50, 50, 25 and 50 in 100 slots
+    }
+    assert held_devices(devices, 100) == (0, 3)
+
+
+def test_fishers_test_is_that_of_the_hypergeometric_distribution() -> None:
+    for first, second in ((5, 0), (3, 1), (0, 0)):
+        chances = hypergeom(40, first + second, 20).pmf(np.arange(first + second + 1))
+        assert fisher(first, 20, second, 20) == pytest.approx(chances[chances <= chances[first] * (1 + 1e-7)].sum())
+
+
+def test_a_comparison_is_decided_when_nothing_can_change_it() -> None:
+    assert not is_decided(0, 0, 0, 0, 20)
+    assert is_decided(3, 3, 0, 3, 3)  # never significant
+    assert is_decided(0, 18, 0, 18, 20)
+    assert not is_decided(4, 16, 0, 16, 20)  # 5 of 20 against 0 has p = 0.047
+    assert is_decided(12, 12, 0, 12, 16)
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("held: [25]\nreference: mappo", "held = .25.: expected devices from 0 to 24"),
+        ("until_decided: true\nreference: mappo", "needs held and reference"),
+        ("until_decided: true\nheld: [22]", "needs held and reference"),
+        ("held: []", "held"),
+    ],
+)
+def test_a_rule_that_cannot_decide_is_refused(tmp_path: Path, lines: str, words: str) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(f"seeds: 2\nscenarios: [paper]\nvariants: {{mappo: {{}}, ippo: {{}}}}\n{lines}\n")
+    with pytest.raises(InputError, match=words):
+        Study.load(file)
