@@ -211,6 +211,16 @@ class Scenario(BaseModel):
         period = self.update_period_slots
         return int(period.high if isinstance(period, WholeRange) else np.max(period))
 
+    def pinned(self, layout: Layout) -> Scenario:
+        """Return a copy whose missions all have this layout."""
+        return self.replace(
+            layout="fixed",
+            devices_m=layout.positions.tolist(),
+            bandwidth_hz=layout.bandwidth.tolist(),
+            transmit_power_mw=(1000 * layout.transmit_power).tolist(),
+            update_period_slots=layout.update_period.tolist(),
+        )
+
     def draw_layout(self, rng: np.random.Generator | None = None) -> Layout:
         """Draw the devices from ``layout_seed``, or from ``rng`` for a mission of ``layout: resample``.
 

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 
 # For the help, which must not import the planners; a test compares it with the registry.
 _PLANNER_NAMES = (
-    "random, stay, greedy, best-first, local-greedy, local-greedy-parts, tour, partition-tour, anneal, rolling or exact"
+    "random, stay, greedy, best-first, local-greedy, local-greedy-parts, local-greedy-tuned, tour, partition-tour, "
+    "anneal, rolling or exact"
 )
 
 

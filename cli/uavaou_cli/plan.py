@@ -33,7 +33,7 @@ from uavaou_cli.tables import duration, figure, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
     from uavaou.planners.bound import Bound
-    from uavaou.planners.plan import RoutePlan
+    from uavaou.planners.plan import Plan
     from uavaou.runs.comparison import Comparison
     from uavaou.scenario import Scenario
 
@@ -47,7 +47,7 @@ _BOUND_FROM_S = 60.0  # limits below leave the bound out: in less time it says n
 def plan(
     scenario: ScenarioName = None,
     scenario_option: ScenarioOption = None,
-    planner: Annotated[str, option("tour, partition-tour, anneal or exact.")] = "anneal",
+    planner: Annotated[str, option("tour, partition-tour, anneal, exact or local-greedy-tuned.")] = "anneal",
     time_limit: Annotated[float | None, seconds("Seconds for it all. [default: a fixed amount of work]")] = None,
     episodes: Annotated[int, number("Missions that the plan is flown in.", 1, MOST_EPISODES)] = 64,
     seed: Seed = EVALUATION_SEED,
@@ -58,15 +58,15 @@ def plan(
     set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
-    """Plan the fleet's routes, save them, fly them and draw them. Ctrl-C keeps the best routes found.
+    """Plan the fleet's routes or rule, save them, fly them and draw them. Ctrl-C keeps the best plan found.
 
     Writes plan.json, and the pictures of the first mission, as PNG and PDF.
     """
-    from uavaou.planners import ROUTE_PLANNERS
+    from uavaou.planners import PLANNERS_WITH_PLAN
     from uavaou.runs.folder import name_with
 
-    if planner not in ROUTE_PLANNERS:
-        raise unknown("--planner", planner, ROUTE_PLANNERS)
+    if planner not in PLANNERS_WITH_PLAN:
+        raise unknown("--planner", planner, PLANNERS_WITH_PLAN)
     chosen, place = _fixed_scenario(
         needed_scenario(scenario, scenario_option), set_, "uavaou plan: the scenario draws a new layout each mission"
     )
@@ -82,7 +82,7 @@ def gap(
     run: Annotated[list[str] | None, typer.Argument(help=RUNS)] = None,
     scenario_option: ScenarioOption = None,
     time_limit: Annotated[
-        float | None, seconds("Seconds that annealing may take. [default: a fixed amount of work]")
+        float | None, seconds("Seconds that each search may take. [default: a fixed amount of work]")
     ] = None,
     episodes: Episodes = 16,
     seed: Seed = EVALUATION_SEED,
@@ -104,7 +104,7 @@ def gap(
     from uavaou.planners.bound import lower_bound
     from uavaou.runs.comparison import compare, load_runs
 
-    limits = {"anneal": time_limit, "rolling": time_limit}
+    limits = dict.fromkeys(("local-greedy-tuned", "anneal", "rolling"), time_limit)
     planners = {name: make_planner(name, limits.get(name)) for name in gap_planners(chosen)}
     policies = (load_runs(run, chosen) if run else {}) | planners
     bound = lower_bound(chosen, chosen.draw_layout())
@@ -134,7 +134,7 @@ def _plan_and_report(
     from uavaou.files import write_json
     from uavaou.planners import make_planner
     from uavaou.planners.bound import lower_bound
-    from uavaou.planners.plan import RoutePlanner
+    from uavaou.planners.plan import AheadPlanner
     from uavaou.reports.mission_figures import plot_trajectories
     from uavaou.runs.comparison import compare
 
@@ -146,7 +146,7 @@ def _plan_and_report(
             display.measure_from(0, "routes")
         left = None if time_limit is None else _left(time_limit, time.monotonic() - begun)
         planner = make_planner(name, left)
-        assert isinstance(planner, RoutePlanner)
+        assert isinstance(planner, AheadPlanner)
         plan = planner.plan(scenario, layout, display.show)
     took = time.monotonic() - begun
     plan = plan if display.bound_s is None else replace(plan, bound_s=display.bound_s)
@@ -165,7 +165,7 @@ def _left(limit_s: float, spent_s: float) -> float:
     return max(limit_s - spent_s - min(_AFTERWARDS_S, limit_s / 2), _LEAST_S)
 
 
-def _plan_lines(scenario: Scenario, plan: RoutePlan, took_s: float, path: Path) -> list[str]:
+def _plan_lines(scenario: Scenario, plan: Plan, took_s: float, path: Path) -> list[str]:
     """The result of a planning, and its file."""
     tau = scenario.slot_length_s
     ended = "interrupted after" if plan.interrupted else "in"

@@ -109,6 +109,7 @@ def blind(world: World, uav: int, knows: str) -> World:
 @pytest.mark.parametrize("name", PLANNERS)
 def test_a_planner_reads_no_more_than_it_says(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uavaou.planners.anneal.PROPOSALS_A_SLOT", 20)
+    monkeypatch.setattr("uavaou.planners.tuned.PROPOSALS", 20)
     scenario = QUICK.replace(fading="none" if name == "exact" else "rician")
     if name == "exact":
         scenario = Scenario.load("tiny")

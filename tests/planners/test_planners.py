@@ -42,6 +42,7 @@ def test_unknown_planner() -> None:
 @pytest.mark.parametrize("name", [name for name in PLANNERS if name != "exact"])  # which takes no fading
 def test_a_mission_does_not_depend_on_the_batch(name: str, layout: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uavaou.planners.anneal.PROPOSALS_A_SLOT", 100)
+    monkeypatch.setattr("uavaou.planners.tuned.PROPOSALS", 30)
     scenario = QUICKSTART.replace(layout=layout, slots=30)
     world, moves = fly(scenario, name, missions=4, seed=40)
     for mission in (0, 3):

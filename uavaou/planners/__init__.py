@@ -7,7 +7,15 @@ from uavaou.planners.base import Planner
 from uavaou.scenario import Scenario
 from uavaou.world.knowledge import Knowledge, knowledge
 
-__all__ = ["PLANNERS", "PLAN_AHEAD", "ROUTE_PLANNERS", "Planner", "gap_planners", "make_planner", "planner_knowledge"]
+__all__ = [
+    "PLANNERS",
+    "PLANNERS_WITH_PLAN",
+    "PLAN_AHEAD",
+    "Planner",
+    "gap_planners",
+    "make_planner",
+    "planner_knowledge",
+]
 
 # Each loads on first use: importing a compiler or a solver takes longer than most missions.
 PLANNERS: dict[str, str] = {
@@ -17,15 +25,16 @@ PLANNERS: dict[str, str] = {
     "best-first": "uavaou.planners.greedy:BestFirst",
     "local-greedy": "uavaou.planners.local_greedy:LocalGreedy",
     "local-greedy-parts": "uavaou.planners.local_greedy:LocalGreedyParts",
+    "local-greedy-tuned": "uavaou.planners.tuned:LocalGreedyTuned",
     "tour": "uavaou.planners.tour:Tour",
     "partition-tour": "uavaou.planners.tour:PartitionTour",
     "anneal": "uavaou.planners.anneal:Anneal",
     "rolling": "uavaou.planners.rolling:Rolling",
     "exact": "uavaou.planners.exact:Exact",
 }
-# Planners that plan routes before take-off and take a time limit.
-ROUTE_PLANNERS = ("tour", "partition-tour", "anneal", "exact")
-PLAN_AHEAD = (*ROUTE_PLANNERS, "rolling")
+# Planners that plan before take-off and take a time limit. ``uavaou plan`` writes down what all but one have found.
+PLANNERS_WITH_PLAN = ("tour", "partition-tour", "anneal", "exact", "local-greedy-tuned")
+PLAN_AHEAD = (*PLANNERS_WITH_PLAN, "rolling")
 
 
 def make_planner(name: str, time_limit_s: float | None = None) -> Planner:
@@ -33,7 +42,7 @@ def make_planner(name: str, time_limit_s: float | None = None) -> Planner:
 
     Args:
         name: one of ``PLANNERS``.
-        time_limit_s: of the planning before take-off, for ``ROUTE_PLANNERS`` and ``rolling``.
+        time_limit_s: of the planning before take-off, for ``PLAN_AHEAD``.
 
     Raises:
         InputError: no planner has that name, or a planner without planning before take-off is given a time limit.
@@ -56,7 +65,7 @@ def gap_planners(scenario: Scenario) -> list[str]:
     """The planners that show how far a scenario's best policy is from the bound: ``exact`` where it can plan."""
     from uavaou.planners.exact import LARGEST, program_size
 
-    names = ["rolling", "anneal", "best-first", "greedy", "local-greedy-parts", "local-greedy"]
+    names = ["local-greedy-tuned", "rolling", "anneal", "best-first", "greedy", "local-greedy-parts", "local-greedy"]
     names += ["partition-tour", "tour", "random"]
     solvable = scenario.fading == "none" and program_size(scenario, scenario.draw_layout()) <= LARGEST
     return ["exact", *names] if solvable else names

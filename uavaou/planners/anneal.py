@@ -58,7 +58,7 @@ class Anneal(RoutePlanner):
         except KeyboardInterrupt:
             interrupted = True
         routes = search.best_routes()
-        return RoutePlan(self.name, routes, expected_mean_aou(scenario, layout, routes), interrupted=interrupted)
+        return RoutePlan(self.name, expected_mean_aou(scenario, layout, routes), routes, interrupted=interrupted)
 
     def _cool(self, search: _Annealing, started: float) -> Iterator[float]:
         """Run the search in chunks; yield the fraction of it that is done."""
@@ -82,14 +82,7 @@ class Anneal(RoutePlanner):
 
 def best_first_routes(scenario: Scenario, layout: Layout) -> Ints:
     """Return the routes (K, U, 2) that the best-first greedy planner flies in one mission on this layout."""
-    pinned = scenario.replace(
-        layout="fixed",
-        devices_m=layout.positions.tolist(),
-        bandwidth_hz=layout.bandwidth.tolist(),
-        transmit_power_mw=(1000 * layout.transmit_power).tolist(),
-        update_period_slots=layout.update_period.tolist(),
-    )
-    world, planner, cells = World(pinned), BestFirst(), []
+    world, planner, cells = World(scenario.pinned(layout)), BestFirst(), []
     planner.reset(world, 0)
     while not world.done:
         cells.append(world.cells[0])

@@ -80,7 +80,8 @@ class Exact(RoutePlanner):
         solution = program.solve(start.routes, left, report)
         mean = expected_mean_aou(scenario, layout, solution.routes)
         routes, mean = (solution.routes, mean) if mean <= incumbent else (start.routes, incumbent)
-        plan = RoutePlan(self.name, routes, mean, min(solution.bound * per_slot, mean), solution.interrupted)
+        bound = min(solution.bound * per_slot, mean)
+        plan = RoutePlan(self.name, mean, routes, bound_s=bound, interrupted=solution.interrupted)
         if on_progress is not None:
             on_progress(PlanningStatus(1.0, plan.mean_aou_s, plan.bound_s))
         return plan

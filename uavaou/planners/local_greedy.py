@@ -40,7 +40,7 @@ class LocalGreedy:
         good = (probability >= _SHARE * best) & (best > 0.0)
         grid = (*good.shape[:2], scenario.columns, scenario.rows, scenario.devices)
         steps = steps_to(good.reshape(grid)).reshape(good.shape)
-        owner = self._owners(world, best[:, :, 0] > 0.0)  # (L, I)
+        owner = self.owners(world, best[:, :, 0] > 0.0)  # (L, I)
         own = owner[:, None] == np.arange(scenario.uavs)[:, None]  # (L, U, I)
         self._pull = own[:, :, None] * np.exp(-steps / _REACH)  # (L, U, C, I)
         self._target = neighbours(scenario)[0]  # (C, 5)
@@ -48,9 +48,7 @@ class LocalGreedy:
     def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Return the allowed move of each UAV with the largest pull, (N, U)."""
         missions, uavs = world.missions, world.scenario.uavs
-        # The slot's own collections, which the moves do not change.
-        last = np.where(world.in_range, world.slot, world.last_collection_by)  # (N, U, I)
-        age = estimated_age(world.slot, last, world.update_period[:, None])  # (N, U, I) slots
+        age = estimated_age(world.slot, self._last(world), world.update_period[:, None])  # (N, U, I) slots
         cell = world.cells @ [world.scenario.rows, 1]  # (N, U)
         layout = (np.arange(missions) % len(self._pull))[:, None, None]  # (N, 1, 1), all 0 for a common layout
         pull = self._pull[layout, np.arange(uavs)[:, None], self._target[cell]]  # (N, U, 5, I)
@@ -58,7 +56,12 @@ class LocalGreedy:
         value = np.einsum("nui,numi->num", age.astype(np.float64), pull)
         return np.where(world.allowed_moves, value, -1.0).argmax(axis=-1), None
 
-    def _owners(self, world: World, reaches: Bools) -> Ints:
+    def _last(self, world: World) -> Ints:
+        """Return the slot in which each UAV last collected each device, (N, U, I), this slot's collections included."""
+        # The moves do not change those.
+        return np.where(world.in_range, world.slot, world.last_collection_by)
+
+    def owners(self, world: World, reaches: Bools) -> Ints:
         """Return the UAV that each device belongs to, (L, I); ``reaches`` is where a UAV can collect it, (L, U, I)."""
         cds = world.flight.cds * world.scenario.grid_step_m  # (U, 2) m
         away = np.abs(world.device_positions[:, None] - cds[:, None]).sum(axis=-1)  # (L, U, I) m
@@ -72,7 +75,8 @@ class LocalGreedyParts(LocalGreedy):
     That plan is a function of the map alone, so that it too is told before take-off.
     """
 
-    def _owners(self, world: World, reaches: Bools) -> Ints:
+    def owners(self, world: World, reaches: Bools) -> Ints:
+        """Return the UAV whose part each device is in, (L, I)."""
         return coverage_and_parts(world)[1]
 
 

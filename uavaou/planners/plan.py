@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -31,17 +31,17 @@ class PlanningStatus:
 
 
 OnProgress = Callable[[PlanningStatus], None]
+P = TypeVar("P", bound="Plan")
 
 
 @dataclass(frozen=True)
-class RoutePlan:
-    """The cell of each UAV in each slot, and the expected mean AoU."""
+class Plan:
+    """What a planner has found for one layout, and the mean AoU that it expects."""
 
     planner: str
-    routes: Ints  # (K, U, 2) column and row in slots 1 to K
     mean_aou_s: float  # expected over fading, s
-    bound_s: float | None = None  # lower bound on the expected mean AoU of every policy, s; None: not proven
-    interrupted: bool = False
+    bound_s: float | None = field(default=None, kw_only=True)  # lower bound of every policy, s; None: not proven
+    interrupted: bool = field(default=False, kw_only=True)
 
     @property
     def gap(self) -> float | None:
@@ -58,8 +58,18 @@ class RoutePlan:
             "mean_aou_s": self.mean_aou_s,
             "bound_s": self.bound_s,
             "interrupted": self.interrupted,
-            "routes": self.routes.swapaxes(0, 1).tolist(),
         }
+
+
+@dataclass(frozen=True)
+class RoutePlan(Plan):
+    """The cell of each UAV in each slot."""
+
+    routes: Ints  # (K, U, 2) column and row in slots 1 to K
+
+    def to_dict(self, scenario: Scenario) -> dict[str, Any]:
+        """Return plain values for a JSON file, with the scenario."""
+        return super().to_dict(scenario) | {"routes": self.routes.swapaxes(0, 1).tolist()}
 
     @classmethod
     def load(cls, path: Path) -> tuple[RoutePlan, Scenario]:
@@ -126,8 +136,8 @@ def broken_rule(scenario: Scenario, routes: Ints) -> str | None:
     return None
 
 
-class RoutePlanner(ABC):
-    """A planner that plans all routes before take-off and flies them open loop; every device in range is collected.
+class AheadPlanner(ABC, Generic[P]):
+    """A planner that plans for each layout before take-off.
 
     Missions with the same layout fly the same plan, because a plan depends on no draw of a mission.
 
@@ -137,39 +147,48 @@ class RoutePlanner(ABC):
     """
 
     name: ClassVar[str]
-    knows: ClassVar[Knowledge] = "nothing"
 
     def __init__(self, time_limit_s: float | None = None) -> None:
         self.time_limit_s = time_limit_s
-        self._plans: dict[tuple[str | bytes, ...], RoutePlan] = {}
+        self._plans: dict[tuple[str | bytes, ...], P] = {}
 
     @abstractmethod
-    def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
-        """Plan the routes for one layout.
+    def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> P:
+        """Plan for one layout.
 
         Args:
             scenario: the scenario to plan for.
             layout: the devices.
-            on_progress: called now and then. A KeyboardInterrupt from it, or Ctrl-C, ends the search; the plan then
-                has the best routes found so far.
+            on_progress: called now and then. A KeyboardInterrupt from it, or Ctrl-C, ends the search; the result is
+                then the best plan found so far.
 
         Raises:
             InputError: this planner cannot plan for the scenario.
         """
 
-    def reset(self, world: World, seed: int) -> None:
-        """Plan for each layout of the missions that has no plan yet. Nothing is drawn from ``seed``."""
+    def plan_layouts(self, world: World) -> list[P]:
+        """Return the plan of each layout of the missions; plan for those that have none yet."""
         layouts = [world.layout(mission) for mission in range(len(world.device_positions))]  # L
         for layout in layouts:
             if _key(world.scenario, layout) not in self._plans:
                 self.keep(self.plan(world.scenario, layout), world.scenario, layout)
-        self.plans = [self._plans[_key(world.scenario, layout)] for layout in layouts]
-        routes = np.stack([plan.routes for plan in self.plans], axis=1)  # (K, L, U, 2)
-        self._routes = np.broadcast_to(routes, (len(routes), world.missions, *routes.shape[2:]))  # (K, N, U, 2)
+        return [self._plans[_key(world.scenario, layout)] for layout in layouts]
 
-    def keep(self, plan: RoutePlan, scenario: Scenario, layout: Layout) -> None:
+    def keep(self, plan: P, scenario: Scenario, layout: Layout) -> None:
         """Use this plan on this layout instead of planning."""
         self._plans[_key(scenario, layout)] = plan
+
+
+class RoutePlanner(AheadPlanner[RoutePlan]):
+    """A planner that plans all routes and flies them open loop; every device in range is collected."""
+
+    knows: ClassVar[Knowledge] = "nothing"
+
+    def reset(self, world: World, seed: int) -> None:
+        """Plan for each layout of the missions that has no plan yet. Nothing is drawn from ``seed``."""
+        self.plans = self.plan_layouts(world)
+        routes = np.stack([plan.routes for plan in self.plans], axis=1)  # (K, L, U, 2)
+        self._routes = np.broadcast_to(routes, (len(routes), world.missions, *routes.shape[2:]))  # (K, N, U, 2)
 
     def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Return the move to the cell of the next slot, (N, U)."""

@@ -62,7 +62,7 @@ class _Tours(RoutePlanner):
             pass
         except KeyboardInterrupt:
             interrupted = True
-        return RoutePlan(self.name, routes, expected_mean_aou(scenario, layout, routes), interrupted=interrupted)
+        return RoutePlan(self.name, expected_mean_aou(scenario, layout, routes), routes, interrupted=interrupted)
 
     def _limits(self, started: float) -> Iterator[float | None]:
         """The time of each search: none for the usual one, then the time left, without that of the dwell times."""

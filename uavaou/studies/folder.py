@@ -18,7 +18,8 @@ from uavaou.runs.lock import LOCK, holder
 BOUND = "bound"
 PLAN = "plan"
 ANNEALED = ("anneal", "rolling")  # planners that start from an annealed plan
-PLANNED = (*ANNEALED, "exact")  # planners whose results depend on planning_seconds
+TIMED = ("exact", "local-greedy-tuned")  # planners that plan for planning_seconds when they are evaluated
+PLANNED = (*ANNEALED, *TIMED)  # planners whose results depend on planning_seconds
 NO_SEED = -1  # of planners, in a column of seeds
 _FAILURES = ("variant", "scenario", "seed", "reason")
 _WORKING = ("variant", "scenario")

@@ -20,7 +20,7 @@ from uavaou.runs.comparison import make_policy
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.results import PolicyResult, find_evaluation, write_own_evaluation
 from uavaou.scenario import Scenario
-from uavaou.studies.folder import PartKey
+from uavaou.studies.folder import TIMED, PartKey
 
 
 class TrainingReport(NamedTuple):
@@ -118,7 +118,7 @@ class Playing(Job):
 
     def perform(self, tell: Tell) -> JobResult:  # noqa: D102
         name = self.key.variant
-        planner = make_policy(name, self.scenario, self.seconds if name == "exact" else None)
+        planner = make_policy(name, self.scenario, self.seconds if name in TIMED else None)
         if isinstance(planner, Anneal | Rolling):
             assert self.plan is not None
             planner.keep(self.plan, self.scenario, self.scenario.draw_layout())

@@ -20,7 +20,7 @@ from uavaou.errors import InputError, nearest, unknown
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED, MOST_EPISODES
 from uavaou.fields import Positive, PositiveWhole, Whole, short, validated
 from uavaou.plain_yaml import to_yaml
-from uavaou.planners import PLANNERS, ROUTE_PLANNERS
+from uavaou.planners import PLAN_AHEAD, PLANNERS
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
@@ -31,7 +31,6 @@ SCHEMA = 1  # of study.yaml
 JUDGED = ("mappo", "vdn", "qmix")  # the variants that the paper's claims are about
 _MOST_RUNS = 100_000
 _LONGEST_NAME = 60
-_PLAN_AHEAD = {*ROUTE_PLANNERS, *ANNEALED}
 _Entry = TypeVar("_Entry", bound=BaseModel)
 
 
@@ -263,7 +262,7 @@ def _check(study: Study, source: str) -> None:
     _check_comparisons(study, source)
     _check_structure(study, source)
     planned = ["bound: true"] if study.bound else []
-    planned += [f"planners: {name}" for name in study.planners if name in _PLAN_AHEAD]
+    planned += [f"planners: {name}" for name in study.planners if name in PLAN_AHEAD]
     for name, scenario in study.scenarios.items():
         if scenario.layout == "resample" and planned:  # plans and bounds are for one layout
             raise InputError(f"{source}: {planned[0]}: scenario '{name}' draws a new layout for each mission")
