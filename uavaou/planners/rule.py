@@ -97,6 +97,7 @@ def score(chart: Chart, pull: Floats, serves: Bools, first_draw: int, ages: Floa
     near, probability, near_count, period, row, age, gap, target, home, step_home, cds, budget = chart
     uavs, devices, slots = len(cds), len(row), age.shape[1] - 2
     own, own_count = _listed(serves)
+    own_pull = _listed_pull(pull, own, own_count)
     cells, flown, current = np.empty(uavs, np.int64), np.empty(uavs, np.int64), np.empty(devices)
     seen, seen_row = np.empty((uavs, devices), np.int64), np.empty((uavs, devices), np.int64)
     last, last_row = np.empty(devices, np.int64), np.empty(devices, np.int64)
@@ -119,7 +120,7 @@ def score(chart: Chart, pull: Floats, serves: Bools, first_draw: int, ages: Floa
             for u in range(uavs):
                 _estimate(own[u, : own_count[u]], seen[u], seen_row[u], slot, age, current)
                 move = _choose(
-                    own[u, : own_count[u]], current, pull[u], target[cells[u]], home[u], slots - slot - 1,
+                    own_count[u], current, own_pull[u], target[cells[u]], home[u], slots - slot - 1,
                     budget[u] - flown[u], step_home[u, cells[u]],
                 )  # fmt: skip
                 there = target[cells[u], move]
@@ -140,6 +141,17 @@ def _listed(serves: Bools) -> tuple[Ints, Ints]:
                 own[u, count[u]] = i
                 count[u] += 1
     return own, count
+
+
+@compiled_fast
+def _listed_pull(pull: Floats, own: Ints, count: Ints) -> Floats:
+    """Return the pull of the devices of each UAV, side by side, (U, C, I)."""
+    listed = np.zeros(pull.shape)
+    for u in range(len(own)):
+        for cell in range(pull.shape[1]):
+            for j in range(count[u]):
+                listed[u, cell, j] = pull[u, cell, own[u, j]]
+    return listed
 
 
 @compiled_fast
@@ -168,7 +180,7 @@ def _estimate(own: Ints, seen: Ints, seen_row: Ints, slot: int, age: Floats, cur
 
 @compiled_fast
 def _choose(
-    own: Ints, current: Floats, pull: Floats, target: Ints, home: Ints, time_left: int, steps_left: int, otherwise: int
+    count: int, current: Floats, pull: Floats, target: Ints, home: Ints, time_left: int, steps_left: int, otherwise: int
 ) -> int:
     """Return the allowed move with the largest value, the first of equals; ``otherwise`` if none is allowed."""
     best, chosen = -1.0, otherwise
@@ -178,8 +190,8 @@ def _choose(
         if (move > 0 and not moved) or home[there] > time_left or home[there] + moved > steps_left:
             continue
         value = 0.0
-        for j in range(len(own)):
-            value += current[j] * pull[there, own[j]]
+        for j in range(count):
+            value += current[j] * pull[there, j]
         if value > best:
             best, chosen = value, move
     return chosen

@@ -164,7 +164,7 @@ class _Search:
     def _race(self, margin: float) -> Floats | None:
         """Return the ages of the present numbers (draws,); None once they are above the former by the margin."""
         ages, first = np.empty(self._draws), 0
-        for end in (self._draws // 8, self._draws // 2, self._draws):
+        for end in (max(self._draws // 8, 4), self._draws // 2, self._draws):
             ages[first:end] = self._score(end - first, first)
             worse, first = ages[:end] - self._ages[:end], end
             doubt = worse.std() / np.sqrt(end) if end < self._draws else 0.0
