@@ -16,7 +16,7 @@ import pytest
 
 from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import evaluate
-from uavaou.planners import PLANNERS, ROUTE_PLANNERS, make_planner
+from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal, best_first_routes
 from uavaou.planners.bound import LagrangianRelaxation, lower_bound
 from uavaou.planners.decomposition import LagrangianDecomposition
@@ -376,4 +376,4 @@ def test_a_plan_is_read_back(tmp_path: Path) -> None:
 def test_time_limits_are_for_planners_that_plan() -> None:
     with pytest.raises(InputError, match="takes no time limit"):
         make_planner("greedy", 1.0)
-    assert set(ROUTE_PLANNERS) < set(PLANNERS)
+    assert set(PLAN_AHEAD) < set(PLANNERS)

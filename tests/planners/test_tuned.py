@@ -70,7 +70,7 @@ def test_the_same_work_gives_the_same_plan_which_is_no_worse(monkeypatch: pytest
     one = LocalGreedyTuned().plan(QUICK, QUICK.draw_layout(), statuses.append)
     two = LocalGreedyTuned().plan(QUICK, QUICK.draw_layout())
     assert one.to_dict(QUICK) == json.loads(json.dumps(two.to_dict(QUICK)))
-    same_draws = [status.incumbent_s for status in statuses if status.share > 0.65]
+    same_draws = [status.incumbent_s for status in statuses if status.share <= 0.3]
     assert same_draws == sorted(same_draws, reverse=True)
     assert same_draws[0] > same_draws[-1]
 

@@ -110,8 +110,7 @@ class _Search:
             self._numbers[0] = (owners == np.arange(scenario.uavs)[:, None]) & self._can
             self._write_pull()
             starts.append((float(self._score(_DRAWS[0][1]).mean()), self._numbers.copy()))
-        _, self._numbers = min(starts, key=lambda start: start[0])
-        self._write_pull()
+        _, self._best = min(starts, key=lambda start: start[0])
         self._more_draws(0.0)
 
     def _write_pull(self) -> None:
@@ -134,11 +133,13 @@ class _Search:
         return ages
 
     def _more_draws(self, done: float) -> None:
-        """Score with as many draws as the fraction of the search asks for."""
+        """Score with as many draws as the fraction of the search asks for; go on from the best numbers with more."""
         draws = next(count for until, count in _DRAWS if done <= until)
         if draws != self._draws:
+            self._numbers = self._best.copy()
+            self._write_pull()
             self._draws, self._ages = draws, self._score(draws)
-            self._best, self.best_age = self._numbers.copy(), float(self._ages.mean())
+            self.best_age = float(self._ages.mean())
 
     def step(self, done: float) -> None:
         """Propose one change when a fraction ``done`` of the search is over, and accept or undo it."""
