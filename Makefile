@@ -73,10 +73,9 @@ audit:
 
 fuzz: install
 	$(BIN)/pip install --quiet --disable-pip-version-check atheris
-	$(BIN)/python tests/fuzz/loaders.py --seeds .fuzz-corpus
-	$(BIN)/python tests/fuzz/loaders.py .fuzz-corpus -runs=$(RUNS) -max_len=8192
+	$(BIN)/python tests/fuzz/loaders.py .fuzz-corpus $(RUNS)
 
-# For some of them: make faults ONLY="tests/runs/test_faults.py -k qmix"
+# For some of them: make faults ONLY="tests/runs/test_faults.py -k qmix". To go on after a stop: add --tally FILE to ONLY.
 faults: export OMP_NUM_THREADS = 1
 faults: ONLY ?= tests/runs/test_faults.py tests/cli/test_faults.py tests/studies/test_study_faults.py tests/tuning/test_tune_faults.py
 faults: install
