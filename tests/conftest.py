@@ -28,6 +28,7 @@ gc.disable()
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--exhaustive", action="store_true", help="play all trials of tests/faults.py: hours")
+    parser.addoption("--tally", metavar="FILE", help="leave out the trials that held before, and note those that hold")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

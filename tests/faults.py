@@ -1,7 +1,8 @@
 """Faults at the file layer: in front of or behind one opening for writing, write, flush to the disk, or renaming.
 
 A site is a kind of operation and the name of its file, such as ``rename newest.safetensors``. A trial is a site, a side
-of it, and what happens there. ``--exhaustive`` asks for all trials (``make faults``); CI plays every n-th.
+of it, and what happens there. ``--exhaustive`` asks for all trials (``make faults``); CI plays every n-th. ``--tally
+FILE`` lets a later command go on with those that are left.
 """
 
 from __future__ import annotations
@@ -83,22 +84,35 @@ def trials(sites: Iterable[str]) -> list[Trial]:
     return [Trial(site, *pairs[(k + turn) % len(pairs)]) for turn in range(len(pairs)) for k, site in enumerate(found)]
 
 
-def chosen(all_trials: list[Trial], of: int, config: pytest.Config) -> list[Trial]:
-    """All trials where asked for; in CI ``of`` of them, evenly spaced."""
-    if config.getoption("exhaustive"):
-        return all_trials
-    return all_trials[:: max(len(all_trials) // max(of, 1), 1)][:of]
+def play(
+    sites: Iterable[str], in_ci: int, one: Callable[[Trial, Path], None], place: Path, request: pytest.FixtureRequest
+) -> None:
+    """Play trials, each in a folder of its own, and report every finding.
 
-
-def play(some: list[Trial], one: Callable[[Trial, Path], None], place: Path) -> None:
-    """Play trials, each in a folder of its own, and report every finding."""
+    Args:
+        sites: where the action writes.
+        in_ci: so many trials, evenly spaced, unless all are asked for.
+        one: plays a trial in an empty folder, and fails where it finds something.
+        place: of the folders.
+        request: of the test. With ``--tally FILE``, each trial that holds is noted there, and those noted are left out.
+    """
+    some = trials(sites)
+    if not request.config.getoption("exhaustive"):
+        some = some[:: max(len(some) // max(in_ci, 1), 1)][:in_ci]
+    tally = Path(request.config.getoption("tally") or os.devnull)
+    held = set(tally.read_text().splitlines()) if tally.exists() else set()
     findings = []
     for number, trial in enumerate(some):
+        if (line := "\t".join((request.node.name, trial.site, str(trial.behind), trial.effect))) in held:
+            continue
         (own := place / f"trial-{number}").mkdir()
         try:
             one(trial, own)
         except Exception as error:
             findings.append(f"{trial}: {error!r}")
+        else:
+            with tally.open("a") as file:
+                file.write(line + "\n")
         shutil.rmtree(own)
     assert not findings, "\n".join([f"{len(findings)} of {len(some)} trials:", *findings])
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +63,17 @@ def test_a_loaded_learner_predicts_and_learns_as_the_saved_one(
     again = learner.load(tmp_path / "model.safetensors", env=missions(collection), device="cpu", gamma=0.5)
     assert again.gamma == 0.5
     again.learn(64)
+
+
+def test_a_learner_that_nobody_holds_is_freed_without_a_collection() -> None:
+    learner = MAPPO("CentralizedValuePolicy", missions(), device="cpu")
+    held = weakref.ref(learner.policy)
+    gc.disable()
+    try:
+        del learner
+        assert held() is None
+    finally:
+        gc.enable()
 
 
 def test_what_was_saved_of_another_class_or_shape_is_refused(tmp_path: Path) -> None:

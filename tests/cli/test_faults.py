@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.commands import runs
-from tests.faults import ERRORS, Trial, assert_ended_well, chosen, ended, play, sites_of, trials
+from tests.faults import ERRORS, Trial, assert_ended_well, ended, play, sites_of
 from uavaou_cli.main import main
 
 COMMANDS = {  # and how many trials of it CI plays
@@ -90,7 +90,7 @@ def test_wherever_it_is_stopped_a_command_goes_on_without_loss(
         assert code == 0, capsys.readouterr().err
         assert files(place) == untouched
 
-    play(chosen(trials(sites), COMMANDS[command], request.config), one, tmp_path)
+    play(sites, COMMANDS[command], one, tmp_path, request)
 
 
 def test_gap_writes_nothing(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests.faults import Trial, assert_ended_well, chosen, ended, play, sites_of, trials
+from tests.faults import Trial, assert_ended_well, ended, play, sites_of
 from tests.runs.stopped_runs import StoppedError, assert_ends_as, every_update, small, stop_in_update, without_wall
 from uavaou.family import Family
 from uavaou.runs.folder import RunConfig, RunFolder
@@ -112,7 +112,7 @@ def test_wherever_it_is_stopped_a_training_ends_as_the_untouched_one(
         case.go_on(folder)
         assert_as_untouched(folder, case.whole)
 
-    play(chosen(trials(sites), IN_CI[name], request.config), one, tmp_path)
+    play(sites, IN_CI[name], one, tmp_path, request)
 
 
 @pytest.mark.parametrize("site", ["rename last.safetensors", "flush best.safetensors.partial", "open episodes.csv"])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults import Trial, assert_ended_well, chosen, ended, play, sites_of, trials
+from tests.faults import Trial, assert_ended_well, ended, play, sites_of
 from tests.studies.tiny_study import SET, Inline, run_inline, tables
 from uavaou.errors import InputError
 from uavaou.studies.study import Study
@@ -74,4 +74,4 @@ def test_wherever_it_is_stopped_a_study_ends_with_the_same_tables(
         run(study, place / "out")
         assert timeless(place / "out") == untouched
 
-    play(chosen(trials(sites), 4, request.config), one, tmp_path)
+    play(sites, 4, one, tmp_path, request)

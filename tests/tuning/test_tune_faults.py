@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tests.faults import Trial, assert_ended_well, chosen, ended, play, sites_of, trials
+from tests.faults import Trial, assert_ended_well, ended, play, sites_of
 from tests.tuning.small_search import a_search
 from uavaou.errors import InputError
 from uavaou.runs.folder import RunConfig
@@ -47,7 +47,7 @@ def test_wherever_it_is_stopped_a_search_ends_with_the_same_trials(
         search(place)
         assert counted(place) == untouched
 
-    play(chosen(trials(sites), 10, request.config), one, tmp_path)
+    play(sites, 10, one, tmp_path, request)
 
 
 def test_a_line_without_an_end_does_not_spoil_the_journal(played: list[RunConfig], tmp_path: Path) -> None:
