@@ -131,7 +131,8 @@ class SafeSaveLoad(BaseAlgorithm):
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Record the arguments of the constructor."""
         learner = super().__new__(cls)
-        given = inspect.signature(cls.__init__).bind_partial(learner, *args, **kwargs).arguments
+        # Without the learner itself: in a circle, its tensors would stay until Python's rare full collection.
+        given = inspect.signature(cls.__init__).bind_partial(None, *args, **kwargs).arguments
         learner._given = given.pop("kwargs", {}) | given
         return learner
 
