@@ -84,7 +84,7 @@ class Night:
         if not (file := self.findings / place).exists():
             self.findings.mkdir(exist_ok=True)
             file.write_bytes(content)
-            file.with_suffix(".txt").write_text("".join(traceback.format_exception(error)))
+            Path(f"{file}.txt").write_text("".join(traceback.format_exception(error)))
             print(f"a finding: {file}", flush=True)
 
     def bend(self, data: bytes, most: int, seed: int) -> bytes:

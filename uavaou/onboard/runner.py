@@ -86,7 +86,7 @@ def read_policy(path: Path) -> dict[str, Any]:
     for name, allowed in CHOICES.items():
         if type(policy.get(name)) is not type(allowed[0]) or policy[name] not in allowed:
             raise ValueError(f"{path}: {name}: expected one of: {', '.join(map(str, allowed))}")
-    epsilon = policy.get("epsilon")
+    epsilon = policy.get("epsilon", "missing")
     if epsilon is not None and not (type(epsilon) in (int, float) and 0 <= epsilon <= 1):
         raise ValueError(f"{path}: epsilon: expected null or a number from 0 to 1")
     inputs = policy.get("inputs")
