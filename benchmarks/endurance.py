@@ -49,13 +49,16 @@ class Endurance:
     _began: float = field(default_factory=time.process_time)
 
     def measure(self, done: int) -> None:
-        """Add a row: so much is done."""
+        """Add a row, so much is done, and print it: the command takes hours."""
         self.done.append(done)
         self.memory_mib.append(int(Path("/proc/self/statm").read_text().split()[1]) * _PAGES)
         self.cpu_s.append(time.process_time() - self._began)
+        since = self.cpu_s[-1] - (self.cpu_s[-2] if len(self.cpu_s) > 1 else 0)
+        rate = (done - (self.done[-2] if len(self.done) > 1 else 0)) / since
+        print(f"{done:>12,.0f}  {self.memory_mib[-1]:>11.1f}  {rate:,.1f}", file=sys.__stdout__, flush=True)
 
     def lines(self) -> list[str]:
-        """The table, and the two figures that matter, without the first tenth, in which caches fill."""
+        """The two figures that matter, without the first tenth, in which caches fill."""
         done, memory = np.array(self.done, dtype=float), np.array(self.memory_mib)  # (PARTS,) each
         rates = np.diff(done, prepend=0) / np.diff(self.cpu_s, prepend=0)  # (PARTS,)
         counted = slice(max(len(done) // 10, 1), None)
@@ -64,11 +67,9 @@ class Endurance:
         noise = float(np.std(memory[counted] - (slope * done[counted] / million + start)))
         fifth = max(len(rates[counted]) // 5, 1)
         first, last = float(np.median(rates[counted][:fifth])), float(np.median(rates[-fifth:]))
-        lines = [f"{self.unit:>12}  {'memory, MiB':>11}  {self.unit} a CPU second"]
-        lines += [f"{s:>12,.0f}  {m:>11.1f}  {r:,.1f}" for s, m, r in zip(done, memory, rates, strict=True)]
-        lines.append(f"memory: {slope:+.3f} MiB {many}, residuals {noise:.2f} MiB")
+        memory_line = f"memory: {slope:+.3f} MiB {many}, residuals {noise:.2f} MiB"
         change = f"{first:,.1f} {self.unit} a CPU second at the start, {last:,.1f} at the end ({last / first - 1:+.1%})"
-        return [*lines, f"rate: {change}"]
+        return [memory_line, f"rate: {change}"]
 
 
 def trained(slots: int, family: bool = False, parts: int = PARTS) -> Endurance:
@@ -111,8 +112,10 @@ def repeated(name: str, times: int) -> Endurance:
 def main() -> None:
     what = sys.argv[1] if len(sys.argv) > 1 else "training"
     amount = int(sys.argv[2]) if len(sys.argv) > 2 else AMOUNTS[what]
+    unit = "missions" if what in COMMANDS else "slots"
+    print(f"{what}: {amount:,} {unit}, one thread\n{unit:>12}  {'memory, MiB':>11}  {unit} a CPU second", flush=True)
     measured = repeated(what, amount) if what in COMMANDS else trained(amount, what == "family")
-    print(f"{what}: {amount:,} {measured.unit}, one thread\n" + "\n".join(measured.lines()))
+    print("\n".join(measured.lines()))
 
 
 if __name__ == "__main__":
