@@ -179,6 +179,7 @@ BAD_CHANGES: list[tuple[dict[str, Any], list[str]]] = [
     ({"bandwidth_hz": {"low": 1, "hihg": 2}}, ["bandwidth_hz", "high"]),
     # wrong types
     ({"slots": "twelve"}, ["slots", "'twelve'", "number"]),
+    ({"slots": 1_000_001}, ["slots", "1000001", "less than or equal to 1000000"]),
     ({"slots": "12"}, ["slots", "'12'", "number"]),
     ({"slots": 12.5}, ["slots", "12.5", "integer"]),
     ({"slots": True}, ["slots", "True", "number"]),
