@@ -15,7 +15,7 @@ from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners.local_greedy import estimated_age
 from uavaou.planners.plan import PlanningStatus
 from uavaou.planners.rule import make_chart, score
-from uavaou.planners.tuned import LocalGreedyTuned, RulePlan
+from uavaou.planners.tuned import LocalGreedyTuned, RulePlan, _Search
 from uavaou.scenario import Scenario
 
 QUICK = Scenario.load("quickstart").replace(slots=20)
@@ -73,6 +73,16 @@ def test_the_same_work_gives_the_same_plan_which_is_no_worse(monkeypatch: pytest
     same_draws = [status.incumbent_s for status in statuses if status.share <= 0.3]
     assert same_draws == sorted(same_draws, reverse=True)
     assert same_draws[0] > same_draws[-1]
+
+
+def test_areas_are_kept_only_where_they_beat_the_fixed_rules() -> None:
+    search = _Search(QUICK, QUICK.draw_layout())
+    start, tried = search.best_age, []
+    for _ in range(30):
+        search.step(0.1)
+        tried.append(float(search._area_ages.mean()))
+    assert tried == sorted(tried, reverse=True)
+    assert search.best_age == min(start, tried[-1])
 
 
 @settings(max_examples=3, deadline=None)

@@ -20,7 +20,9 @@ from uavaou.world.flight import neighbours
 
 PROPOSALS = 4000  # without a time limit
 _SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the best coverage probability, from which a cell is good enough
-_DRAWS = ((0.3, 16), (0.65, 32), (1.0, 64))  # missions that score a rule, up to a fraction of the search
+_AREAS = 0.3  # fraction of the search that looks for areas of the UAVs, before it changes the numbers of single pairs
+_DRAWS = ((_AREAS, 16), (0.65, 32), (1.0, 64))  # missions that score a rule, up to a fraction of the search
+_SPREAD = (0.12, 0.12, 0.08)  # of a change of an area, in sizes of the map
 _HOT = 0.003  # first temperature, in mean AoU; it falls to 0
 _FRESH = 1_000_000  # number of the first draw that the search has not seen
 _CHANGES = ("weight", "drop", "add", "reach", "share", "swap")
@@ -46,9 +48,10 @@ class RulePlan(Plan):
 class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
     """The rule of :class:`LocalGreedy` with free weights, reaches and shares for each pair of a UAV and a device.
 
-    They are found before take-off, by annealing the mean AoU of simulated missions on common draws of fading. The
-    search starts from the better of ``local-greedy`` and ``local-greedy-parts``. In flight, each UAV remembers when
-    each device was last in its own range. Several UAVs may serve a device.
+    They are found before take-off, by the mean AoU of simulated missions on common draws of fading. The search begins
+    with areas of the UAVs, which have to beat ``local-greedy`` and ``local-greedy-parts``, and goes on with the numbers
+    of single pairs. In flight, each UAV remembers when each device was last in its own range. Several UAVs may serve a
+    device.
     """
 
     name: ClassVar[str] = "local-greedy-tuned"
@@ -101,7 +104,9 @@ class _Search:
         self._numbers = np.ones((3, scenario.uavs, scenario.devices))  # weight, reach, index of the share
         self._numbers[2] = _SHARES.index(0.5)
         self._draws, self._ages = 0, np.empty(0)
+        self._places = layout.positions / [scenario.area_x_m, scenario.area_y_m]  # (I, 2)
         self._start(scenario, layout)
+        self._areas, self._area_ages = np.empty((0, 3)), np.full(self._draws, np.inf)  # (U, 3), and its score
 
     def _start(self, scenario: Scenario, layout: Layout) -> None:
         """Begin with the better of the two fixed rules."""
@@ -144,12 +149,44 @@ class _Search:
     def step(self, done: float) -> None:
         """Propose one change when a fraction ``done`` of the search is over, and accept or undo it."""
         self._more_draws(done)
+        if done <= _AREAS:
+            self._try_areas(done / _AREAS)
+        else:
+            self._try_numbers(done)
+
+    def _try_areas(self, done: float) -> None:
+        """Score one plan of whose device is whose, of which the best so far becomes the start of the search.
+
+        Each UAV has an area: a centre (x, y) in sizes of the map and a handicap. A device belongs to the UAV with the
+        least sum of distance and handicap. Areas are drawn anew, ever more rarely, or near the best ones so far.
+        """
+        rng, uavs = self._rng, len(self._can)
+        fresh = not len(self._areas) or rng.random() < 0.6 * (1.0 - done)
+        if fresh:
+            areas = rng.random((uavs, 3)) * [1.0, 1.0, 0.0]
+        else:
+            some = rng.random((uavs, 1)) < 0.6
+            areas = self._areas[rng.permutation(uavs)] if rng.random() < 0.1 else self._areas
+            areas = areas + some * rng.normal(size=(uavs, 3)) * _SPREAD
+        away = np.abs(areas[:, None, :2] - self._places).sum(axis=-1) + areas[:, 2:]  # (U, I)
+        owners = np.where(self._can, away, np.inf).argmin(axis=0)  # (I,)
+        self._numbers[0] = (owners == np.arange(uavs)[:, None]) & self._can
+        self._numbers[1], self._numbers[2] = rng.choice((1.0, 1.5)), rng.choice((2, 3))
+        self._write_pull()
+        ages = self._race(0.0, self._area_ages)
+        if ages is not None:
+            self._areas, self._area_ages = areas, ages
+            if float(ages.mean()) < self.best_age:
+                self._best, self.best_age = self._numbers.copy(), float(ages.mean())
+
+    def _try_numbers(self, done: float) -> None:
+        """Change the numbers of a pair or two, and accept or undo it."""
         before, changed = self._numbers.copy(), set()
         for _ in range(1 + int(self._rng.random() < 0.3)):
             changed |= self._change()
         self._refresh(changed)
         temperature = _HOT * float(self._ages.mean()) * (1.0 - done) ** 2
-        ages = self._race(temperature * self._rng.exponential())
+        ages = self._race(temperature * self._rng.exponential(), self._ages)
         if ages is None:
             self._numbers = before
             self._refresh(changed)
@@ -162,13 +199,13 @@ class _Search:
         for uav, device in sorted(pairs):
             self._pull[uav, :, device] = self._column(uav, device)
 
-    def _race(self, margin: float) -> Floats | None:
-        """Return the ages of the present numbers (draws,); None once they are above the former by the margin."""
+    def _race(self, margin: float, rival: Floats) -> Floats | None:
+        """Return the ages of the present numbers, (draws,); None once they are above the ``rival`` by the margin."""
         ages, first = np.empty(self._draws), 0
         for end in (max(self._draws // 8, 4), self._draws // 2, self._draws):
             ages[first:end] = self._score(end - first, first)
-            worse, first = ages[:end] - self._ages[:end], end
-            doubt = worse.std() / np.sqrt(end) if end < self._draws else 0.0
+            worse, first = ages[:end] - rival[:end], end
+            doubt = worse.std() / np.sqrt(end) if end < self._draws and np.isfinite(worse).all() else 0.0
             if worse.mean() > margin + doubt:
                 return None
         return ages
