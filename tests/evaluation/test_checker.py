@@ -43,6 +43,11 @@ def test_a_sound_world_has_no_violations(scenario: Scenario) -> None:
     assert watch(World(scenario, MISSIONS)) == dict.fromkeys(CONSTRAINTS, 0)
 
 
+def test_pairs_may_fill_a_block_in_the_last_slot(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaou.evaluation.checker._BLOCK", 0)  # every slot fills one
+    assert not broken(watch(World(QUICK, MISSIONS)))
+
+
 def test_a_world_without_r_min() -> None:
     world = World(QUICK, MISSIONS)
     world.channel.snr_min = np.zeros_like(world.channel.snr_min)

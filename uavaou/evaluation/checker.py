@@ -184,6 +184,8 @@ class ViolationCounter:
 
     def _check_pairs(self) -> None:
         """(Rate): B log2(1 + Gamma) >= R_min for every collected pair; Gamma is the channel's for every pair."""
+        if not self._pairs:  # a full block was checked in the last slot
+            return
         pairs = _Pairs(*map(np.concatenate, zip(*self._pairs, strict=True)))
         self._pairs.clear()
         row = pairs.mission % len(self._layout["bandwidth"])  # of the layout; 0 where all missions share one
