@@ -25,10 +25,11 @@ from uavaou_cli.options import (
     option,
     refuse_scenarios,
     seconds,
+    writable_file,
     writable_folder,
 )
 from uavaou_cli.overrides import parse_overrides
-from uavaou_cli.progress import EvaluationDisplay, PlanningDisplay
+from uavaou_cli.progress import BoundDisplay, EvaluationDisplay, PlanningDisplay
 from uavaou_cli.tables import duration, figure, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 _LEAST_S = 0.1  # that a planner gets
 _AFTERWARDS_S = 2.0  # of a time limit, but at most half of it: to fly the plan and draw it
 _PLAN = "plan.json"
+_SAVE_S = 60.0  # between two savings of a certificate
 _BOUND_S = 30.0  # for the bound that stands beside a plan; `uavaou gap` takes longer
 _BOUND_FROM_S = 60.0  # limits below leave the bound out: in less time it says nothing, and the plan needs the time
 
@@ -84,6 +86,12 @@ def gap(
     time_limit: Annotated[
         float | None, seconds("Seconds that each search may take. [default: a fixed amount of work]")
     ] = None,
+    bound_limit: Annotated[
+        float | None, seconds("Seconds that the bound may take. [default: a fixed amount of work]")
+    ] = None,
+    certificate: Annotated[
+        Path | None, option("Write what proves the bound; where FILE exists, go on from it.", "FILE.npz")
+    ] = None,
     episodes: Episodes = 16,
     seed: Seed = EVALUATION_SEED,
     set_: Changes = None,
@@ -91,7 +99,7 @@ def gap(
 ) -> None:
     """Compare planners and trained runs with the lower bound and with random moves.
 
-    With --scenario, all arguments are runs.
+    With --scenario, all arguments are runs. Ctrl-C while the bound is computed keeps the best one in the certificate.
     """
     run = run or []
     if scenario_option is not None and scenario is not None:
@@ -100,17 +108,45 @@ def gap(
     name = needed_scenario(scenario, scenario_option)
     chosen, _ = _fixed_scenario(name, set_, "uavaou gap: the bound is that of one layout")
     refuse_scenarios(run)
+    if certificate is not None:
+        writable_file(certificate)
     from uavaou.planners import gap_planners, make_planner
-    from uavaou.planners.bound import lower_bound
     from uavaou.runs.comparison import compare, load_runs
 
     limits = dict.fromkeys(("local-greedy-tuned", "anneal", "rolling"), time_limit)
     planners = {name: make_planner(name, limits.get(name)) for name in gap_planners(chosen)}
     policies = (load_runs(run, chosen) if run else {}) | planners
-    bound = lower_bound(chosen, chosen.draw_layout())
+    bound = _bound(chosen, bound_limit, certificate, quiet)
     with EvaluationDisplay(quiet, list(policies), episodes * chosen.slots) as display:
         comparison = compare(policies, chosen, episodes, seed, display)
     show(_gap_lines(comparison, bound))
+
+
+def _bound(scenario: Scenario, limit_s: float | None, certificate: Path | None, quiet: bool) -> Bound:
+    """The bound; with a certificate, it goes on from the one there and is saved now and then, and when it ends."""
+    from uavaou.planners.bound import BoundSearch
+    from uavaou.planners.certificate import read_certificate, write_certificate
+
+    start = read_certificate(certificate, scenario) if certificate is not None and certificate.exists() else None
+    layout, saved = scenario.draw_layout(), time.monotonic()
+
+    def save() -> None:
+        if certificate is not None and (start is None or search.best.mean_aou_s > start.mean_aou_s):
+            write_certificate(certificate, scenario, layout, search.best)
+
+    def show(bound: Bound, share: float) -> None:
+        nonlocal saved
+        display.show(bound, share)
+        if time.monotonic() - saved > _SAVE_S:
+            save()
+            saved = time.monotonic()
+
+    search = BoundSearch(scenario, layout, limit_s, show, start)
+    with BoundDisplay(quiet, scenario.slot_length_s) as display:
+        try:
+            return search.run()
+        finally:
+            save()
 
 
 def _fixed_scenario(name: str, items: list[str] | None, refusal: str) -> tuple[Scenario, Path]:

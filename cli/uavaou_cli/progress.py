@@ -15,6 +15,7 @@ from uavaou_cli.tables import duration
 
 if TYPE_CHECKING:
     from uavaou.evaluation.recorded_mission import RecordedMission
+    from uavaou.planners.bound import Bound
     from uavaou.planners.plan import PlanningStatus
     from uavaou.scenario import Scenario
     from uavaou.studies.runner import StudyState
@@ -250,6 +251,18 @@ class PlanningDisplay(Display):
             gap = 1 - bound_s / progress.incumbent_s if progress.incumbent_s else 0.0
             figure += f", bound {bound_s / self._tau_s:,.2f}, gap {gap:.1%}"
         self.advance(progress.share, figure, "routes")
+
+
+class BoundDisplay(Display):
+    """Shows the best bound so far."""
+
+    def __init__(self, quiet: bool, slot_length_s: float) -> None:
+        super().__init__(quiet, 1.0, "", slot_length_s)
+
+    def show(self, bound: Bound, share: float) -> None:
+        """Show the bound after ``share`` of the work; for :class:`uavaou.planners.bound.BoundSearch`."""
+        if self.due:
+            self.advance(share, f"{bound.mean_aou_s / self._tau_s:,.4g} slots ({bound.method})", "lower bound")
 
 
 class TuningDisplay(Display):

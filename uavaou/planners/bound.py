@@ -3,69 +3,151 @@
 No policy that does not foresee the channel has a lower *expected* mean AoU; the expectation is over fading (a mean over
 finitely many missions scatters around it). Without fading, no mission is below the bound.
 
-The bound is the highest of up to three relaxations:
+The bound is the highest of up to four relaxations. Solvers and ascents only propose multipliers; dynamic programming
+then gives the bound of these multipliers, which is valid for all of them.
 
-* ``linear program``: that of :class:`uavaou.planners.exact.Program`, if it is small.
-* ``prices`` (:class:`LagrangianRelaxation`): the same without (Time) at any size, by prices on collections.
-* ``copies`` (:class:`uavaou.planners.decomposition.LagrangianDecomposition`): a copy of each UAV for each device. In
-  short missions it starts from ``prices``, in long ones from the dual of a linear program of its own.
+* ``linear program``: that of :class:`uavaou.planners.exact.Program`, if it is small, by the dual that HiGHS finds.
+* ``prices`` (:class:`LagrangianRelaxation`): the same at any size, without (Time), by an ascent.
+* ``fleet`` (:class:`uavaou.planners.fleet.FleetDecomposition`): a fleet for each device, if the states of a fleet are
+  few; starts from the prices of one of the first two.
+* ``copies`` (:class:`uavaou.planners.decomposition.LagrangianDecomposition`), for larger fleets: a copy of each UAV for
+  each device. In short missions it starts from ``prices``, in long ones from the dual of a linear program of its own.
 """
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from uavaou.arrays import Floats, Ints
-from uavaou.planners.decomposition import LagrangianDecomposition, subgradient_ascent
+from uavaou.planners.decomposition import (
+    FORBIDDEN,
+    LagrangianDecomposition,
+    affordable_cells,
+    coverage_at_most,
+    subgradient_ascent,
+)
 from uavaou.planners.exact import Program, gap_ages, program_size
+from uavaou.planners.fleet import FleetDecomposition
 from uavaou.planners.stationary_duals import stationary_duals
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
-from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import Flight, neighbours
 
 _LARGEST_PROGRAM = 20_000  # variables; for a larger program the prices are faster and no weaker
 _ROUNDS = 3000  # of the ascent by prices, at most
 _PATIENCE = 150  # rounds
-_ROUNDS_SHORT, _ROUNDS_LONG = 2000, 300  # of the ascent of the decomposition, at most
-_ROUNDING = 1e-9  # relative; far above the rounding error of the sums
+_ROUNDS_SHORT, _ROUNDS_LONG = 2000, 300  # of the ascent of the copies, at most
+_ROUNDS_FLEET = 1500  # of that of the fleet, at most
+_ROUNDING = 1e-9  # relative; far above the rounding error of sums of terms of one sign
 
 
 @dataclass(frozen=True)
 class Bound:
-    """A lower bound on the expected mean AoU, and the relaxation that gives it."""
+    """A lower bound on the expected mean AoU, the relaxation that gives it, and what proves it.
+
+    ``multipliers`` are the arguments of the relaxation's method ``bound``, by name.
+    """
 
     mean_aou_s: float
-    method: str  # "linear program", "prices" or "copies"
+    method: str = "none"  # "linear program", "prices", "fleet" or "copies"
+    multipliers: dict[str, Floats] = field(default_factory=dict)
 
 
-def lower_bound(scenario: Scenario, layout: Layout, time_limit_s: float | None = None) -> Bound:
-    """Bound the expected mean AoU of every policy on one layout.
+class BoundSearch:
+    """The search for the bound of one layout; it can be stopped and resumed.
 
     Args:
         scenario: with the rules of flight and the channel.
         layout: the devices.
         time_limit_s: approximate; None for a fixed amount of work, a minute or two on ``paper``.
+        on_round: receives the best bound after each round of an ascent, and the share of the work that is done.
+        start: the bound of an earlier search. Its ascent goes on from the multipliers; its value is found anew.
     """
-    totals = {}  # of the age, in slots squared, by method
-    if program_size(scenario, layout) <= _LARGEST_PROGRAM:
-        optimum = Program(scenario, layout).relaxation()
-        # Solvers stop within a tolerance of 1e-7; the certified value is a little lower.
-        totals["linear program"] = max(0.0, optimum * (1 - 1e-6) - 1e-6)
-    decomposition, started = LagrangianDecomposition(scenario, layout), time.monotonic()
-    half = None if time_limit_s is None else time_limit_s / 2
-    start = None if decomposition.short else stationary_duals(decomposition, layout, half)
-    if start is None:
-        relaxation = LagrangianRelaxation(scenario, layout)
-        totals["prices"] = relaxation.ascend(half)
-        start = relaxation.as_charges() if decomposition.short else None
-    if start is not None:
-        left = None if time_limit_s is None else max(0.0, time_limit_s - (time.monotonic() - started))
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        layout: Layout,
+        time_limit_s: float | None = None,
+        on_round: Callable[[Bound, float], None] = lambda bound, share: None,
+        start: Bound | None = None,
+    ) -> None:
+        self._scenario, self._layout, self._on_round = scenario, layout, on_round
+        self._limit_s, self._started = time_limit_s, time.monotonic()
+        self._start = start if start is not None and start.method in ("fleet", "copies") else None
+        self._rounds, self._most_rounds = 0, _ROUNDS_SHORT
+        self.best = Bound(0.0)
+
+    def run(self) -> Bound:
+        """Return the best bound."""
+        if self._start is None and program_size(self._scenario, self._layout) <= _LARGEST_PROGRAM:
+            prices, step_prices = Program(self._scenario, self._layout).relaxation()
+            total, _ = LagrangianRelaxation(self._scenario, self._layout).bound(prices, step_prices)
+            self._offer("linear program", ("prices", "step_prices"), total, prices, step_prices)
+        if FleetDecomposition.affordable(self._scenario):
+            self._by_fleet()
+        else:
+            self._by_copies()
+        return self.best
+
+    def _by_fleet(self) -> None:
+        if self._start is not None:
+            prices = self._start.multipliers["prices"]
+        else:
+            relaxation = LagrangianRelaxation(self._scenario, self._layout)
+            if self.best.method == "linear program":
+                relaxation.prices = self.best.multipliers["prices"]
+            else:
+                self._by_prices(relaxation)
+            _, prices = relaxation.as_charges()
+        fleet = FleetDecomposition(self._scenario, self._layout)
+        self._most_rounds = _ROUNDS_FLEET
+        fleet.ascend(prices, _ROUNDS_FLEET, self._left(), partial(self._offer, "fleet", ("prices",)))
+
+    def _by_copies(self) -> None:
+        decomposition = LagrangianDecomposition(self._scenario, self._layout)
+        if self._start is not None:
+            start = self._start.multipliers["charges"], self._start.multipliers["prices"]
+        else:
+            half = None if self._limit_s is None else self._limit_s / 2
+            found = None if decomposition.short else stationary_duals(decomposition, self._layout, half)
+            if found is None:
+                relaxation = LagrangianRelaxation(self._scenario, self._layout)
+                self._by_prices(relaxation)
+                if not decomposition.short:
+                    return
+                found = relaxation.as_charges()
+            start = found
         rounds = _ROUNDS_SHORT if decomposition.short else _ROUNDS_LONG
-        totals["copies"] = decomposition.ascend(*start, rounds, left)
-    method = max(totals, key=totals.__getitem__)
-    return Bound(scenario.slot_length_s / scenario.slots * totals[method], method)
+        self._most_rounds = rounds
+        decomposition.ascend(*start, rounds, self._left(), partial(self._offer, "copies", ("charges", "prices")))
+
+    def _by_prices(self, relaxation: "LagrangianRelaxation") -> None:
+        total = relaxation.ascend(None if self._limit_s is None else self._limit_s / 2)
+        no_step_prices = np.zeros(self._scenario.uavs)
+        self._offer("prices", ("prices", "step_prices"), total, relaxation.prices, no_step_prices)
+
+    def _left(self) -> float | None:
+        return None if self._limit_s is None else max(0.0, self._limit_s - (time.monotonic() - self._started))
+
+    def _offer(self, method: str, names: tuple[str, ...], total: float, *multipliers: Floats) -> None:
+        """Keep the bound ``total``, in slots squared, if it is the best, and tell the best."""
+        mean = self._scenario.slot_length_s / self._scenario.slots * total
+        if mean > self.best.mean_aou_s:
+            self.best = Bound(mean, method, dict(zip(names, multipliers, strict=True)))
+        self._rounds += 1
+        share = self._rounds / self._most_rounds
+        if self._limit_s is not None:
+            share = max(share, (time.monotonic() - self._started) / self._limit_s)
+        self._on_round(self.best, min(share, 1.0))
+
+
+def lower_bound(scenario: Scenario, layout: Layout, time_limit_s: float | None = None) -> Bound:
+    """Bound the expected mean AoU of every policy on one layout; see :class:`BoundSearch`."""
+    return BoundSearch(scenario, layout, time_limit_s).run()
 
 
 class LagrangianRelaxation:
@@ -78,31 +160,42 @@ class LagrangianRelaxation:
     for every choice of prices. First, the collections of a device form a path through the slots, whose arcs cost the
     age of the gap between two collections. Second, the fading of a slot is independent of the positions of the UAVs, so
     the probability of a collection of device i in slot t is at most sum_u P(R_iu >= R_min) at their positions. Dynamic
-    programming solves both terms; the walks obey (CDS) and the grid. The best prices give the optimum of the linear
-    relaxation of :class:`uavaou.planners.exact.Program` without (Time), in which a UAV may be divided between cells.
+    programming solves both terms; the walks obey (CDS) and the grid. For (Time), a walk of UAV u may pay a price
+    mu_u >= 0 for each grid step, and the bound loses mu_u for each step of the budget. The best prices give the optimum
+    of the linear relaxation of :class:`uavaou.planners.exact.Program`, in which a UAV may be divided between cells.
     """
 
     def __init__(self, scenario: Scenario, layout: Layout) -> None:
-        self._probability = cell_coverage(scenario, layout)  # (U, C, I)
+        self._probability = coverage_at_most(scenario, layout)  # (U, C, I)
         periods, self._gap_of = np.unique(layout.update_period, return_inverse=True)  # (G,), (I,)
         gaps = np.stack([gap_ages(int(k), scenario.slots).T for k in periods])  # (G, K+2, K+1), [t, s]
         self._gap_ages = np.ascontiguousarray(gaps, dtype=np.float64)  # contiguous along s, the inner loop
-        self._homes = Flight(scenario).cds @ [scenario.rows, 1]  # (U,) cells
+        flight = Flight(scenario)
+        self._homes = flight.cds @ [scenario.rows, 1]  # (U,) cells
+        self._budget = flight.budget  # (U,) grid steps
+        self._affordable = affordable_cells(scenario)  # (U, C)
         self._neighbours, _ = neighbours(scenario)  # (C, 5)
         self.prices = np.zeros((scenario.slots + 1, scenario.devices))  # (K+1, I); row 0 is no slot
 
-    def bound(self, prices: Floats) -> tuple[float, Floats]:
-        """Return the bound of prices (K+1, I) on the total age in slots squared, and its subgradient (K+1, I)."""
+    def bound(self, prices: Floats, step_prices: Floats | None = None) -> tuple[float, Floats]:
+        """Return the bound on the total age in slots squared, and its subgradient by the prices.
+
+        Args:
+            prices: pi, (K+1, I), at least 0.
+            step_prices: mu, (U,), at least 0; None for 0.
+        """
+        step_prices = np.zeros(len(self._homes)) if step_prices is None else step_prices
         paid, collected, _ = cheapest_paths(prices, self._gap_ages, self._gap_of)
-        total = paid.sum()
+        total, size = paid.sum(), paid.sum()
         offered = np.zeros_like(prices)
-        for probability, home in zip(self._probability, self._homes, strict=True):
-            worth = prices @ probability.T  # (K+1, C)
-            earned, walk = best_walk(worth, self._neighbours, home)
-            total -= earned
+        for u, (probability, home) in enumerate(zip(self._probability, self._homes, strict=True)):
+            worth = np.where(self._affordable[u], prices @ probability.T, -FORBIDDEN)  # (K+1, C)
+            earned, walk = best_walk(worth, self._neighbours, home, step_prices[u])
+            spent = step_prices[u] * self._budget[u]
+            total -= earned + spent
+            size += abs(earned) + 2 * spent + len(prices) * step_prices[u]
             offered[1:] += probability[walk[1:]]
-        scale = paid.sum() + abs(total - paid.sum())
-        return float(total - _ROUNDING * scale), collected - offered
+        return float(total - _ROUNDING * size), collected - offered
 
     def ascend(self, time_limit_s: float | None = None) -> float:
         """Return the best bound met on the total age, in slots squared, and keep its prices."""
@@ -160,13 +253,14 @@ def cheapest_paths(prices: Floats, gap_ages: Floats, gap_of: Ints) -> tuple[Floa
 
 
 @compiled_fast
-def best_walk(worth: Floats, neighbours: Ints, home: int) -> tuple[float, Ints]:
-    """Return the largest worth of a walk from the CDS in slot 1 to it in slot K, and its cells (K+1,).
+def best_walk(worth: Floats, neighbours: Ints, home: int, step_price: float) -> tuple[float, Ints]:
+    """Return the largest worth less step prices of a walk from the CDS in slot 1 to it in slot K; its cells (K+1,).
 
     Args:
         worth: of each cell in each slot, (K+1, C).
         neighbours: (C, 5).
         home: the cell of the CDS.
+        step_price: of each grid step.
     """
     slots, cells = len(worth) - 1, worth.shape[1]
     best = np.full(cells, -np.inf)
@@ -175,11 +269,11 @@ def best_walk(worth: Floats, neighbours: Ints, home: int) -> tuple[float, Ints]:
     for t in range(2, slots + 1):
         next_best = np.empty(cells)
         for c in range(cells):
-            source = neighbours[c, 0]
+            source, most = c, best[c]
             for k in range(1, 5):
-                if best[neighbours[c, k]] > best[source]:
-                    source = neighbours[c, k]
-            next_best[c] = best[source] + worth[t, c]
+                if best[neighbours[c, k]] - step_price > most:
+                    source, most = neighbours[c, k], best[neighbours[c, k]] - step_price
+            next_best[c] = most + worth[t, c]
             came[t, c] = source
         best = next_best
     walk = np.full(slots + 1, home)

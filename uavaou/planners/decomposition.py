@@ -29,20 +29,21 @@ from collections.abc import Callable
 
 import numpy as np
 
-from uavaou.arrays import Floats, Ints
+from uavaou.arrays import Bools, Floats, Ints
 from uavaou.planners.exact import gap_ages
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.coverage import cell_coverage
-from uavaou.world.flight import STEP_OF_MOVE, Flight, neighbours
+from uavaou.world.flight import STEP_OF_MOVE, Flight, grid_cells, neighbours
 
 _LONGEST = 30  # slots of own gap distinguished; longer gaps earn the maximum
 _PATIENCE = 25  # rounds
 _FIRST_LEVEL = 1.0  # above the start, in slots of age for each slot
 _SCALE = 0.05  # of prices common to all slots, relative to charges: such a price acts in hundreds of slots
 _MOST_PRICES = 1_000_000  # with more, prices are common to all slots
-_FORBIDDEN = 1e15  # price of a move off the grid, and of an end away from the CDS
-_ROUNDING = 1e-9  # relative; far above the rounding error of the sums
+FORBIDDEN = 1e15  # price of a move off the grid, and of an end away from the CDS
+_COVERAGE_ERROR = 1e-12  # of a probability of coverage; the error of the quadrature is about 1e-14
+_OPERATIONS = 16  # rounded, in sequence, for the value of a slot from that of the next one
 
 # The subgradient ascent
 _FALL = 100.0  # the ascent restarts at the best point if the value falls this many level heights below the best
@@ -64,12 +65,12 @@ class LagrangianDecomposition:
 
     def __init__(self, scenario: Scenario, layout: Layout) -> None:
         self.slots = scenario.slots
-        self.probability = cell_coverage(scenario, layout)  # (U, C, I)
+        self.probability = coverage_at_most(scenario, layout)  # (U, C, I)
         self.neighbours, self.on_grid = neighbours(scenario)
         self._homes = Flight(scenario).cds @ [scenario.rows, 1]  # (U,) cells
         self._gap_ages = [gap_ages(int(k), scenario.slots).astype(np.float64) for k in layout.update_period]
         uavs, cells, devices = self.probability.shape
-        self.short = scenario.slots * uavs * devices * cells * len(STEP_OF_MOVE) <= _MOST_PRICES
+        self.short = is_short(scenario)
         # (K+1,) which of the B tables of prices holds in slot t
         self._table = np.arange(scenario.slots + 1) if self.short else np.zeros(scenario.slots + 1, dtype=np.int64)
         self._shape = (int(self._table[-1]) + 1, uavs, devices, cells, len(STEP_OF_MOVE))
@@ -81,7 +82,7 @@ class LagrangianDecomposition:
             charges: phi[t] - phi[t-1] for t = 1 to K, (K, I).
             prices: kappa, (B, U, I, C, 5); B is K+1 in short missions, else 1.
         """
-        total, size = 0.0, 0.0
+        total = 0.0
         by_charges, by_prices = np.zeros_like(charges), np.zeros_like(prices)
         for i, ages in enumerate(self._gap_ages):
             charged = np.concatenate([[0.0], np.cumsum(charges[:, i])])  # (K+1,)
@@ -89,37 +90,90 @@ class LagrangianDecomposition:
             last = int(at_end.argmin())
             by_charges[:last, i] += 1.0
             total += at_end[last]
-            size += abs(at_end[last])
             credit, gap = credits(charged, ages, _LONGEST)
             for u, home in enumerate(self._homes):
                 probability = np.ascontiguousarray(self.probability[u, :, i])
-                allowed = np.where(self.on_grid, prices[:, u, i], _FORBIDDEN)
+                allowed = np.where(self.on_grid, prices[:, u, i], FORBIDDEN)
                 earned, moved, collected = best_copy(probability, self.neighbours, allowed, self._table, credit, home)
                 by_prices[:, u, i] += moved
                 _subtract_credits(by_charges[:, i], collected * (credit > 0.0), gap)
                 total -= earned
-                size += abs(earned)
         for u, home in enumerate(self._homes):
-            allowed = np.where(self.on_grid, prices[:, u].sum(axis=1), -_FORBIDDEN)
+            allowed = np.where(self.on_grid, prices[:, u].sum(axis=1), -FORBIDDEN)
             earned, moved = best_walk(allowed, self.neighbours, self._table, home)
             by_prices[:, u] -= moved[:, None]
             total -= earned
-            size += abs(earned)
-        return total - _ROUNDING * size, by_charges, by_prices
+        # Own gaps do not overlap, so a UAV's credits for a device are at most its charges.
+        most = np.abs(charges).sum() * (1 + len(self._homes)) + most_prices(prices, self.on_grid, self.slots)
+        return total - rounding_error(self.slots, prices.shape[2], float(most)), by_charges, by_prices
 
-    def ascend(self, charges: Floats, prices: Floats, rounds: int, time_limit_s: float | None = None) -> float:
-        """Return the best bound met on the total age, in slots squared, starting from these charges and prices."""
+    def ascend(
+        self,
+        charges: Floats,
+        prices: Floats,
+        rounds: int,
+        time_limit_s: float | None = None,
+        on_round: Callable[[float, Floats, Floats], None] | None = None,
+    ) -> float:
+        """Return the best bound met on the total age, in slots squared, starting from these charges and prices.
+
+        ``on_round`` receives the bound of each round, its charges and prices.
+        """
         cut, scale = charges.size, 1.0 if self.short else _SCALE
 
+        def parts(point: Floats) -> tuple[Floats, Floats]:
+            return point[:cut].reshape(charges.shape), scale * point[cut:].reshape(self._shape)
+
         def value(point: Floats) -> tuple[float, Floats]:
-            total, by_charges, by_prices = self.bound(
-                point[:cut].reshape(charges.shape), scale * point[cut:].reshape(self._shape)
-            )
+            total, by_charges, by_prices = self.bound(*parts(point))
+            if on_round is not None:
+                on_round(total, *parts(point))
             return total, np.concatenate([by_charges.ravel(), scale * by_prices.ravel()])
 
         start = np.concatenate([charges.ravel(), prices.ravel() / scale])
         level = _FIRST_LEVEL * self.slots
         return subgradient_ascent(value, start, level, rounds, _PATIENCE, time_limit_s=time_limit_s)[0]
+
+
+def is_short(scenario: Scenario) -> bool:
+    """Return whether a mission is short enough for prices of its own in each slot."""
+    per_slot = scenario.uavs * scenario.devices * scenario.columns * scenario.rows * len(STEP_OF_MOVE)
+    return scenario.slots * per_slot <= _MOST_PRICES
+
+
+def affordable_cells(scenario: Scenario) -> Bools:
+    """Return whether the flight-time budget of each UAV is enough for the way to a cell and back, (U, C)."""
+    flight = Flight(scenario)
+    away = np.abs(grid_cells(scenario) - flight.cds[:, None]).sum(axis=-1)  # (U, C) grid steps
+    return np.asarray(2 * away <= flight.budget[:, None])
+
+
+def coverage_at_most(scenario: Scenario, layout: Layout) -> Floats:
+    """Return P(R_iu >= R_min), (U, C, I), or a little more: with more coverage, no policy does worse."""
+    probability = cell_coverage(scenario, layout)  # (U, C, I)
+    if scenario.fading == "none":
+        return probability
+    return np.where(probability > 0.0, np.minimum(probability + _COVERAGE_ERROR, 1.0), 0.0)
+
+
+def most_prices(prices: Floats, on_grid: Bools, slots: int) -> float:
+    """Return the largest sum of prices (B, U, I, C, 5), without their signs, of the moves of a mission."""
+    each = np.where(on_grid, np.abs(prices), 0.0).max(axis=(-2, -1)).sum(axis=(-2, -1))  # (B,)
+    return float(each.sum() if len(each) > 1 else slots * each[0])
+
+
+def rounding_error(slots: int, devices: int, most: float) -> float:
+    """Return an upper limit of the rounding error of a bound.
+
+    Every number of the dynamic programs is at most ``most``. It passes through a fixed number of operations in each
+    slot, of which each adds at most half a unit in its last place; prices are sums over the devices.
+
+    Args:
+        slots: K.
+        devices: I.
+        most: the largest sum of the ages, charges and prices of a mission, all positive.
+    """
+    return float(np.finfo(np.float64).eps * slots * (_OPERATIONS + devices) * most)
 
 
 def _subtract_credits(by_charges: Floats, collected: Floats, gap: Ints) -> None:

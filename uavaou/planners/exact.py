@@ -153,9 +153,9 @@ class Program:
         self._probability = cell_coverage(scenario, layout)  # (U, C, I)
         self._program = LinearProgram()
         self._flows = [flow(scenario, u) for u in range(scenario.uavs)]
+        self._in_range: list[tuple[Ints, Ints]] = []  # of each device: slots and rows, (A,) each
         self._steps = [self._program.add_variables(np.ones(len(flow.slot))) for flow in self._flows]  # (E,) each
-        for u in range(scenario.uavs):
-            self._add_flow(u)
+        self._budgets = np.concatenate([self._add_flow(u) for u in range(scenario.uavs)])  # (U,) rows
         for i in range(scenario.devices):
             self._add_collections(i, gap_ages(int(layout.update_period[i]), scenario.slots))
 
@@ -186,12 +186,22 @@ class Program:
         bound = float(np.ceil(solver.getInfo().mip_dual_bound - _INTEGRALITY))
         return Solution(routes, max(bound, 0.0), interrupted)
 
-    def relaxation(self) -> float:
-        """Return the optimum of the linear relaxation, in slots squared; 0 if HiGHS finds none."""
+    def relaxation(self) -> tuple[Floats, Floats]:
+        """Return the dual of the linear relaxation: prices of collections (K+1, I) and of grid steps (U,), at least 0.
+
+        It is proposed by HiGHS and proves nothing before :class:`uavaou.planners.bound.LagrangianRelaxation` has
+        evaluated it. Where HiGHS finds none, all prices are 0.
+        """
+        slots, devices = self._scenario.slots, self._scenario.devices
         solver = self._program.solver()
         solver.run()
-        solved = solver.getModelStatus() == highspy.HighsModelStatus.kOptimal
-        return float(solver.getInfo().objective_function_value) if solved else 0.0
+        dual = np.asarray(solver.getSolution().row_dual)
+        if not solver.getSolution().dual_valid:
+            return np.zeros((slots + 1, devices)), np.zeros(len(self._flows))
+        prices = np.full((slots + 1, devices), float(slots) ** 3)  # nobody collects where no UAV can be in range
+        for i, (at, rows) in enumerate(self._in_range):
+            prices[at, i] = np.maximum(0.0, -dual[rows])
+        return prices, np.maximum(0.0, -dual[self._budgets])
 
     def _steps_of(self, routes: Ints) -> Floats:
         """Return the steps' variables (E,) for routes (K, U, 2)."""
@@ -211,8 +221,8 @@ class Program:
             cells[:-1, u], cells[-1, u] = flow.here[taken], flow.there[taken][-1]
         return np.stack(np.divmod(cells, scenario.rows), axis=-1)
 
-    def _add_flow(self, uav: int) -> None:
-        """Add one unit of flow from the CDS in slot 1 to the CDS in slot K, within the budget."""
+    def _add_flow(self, uav: int) -> Ints:
+        """Add one unit of flow from the CDS in slot 1 to the CDS in slot K; return the row of the budget, (1,)."""
         flow, steps, scenario, program = self._flows[uav], self._steps[uav], self._scenario, self._program
         flight, cells = Flight(scenario), scenario.columns * scenario.rows
         leaves, arrives = flow.slot * cells + flow.here, (flow.slot + 1) * cells + flow.there  # nodes
@@ -225,6 +235,7 @@ class Program:
         program.add_terms(conserved[node], np.concatenate([steps, steps]), np.repeat([1.0, -1.0], len(steps)))
         within_budget = program.add_constraints(1, -np.inf, float(flight.budget[uav]))
         program.add_terms(within_budget, steps[flow.here != flow.there], 1.0)
+        return within_budget
 
     def _add_collections(self, device: int, gap_age: Ints) -> None:
         """Add a path through slot 0 (start), the slots with a collection, and slot K+1 (end)."""
@@ -239,6 +250,7 @@ class Program:
         program.add_terms(conserved[start], arcs, 1.0)
         program.add_terms(conserved[end], arcs, -1.0)
         in_range = program.add_constraints(len(at) - 2, -np.inf, 0.0)
+        self._in_range.append((at[1:-1], in_range))
         collects = end < len(at) - 1
         program.add_terms(in_range[end[collects] - 1], arcs[collects], 1.0)
         program.add_terms(in_range[np.searchsorted(at, slot) - 1], step, -probability)

@@ -1,0 +1,65 @@
+"""The bound that keeps the fleet whole, and the certificate of a bound."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.planners.verify_certificate import verify
+from uavaou.errors import InputError
+from uavaou.planners.bound import Bound, BoundSearch, LagrangianRelaxation
+from uavaou.planners.certificate import read_certificate, write_certificate
+from uavaou.planners.fleet import FleetDecomposition
+from uavaou.scenario import Scenario
+
+FADING = Scenario.load("tiny").replace(fading="rician", slots=6, transmit_power_mw=0.25)
+LAYOUT = FADING.draw_layout()
+
+
+def test_any_prices_bound_and_the_slope_is_theirs() -> None:
+    fleet, rng = FleetDecomposition(FADING, LAYOUT), np.random.default_rng(0)
+    prices = 0.3 * rng.random((7, 2, 4, 9, 5))
+    value, slope = fleet.bound(prices)
+    for _ in range(5):
+        along = rng.standard_normal(prices.shape)
+        moved, _ = fleet.bound(prices + 1e-6 * along)
+        assert (moved - value) / 1e-6 == pytest.approx((slope * along).sum(), rel=1e-3)
+        far, _ = fleet.bound(prices + along)  # concave: below the tangent
+        assert far <= value + (slope * along).sum() + 1e-6
+
+
+def test_a_whole_fleet_is_no_weaker_than_prices_on_collections() -> None:
+    relaxation = LagrangianRelaxation(FADING, LAYOUT)
+    relaxation.prices[1:] = np.random.default_rng(1).random((6, 4))
+    total, _ = relaxation.bound(relaxation.prices)
+    assert FleetDecomposition(FADING, LAYOUT).bound(relaxation.as_charges()[1])[0] >= total - 1e-9
+
+
+@pytest.mark.parametrize("method", ["linear program", "fleet", "copies"])
+def test_a_certificate_is_verified_and_resumed(method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if method != "linear program":
+        monkeypatch.setattr("uavaou.planners.bound._LARGEST_PROGRAM", 0)
+    if method != "fleet":
+        monkeypatch.setattr(FleetDecomposition, "affordable", lambda _: False)
+    monkeypatch.setattr("uavaou.planners.bound._ROUNDS_FLEET", 5)
+    monkeypatch.setattr("uavaou.planners.bound._ROUNDS_SHORT", 5)
+    bound, path = BoundSearch(FADING, LAYOUT).run(), tmp_path / "bound.npz"
+    assert bound.method in (method, "prices")
+    write_certificate(path, FADING, LAYOUT, bound)
+    claimed, proven = verify(path)
+    assert claimed == bound.mean_aou_s > 0
+    assert claimed <= proven * (1 + 1e-9)
+    again = read_certificate(path, FADING)
+    assert BoundSearch(FADING, LAYOUT, start=again).run().mean_aou_s >= bound.mean_aou_s * (1 - 1e-9)
+
+
+def test_a_certificate_is_of_one_scenario(tmp_path: Path) -> None:
+    path = tmp_path / "bound.npz"
+    write_certificate(path, FADING, LAYOUT, Bound(1.0, "prices"))
+    with pytest.raises(InputError, match="another scenario"):
+        read_certificate(path, FADING.replace(slots=7))
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(InputError, match="damaged"):
+        read_certificate(path, FADING)
