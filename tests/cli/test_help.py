@@ -26,7 +26,7 @@ COMMANDS = {
     "fly": "SCENARIO --scenario --policy --seed --out --set --quiet",
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --set --quiet",
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
-    "gap": "SCENARIO RUN --scenario --time-limit --episodes --seed --set --quiet",
+    "gap": "SCENARIO RUN --scenario --time-limit --bound-limit --certificate --episodes --seed --set --quiet",
     "audit": "SCENARIO --scenario",
     "export": "RUN --out --format --scenario",
     "scenarios": "",

@@ -142,6 +142,7 @@ BAD_INPUTS = [
     ("gap tiny nowhere", "'nowhere' does not exist"),
     ("gap tiny --set scenario.layout=resample", "the bound is that of one layout"),
     ("gap tiny --time-limit -1", "--time-limit -1"),
+    ("gap tiny --certificate . --quiet", "cannot write '.': it is a folder"),
     # a scenario, as SCENARIO or --scenario
     ("gap --scenario tiny quickstart", "'quickstart' is a scenario, and arguments are runs here"),
     ("gap --scenario tiny nowhere", "'nowhere' does not exist"),

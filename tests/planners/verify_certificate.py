@@ -1,4 +1,4 @@
-"""Verify a certificate of ``uavaou gap --certificate`` with NumPy and SciPy alone: ``python verify_certificate.py FILE``.
+"""Verify a certificate of ``uavaou gap`` with NumPy and SciPy alone: ``python verify_certificate.py FILE``.
 
 It reads the scenario, the devices and the multipliers, and computes the bound that they prove by its own dynamic
 programs. Nothing of the package is imported.
@@ -30,7 +30,7 @@ class Mission:
         cds = np.rint(np.array(fields["cds_m"]) / step).astype(int)
         self.homes = cds[:, 0] * size[1] + cds[:, 1]
         heights = np.array(fields["altitudes_m"], float)
-        length = np.floor((fields["flight_time_budget_s"] * fields["speed_m_s"] + 1e-6 - 2 * heights) / step + 1e-9)
+        length = np.floor(((fields["flight_time_budget_s"] + 1e-6) * fields["speed_m_s"] - 2 * heights) / step)
         free = fields["flight_time"] == "ignore"
         self.budget = np.full(len(heights), self.slots) if free else length.astype(int)
         away = np.abs(cells[None] - cds[:, None]).sum(-1)
@@ -125,8 +125,7 @@ def copies(mission, charges, prices):
 def collections(mission, prices, step_prices):
     total, slots = 0.0, mission.slots
     for i, ages in enumerate(mission.ages):
-        gaps = np.concatenate([np.cumsum(ages, 1)[:, :1] * 0, np.cumsum(ages, 1)[:, :-1]], 1)  # [s, t] between them
-        gaps = np.concatenate([gaps, np.cumsum(ages, 1)[:, -1:]], 1)[:, : slots + 2]
+        gaps = np.pad(np.cumsum(ages, 1), ((0, 0), (1, 0)))[:, :-1]  # [s, t] between collections in s and t
         least = np.zeros(slots + 2)
         for t in range(1, slots + 2):
             least[t] = (least[:t] + gaps[:t, t]).min() + (prices[t, i] if t <= slots else 0.0)
