@@ -61,7 +61,7 @@ class FleetDecomposition:
         self._neighbours, on_grid = neighbours(scenario)
         # (U, C, 5) the move stays on the grid, and its end within the budget
         self._allowed = on_grid & affordable_cells(scenario)[:, self._neighbours]
-        self._homes: Ints = Flight(scenario).cds @ [scenario.rows, 1]  # (U,) cells
+        self._homes: Ints = np.asarray(Flight(scenario).cds @ [scenario.rows, 1], dtype=np.int64)  # (U,) cells
         self._missed = [_all_missed(probability[:, :, i]) for i in range(scenario.devices)]  # (C**U,) each
         self._ages = [_ages(int(k), scenario.slots) for k in layout.update_period]  # (K+1, G+1) each
         self._most_age = sum(float(ages.max(axis=1).sum()) for ages in self._ages)
