@@ -60,6 +60,9 @@ def test_a_certificate_is_of_one_scenario(tmp_path: Path) -> None:
     write_certificate(path, FADING, LAYOUT, Bound(1.0, "prices"))
     with pytest.raises(InputError, match="another scenario"):
         read_certificate(path, FADING.replace(slots=7))
+    write_certificate(path, FADING, LAYOUT, Bound(1.0, "fleet", {"prices": np.zeros((2, 2))}))
+    with pytest.raises(InputError, match="do not fit"):
+        read_certificate(path, FADING)
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(InputError, match="damaged"):
         read_certificate(path, FADING)

@@ -332,7 +332,8 @@ def test_rolling_beats_the_plan_that_it_starts_from() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("fading", ["rician", "none"])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_no_policy_beats_the_bound(seed: int, fading: str) -> None:
+def test_no_policy_beats_the_bound(seed: int, fading: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaou.planners.bound._ROUNDS_FLEET", 30)
     scenario = QUICKSTART.replace(slots=20, layout_seed=seed, fading=fading, rate_min_bit_s=165_000)
     layout = scenario.draw_layout()
     bounds = [

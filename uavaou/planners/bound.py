@@ -40,7 +40,7 @@ _LARGEST_PROGRAM = 20_000  # variables; for a larger program the prices are fast
 _ROUNDS = 3000  # of the ascent by prices, at most
 _PATIENCE = 150  # rounds
 _ROUNDS_SHORT, _ROUNDS_LONG = 2000, 300  # of the ascent of the copies, at most
-_ROUNDS_FLEET = 1500  # of that of the fleet, at most
+_ROUNDS_FLEET = 600  # of that of the fleet, at most
 _ROUNDING = 1e-9  # relative; far above the rounding error of sums of terms of one sign
 
 

@@ -10,10 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from uavaou.arrays import Floats
 from uavaou.errors import InputError
 from uavaou.files import replacing, writing
 from uavaou.planners.bound import Bound
+from uavaou.planners.decomposition import is_short
 from uavaou.scenario import Layout, Scenario
+from uavaou.world.flight import STEP_OF_MOVE
 
 _MULTIPLIER = "multiplier_"  # before the names of multipliers
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
@@ -47,4 +50,18 @@ def read_certificate(path: Path, scenario: Scenario) -> Bound:
     if fields != json.loads(json.dumps(scenario.to_dict())):
         raise InputError(f"'{path}' is the certificate of another scenario than '{scenario.name}' with these values")
     multipliers = {name.removeprefix(_MULTIPLIER): content[name] for name in content if name.startswith(_MULTIPLIER)}
+    if not _fit(scenario, method, multipliers):
+        raise InputError(f"'{path}' is damaged: its multipliers do not fit scenario '{scenario.name}'")
     return Bound(mean_aou_s, method, multipliers)
+
+
+def _fit(scenario: Scenario, method: str, multipliers: dict[str, Floats]) -> bool:
+    """Return whether a search can go on from these multipliers; those of the other methods are found anew."""
+    tables = scenario.slots + 1 if is_short(scenario) else 1
+    cells, moves = scenario.columns * scenario.rows, len(STEP_OF_MOVE)
+    shapes: dict[str, tuple[int, ...]] = {"prices": (tables, scenario.uavs, scenario.devices, cells, moves)}
+    if method == "copies":
+        shapes["charges"] = (scenario.slots, scenario.devices)
+    found = {name: values.shape for name, values in multipliers.items()}
+    finite = all(values.dtype == np.float64 and np.isfinite(values).all() for values in multipliers.values())
+    return finite and (method not in ("fleet", "copies") or found == shapes)
