@@ -50,6 +50,9 @@ def run(
     writable_folder(folder)
     from uavaou.studies.runner import run_study
 
+    if not quiet:
+        for line in _time_it_takes(chosen, out, jobs or _cores()):
+            print(line, file=sys.stderr)
     with ExitStack() as stack:
         performer = _engine(stack, engine, jobs, address, ctx.obj["plugins"])
         progress = stack.enter_context(StudyDisplay(quiet))
@@ -102,8 +105,34 @@ def _study(name: str, out: Path) -> tuple[Study, Path]:
     return chosen, StudyFolder.of(out, chosen.name).path
 
 
+def _time_it_takes(study: Study, out: Path, jobs: int) -> list[str]:
+    """How long the trainings that are left take, as far as such have been measured."""
+    from uavaou.studies.borrowed import borrow, expected_cpu_s
+    from uavaou.studies.folder import StudyFolder
+    from uavaou.studies.results import read_begun
+
+    results = read_begun(StudyFolder.of(out, study.name))
+    borrow(results, study, out)
+    cpu_s, unknown = expected_cpu_s(study, results, out)
+    runs = list(study.runs())
+    left = [run for run in runs if run.key not in results.parts]
+    if not left or not (cpu_s or unknown):
+        return []
+    slots = sum(run.config.slots for run in left)
+    told = f"study {study.name}: {len(left)} of {len(runs)} trainings are left, {slots:,} slots"
+    if cpu_s:
+        told += f", about {duration(cpu_s)} of CPU as measured so far, {duration(cpu_s / jobs)} with --jobs {jobs}"
+    if unknown:
+        told += f"; not measured: {', '.join(unknown)}"
+    return wrapped(told)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _engine(stack: ExitStack, name: str, jobs: int | None, address: str | None, plugins: list[str]) -> Engine:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = _cores()
     if name == "local":
         from uavaou.studies.processes import Processes
 

@@ -18,8 +18,8 @@ from uavaou_cli.tables import WIDTH
 # Scripts and docs rely on every one of these.
 COMMANDS = {
     "": "--version --plugin --install-completion --show-completion",
-    "train": "SCENARIO --scenario --family --algorithm --seed --slots --config --from --continue --out --resume "
-    "--checkpoint-every --device --backend --set --quiet",
+    "train": "SCENARIO --scenario --family --algorithm --seed --slots --config --from --continue --fork --at --out "
+    "--resume --checkpoint-every --device --backend --set --quiet",
     "tune": "SCENARIO --scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out "
     "--set --search --quiet",
     "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --json --out --set --quiet",

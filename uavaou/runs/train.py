@@ -104,7 +104,10 @@ def _train(
     settings = {name: getattr(algorithm, name) for name in shared}
     try:
         env = flatten(
-            config.family or config.scenario, seed=training_seeds(config.seed).start, backend=backend, **settings
+            config.family or config.scenario,
+            seed=training_seeds(_first_seed(config)).start,
+            backend=backend,
+            **settings,
         )
     except MemoryError as error:
         raise InputError(f"not enough memory for missions = {algorithm.missions}: lower it") from error
@@ -149,12 +152,17 @@ def _begin_with(digest: str, source: Start | None, model: BaseAlgorithm) -> None
     source.load_into(model)
 
 
+def _first_seed(config: RunConfig) -> int:
+    """The seed that a training begins with: its own, or that of the one it follows."""
+    return config.seed if config.fork is None else config.fork.seed
+
+
 def _make_learner(config: RunConfig, env: MissionVecEnv, device: str) -> BaseAlgorithm:
     try:
-        model = make_model(config.algorithm, env, config.seed, device)
+        model = make_model(config.algorithm, env, _first_seed(config), device)
     except MemoryError as error:
         raise InputError("not enough memory for the learner: lower missions or what it stores of each") from error
-    env.seed(training_seeds(config.seed).start)  # SB3 seeded the missions with the learner's seed
+    env.seed(training_seeds(_first_seed(config)).start)  # SB3 seeded the missions with the learner's seed
     return model
 
 

@@ -17,6 +17,7 @@ from uavaou.runs.lock import one_writer
 from uavaou.runs.results import PolicyResult
 from uavaou.studies import jobs
 from uavaou.studies.best import keep_best
+from uavaou.studies.borrowed import borrow
 from uavaou.studies.condense import condense_run, evaluation_rows, trained_so_far, update_results
 from uavaou.studies.folder import ANNEALED, BOUND, PLAN, PartKey, StudyFolder
 from uavaou.studies.structure import not_needed
@@ -96,6 +97,8 @@ class _Work:
         self._every_s = checkpoint_every_s
         self._runs = {run.key: run for run in study.runs()}
         self._results, _ = update_results(study, out)  # a damaged run is tried again, and fails with its reason then
+        borrow(self._results, study, out)
+        self._results.write(study)
         self._plans: dict[str, RoutePlan | None] = {}  # by scenario; None: being made
         order = study.work_order()
         self._todo = todo = [key for key in order if key not in self._results.parts]

@@ -22,6 +22,7 @@ from uavaou.fields import Positive, PositiveWhole, Whole, short, validated
 from uavaou.plain_yaml import to_yaml
 from uavaou.planners import PLAN_AHEAD, PLANNERS
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
+from uavaou.runs.fork import Fork
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.studies.folder import ANNEALED, BOUND, PartKey
@@ -108,6 +109,7 @@ class VariantEntry(BaseModel, frozen=True, extra="forbid"):
 
     algorithm: StrictStr | None = None  # None: that of the variant's name
     set: Annotated[dict[StrictStr, Any], _expecting(dict, "{gamma: 0.9}")] = {}
+    fork: Fork | None = None  # the training that every seed of the variant follows at first
     against: StrictStr | None = None  # the variant that the report compares it with, beside the reference
 
 
@@ -129,6 +131,7 @@ class Study(StudySettings):
     scenarios: dict[str, Scenario]  # by their names in the study
     variants: dict[str, AlgorithmConfig]  # the settings of each variant
     against: dict[str, str]  # variant -> the one that the report compares it with, beside the reference
+    forks: dict[str, Fork]  # variant -> the training that its seeds follow at first
 
     @classmethod
     def load(cls, source: str | Path) -> Study:
@@ -141,15 +144,18 @@ class Study(StudySettings):
         file = validated(StudyFile, read_yaml_mapping(path), str(path))
         pairs = [_scenario(entry, f"{path}: scenarios[{k}]", path) for k, entry in enumerate(file.scenarios)]
         _check_distinct([name for name, _ in pairs], f"{path}: scenarios")
-        variants, against = {}, {}
+        variants, against, forks = {}, {}, {}
         for name, content in file.variants.items():
             where, stated = f"{path}: variants.{short(name)}", {} if content is None else content
             entry = _validated_entry(VariantEntry, stated, where, "settings of the algorithm")
             variants[name] = _variant(name, entry, file.slots, where)
             if entry.against is not None:
                 against[name] = entry.against
+            if entry.fork is not None:
+                forks[name] = entry.fork
         values: dict[str, Any] = {name: getattr(file, name) for name in StudySettings.model_fields}
         values |= {"name": path.stem, "scenarios": dict(pairs), "variants": variants, "against": against}
+        values |= {"forks": forks}
         study = cls.model_construct(**values)  # validated above
         _check(study, str(path))
         return study
@@ -158,7 +164,8 @@ class Study(StudySettings):
         """Every training, all variants with the first seed before any with the second."""
         every = product(self.seeds, self.scenarios.items(), self.variants.items())
         for seed, (place, scenario), (variant, algorithm) in every:
-            yield StudyRun(PartKey(variant, place, seed), RunConfig(scenario, algorithm, seed))
+            config = RunConfig(scenario, algorithm, seed, fork=self.forks.get(variant))
+            yield StudyRun(PartKey(variant, place, seed), config)
 
     def planner_parts(self) -> list[PartKey]:
         """The bound and the planners of each scenario, those that need an annealed plan last."""
@@ -200,6 +207,7 @@ class Study(StudySettings):
             "reference": self.reference,
             "claims": self.claims,
             "against": self.against,
+            **({"forks": {name: fork.model_dump() for name, fork in self.forks.items()}} if self.forks else {}),
             **({"held": self.held} if self.held else {}),
             **({"until_decided": True} if self.until_decided else {}),
             "variants": {name: config.model_dump(mode="json") for name, config in self.variants.items()},
@@ -261,6 +269,12 @@ def _check(study: Study, source: str) -> None:
     _check_distinct(study.planners, f"{source}: planners")
     _check_comparisons(study, source)
     _check_structure(study, source)
+    for name, fork in study.forks.items():
+        for seed in study.seeds:
+            try:
+                fork.check(seed, study.variants[name].slots)
+            except InputError as error:
+                raise InputError(f"{source}: variants.{short(name)}: {error}") from None
     planned = ["bound: true"] if study.bound else []
     planned += [f"planners: {name}" for name in study.planners if name in PLAN_AHEAD]
     for name, scenario in study.scenarios.items():
