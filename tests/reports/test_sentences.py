@@ -1,0 +1,194 @@
+"""Every sentence with a number in the README's results and on the results' page is in a list here, and is checked.
+
+A sentence is known by words of it. Those whose numbers come from tables are checked against these; other numbers are
+settings that were given to a command, or are said to be checked elsewhere. A sentence that is in no list fails.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable
+from functools import cache
+from math import exp, log
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import pytest
+import yaml
+
+from uavaou.reports.scores import study_scores
+from uavaou.studies.results import StudyResults, read_study
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "results"
+
+
+def sentences(path: Path, start: str = "", stop: str = "\0") -> list[str]:
+    """Those with a digit, without tables, headings, code, addresses and what commands write between markers."""
+    text = path.read_text(encoding="utf-8")
+    text = text[text.index(start) :].partition(stop)[0]
+    text = re.sub(r"<!-- claims:begin.*?<!-- claims:end -->|```.*?```", "", text, flags=re.DOTALL)
+    found = []
+    for line in text.splitlines():
+        if not line.startswith(("|", "#")):
+            plain = re.sub(r"\]\([^)]*\)", "]", line)
+            found += re.split(r"(?<=[.:;])\s+(?=[A-Z*`\[(])", plain)
+    return [sentence for sentence in found if re.search(r"\d", re.sub(r"`[^`]*`", "", sentence))]
+
+
+SENTENCES = [
+    *sentences(ROOT / "README.md", "## Results", "## Reading on"),
+    *sentences(RESULTS / "README.md"),
+]
+
+
+@cache
+def study(name: str) -> StudyResults:
+    return read_study(RESULTS / "studies" / name)
+
+
+def rows(name: str) -> list[dict[str, str]]:
+    with (RESULTS / name).open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def trainings(name: str, variants: int, seeds: int, slots: int) -> bool:
+    """Whether a study has so many variants, seeds of each and slots of each training."""
+    runs = study(name).table("runs")
+    groups = {(run, place) for run, place in zip(runs["variant"], runs["scenario"], strict=True)}
+    return len(groups) == variants and len(runs["seed"]) == variants * seeds and 0 <= runs["slots"].min() - slots < 1e4
+
+
+def any_map(table: str, point: str | None = None) -> list[dict[str, str]]:
+    found = [row for row in rows(f"suites/any-map/{table}.csv") if row["policy"] == "any-map"]
+    return [row for row in found if point in (None, row["point"])]
+
+
+def flown(table: str, column: str = "point") -> set[str]:
+    return {row[column] for row in rows(f"suites/{table}.csv") if row["seed"]}
+
+
+def as_released(text: str) -> bool:
+    (here,), unseen = any_map("known-layouts", "0"), any_map("unseen-layouts")
+    mean, low, high = (f"{float(here[name]):.1f}" for name in ("mean_aou_slots", "low", "high"))
+    ratio = exp(fmean(log(float(row["ratio"])) for row in unseen))
+    return f"{mean} ({low}–{high})" in text and f"{len(unseen)} layouts" in text and f"{ratio:.2f} of" in text
+
+
+def as_fast(text: str) -> bool:
+    stock, found = {}, []
+    for row in rows("benchmarks/training.csv"):
+        if row["name"] == "stock SB3 PPO on SuperSuit's stage, 1 process":
+            stock[row["table"]] = float(row["median"])
+        elif f"{round(float(row['median'])):,}" in text:
+            found.append(f"{float(row['median']) / stock[row['table']]:.1f} times")
+    return len(found) == 2 and all(ratio in text for ratio in found)
+
+
+def repeated(text: str) -> bool:
+    first = study("paper").table("runs", "mappo", "paper", 0)
+    together = 64  # missions
+    return f"{int(first['slots'][0]) // 500 // together * together:,} training missions" in text
+
+
+def ratio_to_anneal(text: str) -> bool:
+    means = {one.policy: one.mean.value for one in study_scores(study("paper"))["paper"]}
+    return text.endswith(f"{means['mappo'] / means['anneal']:.2f}.")
+
+
+def ablated(text: str) -> bool:
+    means = sorted(study("ablations").table("runs", "published", "paper")["mean_aou_slots"])
+    return f"{means[0]:.1f}, {means[1]:.1f} and {means[2]:.1f}" in text
+
+
+def structured(text: str) -> bool:
+    """The two sentences on strays, against ``trainings.csv``."""
+    found = [row for row in rows("studies/paper/trainings.csv") if row["variant"] != "vdn"]
+    strays, others = ([row for row in found if row["strays"] == stray] for stray in "10")
+    means = [[float(row["mean_aou_slots"]) for row in group] for group in (strays, others)]
+    names = [f"{row['variant']} {row['seed']}" for row in strays]
+    ends = " and ".join(f"{mean:.1f}" for mean in means[0])
+    told = (
+        f"In {len(others)} of the {len(found)} trainings",
+        f"at {ends} slots, the others at {min(means[1]):.1f} to {max(means[1]):.1f}",
+    )
+    return (
+        names == ["mappo 1", "ippo 2"]
+        and any(words in text for words in told)
+        and ({row["structure"] for row in others}, {row["structure"] for row in strays}) == ({"17 18 22"}, {"18"})
+    )
+
+
+def searched(place: str, trials: int, seconds: float) -> bool:
+    """Whether the three searches had so many trials of so many seconds."""
+    folders = list((RESULTS / "tuning" / place).iterdir())
+    budgets = [yaml.safe_load((folder / "search.yaml").read_text())["budget"]["seconds"] for folder in folders]
+    counts = [len(rows(f"tuning/{place}/{folder.name}/tune.csv")) for folder in folders]
+    return (budgets, counts) == ([seconds] * 3, [trials] * 3)
+
+
+def of_the_scenario(text: str) -> bool:
+    fields: dict[str, Any] = study("paper").scenarios["paper"]
+    return fields["rician_factor"] == 10 and fields["rate_min_bit_s"] == 150_000
+
+
+CHECKED: dict[str, Callable[[str], bool]] = {
+    "five trainings of 3M slots each, 100 missions": lambda _: (
+        trainings("paper", 4, 5, 3_000_000) and study("paper").settings["episodes"] == 100
+    ),
+    "both serve all 25 devices": lambda _: (
+        {
+            round(float(study("paper").table("missions", name, "paper")["devices_served"].mean()))
+            for name in ("mappo", "vdn")
+        }
+        == {25}
+    ),
+    "flies `paper` with shared information": as_released,
+    "agent steps a second": as_fast,
+    "1 slot is 6.67 s": lambda _: f"{study('paper').scenarios['paper']['slot_length_s']:.2f}" == "6.67",
+    "five seeds and 3M slots each, with planners": lambda _: trainings("paper", 4, 5, 3_000_000),
+    "minutes of CPU time": lambda text: f"{study('paper').table('runs')['cpu_s'].sum() / 60:.0f} minutes" in text,
+    "were equal, to the last digit": repeated,
+    "hold the devices 17, 18 and 22": structured,
+    "hold device 18 alone": structured,
+    "(3M slots, one seed each) on five layouts": lambda _: trainings("layouts", 5, 1, 3_000_000),
+    "On layout 0, over five seeds": ratio_to_anneal,
+    "one change at a time, 1M slots": lambda _: trainings("ablations", 7, 3, 1_000_000),
+    "The published settings reach": ablated,
+    "were trained at 10 dB and 150 kbit/s": of_the_scenario,
+    "each point up to 6 UAVs": lambda _: (
+        flown("uavs") == set("123456")
+        and {int(point) for point in flown("devices")} >= {10, 100}
+        and flown("uavs", "training_slots") == flown("devices", "training_slots") == {"1000000"}
+    ),
+    "on 64 unseen layouts": lambda _: len(any_map("unseen-layouts")) == 64,
+    "14 settings of 30 CPU seconds": lambda _: searched("quickstart", 14, 30),
+    "played 240 CPU seconds": lambda _: searched("paper+layout_seed=1", 4, 240),
+}
+ELSEWHERE = {  # words -> where the numbers are checked, or what they are
+    "Intervals are 95 %": "the rule of all intervals: tests/statistics",
+    "on this layout MAPPO is no better": "tests/test_readme.py",
+    "On layouts 1 to 5, one training each": "tests/test_readme.py",
+    "The mean of the five ratios to `anneal`": "tests/test_readme.py",
+    "only 3, 4 and 5 are fresh": "what was searched: results/tuning",
+    "Settings were looked for on `quickstart`": "what was searched: results/tuning",
+    "So the results on layouts 0, 1 and 2": "what was searched: results/tuning",
+    "Nothing was chosen on layouts 3, 4 and 5": "what was searched: results/tuning",
+    "two cores of an AMD EPYC (Zen 5)": "the machine: results/benchmarks/machine.json",
+    "On an AMD EPYC (Zen 4)": "another machine: docs/speed.md",
+    "on 64 of the 100 missions": "the option of the command that wrote planners/gap.csv",
+}
+
+
+def test_every_sentence_with_a_number_is_in_a_list_and_every_entry_is_in_a_sentence() -> None:
+    known = [*CHECKED, *ELSEWHERE]
+    assert [sentence for sentence in SENTENCES if sum(words in sentence for words in known) != 1] == []
+    assert [words for words in known if sum(words in sentence for sentence in SENTENCES) == 0] == []
+
+
+@pytest.mark.parametrize("words", CHECKED)
+def test_the_numbers_of_a_sentence_are_those_of_its_table(words: str) -> None:
+    for sentence in (sentence for sentence in SENTENCES if words in sentence):
+        assert CHECKED[words](sentence), sentence
