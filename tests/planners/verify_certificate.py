@@ -151,4 +151,4 @@ def verify(path):
 if __name__ == "__main__":
     claimed, proven = verify(sys.argv[1])
     print(f"claimed {claimed:.9g} s, proven {proven:.9g} s")
-    sys.exit(claimed > proven * (1 + 1e-7))
+    sys.exit(int(claimed > proven * (1 + 1e-7)))
