@@ -14,6 +14,8 @@ from uavaou.planners.certificate import read_certificate, write_certificate
 from uavaou.planners.fleet import FleetDecomposition
 from uavaou.scenario import Scenario
 
+pytestmark = pytest.mark.slow
+
 FADING = Scenario.load("tiny").replace(fading="rician", slots=6, transmit_power_mw=0.25)
 LAYOUT = FADING.draw_layout()
 

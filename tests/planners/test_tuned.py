@@ -18,6 +18,8 @@ from uavaou.planners.rule import make_chart, score
 from uavaou.planners.tuned import LocalGreedyTuned, RulePlan, _Search
 from uavaou.scenario import Scenario
 
+pytestmark = pytest.mark.slow
+
 QUICK = Scenario.load("quickstart").replace(slots=20)
 
 

@@ -176,7 +176,7 @@ def test_the_report_prints_every_variant_and_planner(
     after = tables(out)
     assert {name: after[name] for name in before} == before
     missions = {f"mission-{variant}.json" for variant in study.variants}
-    assert after.keys() - before.keys() == {"README.md", "marl-eval.json", "replay.html", *missions}
+    assert after.keys() - before.keys() == {"README.md", "marl-eval.json", "replay.html", "trainings.csv", *missions}
 
 
 def test_the_report_warns_of_results_below_the_bound(
@@ -203,7 +203,7 @@ def test_a_running_study_is_reported_from_its_tables(
     assert "is at work on the study: its page is written from the tables as they stand" in shown.err
     assert "own critic" in shown.out
     after = tables(out)
-    assert after.keys() - before.keys() == {"README.md", "marl-eval.json"}
+    assert after.keys() - before.keys() == {"README.md", "marl-eval.json", "trainings.csv"}
     assert {name: after[name] for name in before if name != ".lock"} == {
         name: content for name, content in before.items() if name != ".lock"
     }
