@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from numba.core.caching import IndexDataCacheFile
 
 from uavaou.world.channel import random_bits
-from uavaou.world.compiled import _CheckedCacheFile, compiled
+from uavaou.world.compiled import _CheckedCacheFile, compiled, uninterrupted
 
 
 def test_a_function_that_cannot_be_kept_is_compiled_all_the_same() -> None:
@@ -40,3 +41,23 @@ def test_machine_code_is_only_run_with_the_types_that_it_is_of(tmp_path: Path, m
             second._save_index({"float": second._data_name(1)})
         found = kind(str(folder), "function", "source").load("float")
         assert found == (b"of int" if kind is IndexDataCacheFile else None)
+
+
+def test_a_signal_waits_until_a_compiled_function_has_returned() -> None:
+    done = []
+
+    @uninterrupted
+    def work(number: int) -> None:
+        signal.raise_signal(number)
+        done.append(number)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            work(signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        work(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert done == [signal.SIGINT] * 2

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from uavaou.arrays import Floats, Ints
-from uavaou.world.compiled import compiled_fast
+from uavaou.world.compiled import compiled_fast, uninterrupted
 
 Rng = Any  # np.random.Generator, the whole numbers of which are plain ones once compiled
 Pair = tuple[int, int]
@@ -311,6 +311,7 @@ def copy(source: Ints, route: Ints, trial: Ints, low: int, high: int, grid: Pair
     return _NOTHING
 
 
+@uninterrupted
 @compiled_fast
 def anneal(
     e: ExpectedAge,

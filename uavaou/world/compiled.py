@@ -1,7 +1,9 @@
 """Numba compiles the inner loops: a loop over scalars needs no array between two operations."""
 
+import signal
+import threading
 from collections.abc import Callable
-from functools import partial
+from functools import partial, wraps
 from typing import Any, TypeVar, cast
 
 import numba
@@ -23,6 +25,35 @@ def compiled(function: F) -> F:
 def compiled_fast(function: F) -> F:
     """Compile like :func:`compiled`, and let LLVM reorder sums into vectors; infinities and NaNs keep their meaning."""
     return _compiled(function, fastmath={"reassoc", "contract", "nsz", "arcp"})
+
+
+def uninterrupted(function: F) -> F:
+    """Hold Ctrl-C and SIGTERM back until a compiled function has returned.
+
+    For those that take a random generator: Numba runs Python to convert it, and the process dies if a signal raises an
+    exception there.
+    """
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        if threading.current_thread() is not threading.main_thread():  # Python handles signals there alone
+            return function(*arguments)
+        came: list[Any] = []
+        handlers: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+        try:
+            for number in handlers:
+                if callable(handlers[number]):
+                    signal.signal(number, lambda *signalled: came.append(signalled))
+            result = function(*arguments)
+        finally:
+            for number, handler in handlers.items():
+                if callable(handler):
+                    signal.signal(number, handler)
+        for number, frame in came[:1]:
+            handlers[number](number, frame)
+        return result
+
+    return cast(F, call)
 
 
 def _compiled(function: F, **options: Any) -> F:
