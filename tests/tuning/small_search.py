@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from uavaou import Scenario
 from uavaou.algorithms.registry import load_config
 from uavaou.runs.folder import RunConfig
+from uavaou.runs.train import Outcome
+from uavaou.tuning import trials
 from uavaou.tuning.search import Search, SearchFolder
 from uavaou.tuning.search_space import SearchSpace
 from uavaou.tuning.trials import read_trials
@@ -46,3 +52,19 @@ def score(config: RunConfig) -> float:
 
 def states(folder: SearchFolder) -> list[str]:
     return [record.state for record in read_trials(folder)]
+
+
+@contextmanager
+def interrupted_after(trainings: int, played: list[RunConfig], monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Expect Ctrl-C from the block: it comes when another training begins after so many."""
+    made_up = trials.train
+
+    def interrupted(config: RunConfig, *arguments: Any, **options: Any) -> Outcome:
+        if len(played) == trainings:
+            raise KeyboardInterrupt
+        return made_up(config, *arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(trials, "train", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            yield

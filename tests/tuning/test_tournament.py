@@ -11,10 +11,9 @@ from typing import Any
 
 import pytest
 
-from tests.tuning.small_search import SMALL, a_search, states
+from tests.tuning.small_search import SMALL, a_search, interrupted_after, states
 from uavaou import InputError
 from uavaou.runs.folder import RunConfig
-from uavaou.runs.train import Outcome
 from uavaou.tuning import trials
 from uavaou.tuning.search import SearchFolder, ranked
 from uavaou.tuning.tournament import Tournament
@@ -76,20 +75,12 @@ def test_every_arm_goes_through_the_same_stages(
 def test_a_trial_goes_on_after_the_trainings_that_have_ended(
     tmp_path: Path, played: list[RunConfig], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder, made_up = SearchFolder(tmp_path), trials.train
+    folder = SearchFolder(tmp_path)
     search = replace(a_search(), layouts=(6, 7), seeds=2)
     folder.claim(search)
     assert folder.read() == search
-
-    def stopping(config: RunConfig, *arguments: Any, **options: Any) -> Outcome:
-        if len(played) == 3:
-            raise KeyboardInterrupt
-        return made_up(config, *arguments, **options)
-
-    monkeypatch.setattr(trials, "train", stopping)
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted_after(3, played, monkeypatch):
         work(folder, 1)
-    monkeypatch.setattr(trials, "train", made_up)
     work(folder, 1)
     assert [(config.scenario.layout_seed, config.seed) for config in played] == [(6, 0), (7, 0), (6, 1), (7, 1)]
     assert states(folder) == ["interrupted", "complete"]

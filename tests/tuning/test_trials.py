@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.tuning.small_search import SMALL, SPACE, a_folder, a_search, score, states
+from tests.tuning.small_search import SMALL, SPACE, a_folder, a_search, interrupted_after, score, states
 from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import load_config
 from uavaou.runs.folder import RunConfig
@@ -119,18 +119,9 @@ def test_an_interrupted_search_goes_on_as_if_it_had_not_been(
 ) -> None:
     whole, parted = a_folder(tmp_path / "whole"), a_folder(tmp_path / "parted")
     work(whole, 8)
-    made_up = trials.train
-
-    def interrupted(config: RunConfig, *arguments: Any, **options: Any) -> Outcome:
-        if len(played) == 12:
-            raise KeyboardInterrupt
-        return made_up(config, *arguments, **options)
-
-    monkeypatch.setattr(trials, "train", interrupted)
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted_after(12, played, monkeypatch):
         work(parted, 8)
     assert [state for state in states(parted) if state not in ("complete", "pruned")] == ["interrupted", "waiting"]
-    monkeypatch.setattr(trials, "train", made_up)
     work(parted, 8)
     assert states(parted).count("interrupted") == 1
     assert values(parted) == values(whole)

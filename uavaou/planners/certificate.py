@@ -46,7 +46,7 @@ def read_certificate(path: Path, scenario: Scenario) -> Bound:
         fields, method = json.loads(str(content["scenario"])), str(content["method"])
         mean_aou_s = float(content["mean_aou_s"])
     except _UNREADABLE as error:
-        raise InputError(f"'{path}' is not a certificate of uavaou gap, or is damaged: {error}") from error
+        raise InputError(f"'{path}' is not a certificate of uavaou gap, or is damaged") from error
     if fields != json.loads(json.dumps(scenario.to_dict())):
         raise InputError(f"'{path}' is the certificate of another scenario than '{scenario.name}' with these values")
     multipliers = {name.removeprefix(_MULTIPLIER): content[name] for name in content if name.startswith(_MULTIPLIER)}
