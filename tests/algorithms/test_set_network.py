@@ -15,6 +15,7 @@ from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, InputError, RunConfig, flatten, 
 from uavaou.algorithms.fast.update import FastUpdate
 from uavaou.algorithms.mappo.buffer import ARRAYS, SlotRolloutBuffer
 from uavaou.algorithms.nets import set_encoder
+from uavaou.algorithms.nets.set_encoder import DualSetNetwork
 from uavaou.algorithms.nets.value_norm import ValueScale
 from uavaou.algorithms.qlearning.replay import JointBatch
 from uavaou.algorithms.registry import load_config
@@ -33,9 +34,9 @@ def missions(collection: str = "auto", uavs: int = 3, devices: int = 10) -> Any:
     return flatten(scenario, missions=4, observation="shared", collection=collection, rows="entities")
 
 
-def mappo(learner: type[MAPPO] = MAPPO, env: Any = None, **arguments: Any) -> MAPPO:
+def mappo(learner: type[MAPPO] = MAPPO, env: Any = None, network: str = "set", **arguments: Any) -> MAPPO:
     settings: dict[str, Any] = {"n_steps": 6, "batch_size": 30, "seed": 0, "device": "cpu"} | arguments
-    settings["policy_kwargs"] = {"network": "set", "net_arch": [24], "activation": "relu"}
+    settings["policy_kwargs"] = {"network": network, "net_arch": [24], "activation": "relu"}
     return learner("CentralizedValuePolicy", missions() if env is None else env, **settings)
 
 
@@ -66,16 +67,19 @@ def with_padding(buffer: SlotRolloutBuffer, layout: RowLayout) -> SlotRolloutBuf
 
 @pytest.mark.parametrize("normalization", ["batch", "rollout"])
 @pytest.mark.parametrize("collection", ["select", "auto"])
-@pytest.mark.parametrize("learner", [MAPPO, IPPO])
-def test_padding_changes_neither_loss_nor_gradient(learner: type[MAPPO], collection: str, normalization: str) -> None:
-    model = mappo(learner, missions(collection), advantage_normalization=normalization)
+@pytest.mark.parametrize(("learner", "network"), [(MAPPO, "set"), (IPPO, "set"), (MAPPO, "dual-set")])
+def test_padding_changes_neither_loss_nor_gradient(
+    learner: type[MAPPO], network: str, collection: str, normalization: str
+) -> None:
+    model = mappo(learner, missions(collection), network, advantage_normalization=normalization)
     model.learn(2 * 6 * 12)
     model.rollout_buffer.log_probs += np.random.default_rng(0).normal(0, 0.1, (6, 4, 3)).astype(np.float32)
     indices = np.random.default_rng(1).permutation(24)[:9]
     alone = both_gradients(model, indices, 0.05)
     assert_close(alone)
     layout = make_views(sized(3, 10), "shared", collection, "entities", MOST).layout
-    wide = mappo(learner, flatten(sized(*MOST), 1, observation="shared", collection=collection, rows="entities"))
+    wide_env = flatten(sized(*MOST), 1, observation="shared", collection=collection, rows="entities")
+    wide = mappo(learner, wide_env, network)
     wide.policy.load_state_dict(model.policy.state_dict())
     wide.rollout_buffer = with_padding(model.rollout_buffer, layout)
     wide.advantage_normalization = normalization
@@ -94,12 +98,13 @@ def buffer_samples(buffer: SlotRolloutBuffer) -> Any:
     return buffer.get(7)
 
 
-@pytest.mark.parametrize("learner", [MAPPO, IPPO])
-def test_the_networks_see_sets(learner: type[MAPPO]) -> None:
+@pytest.mark.parametrize(("learner", "network"), [(MAPPO, "set"), (IPPO, "set"), (MAPPO, "dual-set")])
+def test_the_networks_see_sets(learner: type[MAPPO], network: str) -> None:
     layout, rows, states = entity_rows(4, 12)
-    policy = mappo(learner, flatten(sized(4, 12), 1, observation="shared", rows="entities")).policy
-    with th.no_grad():
-        policy.actor_body.encoder.rescale_logits(th.tensor(1e3))
+    policy = mappo(learner, flatten(sized(4, 12), 1, observation="shared", rows="entities"), network).policy
+    body = policy.actor_body
+    for one in (body.whole, body.part) if isinstance(body, DualSetNetwork) else (body,):
+        one.encoder.rescale_logits(th.tensor(1e3))
     mates, uavs, devices = th.randperm(3), th.randperm(4), th.randperm(12)
     before = policy.logits(rows)
     after = policy.logits(shuffled(shuffled(rows, layout.local[2], mates), layout.local[3], devices))
@@ -246,6 +251,8 @@ def test_a_run_flies_in_another_size(tmp_path: Path) -> None:
 
 
 def test_a_set_needs_rows_of_entities() -> None:
+    with pytest.raises(InputError, match="unknown network 'dual-set'"):
+        VDN("JointQPolicy", missions(), policy_kwargs={"network": "dual-set"}, **JOINT)
     for learner, policy in ((MAPPO, "CentralizedValuePolicy"), (VDN, "JointQPolicy")):
         with pytest.raises(InputError, match="network = 'set': reads rows of entities"):
             learner(policy, flatten("tiny", missions=2), policy_kwargs={"network": "set"}, device="cpu")  # type: ignore[operator]

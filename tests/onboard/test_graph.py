@@ -24,7 +24,7 @@ KINDS = [
     for network in ("mlp", "set")
     for observation in ("local", "shared")
     for collection in ("auto", "select")
-]
+] + [("dual-set", "shared", "auto"), ("dual-set", "local", "select")]
 
 
 def assert_equal(trained: TrainedPolicy, local: NDArray[np.float32]) -> None:
@@ -59,12 +59,13 @@ def test_vdn_decides_alike(network: str, collection: str, masks: bool) -> None:
 
 
 @pytest.mark.parametrize(("uavs", "devices"), [(1, 1), (1, 6), (4, 12)])
-def test_one_graph_serves_any_number_of_uavs_and_devices(uavs: int, devices: int) -> None:
-    small: Any = lively(network="set", observation="shared").model.policy
+@pytest.mark.parametrize("network", ["set", "dual-set"])
+def test_one_graph_serves_any_number_of_uavs_and_devices(network: str, uavs: int, devices: int) -> None:
+    small: Any = lively(network=network, observation="shared").model.policy
     scenario = QUICK.replace(
         uavs=uavs, devices=devices, altitudes_m=[80 + u for u in range(uavs)], cds_m=[[0, 100 * u] for u in range(uavs)]
     )
-    large = lively(scenario=scenario, network="set", observation="shared")
+    large = lively(scenario=scenario, network=network, observation="shared")
     large.model.policy.load_state_dict(small.state_dict())
     local = local_rows("entities", "shared", scenario, 5)
     session = start_graph(make_graph(small))

@@ -96,7 +96,7 @@ class LearnerConfig(AlgorithmConfig):
     @property
     def rows(self) -> str:
         """The format of the rows that the policy reads."""
-        return "entities" if self.network == "set" else "flat"
+        return "flat" if self.network == "mlp" else "entities"
 
     def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
         """The learner on ``env``."""
@@ -125,6 +125,7 @@ class IppoConfig(LearnerConfig):
 
     adam = {"fused": True, "eps": 1e-5}
     name: Literal["mappo", "ippo"] = "ippo"
+    network: Literal["mlp", "set", "dual-set"] = "mlp"  # type: ignore[assignment]  # dual-set: also the own part alone
     rollout_slots: Annotated[PositiveWhole, Field(le=1_000_000)]  # slots a mission between updates
     batch_rows: PositiveWhole  # agent steps in a minibatch
     epochs: Annotated[PositiveWhole, Field(le=1000)]
@@ -165,7 +166,7 @@ class MappoConfig(IppoConfig):
 
     @model_validator(mode="after")
     def _both_is_flat(self) -> Self:
-        if self.critic_input == "both" and self.network == "set":
+        if self.critic_input == "both" and self.network != "mlp":
             raise ValueError("critic_input = both: needs network = mlp; the global state of a set holds all tokens")
         return self
 

@@ -151,7 +151,7 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
     entry = find_algorithm(algorithm)
     published = {} if entry.defaults is None else read_yaml_mapping(entry.defaults)
     overrides = overrides or {}
-    if entry.defaults is not None and overrides.get("network") == "set":
+    if entry.defaults is not None and overrides.get("network", "mlp") != "mlp":
         of_network = entry.defaults.with_name(f"{entry.defaults.stem}-set.yaml")
         published |= read_yaml_mapping(of_network) if of_network.is_file() else {}
     fields = published | {"name": algorithm} | overrides

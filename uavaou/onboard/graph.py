@@ -25,13 +25,13 @@ from torch import nn
 from uavaou.algorithms.mappo import CentralizedValuePolicy
 from uavaou.algorithms.nets.action_head import FORBIDDEN, MoveAndDeviceLogits
 from uavaou.algorithms.nets.mlp import ACTIVATIONS, Linear, Mlp, is_exactly
-from uavaou.algorithms.nets.set_encoder import SetEncoder, SetNetwork
+from uavaou.algorithms.nets.set_encoder import DualSetNetwork, SetEncoder, SetNetwork
 from uavaou.algorithms.nets.symmetries import SquareSymmetries
 from uavaou.algorithms.qlearning.branches import SetUtilityNetwork, UtilityNetwork
 from uavaou.algorithms.qlearning.policy import JointQPolicy
 from uavaou.errors import InputError
-from uavaou.world.entities import local_columns
-from uavaou.world.views import MOVES, RowLayout
+from uavaou.world.entities import ALONE, LEAD, PAPER_DEVICES, PAPER_UAVS, local_columns
+from uavaou.world.views import DEVICE, MOVES, OWN, RowLayout
 
 try:
     import onnx
@@ -166,10 +166,9 @@ def _values_of_moves(graph: _Graph, features: str, network: UtilityNetwork, allo
 def _of_entities(graph: _Graph, policy: Any) -> Decision:
     """The mean over the eight views of the map, or the row's own view; tensors have the shape (B, 8 or 1, ...)."""
     of_mappo, selects = isinstance(policy, CentralizedValuePolicy), policy.row_layout.selects
-    body: SetNetwork = policy.actor_body if of_mappo else policy.utilities.body
+    body: SetNetwork | DualSetNetwork = policy.actor_body if of_mappo else policy.utilities.body
     views, moves_of_view = _views(graph, 1 if policy.symmetries is None else 8)
-    features, devices = _encode(graph, views, body.encoder)
-    features = graph.layers(features, body.layers)
+    features, devices = _features(graph, views, body)
     if of_mappo:
         head = policy.action_net.moves if selects else policy.action_net
         moves = graph.linear(features, *_parameters(head))
@@ -203,6 +202,49 @@ def _views(graph: _Graph, count: int) -> tuple[dict[str, str], NDArray[np.int64]
                                  sign[:, None] if tokens else sign)  # fmt: skip
     views["own"] = graph("Concat", views["own"], views["allowed_moves"], axis=2)
     return views, symmetries.move[:count].numpy() + MOVES * np.arange(count)[:, None]
+
+
+def _features(graph: _Graph, views: dict[str, str], body: SetNetwork | DualSetNetwork) -> tuple[str, str]:
+    """Features (B, 8, size) and the devices' logits (B, 8, I) of a body."""
+    if isinstance(body, DualSetNetwork):
+        whole, of_whole = _features(graph, views, body.whole)
+        part, of_part = _features(graph, _own_part(graph, views), body.part)
+        return graph("Concat", whole, part, axis=2), graph("Add", of_whole, of_part)
+    features, devices = _encode(graph, views, body.encoder)
+    return graph.layers(features, body.layers), devices
+
+
+def _own_part(graph: _Graph, views: dict[str, str]) -> dict[str, str]:
+    """The views as :func:`uavaou.algorithms.nets.set_encoder.own_part` makes them."""
+
+    def replaced(tokens: str, names: tuple[str, ...], values: dict[str, str | float]) -> str:
+        places = np.eye(len(names), dtype=np.float32)
+        tokens = graph("Mul", tokens, 1 - sum(places[names.index(name)] for name in values))
+        for name, value in values.items():
+            place = places[names.index(name)]
+            tokens = graph("Add", tokens, place * value if isinstance(value, float) else graph("Mul", value, place))
+        return tokens
+
+    def feature(name: str) -> str:  # (B, 8, I, 1)
+        return graph("Gather", views["devices"], np.array([DEVICE.index(name)]), axis=3)
+
+    lead = graph("Clip", graph("Sub", feature("steps_to_coverage"), ALONE), -LEAD, LEAD)
+    of_others: dict[str, str | float] = {"steps_of_nearest_other": ALONE, "lead_of_nearest_other": lead}
+    tokens = graph("Mul", replaced(views["devices"], DEVICE, of_others), feature("own_part"))
+    members = graph("Max", graph("ReduceSum", feature("own_part"), np.array([2]), keepdims=0), 1.0)  # (B, 8, 1)
+    names = (*OWN, *["allowed_moves"] * MOVES)
+    present = graph("Gather", views["own"], np.array([0]), axis=2)
+    sizes: dict[str, str | float] = {
+        name: graph("Mul", size, present)
+        for name, size in (
+            ("devices", graph("Log", graph("Div", members, float(PAPER_DEVICES)))),
+            ("uavs", -math.log(PAPER_UAVS)),
+        )
+    }
+    return {
+        "own": replaced(views["own"], names, sizes), "teammates": graph("Mul", views["teammates"], 0.0),
+        "devices": tokens,
+    }  # fmt: skip
 
 
 def _encode(graph: _Graph, views: dict[str, str], encoder: SetEncoder) -> tuple[str, str]:
@@ -248,8 +290,10 @@ def _check(policy: Any) -> None:
     else:
         bodies, known = [], False
     for body in bodies:
-        parts = [body.encoder, body.layers] if isinstance(body, SetNetwork) else [body]
-        known = known and all(is_exactly(part, SetEncoder, Mlp) for part in parts)
+        networks = [body.whole, body.part] if is_exactly(body, DualSetNetwork) else [body]
+        for network in networks:
+            parts = [network.encoder, network.layers] if isinstance(network, SetNetwork) else [network]
+            known = known and all(is_exactly(part, SetEncoder, Mlp) for part in parts)
     if not known:
         raise InputError(
             f"--format onnx: a {type(policy).__name__} has networks of its own: this format is for MAPPO, IPPO, VDN, "

@@ -135,7 +135,7 @@ class SearchSpace:
             InputError: there is none, or the file cannot be used.
         """
         if path is None:
-            shipped = f"{algorithm}-set" if network == "set" else algorithm
+            shipped = algorithm if network == "mlp" else f"{algorithm}-set"
             if shipped not in zoo_names("tuning"):
                 known = ", ".join(zoo_names("tuning"))
                 raise InputError(f"no search space comes with '{shipped}' (with {known}): give one with --space FILE")

@@ -46,6 +46,8 @@ _TEAMMATE, _DEVICE, _STATE_UAV, _STATE_DEVICE = len(TEAMMATE), len(DEVICE), len(
 PAPER_DEVICES, PAPER_UAVS = 25, 3  # the logarithms of these sizes are 0
 _STEPS = 5.0  # grid steps that become 1
 _FAR = 20.0  # grid steps from which another UAV is as good as absent
+ALONE = _FAR / _STEPS  # what a token says of the nearest other UAV where there is none
+LEAD = 2.0  # the most that a token says of the lead of another UAV
 _LEFT_SLOTS = 100.0  # the slots left have their best resolution around this many
 _AGE = RECENT_SLOTS  # the root of an age sum in slots that becomes 1
 
@@ -310,7 +312,7 @@ def _write_devices(
                 token[9] = age
                 token[10] = waiting[min(slot - (last[n, i] if shared else own_last), len(waiting) - 1)]
                 token[11] = other / _STEPS
-                token[12] = min(max(away - other, -2 * _STEPS), 2 * _STEPS) / _STEPS
+                token[12] = min(max(away - other, -LEAD * _STEPS), LEAD * _STEPS) / _STEPS
                 token[13] = age / (1.0 + away)
                 token[14] = part[layout, i] == u
 

@@ -186,7 +186,8 @@ class SafeSaveLoad(BaseAlgorithm):
             if stated not in (wanted, None):
                 raise InputError(f"{file.path}: holds a {stated!r:.40}, not a {wanted}")
         layout = header.layout if env is None else env.row_layout
-        sized = kind.depends_on_sizes and (header.arguments.get("policy_kwargs") or {}).get("network") != "set"
+        network = (header.arguments.get("policy_kwargs") or {}).get("network", "mlp")
+        sized = kind.depends_on_sizes and network == "mlp"
         if not header.layout.fits(layout, sized):
             raise InputError("env: its rows are not those that the learner was saved with")
         try:

@@ -11,7 +11,7 @@ from torch import nn
 from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.action_head import MoveAndDeviceLogits, MoveSelectionDistribution
 from uavaou.algorithms.nets.mlp import ACTIVATIONS, mlp
-from uavaou.algorithms.nets.set_encoder import check_network, make_body
+from uavaou.algorithms.nets.set_encoder import ACTORS, check_network, make_body
 from uavaou.algorithms.nets.value_norm import PopArt, ValueScale
 from uavaou.errors import InputError, unknown
 from uavaou.world.views import RowLayout
@@ -36,7 +36,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         observation_space, action_space, lr_schedule: as SB3 passes them.
         row_layout: names the columns of a row; :class:`~uavaou.MAPPO` takes it from the VecEnv.
         critic_input: ``global`` (MAPPO), ``local`` (IPPO), or ``both``: a UAV's whole row, flat.
-        network: ``mlp``, or ``set`` for rows of entities: weights that fit any number of UAVs and devices.
+        network: ``mlp``, or for rows of entities ``set``, whose weights fit any number of UAVs and devices, or
+            ``dual-set``, which adds to the actor a second network that sees the UAV's own part of the map alone.
         net_arch: hidden layer sizes of actor and critic; of a ``set``, after its encoder.
         activation: ``relu`` or ``tanh``.
         selection_bias: initial logit of selecting a device in range; collecting costs nothing in this model.
@@ -65,8 +66,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
             raise unknown("critic_input", critic_input, CRITIC_INPUTS)
         if activation not in ACTIVATIONS:
             raise unknown("activation", activation, ACTIVATIONS)
-        check_network(network, row_layout)
-        if critic_input == "both" and network == "set":
+        check_network(network, row_layout, ACTORS)
+        if critic_input == "both" and network != "mlp":
             raise InputError("critic_input = 'both': expected network = 'mlp'")
         self.row_layout = row_layout
         self.network = network
@@ -85,16 +86,12 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     def _build(self, lr_schedule: Schedule) -> None:
         layout, network = self.row_layout, (self.network, self._hidden, self._activation)
         devices = layout.devices if layout.selects else 0
-        by_token = self.network == "set" and layout.selects
+        by_token = self.network != "mlp" and layout.selects
         self.action_dist = MoveSelectionDistribution(devices)
         self.actor_body = make_body(layout.local, *network, selects=by_token)
-        head: nn.Linear = self.action_dist.proba_distribution_net(self._hidden[-1], 0 if by_token else devices)
+        head: nn.Linear = self.action_dist.proba_distribution_net(self.actor_body.size, 0 if by_token else devices)
         of_slot = self.critic_input == "global"
-        self.critic_body = (
-            mlp(layout.local_size + layout.global_size, self._hidden, self._activation)
-            if self.critic_input == "both"
-            else make_body(layout.state if of_slot else layout.local, *network)
-        )
+        self.critic_body = self._make_critic_body()
         self.value_net = PopArt(self._hidden[-1])
         for module, gain in ((head, 0.01), (self.value_net.linear, 1.0)):
             nn.init.orthogonal_(module.weight, gain=gain)
@@ -102,12 +99,19 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         if devices and not by_token:
             nn.init.constant_(head.bias[-devices:], self.selection_bias)
         self.action_net = MoveAndDeviceLogits(head, self.selection_bias) if by_token else head
-        self.scale = ValueScale(layout.size_columns(of_slot)) if self.network == "set" else None
+        self.scale = ValueScale(layout.size_columns(of_slot)) if self.network != "mlp" else None
         self.optimizer = self.optimizer_class(  # type: ignore[call-arg]
             [{"params": self.actor_parameters()}, {"params": self.critic_parameters()}],
             lr=lr_schedule(1),
             **self.optimizer_kwargs,
         )
+
+    def _make_critic_body(self) -> nn.Module:
+        layout, sizes = self.row_layout, (self._hidden, self._activation)
+        if self.critic_input == "both":
+            return mlp(layout.local_size + layout.global_size, *sizes)
+        network = "set" if self.network == "dual-set" else self.network  # it has no own part
+        return make_body(layout.state if self.critic_input == "global" else layout.local, network, *sizes)
 
     def actor_parameters(self) -> list[nn.Parameter]:
         """Parameters of the actor, which the critic does not share."""

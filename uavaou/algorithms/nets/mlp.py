@@ -31,6 +31,11 @@ class Linear(nn.Linear):
 class Mlp(nn.Sequential):
     """Fully connected layers with an activation after each."""
 
+    @property
+    def size(self) -> int:
+        """Number of features."""
+        return int(self[-2].out_features)  # type: ignore[arg-type]
+
     def forward(self, rows: th.Tensor) -> th.Tensor:
         """Features (..., outputs) of rows (..., inputs)."""
         layers = fully_connected(self) if rows.dim() == 2 and _uses_onednn(rows) else None

@@ -19,9 +19,11 @@ from torch import nn
 from uavaou.algorithms.nets.action_head import FORBIDDEN
 from uavaou.algorithms.nets.mlp import Linear, Mlp, mlp
 from uavaou.errors import InputError, unknown
-from uavaou.world.views import Columns, RowLayout
+from uavaou.world.entities import ALONE, LEAD, PAPER_DEVICES, PAPER_UAVS
+from uavaou.world.views import DEVICE, OWN, Columns, RowLayout
 
 NETWORKS = ("mlp", "set")
+ACTORS = (*NETWORKS, "dual-set")  # of MAPPO and IPPO
 
 
 class SetEncoder(nn.Module):
@@ -97,11 +99,14 @@ class SetNetwork(nn.Module):
         columns, selects: of the encoder.
         hidden: sizes of the layers.
         activation: after each of them.
+
+    Attributes:
+        size: number of features.
     """
 
     def __init__(self, columns: Sequence[Columns], hidden: list[int], activation: str, selects: bool = False) -> None:
         super().__init__()
-        self.encoder = SetEncoder(columns, selects)
+        self.encoder, self.size = SetEncoder(columns, selects), hidden[-1]
         self.layers: Mlp = mlp(self.encoder.size, hidden, activation)
 
     def forward(self, rows: th.Tensor) -> th.Tensor:
@@ -114,21 +119,68 @@ class SetNetwork(nn.Module):
         return th.cat([self.layers(encoded[:, :size]), encoded[:, size:]], dim=1)
 
 
+class DualSetNetwork(nn.Module):
+    """Two :class:`SetNetwork` side by side: one reads all of a row, the other the UAV's own part of the map alone.
+
+    What a UAV does best in its part, as if there were no other UAV, is easily learned. The first network learns where
+    to depart from it. The heads add what both say.
+
+    Args:
+        columns: of the local observation of entities.
+        hidden, activation, selects: of each network.
+
+    Attributes:
+        size: number of features of both.
+    """
+
+    def __init__(self, columns: Sequence[Columns], hidden: list[int], activation: str, selects: bool = False) -> None:
+        super().__init__()
+        self.columns = tuple(columns)
+        self.whole = SetNetwork(columns, hidden, activation, selects)
+        self.part = SetNetwork(columns, hidden, activation, selects)
+        self.size = self.whole.size + self.part.size
+
+    def forward(self, rows: th.Tensor) -> th.Tensor:
+        """Return features of ``rows`` (B, columns), and behind them the logits, (B, size) or (B, size + I)."""
+        whole, part, end = self.whole(rows), self.part(own_part(rows, self.columns)), self.whole.size
+        features = [whole[:, :end], part[:, :end]]
+        return th.cat([*features, whole[:, end:] + part[:, end:]] if self.whole.encoder.selects else features, dim=1)
+
+
+def own_part(rows: th.Tensor, columns: Sequence[Columns]) -> th.Tensor:
+    """Return rows (B, columns) as if the devices of the UAV's own part were all there are, and no other UAV.
+
+    It is the observation ``part``, but for ages and waiting times, which stay as ``rows`` has them.
+    """
+    own, allowed, mates, devices = (rows[:, part.slice] for part in columns)
+    feature = dict(zip(DEVICE, devices.reshape(len(rows), -1, len(DEVICE)).unbind(dim=2), strict=True))  # (B, I) each
+    mine = feature["own_part"]
+    feature["steps_of_nearest_other"] = th.full_like(mine, ALONE)
+    feature["lead_of_nearest_other"] = (feature["steps_to_coverage"] - ALONE).clamp(-LEAD, LEAD)
+    tokens = th.stack([feature[name] * mine for name in DEVICE], dim=2)  # (B, I, device)
+    members = mine.sum(dim=1).clamp_min(1)  # (B,)
+    sizes = {"devices": th.log(members / PAPER_DEVICES), "uavs": th.full_like(members, -math.log(PAPER_UAVS))}
+    of_own = dict(zip(OWN, own.unbind(dim=1), strict=True))
+    own = th.stack([*(of_own | {name: size * of_own["present"] for name, size in sizes.items()}).values()], dim=1)
+    return th.cat([own, allowed, th.zeros_like(mates), tokens.flatten(1)], dim=1)
+
+
 def make_body(
     columns: Sequence[Columns], network: str, hidden: list[int], activation: str, selects: bool = False
-) -> Mlp | SetNetwork:
-    """Make the layers between rows and heads: an ``mlp``, or a ``set`` whose devices have logits if it ``selects``."""
+) -> Mlp | SetNetwork | DualSetNetwork:
+    """Make the layers between rows and heads: an ``mlp``, or a set whose devices have logits if it ``selects``."""
     if network == "mlp":
         return mlp(columns[-1].stop, hidden, activation)
-    return SetNetwork(columns, hidden, activation, selects)
+    kind = DualSetNetwork if network == "dual-set" else SetNetwork
+    return kind(columns, hidden, activation, selects)
 
 
-def check_network(network: str, layout: RowLayout) -> None:
+def check_network(network: str, layout: RowLayout, known: Sequence[str] = NETWORKS) -> None:
     """Raise :class:`~uavaou.errors.InputError` unless the network has a known name and can read the rows."""
-    if network not in NETWORKS:
-        raise unknown("network", network, NETWORKS)
-    if network == "set" and layout.rows != "entities":
-        raise InputError("network = 'set': reads rows of entities: flatten(..., rows='entities')")
+    if network not in known:
+        raise unknown("network", network, known)
+    if network != "mlp" and layout.rows != "entities":
+        raise InputError(f"network = '{network}': reads rows of entities: flatten(..., rows='entities')")
 
 
 @cache
