@@ -96,8 +96,7 @@ def coverage_and_parts(world: World) -> tuple[Floats, Ints]:
     scenario, channel = world.scenario, world.channel
     headroom = channel.mean_snr_above() / channel.snr_min[:, None, :]  # (L, U, I)
     radius = scenario.altitudes[:, None] * np.sqrt(np.maximum(headroom - 1.0, 0.0)) / scenario.grid_step_m
-    devices = world.device_positions / scenario.grid_step_m  # (L, I, 2) grid steps
-    return radius, partition(devices, world.flight.cds.astype(np.float64), radius, world.update_period)
+    return radius, partition(world)
 
 
 class EntityViews(RowViews):
