@@ -9,14 +9,14 @@ import numpy as np
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
-from uavaou.world.patrol import PatrolArea, age_sums, improve_in_flight, patrol_area
+from uavaou.world.patrol import PatrolArea, improve_in_flight, patrol_area, plans_age_sums
 from uavaou.world.world import World
 
 _ROUNDS = 25  # of Lloyd's algorithm, and of the search on lengths of tours
-_STARTS, _STARTING_DEVICES = 8, 300  # plans to begin with, fewer where there are many devices
+_STARTS = 8  # runs of k-means
 _CHANGED = 0.3  # share of devices that two of three starts give to any UAV
-_FLOWN = 2  # of the plans that begin, so many are improved in flight
-_TRIES, _CHANGES = 10, 12  # rounds in flight, and the changes that each tries
+_SCREENED, _FLOWN = 1, 2  # missions that tell the best of them, and how many of these are improved in flight
+_TRIES, _CHANGES, _OF_DEVICES = 10, 12, 8  # rounds in flight; each tries so many changes, or one for so many devices
 # Of the search on lengths of tours, chosen on layouts 1000 to 1023 of `paper`.
 REACH = 0.3  # a device is served from this share of its coverage radius, in each direction of the grid
 STOP = 0.75  # slots that a device adds to a tour beside the way
@@ -40,38 +40,53 @@ def partition(world: World) -> Ints:
     ):
         # The plan depends neither on the order of the devices nor on the side that the map is seen from.
         order = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=-1))
-        area = patrol_area(
-            scenario, world.flight.cds, positions[order], above[:, order], world.update_period[layout, order]
-        )
-        owner[layout, order] = _best_plan(area, positions[order], above[:, order], world.flight.cds, scenario)
+        devices = positions[order], above[:, order], world.update_period[layout, order]
+        area = patrol_area(scenario, world.flight.cds, *devices)
+        owner[layout, order] = _best_plan(area, *devices, world.flight.cds, scenario)
     return owner
 
 
-def _best_plan(area: PatrolArea, positions: Floats, headroom: Floats, cds: Ints, scenario: Scenario) -> Ints:
+def _best_plan(
+    area: PatrolArea, positions: Floats, headroom: Floats, period: Ints, cds: Ints, scenario: Scenario
+) -> Ints:
     """Return the plan (I,) with the least age sums in flight."""
-    from scipy.optimize import linear_sum_assignment  # takes half a second to import, and flat rows have no part
-
-    uavs, devices = headroom.shape
     altitude = scenario.altitudes[:, None] / scenario.grid_step_m
     radius = altitude * np.sqrt(np.maximum(headroom - 1.0, 0.0))  # (U, I) grid steps
     covered = (radius > 0) | ~(radius > 0).any(axis=0)  # (U, I)
     ways = np.abs(positions[:, None] - positions).sum(axis=-1)  # (I, I)
     by_uav = np.maximum(ways - REACH * (radius[:, :, None] + radius[:, None]), 0.0)  # (U, I, I)
-    rng, weight, flown = np.random.default_rng(0), 1.0 / area.period, {}
-    starts = min(max(_STARTING_DEVICES // devices, 3), _STARTS)
-    for start in range(starts):
-        centres = _k_means(positions, uavs, start * devices // starts)  # (U, 2)
+    plans = _plans_to_begin_with(positions, cds, covered)  # (P, I)
+    _improve_all(plans, by_uav, covered, 1.0 / period)
+    plans = np.unique(plans, axis=0)
+    best = plans[plans_age_sums(area, plans, _SCREENED).argsort(kind="stable")[:_FLOWN]]
+    changes = max(_CHANGES, len(period) // _OF_DEVICES)
+    sums = [improve_in_flight(area, plan, ways, covered, _TRIES, changes) for plan in best]
+    return np.array(best[np.argmin(sums)], dtype=np.int64)
+
+
+def _plans_to_begin_with(positions: Floats, cds: Ints, covered: Bools) -> Ints:
+    """Plans (P, I): in each three the devices nearest to the centres of k-means, in two with some devices anywhere."""
+    from scipy.optimize import linear_sum_assignment  # takes half a second to import, and flat rows have no part
+
+    uavs, devices = covered.shape
+    rng = np.random.default_rng(0)
+    anywhere = rng.integers(uavs, size=(_STARTS, 3, 1, devices)) == np.arange(uavs)[:, None]  # (S, 3, U, I)
+    anywhere &= (rng.random((_STARTS, 3, 1, devices)) < _CHANGED) & (np.arange(3) > 0)[:, None, None]
+    distance = np.empty((_STARTS, 3, uavs, devices))
+    for start in range(_STARTS):
+        centres = _k_means(positions, uavs, start * devices // _STARTS)  # (U, 2)
         _, part = linear_sum_assignment(np.abs(cds[:, None] - centres).sum(axis=-1))  # (U,)
-        for change in (False, True, True):
-            part = rng.permutation(part) if change and start % 2 else part
-            distance = np.linalg.norm(positions - centres[part][:, None], axis=-1)  # (U, I)
-            if change:
-                distance[rng.integers(uavs, size=devices), np.arange(devices)] *= rng.random(devices) >= _CHANGED
-            plan = np.where(covered, distance, np.inf).argmin(axis=0)  # (I,)
-            _improve(plan, by_uav, covered, weight)
-            flown[tuple(plan)] = float(age_sums(area, plan).sum())
-    best = [np.array(plan) for plan in sorted(flown, key=flown.__getitem__)[:_FLOWN]]
-    return min(best, key=lambda plan: improve_in_flight(area, plan, ways, covered, _TRIES, _CHANGES))
+        parts = np.stack([part, *(rng.permutation(part) if start % 2 else part for _ in range(2))])  # (3, U)
+        distance[start] = np.linalg.norm(positions - centres[parts][:, :, None], axis=-1)
+    distance[anywhere] = 0.0
+    plans: Ints = np.where(covered, distance, np.inf).argmin(axis=2).reshape(-1, devices)
+    return plans
+
+
+@compiled
+def _improve_all(plans: Ints, ways: Floats, covered: Bools, weight: Floats) -> None:
+    for p in range(len(plans)):
+        _improve(plans[p], ways, covered, weight)
 
 
 @compiled

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
-from uavaou.world.compiled import compiled
+from uavaou.world.compiled import compiled_fast
 from uavaou.world.coverage import rician_exceedance
 from uavaou.world.flight import neighbours
 
-_MISSIONS, _FLOWN_DEVICES = 4, 100  # flown for each part, fewer where there are many devices
+_MISSIONS, _FLOWN_DEVICES = 4, 400  # flown for each part, fewer where there are many devices
+_WORSE = 0.02  # in one mission, from which a change is not flown in more
+_LANES = 32  # columns are a multiple of it: whole vectors of the processor
 _SHARE = 0.5  # of the best probability to collect a device, from which the rule is near enough
 _MOST_GAIN = 36.0  # a power gain that fading does not exceed: the probability is below 1e-15
 
@@ -24,15 +26,14 @@ Singles = NDArray[np.float32]
 
 
 class PatrolArea(NamedTuple):
-    """What the rule flies over: C cells, I devices."""
+    """What the rule flies over: C cells, I devices in W columns, of which the last are empty."""
 
     start: Ints  # (U,) cell of each CDS
     target: Ints  # (C, 5) the cell that each move leads to, or the same where that is outside
-    probability: Singles  # (U, C, I) to collect a device in a slot
-    pull: Singles  # (U, C, I) exp(-grid steps to where it can be collected well)
-    period: Ints  # (I,) slots
-    draws: Singles  # (missions * slots, I) uniform
-    slots: int
+    probability: Singles  # (U, C, W) to collect a device in a slot
+    pull: Singles  # (U, C, W) exp(-grid steps to where it can be collected well)
+    generated: Singles  # (slots, W) 1 where a device generates an update at the end of a slot
+    draws: Singles  # (slots, missions, W) uniform
 
 
 def patrol_area(scenario: Scenario, cds: Ints, positions: Floats, headroom: Floats, period: Ints) -> PatrolArea:
@@ -53,14 +54,17 @@ def patrol_area(scenario: Scenario, cds: Ints, positions: Floats, headroom: Floa
     with np.errstate(divide="ignore"):
         least = 1.0 / headroom  # (U, I) the power gain that a UAV right above needs
     needed = (1.0 + (distance / altitude[:, None]) ** 2) * least[:, None]  # (U, C, I)
+    probability, possible = np.zeros(needed.shape), needed < gain[-1]
+    probability[possible] = np.interp(needed[possible], gain, exceeded)
     best = np.interp(least, gain, exceeded)  # (U, I)
     enough = np.interp(-_SHARE * best, -exceeded, gain)  # (U, I) the gain that is exceeded so much more seldom
     near = altitude * np.sqrt(np.maximum(enough / least - 1.0, 0.0))  # (U, I) grid steps
     pull = np.exp(-np.maximum(distance - near[:, None], 0.0)) * (best > 0)[:, None]  # (U, C, I)
     return PatrolArea(
         cds @ np.array([scenario.rows, 1]), neighbours(scenario)[0].astype(np.int64),
-        np.interp(needed, gain, exceeded, right=0.0).astype(np.float32), pull.astype(np.float32),
-        period.astype(np.int64), _draws(missions * scenario.slots, len(period)), scenario.slots,
+        _padded(probability), _padded(pull),
+        _padded(np.arange(1, scenario.slots + 1)[:, None] % period == 0),
+        _draws(scenario.slots, missions, len(period)),
     )  # fmt: skip
 
 
@@ -74,88 +78,144 @@ def _exceedance(fading: str, rician_factor: float) -> tuple[Floats, Floats]:
 
 
 @lru_cache(maxsize=4)
-def _draws(slots: int, devices: int) -> Singles:
-    return np.random.default_rng(0).random((slots, devices), dtype=np.float32)
+def _draws(slots: int, missions: int, devices: int) -> Singles:
+    return _padded(np.random.default_rng(0).random((slots, missions, devices), dtype=np.float32))
 
 
-@compiled
-def served(area: PatrolArea, u: int, members: Ints) -> float:
-    """The mean age sum in slots that UAV u leaves which serves ``members`` (M,) alone, by the rule.
+def _padded(columns: Floats | Singles) -> Singles:
+    """The same with a column of zeros for each that is missing in whole vectors of the processor, (..., W)."""
+    count = columns.shape[-1]
+    padded = np.zeros((*columns.shape[:-1], count + -count % _LANES), dtype=np.float32)
+    padded[..., :count] = columns
+    return padded
 
-    In each slot it collects what fading lets it, and makes the move to the cell with the largest sum of ages, each
-    times its pull there.
+
+@compiled_fast
+def age_sums(area: PatrolArea, uav: Ints, serves: Singles, missions: int) -> Floats:
+    """The mean age sums in slots that UAVs leave, by the rule, each of which serves some devices alone, (B,).
+
+    In each slot a UAV collects what fading lets it, and makes the move to the cell with the largest sum of ages, each
+    times its pull there. All advance side by side, over all columns: the processor computes several at once.
+
+    Args:
+        area: what they fly over.
+        uav: (B,).
+        serves: 1 for the devices of each, else 0, (B, W).
+        missions: the first of the area's draws, so many.
     """
-    count = len(members)
-    pending, age, cell, total = np.ones(count), np.zeros(count), area.start[u], 0.0
-    for number in range(len(area.draws)):
-        slot = number % area.slots + 1
-        if slot == 1:
-            pending[:], age[:], cell = 1.0, 0.0, area.start[u]
-        for j in range(count):
-            i = members[j]
-            if area.draws[number, i] < area.probability[u, cell, i]:
-                pending[j], age[j] = 0.0, 0.0
-            age[j] += pending[j]
-            total += age[j]
-            if slot % area.period[i] == 0:
-                pending[j] += 1.0
-        to, most = cell, -1.0
-        for there in area.target[cell]:
-            value = 0.0
-            for j in range(count):
-                value += age[j] * area.pull[u, there, members[j]]
-            if value > most:
-                to, most = there, value
-        cell = to
-    return total / len(area.draws)
-
-
-@compiled
-def age_sums(area: PatrolArea, plan: Ints) -> Floats:
-    """The mean age sum that each UAV leaves in its part of a plan (I,), (U,) slots."""
-    sums = np.zeros(len(area.start))
-    for u in range(len(sums)):
-        sums[u] = served(area, u, np.flatnonzero(plan == u))
+    target, probability, pull, generated, draws = area.target, area.probability, area.pull, area.generated, area.draws
+    slots, columns = generated.shape
+    pending, age, total = np.zeros((3, len(uav), missions, columns), np.float32)
+    cells = np.empty((len(uav), missions), np.int64)
+    for b in range(len(uav)):
+        pending[b, :], cells[b] = serves[b], area.start[uav[b]]
+    for slot in range(slots):
+        for b in range(len(uav)):
+            u = uav[b]
+            for m in range(missions):
+                cell = cells[b, m]
+                for i in range(columns):
+                    kept = np.float32(draws[slot, m, i] >= probability[u, cell, i])
+                    left = pending[b, m, i] * kept
+                    age[b, m, i] = age[b, m, i] * kept + left
+                    total[b, m, i] += age[b, m, i]
+                    pending[b, m, i] = left + generated[slot, i] * serves[b, i]
+            for m in range(missions):
+                to, most = cells[b, m], np.float32(-1.0)
+                for there in target[cells[b, m]]:
+                    value = np.float32(0.0)
+                    for i in range(columns):
+                        value += age[b, m, i] * pull[u, there, i]
+                    if value > most:
+                        to, most = there, value
+                cells[b, m] = to
+    sums = np.zeros(len(uav))
+    for b in range(len(uav)):
+        sums[b] = total[b].sum() / (slots * missions)
     return sums
 
 
-@compiled
+@compiled_fast
+def _members(plan: Ints, uav: Ints, columns: int) -> Singles:
+    """1 for the devices that a plan (I,) gives to each of some UAVs (B,), else 0, (B, W)."""
+    serves = np.zeros((len(uav), columns), np.float32)
+    for b in range(len(uav)):
+        for i in range(len(plan)):
+            if plan[i] == uav[b]:
+                serves[b, i] = 1.0
+    return serves
+
+
+@compiled_fast
+def plans_age_sums(area: PatrolArea, plans: Ints, missions: int) -> Floats:
+    """The mean age sum of all devices under each of some plans (P, I), (P,) slots."""
+    uavs = np.arange(len(area.start))
+    sums = np.zeros(len(plans))
+    for p in range(len(plans)):
+        sums[p] = age_sums(area, uavs, _members(plans[p], uavs, area.draws.shape[2]), missions).sum()
+    return sums
+
+
+@compiled_fast
 def _nearest_way(ways: Floats, plan: Ints, i: int, u: int) -> float:
-    """Grid steps from device i to the nearest other of the part of UAV u, infinite without one."""
-    least = np.inf
+    """Grid steps from device i to the nearest other of the part of UAV u, many without one."""
+    least = 1e6
     for j in range(len(plan)):
         if j != i and plan[j] == u:
             least = min(least, ways[i, j])
     return least
 
 
-@compiled
+@compiled_fast
+def _changes(plan: Ints, ways: Floats, covered: Bools) -> Floats:
+    """How much farther from others of its part each device would be with each UAV, (I, U), infinite if not allowed."""
+    farther = np.full((len(plan), len(covered)), np.inf)
+    for i in range(len(plan)):
+        own = _nearest_way(ways, plan, i, plan[i])
+        for v in range(len(covered)):
+            if v != plan[i] and covered[v, i]:
+                farther[i, v] = _nearest_way(ways, plan, i, v) - own
+    return farther
+
+
+@compiled_fast
 def improve_in_flight(area: PatrolArea, plan: Ints, ways: Floats, covered: Bools, rounds: int, changes: int) -> float:
     """Give single devices to other UAVs, in place, as long as the sum of the age sums falls; return the sum.
 
-    Each round tries the changes that bring devices nearest to others of their part.
+    Each round tries the changes that bring devices nearest to others of their part. One that is clearly worse in one
+    mission is not flown in more.
+
+    Args:
+        area: what the plan is flown over.
+        plan: (I,), written.
+        ways: between devices, (I, I) grid steps.
+        covered: whether a UAV can serve a device, (U, I).
+        rounds: at most.
+        changes: tried in each round.
     """
-    uavs, devices = covered.shape
-    sums = age_sums(area, plan)
+    uavs, columns, missions = np.arange(len(covered)), area.draws.shape[2], area.draws.shape[1]
+    serves = _members(plan, uavs, columns)
+    first, sums = age_sums(area, uavs, serves, 1), age_sums(area, uavs, serves, missions)
+    version, tried = np.zeros(len(covered), np.int64), np.full(covered.T.shape, -1, np.int64)  # of parts, of changes
     for _ in range(rounds):
         improved = False
-        farther = np.full(uavs * devices, np.inf)
-        for i in range(devices):
-            own = _nearest_way(ways, plan, i, plan[i])
-            for v in range(uavs):
-                if v != plan[i] and covered[v, i]:
-                    farther[i * uavs + v] = min(_nearest_way(ways, plan, i, v), 1e6) - min(own, 1e6)
+        farther = _changes(plan, ways, covered).reshape(-1)
         for change in np.argsort(farther)[:changes]:
-            i, v = change // uavs, change % uavs
+            i, v = change // len(uavs), change % len(uavs)
             u = plan[i]
-            if farther[change] == np.inf or u == v:
+            if farther[change] == np.inf or u == v or tried[i, v] == max(version[u], version[v]):
                 continue
+            tried[i, v] = max(version[u], version[v])
             plan[i] = v
-            less, more = served(area, u, np.flatnonzero(plan == u)), served(area, v, np.flatnonzero(plan == v))
-            if less + more < sums[u] + sums[v] - 1e-9:
-                sums[u], sums[v], improved = less, more, True
-            else:
-                plan[i] = u
+            pair = np.array([u, v])
+            serves = _members(plan, pair, columns)
+            once = age_sums(area, pair, serves, 1)
+            if once.sum() < (1.0 + _WORSE) * (first[u] + first[v]):
+                often = age_sums(area, pair, serves, missions)
+                if often.sum() < sums[u] + sums[v] - 1e-9:
+                    first[pair], sums[pair], version[pair], improved = once, often, version.max() + 1, True
+                    continue
+            plan[i] = u
         if not improved:
             break
     return float(sums.sum())
