@@ -58,7 +58,7 @@ def test_a_certificate_is_verified_and_resumed(method: str, tmp_path: Path, monk
 
 
 def test_a_certificate_is_of_one_scenario(tmp_path: Path) -> None:
-    path = tmp_path / "bound.npz"
+    path = tmp_path / "made" / "bound.npz"
     write_certificate(path, FADING, LAYOUT, Bound(1.0, "prices"))
     with pytest.raises(InputError, match="another scenario"):
         read_certificate(path, FADING.replace(slots=7))

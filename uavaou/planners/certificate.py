@@ -23,15 +23,17 @@ _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 def write_certificate(path: Path, scenario: Scenario, layout: Layout, bound: Bound) -> None:
-    """Write the file, replacing what is there.
+    """Write the file, replacing what is there, and make its folder.
 
     Raises:
         InputError: it cannot be written.
     """
     arrays = {_MULTIPLIER + name: values for name, values in bound.multipliers.items()} | vars(layout)
     fields = json.dumps(scenario.to_dict())
-    with writing(path), replacing(path, "wb") as file:
-        np.savez_compressed(file, scenario=fields, method=bound.method, mean_aou_s=bound.mean_aou_s, **arrays)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path, "wb") as file:
+            np.savez_compressed(file, scenario=fields, method=bound.method, mean_aou_s=bound.mean_aou_s, **arrays)
 
 
 def read_certificate(path: Path, scenario: Scenario) -> Bound:

@@ -337,10 +337,11 @@ def affordable_slots(search: Search, values: dict[str, Any]) -> int:
 
 
 def warm_up(search: Search) -> None:
-    """Play and learn from one rollout, so that no trial pays for what a process does once, such as compiling."""
+    """Train until the first update, so that no trial pays for what a process does once, such as compiling."""
 
     def stop(status: TrainingStatus) -> None:
-        raise _Measured(status.slots)
+        if status.updates:
+            raise _Measured(status.slots)
 
     with suppress(InputError):  # these settings may not fit this machine, others may
         _probe(search, {}, stop)
