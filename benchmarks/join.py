@@ -40,7 +40,7 @@ def joined(
     whole: dict[str, NDArray[np.float32]], part: dict[str, NDArray[np.float32]]
 ) -> dict[str, NDArray[np.float32]]:
     """The arrays of the new policy."""
-    arrays = {}
+    arrays: dict[str, NDArray[np.float32]] = {}
     for name, array in whole.items():
         if name.startswith(BODY):
             rest = name.removeprefix(BODY)

@@ -41,7 +41,8 @@ def main() -> None:
 
 def latencies(world: World, pilots: list[Pilot]) -> tuple[list[float], list[float]]:
     """CPU seconds of the first UAV's network, and of its whole decisions, in one mission."""
-    network, decision = [], []
+    network: list[float] = []
+    decision: list[float] = []
     pilots[0].session = Timed(pilots[0].session, network)
     while not world.done and len(decision) < UNTIMED + DECISIONS:
         at, in_range = world.positions[0], world.in_range[0]  # (U, 2) m, (U, I)

@@ -21,7 +21,8 @@ from uavaou.zoo import zoo_names
 def test_shipped_spaces_hold_the_published_settings(name: str) -> None:
     algorithm, _, network = name.partition("-")
     assert algorithm in algorithm_names()
-    SearchSpace.load(algorithm, network=network).check(load_config(algorithm, {"network": network or "mlp"}))
+    network = network or "mlp"
+    SearchSpace.load(algorithm, network=network).check(load_config(algorithm, {"network": network}))
 
 
 @pytest.mark.parametrize(
