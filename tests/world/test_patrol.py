@@ -87,7 +87,8 @@ def test_no_single_device_is_better_moved() -> None:
         world = placed((np.random.default_rng(seed).random((6, 2)) * 600).tolist())
         area, plan = area_of(world), partition(world)[0]
         order = np.argsort(np.linalg.norm(world.device_positions[0] - world.device_positions[0].mean(axis=0), axis=-1))
-        fixed = area._replace(draws=area.draws[:, :, [*np.argsort(order), *range(6, 32)]])  # they go by that order
+        columns = [*np.argsort(order), *range(6, 32)]  # the draws go by that order
+        fixed = area._replace(draws=np.ascontiguousarray(area.draws[:, :, columns]))
         plans = np.tile(plan, (7, 1))
         plans[np.arange(6), np.arange(6)] = 1 - plan
         sums = plans_age_sums(fixed, plans, area.draws.shape[1])

@@ -106,7 +106,7 @@ def _k_means(points: Floats, parts: int, first: int) -> Floats:
     centres = np.empty((parts, 2))
     away = np.full(count, np.inf)  # from the nearest centre so far
     for u in range(parts):
-        centres[u] = points[first if u == 0 else away.argmax()]
+        centres[u, 0], centres[u, 1] = points[first if u == 0 else away.argmax()]
         for i in range(count):
             away[i] = min(away[i], _squared_distance(points[i], centres[u]))
     for _ in range(_ROUNDS):
@@ -117,11 +117,12 @@ def _k_means(points: Floats, parts: int, first: int) -> Floats:
                 apart = _squared_distance(points[i], centres[u])
                 if apart < least:
                     nearest, least = u, apart
-            total[nearest] += points[i]
+            total[nearest, 0] += points[i, 0]
+            total[nearest, 1] += points[i, 1]
             members[nearest] += 1
         for u in range(parts):
             if members[u] > 0:
-                centres[u] = total[u] / members[u]
+                centres[u, 0], centres[u, 1] = total[u, 0] / members[u], total[u, 1] / members[u]
     return centres
 
 
@@ -173,7 +174,8 @@ def _move_devices(
             if loss < least:
                 least, to, where, longer = loss, v, position, way + STOP
         if to >= 0:
-            tours[u, at : stops[u] - 1] = tours[u, at + 1 : stops[u]].copy()
+            for k in range(at, stops[u] - 1):
+                tours[u, k] = tours[u, k + 1]
             _insert(tours[to], stops[to], where, i)
             stops[u], stops[to] = stops[u] - 1, stops[to] + 1
             lengths[u], lengths[to] = lengths[u] - saved, lengths[to] + longer
@@ -184,7 +186,8 @@ def _move_devices(
 
 @compiled
 def _insert(tour: Ints, stops: int, at: int, device: int) -> None:
-    tour[at + 1 : stops + 1] = tour[at:stops].copy()
+    for k in range(stops, at, -1):
+        tour[k] = tour[k - 1]
     tour[at] = device
 
 
@@ -211,7 +214,8 @@ def _shorten(ways: Floats, tour: Ints) -> float:
                 before, after = tour[a - 1], tour[(b + 1) % count]
                 new = ways[before, tour[b]] + ways[tour[a], after]
                 if new < ways[before, tour[a]] + ways[tour[b], after] - 1e-9:
-                    tour[a : b + 1] = tour[a : b + 1][::-1].copy()
+                    for k in range((b + 1 - a) // 2):
+                        tour[a + k], tour[b - k] = tour[b - k], tour[a + k]
                     shorter = True
     length = 0.0
     for k in range(count):

@@ -108,7 +108,10 @@ def age_sums(area: PatrolArea, uav: Ints, serves: Singles, missions: int) -> Flo
     pending, age, total = np.zeros((3, len(uav), missions, columns), np.float32)
     cells = np.empty((len(uav), missions), np.int64)
     for b in range(len(uav)):
-        pending[b, :], cells[b] = serves[b], area.start[uav[b]]
+        for m in range(missions):
+            cells[b, m] = area.start[uav[b]]
+            for i in range(columns):
+                pending[b, m, i] = serves[b, i]
     for slot in range(slots):
         for b in range(len(uav)):
             u = uav[b]
@@ -196,6 +199,7 @@ def improve_in_flight(area: PatrolArea, plan: Ints, ways: Floats, covered: Bools
     uavs, columns, missions = np.arange(len(covered)), area.draws.shape[2], area.draws.shape[1]
     serves = _members(plan, uavs, columns)
     first, sums = age_sums(area, uavs, serves, 1), age_sums(area, uavs, serves, missions)
+    accepted = 0
     version, tried = np.zeros(len(covered), np.int64), np.full(covered.T.shape, -1, np.int64)  # of parts, of changes
     for _ in range(rounds):
         improved = False
@@ -213,7 +217,10 @@ def improve_in_flight(area: PatrolArea, plan: Ints, ways: Floats, covered: Bools
             if once.sum() < (1.0 + _WORSE) * (first[u] + first[v]):
                 often = age_sums(area, pair, serves, missions)
                 if often.sum() < sums[u] + sums[v] - 1e-9:
-                    first[pair], sums[pair], version[pair], improved = once, often, version.max() + 1, True
+                    accepted += 1
+                    for b, part in enumerate(pair):
+                        first[part], sums[part], version[part] = once[b], often[b], accepted
+                    improved = True
                     continue
             plan[i] = u
         if not improved:
