@@ -40,7 +40,8 @@ def partition(world: World) -> Ints:
     ):
         # The plan depends neither on the order of the devices nor on the side that the map is seen from.
         order = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=-1))
-        devices = positions[order], above[:, order], world.update_period[layout, order]
+        # Rows lie one after the other in memory, always: compiled functions are compiled anew for another order.
+        devices = positions[order], above[:, order].copy(order="C"), world.update_period[layout, order]
         area = patrol_area(scenario, world.flight.cds, *devices)
         owner[layout, order] = _best_plan(area, *devices, world.flight.cds, scenario)
     return owner
@@ -54,7 +55,8 @@ def _best_plan(
     radius = altitude * np.sqrt(np.maximum(headroom - 1.0, 0.0))  # (U, I) grid steps
     covered = (radius > 0) | ~(radius > 0).any(axis=0)  # (U, I)
     ways = np.abs(positions[:, None] - positions).sum(axis=-1)  # (I, I)
-    by_uav = np.maximum(ways - REACH * (radius[:, :, None] + radius[:, None]), 0.0)  # (U, I, I)
+    reach = REACH * (radius[:, :, None] + radius[:, None])  # (U, I, I)
+    by_uav = np.ascontiguousarray(np.maximum(ways - reach, 0.0))  # (U, I, I)
     plans = _plans_to_begin_with(positions, cds, covered)  # (P, I)
     _improve_all(plans, by_uav, covered, 1.0 / period)
     plans = np.unique(plans, axis=0)

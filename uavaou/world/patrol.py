@@ -61,7 +61,7 @@ def patrol_area(scenario: Scenario, cds: Ints, positions: Floats, headroom: Floa
     near = altitude * np.sqrt(np.maximum(enough / least - 1.0, 0.0))  # (U, I) grid steps
     pull = np.exp(-np.maximum(distance - near[:, None], 0.0)) * (best > 0)[:, None]  # (U, C, I)
     return PatrolArea(
-        cds @ np.array([scenario.rows, 1]), neighbours(scenario)[0].astype(np.int64),
+        cds @ np.array([scenario.rows, 1]), np.ascontiguousarray(neighbours(scenario)[0], dtype=np.int64),
         _padded(probability), _padded(pull),
         _padded(np.arange(1, scenario.slots + 1)[:, None] % period == 0),
         _draws(scenario.slots, missions, len(period)),
