@@ -33,7 +33,7 @@ def sentences(path: Path, start: str = "", stop: str = "\0") -> list[str]:
     found = []
     for line in text.splitlines():
         if not line.startswith(("|", "#")):
-            plain = re.sub(r"\]\([^)]*\)", "]", line)
+            plain = re.sub(r"\]\([^)]*\)|^\s*\d+\. ", "]", line)
             found += re.split(r"(?<=[.:;])\s+(?=[A-Z*`\[(])", plain)
     return [sentence for sentence in found if re.search(r"\d", re.sub(r"`[^`]*`", "", sentence))]
 

@@ -1,0 +1,307 @@
+"""The sentences with numbers of the pages and model cards that state results; see :mod:`tests.reports.test_sentences`.
+
+A number is checked against its table, or against the constant of the code that it names. Where there is neither, the
+list says what the number is.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from math import exp, log
+from statistics import fmean
+
+import numpy as np
+import pytest
+
+from tests.reports.test_sentences import ROOT, rows, sentences, study
+from uavaou.planners import decomposition, fleet, tuned
+from uavaou.planners.exact import LARGEST, program_size
+from uavaou.reports.scores import study_scores
+from uavaou.scenario import Scenario
+from uavaou.studies.structure import HELD
+
+CARDS = [ROOT / "zoo_configs" / "policies" / name / "README.md" for name in ("any-map", "any-map-local")]
+PAGES = ["planners", "policies", "studies", "tuning", "coming-from", "composite-actions"]
+SENTENCES = [sentence for name in PAGES for sentence in sentences(ROOT / "docs" / f"{name}.md")]
+SENTENCES += [sentence for card in CARDS for sentence in sentences(card, stop="<!-- zero-shot:begin -->")]
+
+GAP = {(row["scenario"], row["policy"]): float(row["mean_aou_slots"]) for row in rows("planners/gap.csv")}
+ANY_MAP, ANY_MAP_LOCAL = "family-many/*", "family-any/*from=226336cd484c*"  # the last stage of each
+LAYOUTS = [f"paper+layout_seed={seed}" for seed in range(6)]
+
+
+def means(name: str, scenario: str) -> dict[str, float]:
+    """Policy -> mean AoU in slots, in a study."""
+    return {one.policy: one.mean.value for one in study_scores(study(name))[scenario]}
+
+
+def states(text: str, *numbers: str) -> bool:
+    """Whether a sentence states the numbers in this order."""
+    return re.search(r".*\b".join(map(re.escape, numbers)), text) is not None
+
+
+def of_geometric(policy: str, table: str) -> float:
+    found = [float(row["ratio"]) for row in rows(f"suites/{policy}/{table}.csv") if row["policy"] == policy]
+    return exp(fmean(map(log, found)))
+
+
+def of_paper(text: str) -> bool:
+    found = {one.policy: one.mean for one in study_scores(study("paper"))["paper"]}
+    low, high = found["qmix"].low, found["qmix"].high
+    values = [f"{found[name].value:.1f}" for name in ("ippo", "mappo", "vdn")]
+    return states(text, f"{found['qmix'].value:.1f}", f"{low:.1f}", f"{high:.1f}", *values)
+
+
+def kept_policies(text: str) -> bool:
+    runs = study("paper").table("runs")
+    worse = runs["mean_aou_slots"] / runs["best_slots"] - 1
+    vdn = runs["variant"] == "vdn"
+    return states(
+        text, "100", f"{100 * worse[~vdn].max():.1f} %", f"{sum(~vdn)} kept", f"{100 * worse[vdn].max():.1f} %"
+    )
+
+
+def speeds(table: str) -> dict[str, float]:
+    return {f"{row['table']}: {row['name']}": float(row["median"]) for row in rows(f"benchmarks/{table}.csv")}
+
+
+def stepped(text: str) -> bool:
+    found = {name.partition(": ")[2]: rate for name, rate in speeds("stepping").items()}
+    rate = found["batched stage, 1 process"]
+    return states(text, f"{rate:,.0f}", f"{rate / found['supersuit stage, 1 process']:.0f} times")
+
+
+def trained(text: str) -> bool:
+    small = {name.partition("128-128: ")[2]: rate for name, rate in speeds("training").items()}
+    rate, stock = small["uavaou mappo, 2 threads"], small["stock SB3 PPO on SuperSuit's stage, 1 process"]
+    return states(text, f"{rate:,.0f}", f"{rate / stock:.1f} times")
+
+
+def learned(name: str) -> Callable[[str], bool]:
+    small = {key.partition("128-128: ")[2]: rate for key, rate in speeds("training").items()}
+    rate = small[f"uavaou {name}, 1 thread"]  # agent steps/s, of three UAVs, with an update every 128 slots
+    return lambda text: states(text, f"{rate:,.0f}", f"{rate / 3 / 128:.0f} gradient steps")
+
+
+def structured(text: str) -> bool:
+    found = rows("studies/paper/trainings.csv")
+    learners = [row for row in found if row["variant"] != "vdn"]
+    strays = [f"{row['variant']} {row['seed']}" for row in learners if row["strays"] == "1"]
+    held = {row["structure"] for row in learners if row["strays"] == "0"}
+    none = {row["structure"] for row in found if row["variant"] == "vdn"}
+    counts = states(text, f"{len(learners) - len(strays)} of the {len(learners)}", "17, 18 and 22", "hold 18 alone")
+    return counts and (strays, held, none) == (["mappo 1", "ippo 2"], {"17 18 22"}, {""})
+
+
+def better_than_plans(text: str) -> bool:
+    better = [
+        seed for seed, name in enumerate(LAYOUTS) if seed and GAP[name, "local-greedy-parts"] < GAP[name, "anneal"]
+    ]
+    layouts = {seed: means("layouts", f"layout {seed}") for seed in range(1, 6)}
+    rival = [seed for seed, found in layouts.items() if found["local-greedy-parts"] < found["mappo"]]
+    return (better, rival) == ([1, 3, 4, 5], [5]) and states(text, "1, 3, 4 and 5", "layout seed 5")
+
+
+def better_than_planners(text: str) -> bool:
+    found = [means("layouts", f"layout {seed}")["mappo"] for seed in (1, 3)]
+    rivals = [
+        min(mean for (name, policy), mean in GAP.items() if name == LAYOUTS[seed] and policy != "bound")
+        for seed in (1, 3)
+    ]
+    return states(text, *(f"{mean:.1f}" for mean in found)) and all(np.less(found, rivals))
+
+
+def bound_of_mappo(text: str) -> bool:
+    return states(
+        text, *(f"{GAP[LAYOUTS[seed], 'bound'] / means('layouts', f'layout {seed}')['mappo']:.2f}" for seed in (1, 3))
+    )
+
+
+def fast_beside_greedy(text: str) -> bool:
+    return states(text, *(f"{GAP[LAYOUTS[seed], 'anneal'] / GAP[LAYOUTS[seed], 'greedy']:.2f}" for seed in (1, 2, 3)))
+
+
+def rules_on_paper(text: str) -> bool:
+    found = means("paper", "paper")
+    return states(text, *(f"{found[name]:.1f}" for name in ("local-greedy", "local-greedy-parts")))
+
+
+def variables(text: str) -> bool:
+    paper = Scenario.load("paper")
+    return f"{program_size(paper, paper.draw_layout()):,}" in text
+
+
+def solved_exactly(text: str) -> bool:
+    """Seconds at 14, 16 and 20 slots of 25 cells."""
+    seconds = {int(row["slots"]): float(row["seconds"]) for row in rows("planners/exact.csv") if row["cells"] == "25"}
+    return (round(seconds[16] / seconds[14]), round(seconds[20] / seconds[16])) == (8, 2) and "eightfold" in text
+
+
+def widest_gap(text: str) -> bool:
+    last = rows("planners/exact.csv")[-1]
+    return states(text, f"{float(last['gap']):.0%}".replace("%", " %"), f"{round(int(last['variables']), -3):,}")
+
+
+def zero_shot(policy: str, table: str, digits: int) -> Callable[[str], bool]:
+    return lambda text: f"{of_geometric(policy, table):.{digits}f}" in text
+
+
+def stage(pattern: str) -> dict[str, float]:
+    """``meta.json`` of a stage of a released policy."""
+    (path,) = (ROOT / "results" / "released").glob(f"{pattern}/seed-0/meta.json")
+    meta: dict[str, float] = json.loads(path.read_text(encoding="utf-8"))
+    return meta
+
+
+def validated(pattern: str) -> Callable[[str], bool]:
+    """The score is in seconds, of slots of 20/3 s."""
+    return lambda text: states(text, f"{stage(pattern)['best_score'] * 3 / 20:.2f} slots")
+
+
+def last_stage(pattern: str, until: float = 1.0) -> Callable[[str], bool]:
+    """Its slots, and its agent steps until a part of them."""
+
+    def stated(text: str) -> bool:
+        meta = stage(pattern)
+        return states(text, f"{meta['slots']:,.0f}", f"{meta['agent_steps'] * until / 1e6:.1f}M agent steps")
+
+    return stated
+
+
+CHECKED: dict[str, Callable[[str], bool]] = {
+    # planners
+    "`local-greedy` reaches 39.9": rules_on_paper,
+    "every set meets the same draws": lambda text: (
+        states(
+            text, *(f"{draws}" for _, draws in tuned._DRAWS[:2]), f"{tuned._AREAS:.0%}".replace("%", " %"), "64", "65 %"
+        )
+        and [round(until, 2) for until, _ in tuned._DRAWS] == [0.3, 0.65, 1.0]
+    ),
+    "of the search look for the UAV": lambda text: f"{100 * tuned._AREAS:.0f} %" in text,
+    "the search makes 4,000 proposals": lambda text: f"{tuned.PROPOSALS:,}" in text,
+    "are charged the age of 20 slots": lambda text: states(text, f"{fleet._LONGEST} slots", f"{fleet._LONGEST} slots"),
+    "probabilities of coverage are raised by": lambda text: f"{decomposition._COVERAGE_ERROR:.0e}" in text,
+    "a trained MAPPO is better than every planner here": better_than_planners,
+    "The bound is 0.36 and 0.41 of these values": bound_of_mappo,
+    "is better than the plan of ten minutes": better_than_plans,
+    "of `greedy` on layout seeds 1 to 3": fast_beside_greedy,
+    "the time grows eightfold": solved_exactly,
+    "widens with the size": widest_gap,
+    "`paper` itself needs": variables,
+    "variables is refused before solving": lambda text: f"{LARGEST:,}" in text,
+    "(best known value 0.372 slots)": lambda text: f"{GAP['quickstart', 'rolling']:.3f}" in text,
+    "best known value 78.9": lambda text: f"{GAP[LAYOUTS[2], 'rolling']:.1f}" in text,
+    # policies and their cards
+    "The mean AoU of `any-map` there is": lambda text: states(
+        text, f"{float(rows('suites/any-map/known-layouts.csv')[0]['mean_aou_slots']):.1f}", "35.0"
+    ),
+    "403,200 slots (the best of 599,040": last_stage(ANY_MAP),
+    "403,200 slots (the best of 1,002,240)": last_stage(ANY_MAP_LOCAL, until=403_200 / 1_002_240),
+    "202.97 slots": validated(ANY_MAP),
+    "59.13 slots": validated(ANY_MAP_LOCAL),
+    "is level with it on the same parts": zero_shot("any-map-local", "layouts", 3),
+    "of the mean AoU of the planner `best-first`": zero_shot("any-map", "unseen-layouts", 2),
+    # studies, and projects that users come from
+    "A device is held if": lambda text: f"{100 * HELD:.0f} %" in text,
+    "hold the devices 17, 18 and 22": structured,
+    "QMIX reaches 38.4 slots": of_paper,
+    "at most 1.6 % above the validation": kept_policies,
+    "Flattened stepping": stepped,
+    "MAPPO trains": trained,
+    "twenty trainings of 3M slots": lambda text: (
+        f"{study('paper').table('runs')['cpu_s'].sum() / 60:.0f} minutes" in text
+    ),
+    "VDN plays and learns": learned("vdn"),
+    "QMIX plays and learns": learned("qmix"),
+    "VDN ends at": lambda text: states(
+        text, *(f"{means('paper', 'paper')[name]:.1f}" for name in ("vdn", "mappo", "qmix"))
+    ),
+}
+ELSEWHERE = {  # words -> where the numbers are checked, or what they are
+    "λ = 1 grid step": "the rule: tests/planners/test_local_greedy.py",
+    "w_i is 1 for the devices": "the rule",
+    "On layout seeds 101 to 110": "tests/planners/test_planners_docs.py",
+    "So `local-greedy-parts` has": "tests/planners/test_planners_docs.py",
+    "a share of the best coverage probability": "the rule",
+    "is that of 64 further draws": "what was seen in searches by hand; in no table",
+    "are for choosing": "layout seeds",
+    "was also used to choose": "a layout seed",
+    "Areas gained most": "measured by hand once: the table above it",
+    "With a margin of two standard errors": "measured by hand once: the table above it",
+    "First measurements, 64 missions": "measured by hand once: the table below it",
+    "A search of 8 CPU seconds": "measured by hand once: the table below it",
+    "Cells with a dash": "measured by hand once: the table above it",
+    "The bound takes 30 of them": "tests/planners/test_planned_routes.py",
+    "π_i[t+1]": "a formula",
+    "it is below 0 after 60 s": "measured by hand once",
+    "eight gaps raise its optimum": "measured by hand once",
+    "315 small random instances": "tests/planners/test_bound.py, and longer by hand",
+    "They have 1 to 3 UAVs": "tests/planners/test_bound.py, and longer by hand",
+    "of the optimum on average in each group": "tests/planners/test_bound.py, and longer by hand",
+    "over 64 missions with fading": "tests/planners/test_planners_docs.py",
+    "planned for 10 minutes on one core": "the option of the command that wrote planners/gap.csv",
+    "resumed four times": "how a row of planners/gap.csv was made",
+    "thresholds from 0.3 to 0.9": "the search of the tours",
+    "The limit was 240 s": "how planners/exact.csv was made",
+    "On 9 cells every length": "the table above it, from planners/exact.csv",
+    "plays 100": "the default of the command: tests/cli/test_help.py",
+    "on 64 layouts that nothing was trained": "the suites: tests/test_zero_shot.py",
+    "--slots 300000`": "an example's option",
+    "The first 12 digits": "tests/runs/test_start.py",
+    "[3000000, 6000000]": "an example's options",
+    "620,000 slots of the `mlp`": "measured by hand once: the table below it",
+    "The flat network is ahead": "the table above it",
+    "In the end the set is ahead": "the table above it",
+    "the mean costs 2 to 4 %": "measured by hand once",
+    "over validation draws 8000": "tests/runs/test_family_training.py",
+    "had four stages on the family": "the released stages: results/released, and earlier ones",
+    "Seven candidates were compared": "measured by hand once, by benchmarks.zero_shot's missions",
+    "No other one was within": "measured by hand once",
+    "two trainings and one of both together": "how it was trained",
+    "Made with": "versions: the run's meta.json",
+    "take longer than stated": "a warning before the study has been run",
+    "the exit code is 130 or 143": "tests/cli/test_interrupted.py",
+    "The exit code is then 1": "tests/studies/test_runner.py",
+    "Fisher's test over all": "tests/studies/test_structure.py",
+    "VDN and QMIX send their replay": "docs/reliability.md",
+    "the lease time": "a property of NFSv4",
+    "less than 4 MB for twenty runs": "the committed study: its folder",
+    "plays 12 trials of 60 CPU seconds": "the options of the command above",
+    "It has 310 trainings": "tests/tuning/test_tournament.py",
+    "These are 32 missions": "the settings: zoo_configs/algorithms",
+    "Ctrl-C ends a search": "tests/tuning/test_tune.py",
+    "29 kills of two MAPPO runs": "docs/reliability.md",
+    "equal to the last digit": "results/README.md",
+    "are subclasses of SB3's classes": "the name of a package",
+    "4 to 10 times as fast as SB3's": "docs/pipeline.md",
+    "a graph of 156 to 439 kB": "docs/on-board.md",
+    "168 million actions": "5 x 2^25",
+    "1/M Σ_b": "a formula",
+    "2210.12566": "addresses of papers",
+    "Its advantage is 0": "a definition: tests/algorithms/test_branches.py",
+    "With 26 branches": "0.95^26",
+    "512 joint transitions": "the settings: zoo_configs/algorithms/vdn.yaml",
+    "differ by 0.004": "measured by hand once",
+    "a standard deviation of 0.057": "measured by hand once",
+    "The root-mean-square error": "measured by hand once",
+    "QMIX finds the 8": "tests/algorithms/test_joint_q.py",
+    "∂Q_tot": "a formula",
+}
+TRACKERS = re.compile(
+    r"^\*\*\]?\d|^(CleanRL|PettingZoo|SuperSuit|MARLlib)|I must edit|SB3 `VecEnv`|rl_games"
+)  # numbers of threads
+
+
+def test_every_sentence_with_a_number_is_in_a_list_and_every_entry_is_in_a_sentence() -> None:
+    known = [*CHECKED, *ELSEWHERE]
+    unknown = [sentence for sentence in SENTENCES if sum(words in sentence for words in known) != 1]
+    assert [sentence for sentence in unknown if not TRACKERS.search(sentence)] == []
+    assert [words for words in known if sum(words in sentence for sentence in SENTENCES) == 0] == []
+
+
+@pytest.mark.parametrize("words", CHECKED)
+def test_the_numbers_of_a_sentence_are_those_of_its_table(words: str) -> None:
+    for sentence in (sentence for sentence in SENTENCES if words in sentence):
+        assert CHECKED[words](sentence), sentence
