@@ -13,7 +13,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from tests.scenario_files import refusal
-from uavaou import Scenario
+from uavaou import Family, Scenario
 from uavaou.algorithms.registry import load_config
 from uavaou.runs import recorder
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder, read_config
@@ -25,6 +25,17 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
 SMALL = {"slots": 192, "missions": 4, "evaluate_every_slots": 96, "evaluation_missions": 2, "hidden": [8]}
 ON_POLICY = {"rollout_slots": 12, "batch_rows": 48}
 REPLAY = {"replay_slots": 96, "learning_starts": 24, "batch_slots": 8, "slots_per_update": 8, "epsilon_fraction": 1.0}
+
+
+def test_a_released_policy_is_fine_tuned_with_the_settings_beside_it() -> None:
+    start, paper = Start.at("any-map"), Scenario.load("paper")
+    own, tuned = start.config.algorithm, start.training(paper, {}, 0).algorithm
+    assert (tuned.slots, tuned.gamma, tuned.evaluate_every_slots) == (500_000, 0.98, 100_000)
+    assert tuned.observation == own.observation == "shared"
+    short = start.training(paper, {"slots": 60_000, "gamma": 0.99}, 0).algorithm
+    assert (short.slots, short.gamma, short.evaluate_every_slots) == (60_000, 0.99, 12_000)
+    on_draws = start.training(Family.load("any"), {}, 0).algorithm
+    assert (on_draws.slots, on_draws.learning_rate) == (load_config("mappo").slots, own.learning_rate)
 
 
 def small(algorithm: str = "mappo", **changes: Any) -> RunConfig:

@@ -17,6 +17,7 @@ from uavaou.runs.checkpoint_header import open_policy
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.fork import Fork
 from uavaou.scenario import Scenario
+from uavaou.zoo import read_yaml_mapping
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -57,7 +58,7 @@ class Start:
     def training(self, scenario: Scenario | Family, changes: Mapping[str, Any], seed: int) -> RunConfig:
         """The training that begins with these weights: with the run's settings, and the published budget.
 
-        Validations are those of the run, and follow a small budget where ``changes`` do not say how often.
+        On one scenario, a released policy goes on with the settings and the budget of its ``fine-tuning.yaml``. Validations are those of the run, and follow a small budget where ``changes`` do not say how often.
 
         Args:
             scenario: to train on, or the family.
@@ -69,7 +70,9 @@ class Start:
         """
         own = self.config.algorithm.model_dump(mode="json")
         published = {"slots": load_config(own["name"]).slots}
-        algorithm = changed_config(own | published, changes).with_enough_validations(changes)
+        tunes = self.folder.is_released and not isinstance(scenario, Family) and self.folder.fine_tuning.is_file()
+        fine_tuning = read_yaml_mapping(self.folder.fine_tuning) if tunes else {}
+        algorithm = changed_config(own | published | fine_tuning, changes).with_enough_validations(changes)
         family = scenario if isinstance(scenario, Family) else None
         base = scenario.base if isinstance(scenario, Family) else scenario
         self.config.check_fits(base, str(self.folder))
