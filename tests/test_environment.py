@@ -19,12 +19,13 @@ import pytest
 from tests.cli.commands import TINY
 from tests.faults import fail, fault
 from tests.scenario_files import refusal
-from tests.studies.tiny_study import SET
+from tests.studies.tiny_study import SET, Inline, run_inline
 from tests.test_architecture import MODULES, ROOT
 from uavaou import RunConfig, train
 from uavaou.algorithms.io.tensor_file import ArrayFile
 from uavaou.errors import InputError
 from uavaou.files import write_text
+from uavaou.studies.study import Study
 from uavaou_cli.main import main
 
 RUN = "results/tiny/mappo*/seed-0"  # of the first command
@@ -32,7 +33,7 @@ COMMANDS = [
     TINY, "scenarios", "audit tiny", f"eval {RUN} --policy greedy --episodes 2 --json e.json",
     f"fly tiny --policy {RUN} --out f", "plan tiny --planner tour --episodes 1 --out plan",
     f"plot trajectories {RUN} --out p", f"plot figures {RUN} --out p", f"export {RUN} --out policy.safetensors",
-    f"replay {RUN} --out r.html", "study run mine.yaml --jobs 1",
+    f"replay {RUN} --out r.html",
 ]  # fmt: skip
 STUDY = f"""
 slots: 96
@@ -44,12 +45,14 @@ bound: false
 
 
 def play() -> None:
-    """Give all commands in the working folder; ends the process at the first that fails."""
-    Path("mine.yaml").write_text(STUDY)
+    """Give all commands in the working folder, and run a study; ends the process at the first that fails."""
     for command in COMMANDS:
         run = next(glob.iglob(RUN), "")
         if main(shlex.split(command.replace(RUN, shlex.quote(run)))):
             raise SystemExit(f"uavaou {command}")
+    Path("mine.yaml").write_text(STUDY)
+    if run_inline(Study.load("mine.yaml"), Path("results"), Inline()).failed:
+        raise SystemExit("the study")
 
 
 def left(place: Path) -> dict[str, object]:
