@@ -2,7 +2,7 @@
 
 import sys
 
-from uavaou_cli.main import main
+from uavaou_cli import start
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(start())

@@ -8,7 +8,8 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache, partial
 from itertools import pairwise
 from typing import Annotated, Any
@@ -37,11 +38,22 @@ class _Commands(TyperGroup):
             raise unknown("command", args[0], self.list_commands(ctx))
         return super().resolve_command(ctx, args)
 
+    def make_context(self, *arguments: Any, **options: Any) -> Any:
+        with _answered():
+            return super().make_context(*arguments, **options)
+
     def invoke(self, ctx: Any) -> Any:
-        try:
+        with _answered():
             return super().invoke(ctx)
-        except KeyboardInterrupt as error:  # Typer would end without a word
-            raise typer.Exit(_complain("interrupted", exit_code(error))) from None
+
+
+@contextmanager
+def _answered() -> Iterator[None]:
+    """Answer an interrupt, with which Typer would end without a word."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        raise typer.Exit(_complain("interrupted", exit_code(error))) from None
 
 
 _STYLE: dict[str, Any] = {

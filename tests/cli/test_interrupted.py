@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shlex
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,7 @@ def killed(number: signal.Signals) -> Any:
         ("train --scenario tiny", "uavaou.runs.train.train", "interrupted; to go on: uavaou train --scenario tiny\n"),
         ("study run smoke", "uavaou.studies.runner.run_study", "interrupted; to go on: uavaou study run smoke\n"),
         ("audit tiny", "uavaou.reports.audit.audit", "uavaou: interrupted\n"),
+        ("audit tiny", "typer.core.TyperGroup.parse_args", "uavaou: interrupted\n"),
         ("train --scenario tiny", "uavaou.scenario.Scenario.load", "uavaou: interrupted\n"),
     ],
 )
@@ -49,6 +52,29 @@ def test_a_signal_at_any_moment_is_answered(
     assert (returned, out) == (code, "")
     assert says in err
     assert signal.getsignal(signal.SIGTERM) == before
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_while_the_command_is_imported_is_answered(number: signal.Signals, code: int) -> None:
+    program = f"""
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+class Killing:
+    def find_spec(self, name, *_):
+        if name == "uavaou_cli.train":
+            os.kill(os.getpid(), {int(number)})
+
+sys.meta_path.insert(0, Killing())
+from uavaou_cli import start
+sys.exit(start())
+"""
+    path = os.pathsep.join(sys.path)
+    done = subprocess.run(
+        [sys.executable, "-c", program, "scenarios"], env=os.environ | {"PYTHONPATH": path}, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", "uavaou: interrupted\n")
 
 
 def test_a_process_that_ignores_sigterm_goes_on_doing_so(

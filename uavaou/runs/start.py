@@ -58,7 +58,8 @@ class Start:
     def training(self, scenario: Scenario | Family, changes: Mapping[str, Any], seed: int) -> RunConfig:
         """The training that begins with these weights: with the run's settings, and the published budget.
 
-        On one scenario, a released policy goes on with the settings and the budget of its ``fine-tuning.yaml``. Validations are those of the run, and follow a small budget where ``changes`` do not say how often.
+        On one scenario, a released policy has the settings and the budget of its ``fine-tuning.yaml``. Validations are
+        those of the run, and follow a small budget where ``changes`` do not say how often.
 
         Args:
             scenario: to train on, or the family.
