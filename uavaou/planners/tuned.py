@@ -58,8 +58,8 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
 
     def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RulePlan:
         """Tune the rule; see :class:`AheadPlanner`. The mean AoU is that of 64 draws that the search has not seen."""
-        started = time.monotonic()
         search, interrupted = _Search(scenario, layout), False
+        started = time.monotonic()  # after the first search of an installation has compiled its kernel
         try:
             for done in self._fractions(started):
                 search.step(done)
