@@ -93,26 +93,24 @@ def repeated(text: str) -> bool:
     return f"{int(first['slots'][0]) // 500 // together * together:,} training missions" in text
 
 
+def means(name: str, scenario: str) -> dict[str, float]:
+    """Policy -> mean AoU in slots, in a study."""
+    return {one.policy: one.mean.value for one in study_scores(study(name))[scenario]}
+
+
 def ratio_to_anneal(text: str) -> bool:
-    means = {one.policy: one.mean.value for one in study_scores(study("paper"))["paper"]}
-    return text.endswith(f"{means['mappo'] / means['anneal']:.2f}.")
+    found = means("paper", "paper")
+    return text.endswith(f"{found['mappo'] / found['anneal']:.2f}.")
 
 
 def tuned_rule(text: str) -> bool:
     """MAPPO beside the rule with searched numbers, on layout 0 or on all six."""
-    found = {
-        row["scenario"]: float(row["mean_aou_slots"]) for row in rows("planners/gap.csv") if "tuned" in row["policy"]
-    }
+    planned = {(row["scenario"], row["policy"]): float(row["mean_aou_slots"]) for row in rows("planners/gap.csv")}
+    rules = [planned[f"paper+layout_seed={seed}", "local-greedy-tuned"] for seed in range(6)]
     places = [("paper", "paper"), *(("layouts", f"layout {seed}") for seed in range(1, 6))]
-    learned = [
-        {one.policy: one.mean.value for one in study_scores(study(name))[place]}["mappo"] for name, place in places
-    ]
-    rules = [found[f"paper+layout_seed={seed}"] for seed in range(6)]
-    slots, ratios = ([f"{value:.{digits}f}" for value in values] for values, digits in (
-        (rules, 1), ([mean / rule for mean, rule in zip(learned, rules, strict=True)], 2)
-    ))  # fmt: skip
-    stated = re.findall(r"\d+\.\d+", text)
-    return stated in ([slots[0], ratios[0]], slots + ratios, ratios)
+    ratios = [f"{means(*place)['mappo'] / rule:.2f}" for place, rule in zip(places, rules, strict=True)]
+    slots = [f"{rule:.1f}" for rule in rules]
+    return re.findall(r"\d+\.\d+", text) in ([slots[0], ratios[0]], slots + ratios, ratios)
 
 
 def ablated(text: str) -> bool:
