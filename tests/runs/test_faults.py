@@ -89,6 +89,7 @@ def copy(case: Case, place: Path) -> RunFolder:
 def assert_as_untouched(folder: RunFolder, whole: RunFolder) -> None:
     assert_ends_as(folder, whole)
     assert folder.finished
+    assert folder.previous.read_bytes() == folder.last.read_bytes()
     left = {path.name for path in folder.path.rglob("*") if path.is_file()}
     assert not {name for name in left if "partial" in name or "newest" in name or "damaged" in name}
     for one, other in ((folder.episodes, whole.episodes), (folder.progress, whole.progress)):

@@ -4,7 +4,9 @@
 learner's own state, its replay and the missions in progress; ``previous`` is the ``last`` before it.
 """
 
+import shutil
 import warnings
+from filecmp import cmp
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from uavaou.algorithms.io.save_load import load_optimizer_arrays, load_policy_ar
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
 from uavaou.errors import InputError
 from uavaou.fields import short
+from uavaou.files import replacing
 from uavaou.runs.checkpoint_header import SCHEMA, TrainingProgress, read_header, write_header
 from uavaou.runs.folder import RunConfig, RunFolder
 
@@ -60,6 +63,18 @@ def save_training(
     if folder.last.exists():
         folder.last.replace(folder.previous)
     newest.replace(folder.last)
+
+
+def copy_last(folder: RunFolder) -> None:
+    """Replace the previous checkpoint of a finished training, which has a replay, by a copy of the last, if there is one.
+
+    Raises:
+        OSError: it cannot be written; what was there before is untouched.
+    """
+    if not folder.last.exists() or (folder.previous.exists() and cmp(folder.last, folder.previous, shallow=False)):
+        return
+    with folder.last.open("rb") as last, replacing(folder.previous, "wb") as previous:
+        shutil.copyfileobj(last, previous)
 
 
 def load_training(folder: RunFolder, model: BaseAlgorithm, config: RunConfig) -> tuple[TrainingProgress, Arrays]:

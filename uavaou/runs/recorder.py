@@ -16,7 +16,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
 from uavaou.files import write_json
-from uavaou.runs.checkpoint import save_policy, save_training
+from uavaou.runs.checkpoint import copy_last, save_policy, save_training
 from uavaou.runs.checkpoint_header import ROWS_AN_EVALUATION, TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
 from uavaou.runs.fork import part
@@ -258,9 +258,10 @@ class Recorder(BaseCallback):
         self.progress = self._present()
         state = self._env.missions_state()
         state["episode_starts"] = np.asarray(self.model._last_episode_starts, dtype=np.int64)
-        for _ in range(2 if finished else 1):
-            save_training(self._folder, self.model, self.progress, state, replay=not finished)
+        save_training(self._folder, self.model, self.progress, state, replay=not finished)
         self._saved = self._slots
+        if finished:
+            copy_last(self._folder)
         now = time.monotonic()
         self._checkpoints += 1
         self._checkpoints_s += now - began

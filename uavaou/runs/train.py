@@ -17,7 +17,7 @@ from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import training_seeds
 from uavaou.files import refuse_links, replacing, writing
-from uavaou.runs.checkpoint import load_training
+from uavaou.runs.checkpoint import copy_last, load_training
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.interrupt import Interrupted, Interrupts
@@ -216,6 +216,8 @@ def _learn(
     rows = env.row_layout.uavs  # of a mission
     remaining = config.slots - progress.slots
     if remaining <= 0:  # resumed, but finished before
+        with writing(folder.path):
+            copy_last(folder)
         if not folder.finished:  # killed between its last checkpoint and its meta.json
             write_meta(folder, config, progress, describe_machine(), str(model.device), {})
         return Outcome(folder, progress, agent_steps(progress, config))
