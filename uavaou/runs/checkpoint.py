@@ -66,7 +66,7 @@ def save_training(
 
 
 def copy_last(folder: RunFolder) -> None:
-    """Replace the previous checkpoint of a finished training, which has a replay, by a copy of the last, if there is one.
+    """Replace the previous checkpoint of a finished training, which has a replay, by a copy of the last, if any.
 
     Raises:
         OSError: it cannot be written; what was there before is untouched.
