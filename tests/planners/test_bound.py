@@ -77,24 +77,32 @@ def test_no_bound_is_above_the_optimum_under_fading(scenario: Scenario) -> None:
     assert LagrangianRelaxation(scenario, layout).ascend() <= best * (1 + 1e-9)
 
 
+def most_prices(scenario: Scenario, hold: str) -> int:
+    """The limit on the number of prices from which they hold in each slot, in each slot of a period, or always."""
+    each = scenario.uavs * scenario.devices * scenario.columns * scenario.rows * len(STEP_OF_MOVE)
+    return {"slot": each * scenario.slots, "period": each * scenario.slots - 1, "always": 0}[hold]
+
+
 @pytest.mark.slow
 @settings(max_examples=15, deadline=None)
-@given(fading())
-def test_nor_is_that_of_prices_which_hold_in_every_slot(scenario: Scenario) -> None:
+@given(fading(), st.sampled_from(["period", "always"]))
+def test_nor_is_that_of_prices_which_hold_in_several_slots(scenario: Scenario, hold: str) -> None:
     layout = scenario.draw_layout()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("uavaou.planners.decomposition._MOST_PRICES", 0)
+        patch.setattr("uavaou.planners.decomposition._MOST_PRICES", most_prices(scenario, hold))
         copies = LagrangianDecomposition(scenario, layout)
         start = stationary_duals(copies, layout)
         assert start is not None
         assert copies.ascend(*start, rounds=100) <= optimum(scenario, layout) * (1 + 1e-9)
 
 
-def test_any_charges_and_prices_bound_and_the_slope_is_theirs() -> None:
-    scenario = TINY.replace(fading="rician", slots=8, transmit_power_mw=0.25)
+@pytest.mark.parametrize("hold", ["slot", "period", "always"])
+def test_any_charges_and_prices_bound_and_the_slope_is_theirs(hold: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = TINY.replace(fading="rician", slots=8, transmit_power_mw=0.25, update_period_slots=[1, 2, 3, 3])
+    monkeypatch.setattr("uavaou.planners.decomposition._MOST_PRICES", most_prices(scenario, hold))
     copies, rng = LagrangianDecomposition(scenario, scenario.draw_layout()), np.random.default_rng(0)
     charges = 1 + rng.random((8, 4))
-    prices = 0.3 * rng.random((9, 2, 4, 9, 5))
+    prices = 0.3 * rng.random(({"slot": 9, "period": 3, "always": 1}[hold], 2, 4, 9, 5))
     value, by_charges, by_prices = copies.bound(charges, prices)
     for _ in range(5):
         aside, along = rng.standard_normal(charges.shape), rng.standard_normal(prices.shape)

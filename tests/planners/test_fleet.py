@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.planners.test_bound import most_prices
 from tests.planners.verify_certificate import verify
 from uavaou.errors import InputError
 from uavaou.planners.bound import Bound, BoundSearch, LagrangianRelaxation
@@ -39,16 +40,25 @@ def test_a_whole_fleet_is_no_weaker_than_prices_on_collections() -> None:
     assert FleetDecomposition(FADING, LAYOUT).bound(relaxation.as_charges()[1])[0] >= total - 1e-9
 
 
-@pytest.mark.parametrize("method", ["linear program", "fleet", "copies"])
-def test_a_certificate_is_verified_and_resumed(method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("method", "hold"),
+    [("linear program", "slot"), ("fleet", "slot"), ("copies", "slot"), ("copies", "period"), ("copies", "always")],
+)
+def test_a_certificate_is_verified_and_resumed(
+    method: str, hold: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavaou.planners.decomposition._MOST_PRICES", most_prices(FADING, hold))
     if method != "linear program":
         monkeypatch.setattr("uavaou.planners.bound._LARGEST_PROGRAM", 0)
     if method != "fleet":
         monkeypatch.setattr(FleetDecomposition, "affordable", lambda _: False)
     monkeypatch.setattr("uavaou.planners.bound._ROUNDS_FLEET", 5)
     monkeypatch.setattr("uavaou.planners.bound._ROUNDS_SHORT", 5)
+    monkeypatch.setattr("uavaou.planners.bound._ROUNDS_LONG", 5)
     bound, path = BoundSearch(FADING, LAYOUT).run(), tmp_path / "bound.npz"
     assert bound.method in (method, "prices")
+    if hold != "slot":
+        assert len(bound.multipliers["prices"]) == (1 if hold == "always" else max(LAYOUT.update_period))
     write_certificate(path, FADING, LAYOUT, bound)
     claimed, proven = verify(path)
     assert claimed == bound.mean_aou_s > 0

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.planners.test_bound import most_prices
 from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner
@@ -87,11 +88,11 @@ def least_age(scenario: Scenario) -> int:
 
 
 def bounds(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """The bounds in s by prices, and by copies with prices for each slot and with prices for all slots."""
+    """The bounds in s by prices, and by copies with prices for each slot, for each slot of a period and for all."""
     layout = scenario.draw_layout()
     found = [LagrangianRelaxation(scenario, layout).ascend()]
-    for most in (10**6, 0):
-        monkeypatch.setattr("uavaou.planners.decomposition._MOST_PRICES", most)
+    for hold in ("slot", "period", "always"):
+        monkeypatch.setattr("uavaou.planners.decomposition._MOST_PRICES", most_prices(scenario, hold))
         copies = LagrangianDecomposition(scenario, layout)
         start = (
             LagrangianRelaxation(scenario, layout).as_charges() if copies.short else stationary_duals(copies, layout)

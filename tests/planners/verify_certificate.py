@@ -45,7 +45,8 @@ class Mission:
         phi = fields["rician_factor"]
         fades = fields["fading"] != "none"
         self.hit = ncx2.sf(2 * (phi + 1) * need / snr, 2, 2 * phi) if fades else (snr >= need) * 1.0
-        self.ages = [self.age_of_gaps(int(k)) for k in file["update_period"]]
+        self.periods = [int(k) for k in file["update_period"]]
+        self.ages = [self.age_of_gaps(k) for k in self.periods]
 
     def age_of_gaps(self, period):
         """Age of a device in slot t if it was last collected in s, by the literal recursion; [s, t]."""
@@ -97,7 +98,8 @@ def fleet(mission, prices):
 
 def copies(mission, charges, prices):
     total, slots = 0.0, mission.slots
-    row = (lambda t: t) if len(prices) > 1 else lambda t: 0
+    # The prices after slot t: one for each slot of the mission, or of the device's period, or one for all.
+    every = [slots + 1 if len(prices) == slots + 1 else min(k, len(prices)) for k in mission.periods]
     for i, ages in enumerate(mission.ages):
         gaps = np.cumsum(ages, 1)
         charged = np.concatenate([[0.0], np.cumsum(charges[:, i])])
@@ -115,11 +117,13 @@ def copies(mission, charges, prices):
             for t in range(slots, 0, -1):
                 longer = np.minimum(np.arange(GAPS + 1) + 1, GAPS)
                 before = hit * (credit[t, longer] + after[:, :1]) + (1 - hit) * after[:, longer]
-                cost = np.where(mission.inside, prices[row(t - 1), u, i], FAR)
+                cost = np.where(mission.inside, prices[(t - 1) % every[i], u, i], FAR)
                 after = np.max([before[mission.to[:, m]] - cost[:, m, None] for m in range(5)], 0)
             total -= before[home, 0]
     mission.near = np.ones_like(mission.near)
-    return total - sum(mission.walk(u, lambda t, u=u: prices[row(t), u].sum(0)) for u in range(len(mission.homes)))
+    for u in range(len(mission.homes)):
+        total -= mission.walk(u, lambda t, u=u: sum(prices[t % k, u, i] for i, k in enumerate(every)))
+    return total
 
 
 def collections(mission, prices, step_prices):

@@ -14,7 +14,7 @@ from uavaou.arrays import Floats
 from uavaou.errors import InputError
 from uavaou.files import replacing, writing
 from uavaou.planners.bound import Bound
-from uavaou.planners.decomposition import is_short
+from uavaou.planners.decomposition import price_tables
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.flight import STEP_OF_MOVE
 
@@ -59,7 +59,7 @@ def read_certificate(path: Path, scenario: Scenario) -> Bound:
 
 def _fit(scenario: Scenario, method: str, multipliers: dict[str, Floats]) -> bool:
     """Return whether a search can go on from these multipliers; those of the other methods are found anew."""
-    tables = scenario.slots + 1 if is_short(scenario) else 1
+    tables = int(price_tables(scenario, scenario.draw_layout()).max()) + 1
     cells, moves = scenario.columns * scenario.rows, len(STEP_OF_MOVE)
     shapes: dict[str, tuple[int, ...]] = {"prices": (tables, scenario.uavs, scenario.devices, cells, moves)}
     if method == "copies":

@@ -15,8 +15,10 @@ This separates the UAVs: no fleet has an expected age below sum_i min_s (...) le
 that it can earn alone. A UAV that stays at a device earns little.
 
 The largest credit of one UAV from all devices is still a decision process with a gap for each device. Give each device
-a copy of the UAV that flies for it alone, and charge copy i the price kappa_i(c, m) for move m in cell c (in short
-missions a price for each slot):
+a copy of the UAV that flies for it alone, and charge copy i the price kappa_i(c, m) for move m in cell c. In short
+missions there is a price for each slot, in others one for each slot of the update period of device i: the copies would
+else agree on their cells in the mean alone, and each would be at its device just when there is an update. Then
+
 
     largest credit <= sum_i (largest credit less prices of copy i) + max over walks of sum_i kappa_i along the walk.
 
@@ -38,9 +40,9 @@ from uavaou.world.flight import STEP_OF_MOVE, Flight, grid_cells, neighbours
 
 _LONGEST = 30  # slots of own gap distinguished; longer gaps earn the maximum
 _PATIENCE = 25  # rounds
-_FIRST_LEVEL = 1.0  # above the start, in slots of age for each slot
-_SCALE = 0.05  # of prices common to all slots, relative to charges: such a price acts in hundreds of slots
-_MOST_PRICES = 1_000_000  # with more, prices are common to all slots
+_FIRST_LEVEL = 0.2  # above the start, in slots of age for each slot
+_SCALE = 0.05  # of prices that hold in several slots, relative to charges: such a price acts in hundreds of slots
+_MOST_PRICES = 1_000_000  # with more, prices hold in several slots
 FORBIDDEN = 1e15  # price of a move off the grid, and of an end away from the CDS
 _COVERAGE_ERROR = 1e-12  # of a probability of coverage; the error of the quadrature is about 1e-14
 _OPERATIONS = 16  # rounded, in sequence, for the value of a slot from that of the next one
@@ -61,6 +63,7 @@ class LagrangianDecomposition:
         on_grid: whether it does not, (C, 5).
         probability: P(R_iu >= R_min), (U, C, I).
         short: whether each slot has its own prices.
+        tables: which of the B tables of prices holds for device i after slot t, (I, K+1).
     """
 
     def __init__(self, scenario: Scenario, layout: Layout) -> None:
@@ -71,16 +74,18 @@ class LagrangianDecomposition:
         self._gap_ages = [gap_ages(int(k), scenario.slots).astype(np.float64) for k in layout.update_period]
         uavs, cells, devices = self.probability.shape
         self.short = is_short(scenario)
-        # (K+1,) which of the B tables of prices holds in slot t
-        self._table = np.arange(scenario.slots + 1) if self.short else np.zeros(scenario.slots + 1, dtype=np.int64)
-        self._shape = (int(self._table[-1]) + 1, uavs, devices, cells, len(STEP_OF_MOVE))
+        self.tables = price_tables(scenario, layout)
+        # (I, P) the tables of all devices that hold together in some slot, and (K+1,) which of these P hold in slot t
+        self._together, self._when = np.unique(self.tables, axis=1, return_inverse=True)
+        self._when = self._when.reshape(-1)
+        self._shape = (int(self.tables.max()) + 1, uavs, devices, cells, len(STEP_OF_MOVE))
 
     def bound(self, charges: Floats, prices: Floats) -> tuple[float, Floats, Floats]:
         """Return the bound on the total age in slots squared, and its subgradient by charges and by prices.
 
         Args:
             charges: phi[t] - phi[t-1] for t = 1 to K, (K, I).
-            prices: kappa, (B, U, I, C, 5); B is K+1 in short missions, else 1.
+            prices: kappa, (B, U, I, C, 5); see ``tables``.
         """
         total = 0.0
         by_charges, by_prices = np.zeros_like(charges), np.zeros_like(prices)
@@ -94,17 +99,21 @@ class LagrangianDecomposition:
             for u, home in enumerate(self._homes):
                 probability = np.ascontiguousarray(self.probability[u, :, i])
                 allowed = np.where(self.on_grid, prices[:, u, i], FORBIDDEN)
-                earned, moved, collected = best_copy(probability, self.neighbours, allowed, self._table, credit, home)
+                earned, moved, collected = best_copy(
+                    probability, self.neighbours, allowed, self.tables[i], credit, home
+                )
                 by_prices[:, u, i] += moved
                 _subtract_credits(by_charges[:, i], collected * (credit > 0.0), gap)
                 total -= earned
         for u, home in enumerate(self._homes):
-            allowed = np.where(self.on_grid, prices[:, u].sum(axis=1), -FORBIDDEN)
-            earned, moved = best_walk(allowed, self.neighbours, self._table, home)
-            by_prices[:, u] -= moved[:, None]
+            summed = sum(prices[tables, u, i] for i, tables in enumerate(self._together))  # (P, C, 5)
+            allowed = np.where(self.on_grid, summed, -FORBIDDEN)
+            earned, moved = best_walk(allowed, self.neighbours, self._when, home)
+            for i, tables in enumerate(self._together):
+                np.subtract.at(by_prices[:, u, i], tables, moved)
             total -= earned
         # Own gaps do not overlap, so a UAV's credits for a device are at most its charges.
-        most = np.abs(charges).sum() * (1 + len(self._homes)) + most_prices(prices, self.on_grid, self.slots)
+        most = np.abs(charges).sum() * (1 + len(self._homes)) + most_prices(prices, self.on_grid, self.tables)
         return total - rounding_error(self.slots, prices.shape[2], float(most)), by_charges, by_prices
 
     def ascend(
@@ -141,6 +150,20 @@ def is_short(scenario: Scenario) -> bool:
     return scenario.slots * per_slot <= _MOST_PRICES
 
 
+def price_tables(scenario: Scenario, layout: Layout) -> Ints:
+    """Return which table of prices holds for device i after slot t, (I, K+1).
+
+    In short missions there is one for each slot. In others there is one for each slot of the device's update period, or
+    a single one where these would be too many.
+    """
+    slots = np.arange(scenario.slots + 1)
+    if is_short(scenario):
+        return np.tile(slots, (scenario.devices, 1))
+    each = scenario.uavs * scenario.devices * scenario.columns * scenario.rows * len(STEP_OF_MOVE)
+    many = int(layout.update_period.max()) * each > _MOST_PRICES
+    return slots % np.where(many, 1, layout.update_period)[:, None]
+
+
 def affordable_cells(scenario: Scenario) -> Bools:
     """Return whether the flight-time budget of each UAV is enough for the way to a cell and back, (U, C)."""
     flight = Flight(scenario)
@@ -156,10 +179,10 @@ def coverage_at_most(scenario: Scenario, layout: Layout) -> Floats:
     return np.where(probability > 0.0, np.minimum(probability + _COVERAGE_ERROR, 1.0), 0.0)
 
 
-def most_prices(prices: Floats, on_grid: Bools, slots: int) -> float:
+def most_prices(prices: Floats, on_grid: Bools, tables: Ints) -> float:
     """Return the largest sum of prices (B, U, I, C, 5), without their signs, of the moves of a mission."""
-    each = np.where(on_grid, np.abs(prices), 0.0).max(axis=(-2, -1)).sum(axis=(-2, -1))  # (B,)
-    return float(each.sum() if len(each) > 1 else slots * each[0])
+    each = np.where(on_grid, np.abs(prices), 0.0).max(axis=(-2, -1)).sum(axis=1)  # (B, I)
+    return float(sum(each[slots, i].sum() for i, slots in enumerate(tables)))
 
 
 def rounding_error(slots: int, devices: int, most: float) -> float:

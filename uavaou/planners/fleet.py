@@ -85,7 +85,7 @@ class FleetDecomposition:
             earned, moved = best_walk(allowed, self._neighbours, self._table, home)
             by_prices[:, u] -= moved[:, None]
             total -= earned
-        most = most_prices(prices, self._allowed[:, None], self.slots) + self._most_age
+        most = most_prices(prices, self._allowed[:, None], np.tile(self._table, (len(self._ages), 1))) + self._most_age
         return total - rounding_error(self.slots, len(self._ages), 2.0 * most), by_prices
 
     def ascend(
