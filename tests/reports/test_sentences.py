@@ -15,6 +15,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -149,6 +150,49 @@ def of_the_scenario(text: str) -> bool:
     return fields["rician_factor"] == 10 and fields["rate_min_bit_s"] == 150_000
 
 
+def at(name: str, variant: str, slots: int) -> list[float]:
+    """The validation AoU in slots of each training of a variant at the evaluation next to a number of slots."""
+    found = study(name).table("validation", variant)
+    last = {}
+    for seed in sorted(set(found["seed"])):
+        own = np.flatnonzero(found["seed"] == seed)
+        last[seed] = float(found["mean_aou_slots"][own[np.abs(found["slots"][own] - slots).argmin()]])
+    return list(last.values())
+
+
+def earlier() -> list[str]:
+    """The rows of the table of ``earliness-short``."""
+    name = "earliness-short"
+    variants = list(study(name).settings["variants"])
+    ends = {one.policy: one.mean for one in study_scores(study(name))["paper"]}
+    halfway = [at(name, variant, 500_000) for variant in variants]
+    converged = {
+        variant: fmean(
+            float(row["converged_slots"]) for row in rows(f"studies/{name}/trainings.csv") if row["variant"] == variant
+        )
+        for variant in variants
+    }
+    return [
+        " | ".join(f"{ends[name].value:.1f} ({max(ends[name].low, 0):.1f}–{ends[name].high:.1f})" for name in variants),
+        " | ".join(f"{min(group):,.0f} to {max(group):,.0f}" for group in halfway),
+        " | ".join(f"{converged[name]:,.0f} slots" for name in variants),
+    ]
+
+
+def earliest(text: str) -> bool:
+    name = "earliness-short"
+    first, *others = (at(name, variant, 500_000) for variant in study(name).settings["variants"])
+    return "500,000" in text and max(first) < min(map(min, others)) and trainings(name, 5, 5, 1_000_000)
+
+
+def behind(text: str) -> bool:
+    """QMIX's ratio to MAPPO after a third of the budget, as the study's page has it."""
+    page = (RESULTS / "studies/earliness-short/README.md").read_text(encoding="utf-8")
+    (row,) = (line for line in page.splitlines() if line.startswith("| qmix | 5 |"))
+    ratio, interval = row.split(" | ")[3].split(" ", 1)
+    return f"{ratio} times" in text and interval.strip("()") in text and "no significant difference" in row
+
+
 CHECKED: dict[str, Callable[[str], bool]] = {
     "five trainings of 3M slots each, 100 missions": lambda _: (
         trainings("paper", 4, 5, 3_000_000) and study("paper").settings["episodes"] == 100
@@ -168,6 +212,13 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "were equal, to the last digit": repeated,
     "hold the devices 17, 18 and 22": structured,
     "hold device 18 alone": structured,
+    "explore until 0.9M slots": lambda _: (
+        {study("paper").settings["variants"][name]["epsilon_fraction"] for name in ("qmix", "vdn")} == {0.3}
+    ),
+    "trains with a third of the budget, 1M slots": lambda _: trainings("earliness-short", 5, 5, 1_000_000),
+    "Five seeds each, 100 missions a training": lambda _: study("earliness-short").settings["episodes"] == 100,
+    "of each of its trainings is lower at 500,000 slots": earliest,
+    "QMIX's mean AoU after 1M slots": behind,
     "(3M slots, one seed each) on five layouts": lambda _: trainings("layouts", 5, 1, 3_000_000),
     "On layout 0, over five seeds": ratio_to_anneal,
     "With numbers that were searched": tuned_rule,
@@ -197,6 +248,12 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "On an AMD EPYC (Zen 4)": "another machine: docs/speed.md",
     "on 64 of the 100 missions": "the option of the command that wrote planners/gap.csv",
 }
+
+
+def test_the_table_of_the_earlier_learner_is_that_of_its_study() -> None:
+    page = (RESULTS / "README.md").read_text(encoding="utf-8")
+    for row in earlier():
+        assert f" | {row} |" in page
 
 
 def test_every_sentence_with_a_number_is_in_a_list_and_every_entry_is_in_a_sentence() -> None:

@@ -31,6 +31,12 @@ def test_the_strays_on_paper_are_the_two_that_are_known() -> None:
     assert [strays(found, name, "paper") for name in ("mappo", "vdn", "qmix")] == [(1, 5), (5, 5), (0, 5)]
 
 
+def test_trainings_that_hold_nothing_are_no_majority() -> None:
+    found = structures(read_study(RESULTS / "earliness-short"))
+    assert sum(not one.held for one in found.values()) > len(found) / 2
+    assert [strays(found, name, "paper") for name in ("mappo", "qmix", "vdn")] == [(1, 5), (5, 5), (5, 5)]
+
+
 def test_stated_devices_take_the_place_of_the_commonest() -> None:
     results = read_study(RESULTS / "paper")
     results.settings["held"] = [18]

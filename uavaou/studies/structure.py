@@ -3,8 +3,8 @@
 A device is **held** where it has the shortest update period of its layout and is collected in at least ``HELD`` of the
 slots in which it has a new update: a UAV then stays within range of it for nearly the whole mission. The held devices
 are counted from the communications of the final evaluation, ``devices.csv``. A training **strays** where it does not
-hold the devices that the study states as ``held``; where the study states none, where it holds others than most
-trainings on the scenario do.
+hold the devices that the study states as ``held``; where the study states none, where it does not hold the devices
+that most of the trainings do which hold any on the scenario.
 """
 
 from collections import Counter
@@ -53,7 +53,8 @@ def structures(results: StudyResults) -> dict[PartKey, Structure]:
             found |= {key: Structure(own, not set(stated) <= set(own)) for key, own in held.items()}
         elif held:
             # Of equally common ones, the one of more devices.
-            commonest = max(Counter(held.values()).items(), key=lambda pair: (pair[1], len(pair[0])))[0]
+            holding = Counter(own for own in held.values() if own)
+            commonest = max(holding.items(), key=lambda pair: (pair[1], len(pair[0])), default=((), 0))[0]
             found |= {key: Structure(own, own != commonest) for key, own in held.items()}
     return found
 
