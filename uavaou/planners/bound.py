@@ -41,6 +41,7 @@ _ROUNDS = 3000  # of the ascent by prices, at most
 _PATIENCE = 150  # rounds
 _ROUNDS_SHORT, _ROUNDS_LONG = 2000, 300  # of the ascent of the copies, at most
 _ROUNDS_FLEET = 600  # of that of the fleet, at most
+_USUAL_S = 300.0  # a longer time limit allows more rounds in proportion
 _ROUNDING = 1e-9  # relative; far above the rounding error of sums of terms of one sign
 
 
@@ -104,8 +105,7 @@ class BoundSearch:
                 self._by_prices(relaxation)
             _, prices = relaxation.as_charges()
         fleet = FleetDecomposition(self._scenario, self._layout)
-        self._most_rounds = _ROUNDS_FLEET
-        fleet.ascend(prices, _ROUNDS_FLEET, self._left(), partial(self._offer, "fleet", ("prices",)))
+        fleet.ascend(prices, self._allow(_ROUNDS_FLEET), self._left(), partial(self._offer, "fleet", ("prices",)))
 
     def _by_copies(self) -> None:
         decomposition = LagrangianDecomposition(self._scenario, self._layout)
@@ -121,14 +121,18 @@ class BoundSearch:
                     return
                 found = relaxation.as_charges()
             start = found
-        rounds = _ROUNDS_SHORT if decomposition.short else _ROUNDS_LONG
-        self._most_rounds = rounds
+        rounds = self._allow(_ROUNDS_SHORT if decomposition.short else _ROUNDS_LONG)
         decomposition.ascend(*start, rounds, self._left(), partial(self._offer, "copies", ("charges", "prices")))
 
     def _by_prices(self, relaxation: "LagrangianRelaxation") -> None:
         total = relaxation.ascend(None if self._limit_s is None else self._limit_s / 2)
         no_step_prices = np.zeros(self._scenario.uavs)
         self._offer("prices", ("prices", "step_prices"), total, relaxation.prices, no_step_prices)
+
+    def _allow(self, rounds: int) -> int:
+        """Allow so many rounds of the ascent, or more within a long time limit; return the number."""
+        self._most_rounds = round(rounds * max(1.0, (self._limit_s or 0.0) / _USUAL_S))
+        return self._most_rounds
 
     def _left(self) -> float | None:
         return None if self._limit_s is None else max(0.0, self._limit_s - (time.monotonic() - self._started))
