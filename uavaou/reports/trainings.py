@@ -79,7 +79,7 @@ def _strays(results: StudyResults, found: Mapping[PartKey, Structure]) -> list[s
     stated = results.settings.get("held")
     what = (
         f"does not hold {'device' if len(stated) == 1 else 'all of the devices'} {', '.join(map(str, stated))}"
-        if isinstance(stated, list) else "does not hold the devices that most trainings do which hold any on its scenario"
+        if isinstance(stated, list) else "does not hold the devices that most of those on its scenario do which hold any"
     )  # fmt: skip
     note = f"A training strays where it {what}. p: Fisher's exact test, two-sided; each stands by itself."
     return [f"## Strays\n\n{note}", *parts] if parts else []
