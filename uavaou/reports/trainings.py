@@ -77,9 +77,9 @@ def _strays(results: StudyResults, found: Mapping[PartKey, Structure]) -> list[s
         parts += [f"### {scenario}"] if len(results.scenarios) > 1 else []
         parts.append(table(("policy", "trainings that stray", f"p against `{own}`"), rows))
     stated = results.settings.get("held")
-    what = (
-        f"does not hold {'device' if len(stated) == 1 else 'all of the devices'} {', '.join(map(str, stated))}"
-        if isinstance(stated, list) else "does not hold the devices that most of those on its scenario do which hold any"
-    )  # fmt: skip
+    what = "does not hold the devices that most trainings hold which hold any on its scenario"
+    if isinstance(stated, list):
+        devices = "device" if len(stated) == 1 else "all of the devices"
+        what = f"does not hold {devices} {', '.join(map(str, stated))}"
     note = f"A training strays where it {what}. p: Fisher's exact test, two-sided; each stands by itself."
     return [f"## Strays\n\n{note}", *parts] if parts else []
