@@ -19,7 +19,6 @@ a copy of the UAV that flies for it alone, and charge copy i the price kappa_i(c
 missions there is a price for each slot, in others one for each slot of the update period of device i: the copies would
 else agree on their cells in the mean alone, and each would be at its device just when there is an update. Then
 
-
     largest credit <= sum_i (largest credit less prices of copy i) + max over walks of sum_i kappa_i along the walk.
 
 The process of a copy has the states (cell, own gap), includes fading, and may react to each success. Both terms are

@@ -11,6 +11,7 @@ A coarse program without phases tells the devices that cost something from those
 first get more own gaps; the second get two, or are left out where time is short.
 """
 
+import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,7 +23,7 @@ from uavaou.planners.highs import LinearProgram
 from uavaou.scenario import Layout
 
 _VARIABLES = 140_000  # the number of own gaps is chosen for about this size; some 80 seconds on `paper`
-_VARIABLES_SOON, _SOON_S = 50_000, 300.0  # the size for a shorter time limit; ten seconds on `paper`
+_VARIABLES_SOON, _SOON_S = 50_000, 150.0  # the size for a shorter time limit; ten seconds on `paper`
 _MOST_VARIABLES = 400_000  # a larger program takes too long and too much memory
 _GAPS = (2, 12)  # own gaps distinguished, at least and at most
 _COSTLY = 1e-3  # of the age of all devices in the coarse program: a device with more costs something
@@ -35,7 +36,7 @@ def stationary_duals(
     problem: LagrangianDecomposition, layout: Layout, time_limit_s: float | None = None
 ) -> tuple[Floats, Floats] | None:
     """Return charges (K, I) and prices (B, U, I, C, 5); None if the program is too large or takes too long."""
-    devices = len(problem.tables)
+    began, devices = time.monotonic(), len(problem.tables)
     per_gap = problem.neighbours.size  # variables of a device and phase
     if per_gap * _GAPS[0] * devices > _MOST_VARIABLES:
         return None
@@ -52,9 +53,8 @@ def stationary_duals(
     if per_gap * gaps * int(phases[costly].sum()) + rest > _MOST_VARIABLES:
         phases[:] = 1
     program = _Periodic(problem, layout, phases.tolist(), np.where(costly, gaps, 0 if soon else _GAPS[0]).tolist())
-    if program.solve(time_limit_s):
-        return program.duals()
-    return coarse.duals()
+    left = None if time_limit_s is None else max(0.0, time_limit_s - (time.monotonic() - began))
+    return (program if program.solve(left) else coarse).duals()
 
 
 class _Periodic:
