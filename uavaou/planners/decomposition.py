@@ -75,8 +75,8 @@ class LagrangianDecomposition:
         self.short = is_short(scenario)
         self.tables = price_tables(scenario, layout)
         # (I, P) the tables of all devices that hold together in some slot, and (K+1,) which of these P hold in slot t
-        self._together, self._when = np.unique(self.tables, axis=1, return_inverse=True)
-        self._when = self._when.reshape(-1)
+        self._together, when = np.unique(self.tables, axis=1, return_inverse=True)
+        self._when = when.reshape(-1)
         self._shape = (int(self.tables.max()) + 1, uavs, devices, cells, len(STEP_OF_MOVE))
 
     def bound(self, charges: Floats, prices: Floats) -> tuple[float, Floats, Floats]:

@@ -81,8 +81,9 @@ class _Periodic:
         for i, (period, p, number) in enumerate(zip(layout.update_period.tolist(), phases, gaps, strict=True)):
             if number:
                 hit = problem.probability[:, :, i].mean(axis=0)  # (C,)
-                flow, links = self._add_copy(hit, flows[p], number)
-                self._rows[i] = self._add_gaps(i, _gap_costs(period, p), flow, hit), links
+                reached = np.where(hit < _UNLIKELY, 0.0, hit)[problem.neighbours]  # (C, 5) after each move
+                flow, links = self._add_copy(reached, flows[p], number)
+                self._rows[i] = self._add_gaps(i, _gap_costs(period, p), flow, reached), links
 
     def solve(self, time_limit_s: float | None) -> bool:
         """Return whether the solver has found the duals in time."""
@@ -126,10 +127,9 @@ class _Periodic:
         program.add_terms(np.roll(conserved, -1, axis=0)[:, there], flow, -1.0)
         return flow
 
-    def _add_copy(self, hit: Floats, moves: Ints, gaps: int) -> tuple[Ints, Ints]:
+    def _add_copy(self, reached: Floats, moves: Ints, gaps: int) -> tuple[Ints, Ints]:
         """Add the flow of a copy, (p, G, C, 5) by phase of the slot before and own gap, and its prices (p, C, 5)."""
         program, there, phases = self._program, self._problem.neighbours, len(moves)
-        reached = _likely(hit)[there]  # (C, 5) after each move
         flow = program.add_variables(np.tile(self._upper, (phases, gaps, 1, 1)))
         conserved = program.add_constraints(phases * gaps * len(there), 0.0, 0.0).reshape(phases, gaps, -1)
         older = np.minimum(np.arange(gaps) + 1, gaps - 1)[:, None, None]  # (G, 1, 1)
@@ -143,30 +143,27 @@ class _Periodic:
         program.add_terms(links, moves, -1.0)
         return flow, links
 
-    def _add_gaps(self, device: int, costs: Floats, flow: Ints, hit: Floats) -> Ints:
+    def _add_gaps(self, device: int, costs: Floats, flow: Ints, reached: Floats) -> Ints:
         """Add the collections after gaps of 1, 2, ... slots that end at each phase, (p, Y); return the charges (p,)."""
         program, (phases, longest) = self._program, costs.shape
         each = costs / phases  # of a slot
-        collected = program.add_variables(np.full(costs.shape, np.inf), each)
-        never = program.add_variables(np.full(1, np.inf), each[:1, -1] / longest * phases)  # out of reach of every UAV
-        self._aged[device] = np.append(collected, never), np.append(each, each[0, -1] / longest * phases)
+        each = np.append(each, each[0, -1] / longest * phases)  # the last: out of reach of every UAV
+        columns = program.add_variables(np.full(each.shape, np.inf), each)
+        self._aged[device] = columns, each
+        collected, never = columns[:-1].reshape(costs.shape), columns[-1:]
         charge = program.add_constraints(phases, 1.0, 1.0)
         gap = np.arange(1, longest + 1)
         for end in range(phases):
             before = (end - np.arange(phases))[:, None] % phases  # slots from the last one of each phase to the end
             program.add_terms(charge[:, None], collected[end], np.maximum(0, gap - before + phases - 1) // phases)
         program.add_terms(charge, never, 1.0)
-        uavs, seen = len(self._problem.probability), _likely(hit)[self._problem.neighbours]
+        uavs = len(self._problem.probability)
         allowed = program.add_constraints(phases * flow.shape[1], -np.inf, 0.0).reshape(phases, -1)
         for end in range(phases):
             for own in range(flow.shape[1]):  # of own + 1 slots or more
                 program.add_terms(allowed[end, own], collected[end, own:], 1.0)
-                program.add_terms(allowed[end, own], flow[end - 1, own:], -uavs * seen)
+                program.add_terms(allowed[end, own], flow[end - 1, own:], -uavs * reached)
         return charge
-
-
-def _likely(hit: Floats) -> Floats:
-    return np.where(hit < _UNLIKELY, 0.0, hit)
 
 
 def _gap_costs(period: int, phases: int) -> Floats:
