@@ -324,7 +324,8 @@ def test_ctrl_c_keeps_the_incumbent(name: str) -> None:
     assert process.returncode == 0
 
 
-def test_rolling_beats_the_plan_that_it_starts_from() -> None:
+def test_rolling_beats_the_plan_that_it_starts_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaou.planners.rolling._PROPOSALS", 500)
     planned, rolling = Anneal(), Rolling()
     blind, seeing = (evaluate(policy, QUICKSTART, 20, 50).mean_aou_s for policy in (planned, rolling))
     assert seeing < blind
@@ -335,6 +336,7 @@ def test_rolling_beats_the_plan_that_it_starts_from() -> None:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_no_policy_beats_the_bound(seed: int, fading: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uavaou.planners.bound._ROUNDS_FLEET", 30)
+    monkeypatch.setattr("uavaou.planners.rolling._PROPOSALS", 500)
     scenario = QUICKSTART.replace(slots=20, layout_seed=seed, fading=fading, rate_min_bit_s=165_000)
     layout = scenario.draw_layout()
     bounds = [

@@ -13,8 +13,8 @@ from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.flight import first_step
 
-_HORIZON = 25  # slots ahead that may change
-_PROPOSALS = 300  # in each slot
+_HORIZON = 35  # slots ahead that may change
+_PROPOSALS = 8000  # in each slot; some 10 ms on `paper`
 _TEMPERATURES = (1.0, 0.1)  # slots of total age
 
 
