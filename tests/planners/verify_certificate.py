@@ -13,7 +13,6 @@ import numpy as np
 from scipy.stats import ncx2
 
 FAR = 1e15  # a price that nobody pays
-GAPS = 30  # own gaps that the copies of one UAV distinguish
 
 
 class Mission:
@@ -96,30 +95,30 @@ def fleet(mission, prices):
     return total - sum(mission.walk(u, lambda t, u=u: prices[t, u].sum(0)) for u in range(uavs))
 
 
-def copies(mission, charges, prices):
-    total, slots = 0.0, mission.slots
+def copies(mission, charges, prices, differences):
+    total, slots, uavs, gaps = 0.0, mission.slots, len(mission.homes), differences.shape[-1] - 1
     # The prices after slot t: one for each slot of the mission, or of the device's period, or one for all.
     every = [slots + 1 if len(prices) == slots + 1 else min(k, len(prices)) for k in mission.periods]
+    longer = np.minimum(np.arange(gaps + 1) + 1, gaps)
     for i, ages in enumerate(mission.ages):
-        gaps = np.cumsum(ages, 1)
+        summed = np.cumsum(ages, 1)
         charged = np.concatenate([[0.0], np.cumsum(charges[:, i])])
-        total += (charged + gaps[:, slots]).min()
-        credit = np.zeros((slots + 1, GAPS + 1))
+        toll, age = np.zeros((slots + 1, uavs, gaps + 1)), np.zeros((slots + 1, gaps + 1))
         for t in range(1, slots + 1):
-            own = charged[t] - charged[:t][::-1] - gaps[:t, t - 1][::-1]  # after a gap of 1, 2, ...
-            most = np.maximum(0.0, np.maximum.accumulate(own))
-            credit[t, 1:] = most[np.minimum(np.arange(GAPS), t - 1)]
-            credit[t, GAPS] = most[-1]
+            worth, known = np.zeros(gaps + 1), min(t, gaps)
+            worth[1 : known + 1] = (charged[t] - charged[:t] - summed[:t, t - 1])[::-1][:known]  # gaps of 1, 2, ...
+            toll[t] = np.maximum(0.0, worth / uavs + differences[t % mission.periods[i], :, i])
+            age[t, 1 : known + 1] = ages[:t, t][::-1][:known]
         for u, home in enumerate(mission.homes):
-            hit = mission.hit[u, :, i][:, None]
-            after = np.full((len(hit), GAPS + 1), -FAR)  # by the own gap after the slot
+            hit, earned = mission.hit[u, :, i][:, None], toll.sum(1) - toll[:, u]
+            after = np.full((len(hit), gaps + 1), FAR)  # by the gap of the fleet after the slot
             after[home] = 0.0
             for t in range(slots, 0, -1):
-                longer = np.minimum(np.arange(GAPS + 1) + 1, GAPS)
-                before = hit * (credit[t, longer] + after[:, :1]) + (1 - hit) * after[:, longer]
+                missed = np.minimum(age[t, longer] / uavs + after[:, longer], toll[t, u, longer] + after[:, :1])
+                before = hit * (after[:, :1] - earned[t, longer]) + (1 - hit) * missed
                 cost = np.where(mission.inside, prices[(t - 1) % every[i], u, i], FAR)
-                after = np.max([before[mission.to[:, m]] - cost[:, m, None] for m in range(5)], 0)
-            total -= before[home, 0]
+                after = np.min([before[mission.to[:, m]] + cost[:, m, None] for m in range(5)], 0)
+            total += before[home, 0]
     mission.near = np.ones_like(mission.near)
     for u in range(len(mission.homes)):
         total -= mission.walk(u, lambda t, u=u: sum(prices[t % k, u, i] for i, k in enumerate(every)))

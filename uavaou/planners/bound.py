@@ -22,12 +22,12 @@ from functools import partial
 import numpy as np
 
 from uavaou.arrays import Floats, Ints
+from uavaou.planners.ascent import subgradient_ascent
 from uavaou.planners.decomposition import (
     FORBIDDEN,
     LagrangianDecomposition,
     affordable_cells,
     coverage_at_most,
-    subgradient_ascent,
 )
 from uavaou.planners.exact import Program, gap_ages, program_size
 from uavaou.planners.fleet import FleetDecomposition
@@ -39,7 +39,7 @@ from uavaou.world.flight import Flight, neighbours
 _LARGEST_PROGRAM = 20_000  # variables; for a larger program the prices are faster and no weaker
 _ROUNDS = 3000  # of the ascent by prices, at most
 _PATIENCE = 150  # rounds
-_ROUNDS_SHORT, _ROUNDS_LONG = 2000, 300  # of the ascent of the copies, at most
+_ROUNDS_SHORT, _ROUNDS_LONG = 2000, 600  # of the ascent of the copies, at most
 _ROUNDS_FLEET = 600  # of that of the fleet, at most
 _USUAL_S = 300.0  # a longer time limit allows more rounds in proportion
 _ROUNDING = 1e-9  # relative; far above the rounding error of sums of terms of one sign
@@ -63,7 +63,7 @@ class BoundSearch:
     Args:
         scenario: with the rules of flight and the channel.
         layout: the devices.
-        time_limit_s: approximate; None for a fixed amount of work, a minute or two on ``paper``.
+        time_limit_s: approximate; None for a fixed amount of work, some six minutes on ``paper``.
         on_round: receives the best bound after each round of an ascent, and the share of the work that is done.
         start: the bound of an earlier search. Its ascent goes on from the multipliers; its value is found anew.
     """
@@ -109,8 +109,10 @@ class BoundSearch:
 
     def _by_copies(self) -> None:
         decomposition = LagrangianDecomposition(self._scenario, self._layout)
+        differences = None
         if self._start is not None:
             start = self._start.multipliers["charges"], self._start.multipliers["prices"]
+            differences = self._start.multipliers["differences"]
         else:
             half = None if self._limit_s is None else self._limit_s / 2
             found = None if decomposition.short else stationary_duals(decomposition, self._layout, half)
@@ -122,7 +124,8 @@ class BoundSearch:
                 found = relaxation.as_charges()
             start = found
         rounds = self._allow(_ROUNDS_SHORT if decomposition.short else _ROUNDS_LONG)
-        decomposition.ascend(*start, rounds, self._left(), partial(self._offer, "copies", ("charges", "prices")))
+        told = partial(self._offer, "copies", ("charges", "prices", "differences"))
+        decomposition.ascend(*start, rounds, differences, self._left(), told)
 
     def _by_prices(self, relaxation: "LagrangianRelaxation") -> None:
         total = relaxation.ascend(None if self._limit_s is None else self._limit_s / 2)

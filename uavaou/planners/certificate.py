@@ -64,6 +64,9 @@ def _fit(scenario: Scenario, method: str, multipliers: dict[str, Floats]) -> boo
     shapes: dict[str, tuple[int, ...]] = {"prices": (tables, scenario.uavs, scenario.devices, cells, moves)}
     if method == "copies":
         shapes["charges"] = (scenario.slots, scenario.devices)
+        phases = min(int(scenario.draw_layout().update_period.max()), scenario.slots + 1)
+        gaps = multipliers.get("differences", np.empty(0)).shape[-1]  # any number from 2 on
+        shapes["differences"] = (phases, scenario.uavs, scenario.devices, max(gaps, 2))
     found = {name: values.shape for name, values in multipliers.items()}
     finite = all(values.dtype == np.float64 and np.isfinite(values).all() for values in multipliers.values())
     return finite and (method not in ("fleet", "copies") or found == shapes)

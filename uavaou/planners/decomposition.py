@@ -1,57 +1,55 @@
-"""The Lagrangian decomposition bound: a copy of each UAV for each device, and prices that make the copies agree.
+"""The Lagrangian decomposition bound: a copy of each UAV for each device, with tolls and prices that make them agree.
 
-Let phi_i[t] be the age charged to device i up to slot t, any sequence with phi_i[0] = 0. A collection in slot t that
-ends a gap of y slots, in which the age of the device adds up to c_i(t-y, t), earns the credit
+The copy of UAV u for device i knows its cell and g, the slots since any UAV last collected the device. It pays 1/U of
+the age of the device. In each slot the channel lets it collect, or not; in the latter case it may let another UAV
+collect, which costs the toll omega_iu(t, g) >= 0. For a collection of its own it earns the tolls of the other copies at
+(t, g). A copy also pays the price kappa_iu(c, m) for move m in cell c.
 
-    h_i(t, y) = phi_i[t] - phi_i[t-y] - c_i(t-y, t).
+A policy of the fleet is one of every copy, in which other UAVs collect where they do. Wherever they do, with u out of
+reach, at least one of them is in reach; so the copies earn at least the tolls that they pay, and the age of the mission
+is at least the sum of their costs less the prices of all moves. The fading of a slot is independent of all that
+happened before, so the best policy of a copy is found by dynamic programming over (cell, g), and the largest sum of
+prices by one over walks:
 
-So the true age of a mission is the age charged less all credits, plus at least min_s (phi_i[s] + c_i(s, K+1)) -
-phi_i[K+1] for the open gap at its end. Leaving an update in range never pays. So the UAV that ends the gap was itself
-out of reach of the device (out of range or in a fade) for at least y slots. With its *own* gap g, the credit is at most
+    expected age >= sum_iu least cost of copy iu - sum_u max over walks of sum_i kappa_iu along the walk.
 
-    H_i(t, g) = max(0, max over y <= g of h_i(t, y)).
+Gaps above the longest one that is distinguished are charged its age, which is too little. Every choice of tolls and
+prices gives a valid bound (Guignard and Kim, 1987). Here the tolls are given by charges phi_i[t], with phi_i[0] = 0,
+and by differences delta that repeat with the update period k_i. A gap of g slots that ends in slot t has the age
+c_i(t-g, t), and a collection there is worth h_i(t, g) = phi_i[t] - phi_i[t-g] - c_i(t-g, t) if each slot is charged an
+age. Then
 
-This separates the UAVs: no fleet has an expected age below sum_i min_s (...) less, for each UAV, the largest credit
-that it can earn alone. A UAV that stays at a device earns little.
+    omega_iu(t, g) = max(0, h_i(t, g) / U + delta_iu(t mod k_i, g)).
 
-The largest credit of one UAV from all devices is still a decision process with a gap for each device. Give each device
-a copy of the UAV that flies for it alone, and charge copy i the price kappa_i(c, m) for move m in cell c. In short
-missions there is a price for each slot, in others one for each slot of the update period of device i: the copies would
-else agree on their cells in the mean alone, and each would be at its device just when there is an update. Then
+With delta = 0, a copy that collects after a gap of g saves h_i(t, g), and letting others collect changes nothing. So
+the bound is at least that of copies that know their own gaps alone, at most credited with the best shorter gap.
 
-    largest credit <= sum_i (largest credit less prices of copy i) + max over walks of sum_i kappa_i along the walk.
-
-The process of a copy has the states (cell, own gap), includes fading, and may react to each success. Both terms are
-found by dynamic programming. Every choice of charges and prices gives a valid bound (Guignard and Kim, 1987).
+In short missions there is a price for each slot, in others one for each slot of the update period of device i: the
+copies would else agree on their cells in the mean alone, and each would be at its device just when there is an update.
 """
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
+from uavaou.planners.ascent import bundle_ascent
 from uavaou.planners.exact import gap_ages
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import STEP_OF_MOVE, Flight, grid_cells, neighbours
 
-_LONGEST = 30  # slots of own gap distinguished; longer gaps earn the maximum
-_PATIENCE = 25  # rounds
-_FIRST_LEVEL = 0.2  # above the start, in slots of age for each slot
+_LONGEST = 30  # slots of a gap distinguished, at most
+_MORE_GAPS = 2, 3  # of the longest gap that pays at the first charges: so many times its slots, and so many more
 _SCALE = 0.05  # of prices that hold in several slots, relative to charges: such a price acts in hundreds of slots
+_SCALE_DIFFERENCES = 0.02  # of the differences of tolls, for the same reason
 _MOST_PRICES = 1_000_000  # with more, prices hold in several slots
 FORBIDDEN = 1e15  # price of a move off the grid, and of an end away from the CDS
 _COVERAGE_ERROR = 1e-12  # of a probability of coverage; the error of the quadrature is about 1e-14
 _OPERATIONS = 16  # rounded, in sequence, for the value of a slot from that of the next one
 
-# The subgradient ascent
-_FALL = 100.0  # the ascent restarts at the best point if the value falls this many level heights below the best
-_FOLLOWS = 0.1  # a gain of this fraction of the level height counts as following the level
-_CLOSE = 1e-4  # relative height of the level above the best at which the ascent ends
-_INERTIA = 0.6  # of the averaged subgradient
-_FLAT = 1e-9  # squared lengths and levels below this count as 0
+_FIRST_GAIN = 30.0  # in slots of age for each slot, that the first step aims at; too much, and mended in a few rounds
 
 
 class LagrangianDecomposition:
@@ -74,36 +72,54 @@ class LagrangianDecomposition:
         uavs, cells, devices = self.probability.shape
         self.short = is_short(scenario)
         self.tables = price_tables(scenario, layout)
+        self._phases = np.arange(self.slots + 1) % layout.update_period[:, None]  # (I, K+1)
         # (I, P) the tables of all devices that hold together in some slot, and (K+1,) which of these P hold in slot t
         self._together, when = np.unique(self.tables, axis=1, return_inverse=True)
         self._when = when.reshape(-1)
         self._shape = (int(self.tables.max()) + 1, uavs, devices, cells, len(STEP_OF_MOVE))
 
-    def bound(self, charges: Floats, prices: Floats) -> tuple[float, Floats, Floats]:
-        """Return the bound on the total age in slots squared, and its subgradient by charges and by prices.
+    def no_differences(self, charges: Floats) -> Floats:
+        """Return differences of 0, (k, U, I, G+1), for as many gaps as are worth distinguishing at these charges."""
+        longest = 0
+        for charged, ages in zip(charged_ages(charges), self._gap_ages, strict=True):
+            worth, _ = gap_worths(charged, ages, min(_LONGEST, self.slots))  # (K+1, G+1)
+            longest = max(longest, int(worth.argmax(axis=1).max()))
+        times, more = _MORE_GAPS
+        gaps = max(1, min(times * longest + more, _LONGEST, self.slots))
+        return np.zeros((int(self._phases.max()) + 1, *self._shape[1:3], gaps + 1))
+
+    def bound(self, charges: Floats, prices: Floats, differences: Floats) -> tuple[float, Floats, Floats, Floats]:
+        """Return the bound on the total age in slots squared, and its slope by each of the arguments.
 
         Args:
             charges: phi[t] - phi[t-1] for t = 1 to K, (K, I).
             prices: kappa, (B, U, I, C, 5); see ``tables``.
+            differences: delta, (k, U, I, G+1) by phase of the update period and gap; G gaps are distinguished.
         """
-        total = 0.0
-        by_charges, by_prices = np.zeros_like(charges), np.zeros_like(prices)
-        for i, ages in enumerate(self._gap_ages):
-            charged = np.concatenate([[0.0], np.cumsum(charges[:, i])])  # (K+1,)
-            at_end = charged + ages[:, -1]
-            last = int(at_end.argmin())
-            by_charges[:last, i] += 1.0
-            total += at_end[last]
-            credit, gap = credits(charged, ages, _LONGEST)
+        total, most = 0.0, most_prices(prices, self.on_grid, self.tables)
+        by_charges, by_prices, by_differences = (np.zeros_like(each) for each in (charges, prices, differences))
+        uavs, gaps = len(self._homes), differences.shape[-1] - 1
+        for i, (charged, ages) in enumerate(zip(charged_ages(charges), self._gap_ages, strict=True)):
+            worth, age = gap_worths(charged, ages, gaps)  # (K+1, G+1) each
+            free = worth[:, None] / uavs + differences[self._phases[i], :, i]  # (K+1, U, G+1)
+            tolls = np.maximum(free, 0.0)
+            together = tolls.sum(axis=1)  # (K+1, G+1)
+            by_tolls = np.zeros_like(tolls)
             for u, home in enumerate(self._homes):
-                probability = np.ascontiguousarray(self.probability[u, :, i])
                 allowed = np.where(self.on_grid, prices[:, u, i], FORBIDDEN)
-                earned, moved, collected = best_copy(
-                    probability, self.neighbours, allowed, self.tables[i], credit, home
-                )
+                toll = np.ascontiguousarray(tolls[:, u])
+                cost, moved, own, others = cheapest_copy(
+                    np.ascontiguousarray(self.probability[u, :, i]), self.neighbours, allowed, self.tables[i],
+                    age / uavs, toll, together - toll, home,
+                )  # fmt: skip
+                total += cost
                 by_prices[:, u, i] += moved
-                _subtract_credits(by_charges[:, i], collected * (credit > 0.0), gap)
-                total -= earned
+                by_tolls -= own[:, None]
+                by_tolls[:, u] += own + others
+            by_tolls *= free > 0.0
+            np.add.at(by_differences[:, :, i], self._phases[i], by_tolls)
+            _add_worths(by_charges[:, i], by_tolls.sum(axis=1) / uavs)
+            most += ages[0, -1] + uavs * together.max(axis=1).sum()
         for u, home in enumerate(self._homes):
             summed = sum(prices[tables, u, i] for i, tables in enumerate(self._together))  # (P, C, 5)
             allowed = np.where(self.on_grid, summed, -FORBIDDEN)
@@ -111,36 +127,42 @@ class LagrangianDecomposition:
             for i, tables in enumerate(self._together):
                 np.subtract.at(by_prices[:, u, i], tables, moved)
             total -= earned
-        # Own gaps do not overlap, so a UAV's credits for a device are at most its charges.
-        most = np.abs(charges).sum() * (1 + len(self._homes)) + most_prices(prices, self.on_grid, self.tables)
-        return total - rounding_error(self.slots, prices.shape[2], float(most)), by_charges, by_prices
+        certain = total - rounding_error(self.slots, prices.shape[2], float(most))
+        return certain, by_charges, by_prices, by_differences
 
     def ascend(
         self,
         charges: Floats,
         prices: Floats,
         rounds: int,
+        differences: Floats | None = None,
         time_limit_s: float | None = None,
-        on_round: Callable[[float, Floats, Floats], None] | None = None,
+        on_round: Callable[[float, Floats, Floats, Floats], None] | None = None,
     ) -> float:
-        """Return the best bound met on the total age, in slots squared, starting from these charges and prices.
+        """Return the best bound met on the total age, in slots squared, starting from these arguments of ``bound``.
 
-        ``on_round`` receives the bound of each round, its charges and prices.
+        ``on_round`` receives the bound of each round, its charges, prices and differences.
         """
-        cut, scale = charges.size, 1.0 if self.short else _SCALE
+        differences = self.no_differences(charges) if differences is None else differences
+        starts = charges, prices, differences
+        scales = (1.0, 1.0, 1.0) if self.short else (1.0, _SCALE, _SCALE_DIFFERENCES)
+        ends = np.cumsum([start.size for start in starts])
 
-        def parts(point: Floats) -> tuple[Floats, Floats]:
-            return point[:cut].reshape(charges.shape), scale * point[cut:].reshape(self._shape)
+        def parts(point: Floats) -> list[Floats]:
+            pieces = np.split(point, ends[:-1])
+            return [
+                scale * piece.reshape(start.shape) for scale, piece, start in zip(scales, pieces, starts, strict=True)
+            ]
 
         def value(point: Floats) -> tuple[float, Floats]:
-            total, by_charges, by_prices = self.bound(*parts(point))
+            arguments = parts(point)
+            total, *slopes = self.bound(*arguments)
             if on_round is not None:
-                on_round(total, *parts(point))
-            return total, np.concatenate([by_charges.ravel(), scale * by_prices.ravel()])
+                on_round(total, *arguments)
+            return total, np.concatenate([scale * slope.ravel() for scale, slope in zip(scales, slopes, strict=True)])
 
-        start = np.concatenate([charges.ravel(), prices.ravel() / scale])
-        level = _FIRST_LEVEL * self.slots
-        return subgradient_ascent(value, start, level, rounds, _PATIENCE, time_limit_s=time_limit_s)[0]
+        start = np.concatenate([start.ravel() / scale for scale, start in zip(scales, starts, strict=True)])
+        return bundle_ascent(value, start, _FIRST_GAIN * self.slots, rounds, time_limit_s)
 
 
 def is_short(scenario: Scenario) -> bool:
@@ -198,154 +220,108 @@ def rounding_error(slots: int, devices: int, most: float) -> float:
     return float(np.finfo(np.float64).eps * slots * (_OPERATIONS + devices) * most)
 
 
-def _subtract_credits(by_charges: Floats, collected: Floats, gap: Ints) -> None:
-    """Subtract from the subgradient (K,) the part of each slot's charge in the credits earned, (K+1, G+1)."""
-    slot, own = np.nonzero(collected)
+def charged_ages(charges: Floats) -> Floats:
+    """Return phi of charges (K, I), by device and slot, (I, K+1)."""
+    return np.concatenate([np.zeros((1, charges.shape[1])), np.cumsum(charges, axis=0)]).T.copy()
+
+
+def _add_worths(by_charges: Floats, by_worth: Floats) -> None:
+    """Add to the slope by charges (K,) that by the worth of each gap, (K+1, G+1)."""
+    slot, gap = np.nonzero(by_worth)
     steps = np.zeros(len(by_charges) + 1)
-    np.add.at(steps, slot - gap[slot, own], -collected[slot, own])  # row t - 1 is slot t
-    np.add.at(steps, slot, collected[slot, own])
+    np.add.at(steps, slot - gap, by_worth[slot, gap])  # row t - 1 is slot t
+    np.add.at(steps, slot, -by_worth[slot, gap])
     by_charges += np.cumsum(steps)[:-1]
 
 
-def subgradient_ascent(
-    value: Callable[[Floats], tuple[float, Floats]],
-    start: Floats,
-    level: float,
-    rounds: int,
-    patience: int,
-    floor: float = -np.inf,
-    time_limit_s: float | None = None,
-) -> tuple[float, Floats]:
-    """Maximise a concave function by Polyak steps (1969) along an averaged subgradient; return value and point.
-
-    The step length aims at a level above the best value. If the values do not follow, the level comes closer and the
-    ascent continues from the best point.
-
-    Args:
-        value: returns the function's value and a subgradient at a point, an array of any shape.
-        start: the first point.
-        level: height of the first level above the best value.
-        rounds: at most.
-        patience: rounds without enough gain after which the level comes closer.
-        floor: lower limit of every coordinate.
-        time_limit_s: at most.
-    """
-    started, stale, point = time.monotonic(), 0, start.copy()
-    best, at_best, slope_at_best = -np.inf, point, np.zeros_like(point)
-    direction: Floats | None = None
-    for _ in range(rounds):
-        now, slope = value(point)
-        stale += 1
-        if now > best:
-            stale = 0 if now > best + _FOLLOWS * level else stale
-            best, at_best, slope_at_best = now, point, slope
-        if stale >= patience or now < best - _FALL * level:
-            level, stale, direction = level / 2, 0, None
-            now, point, slope = best, at_best, slope_at_best
-        direction = slope if direction is None else _INERTIA * direction + (1 - _INERTIA) * slope
-        # An average that nearly cancels must not make a long step of a short one.
-        norm = max(float(np.vdot(direction, direction)), (1 - _INERTIA) ** 2 * float(np.vdot(slope, slope)))
-        late = time_limit_s is not None and time.monotonic() - started > time_limit_s
-        if norm < _FLAT or late or level < max(_CLOSE * best, _FLAT):
-            break
-        point = np.maximum(floor, point + (best + level - now) / norm * direction)
-    return best, at_best
-
-
 @compiled_fast
-def credits(charged: Floats, gap_age: Floats, longest: int) -> tuple[Floats, Ints]:
-    """Return H_i(t, g) by slot t and own gap g, (K+1, G+1), and the y of each; the last column holds all longer gaps.
+def gap_worths(charged: Floats, gap_age: Floats, gaps: int) -> tuple[Floats, Floats]:
+    """Return h_i(t, g) and the age of the device in slot t of a gap of g slots so far, (K+1, G+1) each.
 
     Args:
         charged: phi, (K+1,).
         gap_age: c_i, (K+1, K+2) [s, t].
-        longest: upper limit of G, which is less if longer gaps earn no more.
+        gaps: G.
     """
     slots = len(charged) - 1
-    credit, gap = np.zeros((slots + 1, longest + 1)), np.zeros((slots + 1, longest + 1), dtype=np.int64)
-    least, saturated = 0.0, 2
+    worth, age = np.zeros((slots + 1, gaps + 1)), np.zeros((slots + 1, gaps + 1))
     for t in range(1, slots + 1):
-        least = min(least, charged[t - 1])
-        most, at = 0.0, 0
-        for y in range(1, t + 1):
-            found = charged[t] - charged[t - y] - gap_age[t - y, t]
-            if found > most:
-                most, at = found, y
-            if y < longest:
-                credit[t, y], gap[t, y] = most, at
-            if charged[t] - least - gap_age[t - y, t] <= most or y == t:  # a longer gap only adds age
-                for g in range(min(y, longest), longest + 1):
-                    credit[t, g], gap[t, g] = most, at
-                break
-        saturated = max(saturated, min(at, longest))
-    return credit[:, : saturated + 1].copy(), gap[:, : saturated + 1].copy()
+        for g in range(1, min(t, gaps) + 1):
+            worth[t, g] = charged[t] - charged[t - g] - gap_age[t - g, t]
+            age[t, g] = gap_age[t - g, t + 1] - gap_age[t - g, t]
+    return worth, age
 
 
 @compiled_fast
-def best_copy(
-    probability: Floats, neighbours: Ints, prices: Floats, table: Ints, credit: Floats, home: int
-) -> tuple[float, Floats, Floats]:
-    """Return the largest expected credit less prices that a copy of a UAV earns for one device, from its CDS and back.
+def cheapest_copy(
+    probability: Floats, neighbours: Ints, prices: Floats, table: Ints, age: Floats, toll: Floats, earned: Floats,
+    home: int,
+) -> tuple[float, Floats, Floats, Floats]:  # fmt: skip
+    """Return the least expected cost of a copy of a UAV for one device, from its CDS and back.
 
     Args:
         probability: of a collection in each cell, (C,).
         neighbours: (C, 5).
         prices: of each move, (B, C, 5).
         table: which prices hold in slot t, (K+1,).
-        credit: of a collection in slot t at own gap g, (K+1, G+1).
+        age: paid in slot t of a gap of g slots, (K+1, G+1).
+        toll: paid for a collection by another UAV that ends a gap of g slots in slot t, (K+1, G+1).
+        earned: by a collection of its own, (K+1, G+1).
         home: the cell of the CDS.
 
     Returns:
-        That value, and the expected numbers of moves (B, C, 5) and of collections (K+1, G+1) of its policy.
+        That cost, and the expected numbers of moves (B, C, 5), of own collections and of others' (K+1, G+1 each) of its
+        policy.
     """
-    slots, ages, cells = credit.shape[0] - 1, credit.shape[1] - 1, len(probability)
-    after = np.full((cells, ages), -1e15)  # value after slot t, by cell and own gap so far, 0 to G-1
+    slots, gaps, cells = age.shape[0] - 1, age.shape[1] - 1, len(probability)
+    after = np.full((cells, gaps + 1), 1e15)  # cost after slot t, by cell and slots since the last collection
     after[home] = 0.0
-    before = np.empty((slots + 1, cells, ages))  # value in slot t before its channel is drawn
+    before = np.empty((slots + 1, cells, gaps + 1))  # cost from slot t on, before its channel is drawn
+    lets = np.empty((slots + 1, cells, gaps + 1), dtype=np.bool_)  # another UAV collect
     for t in range(slots, 0, -1):
         for c in range(cells):
-            hit = probability[c]
-            fixed = hit * after[c, 0]
-            for a in range(ages - 1):
-                before[t, c, a] = hit * credit[t, a + 1] + fixed + (1.0 - hit) * after[c, a + 1]
-            before[t, c, ages - 1] = hit * credit[t, ages] + fixed + (1.0 - hit) * after[c, ages - 1]
-        price = prices[table[t - 1]]
+            hit, anew = probability[c], after[c, 0]
+            for g in range(gaps):
+                waits, let = age[t, g + 1] + after[c, g + 1], toll[t, g + 1] + anew
+                lets[t, c, g] = let < waits
+                before[t, c, g] = hit * (anew - earned[t, g + 1]) + (1.0 - hit) * min(waits, let)
+            lets[t, c, gaps], before[t, c, gaps] = lets[t, c, gaps - 1], before[t, c, gaps - 1]
+        price, now = prices[table[t - 1]], before[t]
         for c in range(cells):
-            for a in range(ages):
-                after[c, a] = before[t, c, a] - price[c, 0]
-            for m in range(1, 5):
-                there = neighbours[c, m]
-                for a in range(ages):
-                    after[c, a] = max(after[c, a], before[t, there, a] - price[c, m])
-    moved, collected = np.zeros(prices.shape), np.zeros((slots + 1, ages + 1))
-    present, next_present = np.zeros((cells, ages)), np.empty((cells, ages))
-    present[home, 0] = 1.0  # P(cell, own gap) before the channel of slot t
+            _, north, south, east, west = neighbours[c]
+            for g in range(gaps + 1):  # all moves in one pass: faster than a pass for each
+                along_y = min(now[north, g] + price[c, 1], now[south, g] + price[c, 2])
+                along_x = min(now[east, g] + price[c, 3], now[west, g] + price[c, 4])
+                after[c, g] = min(now[c, g] + price[c, 0], along_y, along_x)
+    moved, own, others = np.zeros(prices.shape), np.zeros(age.shape), np.zeros(age.shape)
+    present, next_present = np.zeros((cells, gaps + 1)), np.empty((cells, gaps + 1))
+    present[home, 0] = 1.0  # P(cell, slots since the last collection) before the channel of slot t
+    here = np.empty(gaps + 1)
     for t in range(1, slots + 1):
         next_present[:] = 0.0
         price = prices[table[t]]
         for c in range(cells):
-            hit, total = probability[c], 0.0
-            for a in range(ages):
-                total += present[c, a]
-            if total < 1e-12:
-                continue
-            for a in range(ages):
-                collected[t, a + 1] += hit * present[c, a]
-            for a in range(ages - 1, -1, -1):  # own gap after slot t
-                here = hit * total if a == 0 else (1.0 - hit) * present[c, a - 1]
-                if a == ages - 1:
-                    here += (1.0 - hit) * present[c, a]
-                if t == slots or here < 1e-12:
+            hit = probability[c]
+            here[:] = 0.0
+            for g in range(gaps + 1):
+                if present[c, g] >= 1e-12:
+                    gap, missed = min(g + 1, gaps), (1.0 - hit) * present[c, g]
+                    own[t, gap] += hit * present[c, g]
+                    others[t, gap] += missed * lets[t, c, g]
+                    here[0] += hit * present[c, g]
+                    here[0 if lets[t, c, g] else gap] += missed
+            for g in range(gaps + 1):
+                if t == slots or here[g] < 1e-12:
                     continue
                 chosen = 0
                 for m in range(1, 5):
-                    gain = before[t + 1, neighbours[c, m], a] - price[c, m]
-                    if gain > before[t + 1, neighbours[c, chosen], a] - price[c, chosen]:
+                    cost = before[t + 1, neighbours[c, m], g] + price[c, m]
+                    if cost < before[t + 1, neighbours[c, chosen], g] + price[c, chosen]:
                         chosen = m
-                moved[table[t], c, chosen] += here
-                next_present[neighbours[c, chosen], a] += here
+                moved[table[t], c, chosen] += here[g]
+                next_present[neighbours[c, chosen], g] += here[g]
         present, next_present = next_present, present
-    return before[1, home, 0], moved, collected
+    return before[1, home, 0], moved, own, others
 
 
 @compiled_fast

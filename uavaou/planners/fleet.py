@@ -25,6 +25,7 @@ from collections.abc import Callable
 import numpy as np
 
 from uavaou.arrays import Floats, Ints
+from uavaou.planners.ascent import subgradient_ascent
 from uavaou.planners.decomposition import (
     FORBIDDEN,
     affordable_cells,
@@ -33,7 +34,6 @@ from uavaou.planners.decomposition import (
     is_short,
     most_prices,
     rounding_error,
-    subgradient_ascent,
 )
 from uavaou.planners.exact import gap_ages
 from uavaou.scenario import Layout, Scenario

@@ -1,11 +1,12 @@
 """Charges and prices from which :class:`~uavaou.planners.decomposition.LagrangianDecomposition` starts.
 
-They are the dual of its problem for a mission without beginning and end. The best charges and prices are then periodic,
-and the dual of a linear program, which the interior-point method of HiGHS solves. Its variables, per slot: f(c, m), the
-frequency of move m in cell c, in the mean and at each phase of every update period; for each device and each phase of
-its period a flow over (cell, own gap, move) of a copy of the UAV, whose moves sum to f; and the frequency of
-collections of the device at each phase after a gap of y slots, which the own gaps of y or more limit. All UAVs are
-replaced by their average. None of this has to be exact: the decomposition certifies the result.
+They are the dual of its problem for a mission without beginning and end, in which a copy knows the slots since its own
+last collection alone, its own gap. The best charges and prices are then periodic, and the dual of a linear program,
+which the interior-point method of HiGHS solves. Its variables, per slot: f(c, m), the frequency of move m in cell c, in
+the mean and at each phase of every update period; for each device and each phase of its period a flow over (cell, own
+gap, move) of a copy of the UAV, whose moves sum to f; and the frequency of collections of the device at each phase
+after a gap of y slots, which the own gaps of y or more limit. All UAVs are replaced by their average. None of this has
+to be exact: the decomposition certifies the result.
 
 A coarse program without phases tells the devices that cost something from those that the way to them serves anyway. The
 first get more own gaps; the second get two, or are left out where time is short.
