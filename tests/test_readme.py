@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections import Counter
 from pathlib import Path
@@ -17,7 +18,7 @@ from uavaou.statistics import Interval
 from uavaou.studies.results import read_study
 
 README = ROOT / "README.md"
-PARTS = "local-greedy-parts"
+RULES = "local-greedy-tuned", "local-greedy-parts"
 COMMANDS = ("fly", "replay", "train", "eval", "gap", "plan", "plot", "study", "tune", "audit", "export", "scenarios")
 
 
@@ -88,23 +89,34 @@ def rounded_like(value: float, shown: str) -> str:
 
 def test_the_ratios_on_other_layouts_are_those_of_the_tables(means: dict[str, dict[str, Interval]]) -> None:
     layouts = [means[f"layouts: layout {seed}"] for seed in range(1, 6)]
-    ratios = {name: [one["mappo"].value / one[name].value for one in layouts] for name in ("anneal", PARTS)}
+    ratios = {name: [one["mappo"].value / one[name].value for one in layouts] for name in ("anneal", *RULES)}
     text = README.read_text(encoding="utf-8")
     for name, found in ratios.items():
         *most, last = (f"{ratio:.2f}" for ratio in found)
         assert f"{', '.join(most)} and {last} of `{name}`'s" in text
     page = (ROOT / "results" / "README.md").read_text(encoding="utf-8")
+    planned = {
+        (row["scenario"], row["policy"]): f"{float(row['mean_aou_slots']):.1f}"
+        for row in csv.DictReader((ROOT / "results/planners/gap.csv").open(encoding="utf-8"))
+    }
     for seed, one in enumerate(layouts, start=1):
         cells = [cell.strip(" *") for cell in re.findall(rf"^\| {seed} \|(.*)\|$", page, re.M)[0].split("|")]
         mean, low, high = one["mappo"]
         assert cells[2] == f"{mean:.1f}** ({low:.1f}–{high:.1f})"
-        shown = [f"{one[name].value:.1f}" for name in (PARTS, "anneal", "best-first", "greedy")]
-        assert [cells[3], cells[4], cells[6], cells[7]] == shown
-        assert cells[8:10] == [f"{found[seed - 1]:.2f}" for found in ratios.values()]
-    averages = [f"{sum(found[first:]) / (5 - first):.2f}" for first in (0, 2) for found in ratios.values()]
-    first, second, *fresh = averages
-    assert f"ratios to `anneal` is **{first}**, that to `{PARTS}` **{second}**; over the three fresh layouts" in page
-    assert f"they are {fresh[0]} and {fresh[1]}." in page
+        shown = [f"{one[name].value:.1f}" for name in (*RULES, "anneal", "best-first", "greedy")]
+        assert [*cells[3:6], *cells[7:9]] == shown
+        assert [cells[1], cells[6]] == [planned[f"paper+layout_seed={seed}", name] for name in ("bound", "rolling")]
+        assert cells[9:12] == [f"{found[seed - 1]:.2f}" for found in ratios.values()]
+    over, fresh = ([f"{sum(found[first:]) / (5 - first):.2f}" for found in ratios.values()] for first in (0, 2))
+    assert (
+        f"ratios is **{over[0]}** to `anneal`, **{over[1]}** to `{RULES[0]}` and **{over[2]}** to `{RULES[1]}`" in page
+    )
+    assert f"over the three fresh layouts {fresh[0]}, {fresh[1]} and {fresh[2]}." in page
+
+
+def test_the_rule_with_searched_numbers_has_the_lowest_mean(means: dict[str, dict[str, Interval]]) -> None:
+    found = {policy: mean.value for policy, mean in means["paper: paper"].items() if policy != "lower bound"}
+    assert min(found, key=lambda policy: found[policy]) == RULES[0]
 
 
 def test_what_it_says_of_the_claims_is_what_they_say() -> None:

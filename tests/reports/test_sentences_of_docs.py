@@ -193,7 +193,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "are charged the age of 20 slots": lambda text: states(text, f"{fleet._LONGEST} slots", f"{fleet._LONGEST} slots"),
     "probabilities of coverage are raised by": lambda text: f"{decomposition._COVERAGE_ERROR:.0e}" in text,
     "is the best planner here on layout seeds": best_planner,
-    "A trained MAPPO with the same information": tuned_rule,
+    "a trained MAPPO with the same information": tuned_rule,
     "measures the row of 600 s again": tuned_row,
     "is better than the plan of ten minutes": better_than_plans,
     "of `greedy` on layout seeds 1 to 3": fast_beside_greedy,
