@@ -108,9 +108,9 @@ def test_a_file_that_cannot_be_used_is_refused(tmp_path: Path, changes: dict[str
 def test_the_shipped_search_fits_four_hours_of_two_cores_and_chooses_on_layouts_for_choosing() -> None:
     shipped = Tournament.load("local")
     assert shipped.cpu_s / 2 < 4 * 3600
-    assert {layout for stage in shipped.stages for layout in stage.layouts} <= {6, 7, 8, 9}
-    last = shipped.stages[-1]
-    assert (last.seeds, sorted(last.layouts)) == (3, [6, 7, 8, 9])
+    first, last = shipped.stages
+    assert sorted(first.layouts + last.layouts) == [6, 7, 8, 9]  # the last stage ranks on layouts that chose nothing
+    assert last.seeds == 3
     for config, space in shipped.arms.values():
         assert {"hidden", "masks"} <= space.dimensions.keys(), config.name
     assert "critic_input" in shipped.arms["mappo"][1].dimensions
