@@ -107,6 +107,8 @@ def test_the_ratios_on_other_layouts_are_those_of_the_tables(means: dict[str, di
         assert [*cells[3:6], *cells[7:9]] == shown
         assert [cells[1], cells[6]] == [planned[f"paper+layout_seed={seed}", name] for name in ("bound", "rolling")]
         assert cells[9:12] == [f"{found[seed - 1]:.2f}" for found in ratios.values()]
+    assert "has a lower mean than MAPPO on all five" in page
+    assert min(ratios[RULES[0]]) > 1
     over, fresh = ([f"{sum(found[first:]) / (5 - first):.2f}" for found in ratios.values()] for first in (0, 2))
     assert (
         f"ratios is **{over[0]}** to `anneal`, **{over[1]}** to `{RULES[0]}` and **{over[2]}** to `{RULES[1]}`" in page
