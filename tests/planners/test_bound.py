@@ -57,12 +57,13 @@ def optimum(scenario: Scenario, layout: Layout) -> float:
 
 @st.composite
 def fading(draw: st.DrawFn) -> Scenario:
-    """1 or 2 UAVs on 2 x 2 or 3 x 2 cells, 1 or 2 devices, 3 to 6 slots, links that hold now and then."""
-    uavs, devices = draw(st.sampled_from([(1, 1), (1, 2), (2, 1)]))
-    columns, rows = draw(st.sampled_from([(2, 2), (3, 2)]))
+    """1 to 3 UAVs on 2 x 2 or 3 x 2 cells, 1 or 2 devices, 3 to 6 slots, links that hold now and then."""
+    uavs, devices = draw(st.sampled_from([(1, 1), (1, 2), (2, 1), (2, 2), (3, 1)]))
+    many = uavs * devices > 2  # states
+    columns, rows = draw(st.sampled_from([(2, 2)] if many else [(2, 2), (3, 2)]))
     return TINY.replace(
-        fading="rician", uavs=uavs, altitudes_m=[80, 90][:uavs], cds_m=[[0, 0]] * uavs, devices=devices,
-        area_x_m=100 * (columns - 1), area_y_m=100 * (rows - 1), slots=draw(st.integers(3, 6)),
+        fading="rician", uavs=uavs, altitudes_m=[80, 90, 100][:uavs], cds_m=[[0, 0]] * uavs, devices=devices,
+        area_x_m=100 * (columns - 1), area_y_m=100 * (rows - 1), slots=draw(st.integers(3, 4 if many else 6)),
         transmit_power_mw=draw(st.sampled_from([0.1, 0.25, 0.6])), layout_seed=draw(st.integers(0, 10**6)),
         update_period_slots=draw(st.lists(st.integers(1, 3), min_size=devices, max_size=devices)),
         flight_time="ignore",
