@@ -63,7 +63,7 @@ class BoundSearch:
     Args:
         scenario: with the rules of flight and the channel.
         layout: the devices.
-        time_limit_s: approximate; None for a fixed amount of work, some six minutes on ``paper``.
+        time_limit_s: approximate; None for a fixed amount of work, six to sixteen minutes on ``paper``.
         on_round: receives the best bound after each round of an ascent, and the share of the work that is done.
         start: the bound of an earlier search. Its ascent goes on from the multipliers; its value is found anew.
     """
