@@ -126,7 +126,7 @@ def test_reading_a_study(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
     monkeypatch.chdir(ROOT)
     (code,) = blocks(DOCS / "studies.md", "python")
     exec(code, {})
-    assert "14.4" in capsys.readouterr().out
+    assert "17.5" in capsys.readouterr().out
 
 
 def test_a_study_and_a_suite_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
