@@ -261,6 +261,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "the other seven have": "measured by hand once, in the linear program",
     "is forced in truth": "the sums of the sentence before it",
     "in the linear program alone": "a layout seed",
+    "The ascent ends at 17.96": "the table above it",
     "know the gap of the fleet gain": "the table above it",
     "645 small random instances": "tests/planners/test_bound.py, and longer by hand",
     "on the last 330 no value": "tests/planners/test_bound.py, and longer by hand",

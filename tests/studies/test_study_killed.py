@@ -209,7 +209,7 @@ def test_a_killed_process_is_a_failure_that_the_same_command_repairs(
 ) -> None:
     place, study = untouched
     engine = Killing(Processes(2), times=1)
-    ended = run_study(study, tmp_path, engine, ignore, quiet=True, checkpoint_every_s=0)
+    ended = run_study(study, tmp_path, engine, ignore, quiet=True, checkpoint_every_s=0.2)
     (reason,) = ended.failed.values()
     assert "ended by SIGKILL" in reason
     assert ended.done == 2
@@ -253,7 +253,7 @@ def test_a_killed_worker_and_a_lost_node_of_a_cluster_are_replaced_and_their_run
         second = nodes.add_node(num_cpus=1)
         with Cluster(jobs=None, address=nodes.address) as cluster:
             engine = LosingNode(cluster, lambda: nodes.remove_node(second, allow_graceful=False))
-            ended = run_study(study, tmp_path, engine, ignore, quiet=True, checkpoint_every_s=0)
+            ended = run_study(study, tmp_path, engine, ignore, quiet=True, checkpoint_every_s=0.2)
     finally:
         nodes.shutdown()
     assert ended.failed == {}
