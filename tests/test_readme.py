@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections import Counter
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.documents import ROOT, blocks, commands
+from uavaou.csv_tables import read_csv
 from uavaou.planners import PLANNERS, planner_knowledge
 from uavaou.reports.claims import judge
 from uavaou.reports.markdown import rounded
@@ -95,10 +95,12 @@ def test_the_ratios_on_other_layouts_are_those_of_the_tables(means: dict[str, di
         *most, last = (f"{ratio:.2f}" for ratio in found)
         assert f"{', '.join(most)} and {last} of `{name}`'s" in text
     page = (ROOT / "results" / "README.md").read_text(encoding="utf-8")
-    planned = {
-        (row["scenario"], row["policy"]): f"{float(row['mean_aou_slots']):.1f}"
-        for row in csv.DictReader((ROOT / "results/planners/gap.csv").open(encoding="utf-8"))
-    }
+    table = read_csv(ROOT / "results" / "planners" / "gap.csv")
+    names, planned_means = (
+        zip(table.text("scenario"), table.text("policy"), strict=True),
+        table.floats("mean_aou_slots"),
+    )
+    planned = {name: f"{mean:.1f}" for name, mean in zip(names, planned_means, strict=True)}
     for seed, one in enumerate(layouts, start=1):
         cells = [cell.strip(" *") for cell in re.findall(rf"^\| {seed} \|(.*)\|$", page, re.M)[0].split("|")]
         mean, low, high = one["mappo"]

@@ -59,12 +59,13 @@ def read_certificate(path: Path, scenario: Scenario) -> Bound:
 
 def _fit(scenario: Scenario, method: str, multipliers: dict[str, Floats]) -> bool:
     """Return whether a search can go on from these multipliers; those of the other methods are found anew."""
-    tables = int(price_tables(scenario, scenario.draw_layout()).max()) + 1
+    layout = scenario.draw_layout()
+    tables = int(price_tables(scenario, layout).max()) + 1
     cells, moves = scenario.columns * scenario.rows, len(STEP_OF_MOVE)
     shapes: dict[str, tuple[int, ...]] = {"prices": (tables, scenario.uavs, scenario.devices, cells, moves)}
     if method == "copies":
         shapes["charges"] = (scenario.slots, scenario.devices)
-        phases = min(int(scenario.draw_layout().update_period.max()), scenario.slots + 1)
+        phases = min(int(layout.update_period.max()), scenario.slots + 1)
         gaps = multipliers.get("differences", np.empty(0)).shape[-1]  # any number from 2 on
         shapes["differences"] = (phases, scenario.uavs, scenario.devices, max(gaps, 2))
     found = {name: values.shape for name, values in multipliers.items()}
