@@ -157,6 +157,7 @@ LIGHT_IMPORTS = {
     "from uavaou import Scenario, World": "torch gymnasium matplotlib",
     "import uavaou.planners": "torch ortools highspy",
     "import uavaou.studies.study, uavaou.studies.results, uavaou.studies.marl_eval": "torch matplotlib",
+    "from uavaou.studies import processes; processes.prepare([])": "torch matplotlib",
     "import uavaou.reports.figures, uavaou.reports.mission_figures, uavaou.reports.audit": "torch",
     "import uavaou.reports.study_report": "torch",
 }

@@ -8,9 +8,11 @@ import multiprocessing
 import os
 import shlex
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -157,6 +159,17 @@ def test_a_job_finishes_silently_when_the_study_process_is_gone(
         assert (tmp_path / "run/eval/default.json").is_file()
 
 
+@pytest.mark.slow
+def test_jobs_have_one_thread_whenever_torch_is_loaded() -> None:
+    code = (
+        "from uavaou.studies.processes import prepare; prepare([]); import torch; print(torch.get_num_threads());"
+        "torch.set_num_threads(2); prepare([]); print(torch.get_num_threads())"
+    )
+    surroundings = os.environ | {"OMP_NUM_THREADS": "2", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    run = subprocess.run([sys.executable, "-c", code], env=surroundings, capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["1", "1"]
+
+
 def test_a_queued_training_of_a_cluster_is_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It may wait for a CPU for ever; a training that has reported is asked for its last checkpoint."""
     pytest.importorskip("ray")
@@ -179,6 +192,11 @@ def test_a_queued_training_of_a_cluster_is_cancelled(tmp_path: Path, monkeypatch
     assert cancelled == ["queued", "bound"]
 
 
+def process_of(worker: str) -> int:
+    """The number of the process that a report is by."""
+    return int(worker.split()[1])
+
+
 class Killing:
     """An engine that kills the process of each training with SIGKILL once, in the middle."""
 
@@ -192,7 +210,7 @@ class Killing:
         for event in self._engine.events(take, stopping):
             if isinstance(event, Advanced):
                 self.workers.add(event.report.by)
-                process = int(event.report.by.split()[1])
+                process = process_of(event.report.by)
                 if len(self.killed) < self._times and event.report.slots >= 3000 and process not in self.killed:
                     os.kill(process, signal.SIGKILL)
                     self.killed.append(process)
@@ -218,7 +236,10 @@ def test_a_killed_process_is_a_failure_that_the_same_command_repairs(
 
 
 class LosingNode(Killing):
-    """Also loses a node, once two other workers than the killed one have been at work."""
+    """Also loses a node, as soon as two other workers than the killed one are at work; the first waits for the second.
+
+    Without the wait it may have finished its training by then, on a fast machine.
+    """
 
     def __init__(self, engine: Engine, lose: Callable[[], None]) -> None:
         super().__init__(engine, times=1)
@@ -228,12 +249,16 @@ class LosingNode(Killing):
     def events(self, take: Any, stopping: Any) -> Any:
         working: dict[str, int] = {}
         for event in super().events(take, stopping):
-            if isinstance(event, Advanced) and self.killed and not self.lost_at:
+            if isinstance(event, Advanced) and not self.lost_at:
                 working[event.report.by] = event.report.slots
-                alive = {by: slots for by, slots in working.items() if int(by.split()[1]) not in self.killed}
-                if len(alive) == 2:
+                alive = {by: slots for by, slots in working.items() if process_of(by) not in self.killed}
+                if self.killed and len(alive) == 2:
                     self._lose()
                     self.lost_at = alive
+                if self.killed:
+                    for by in alive:
+                        with suppress(ProcessLookupError):  # its node is lost
+                            os.kill(process_of(by), signal.SIGCONT if self.lost_at else signal.SIGSTOP)
             yield event
 
 

@@ -138,14 +138,15 @@ def _follow_parent() -> None:
 
 def prepare(plugins: Sequence[str]) -> None:
     """Make this process ready for jobs, with one thread, so that sums do not depend on what runs beside it."""
-    import torch as th
-
-    from uavaou.algorithms.registry import load_plugin
-
     ignore_repeats()
-    th.set_num_threads(1)
-    for place in plugins:
-        load_plugin(place)
+    os.environ["OMP_NUM_THREADS"] = "1"  # of torch, which takes seconds to load: planners and bounds never do
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
+    if plugins:
+        from uavaou.algorithms.registry import load_plugin
+
+        for place in plugins:
+            load_plugin(place)
 
 
 def outcome(job: Job, tell: Tell) -> Ended:
