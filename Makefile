@@ -18,7 +18,7 @@ help:
 	@echo "make audit   known vulnerabilities of the locked versions; make fuzz: a night of fuzzing"
 	@echo "make faults  every fault at every write of every command and learner (hours); CI plays some of them"
 
-install: $(VENV)/.installed
+install: $(VENV)/.compiled
 
 $(VENV)/.installed: requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "uavaou needs Python 3.11 or newer: make PYTHON=python3.11 ..."; exit 1; }
@@ -26,6 +26,9 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/pip install --quiet --disable-pip-version-check -r requirements.lock
 	@$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/.compiled: $(VENV)/.installed
 	@echo "Compiling what every command needs (half a minute, once) ..."
 	@$(BIN)/uavaou fly tiny --quiet --out $(VENV)/first-flight > /dev/null
 	@touch $@
@@ -45,16 +48,16 @@ test: install
 	$(BIN)/python -m pytest -q -n 3 --dist worksteal -m slow  # many of them wait for other processes
 	@$(BIN)/python -m tests.browser  # the last line says whether the tests in a browser were left out
 
-lint: install
+lint: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: install
+types: $(VENV)/.installed
 	$(BIN)/mypy
 
 # A broken link is an error.
 docs: export NO_MKDOCS_2_WARNING = 1
-docs: install
+docs: $(VENV)/.installed
 	$(BIN)/mkdocs build --strict --quiet
 	@echo "site/index.html"
 
