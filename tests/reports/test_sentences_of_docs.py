@@ -12,6 +12,7 @@ from collections.abc import Callable
 from math import exp, log
 from statistics import fmean
 
+import numpy as np
 import pytest
 
 from tests.reports.test_sentences import ROOT, means, rows, sentences, study, tuned_rule
@@ -94,13 +95,39 @@ def structured(text: str) -> bool:
     return counts and (strays, held, none) == (["mappo 1", "ippo 2"], {"17 18 22"}, {""})
 
 
-def better_than_plans(text: str) -> bool:
-    better = [
-        seed for seed, name in enumerate(LAYOUTS) if seed and GAP[name, "local-greedy-parts"] < GAP[name, "anneal"]
+def in_range_of_much(text: str) -> bool:
+    """How often two policies collect device 18 in the slots in which it has a new update."""
+    found = []
+    for policy in ("random", "greedy"):
+        table = study("paper").table("devices", policy)
+        (row,) = np.flatnonzero(table["device"] == 18)
+        found.append(f"{100 * table['communications'][row] * table['update_period_slots'][row] / 500:.0f} %")
+    return states(text, "18", *found)
+
+
+def with_a_value(text: str) -> bool:
+    """The best trial of VDN with a value of the state and that without, in the first stage of the search."""
+    trials = [row for row in rows("tuning/local/search.csv") if row["stage"] == "1"]
+    best = {
+        arm: min(float(row["mean_aou_slots"]) for row in trials if row["arm"] == arm and row["mean_aou_slots"])
+        for arm in ("vdn-with-value", "vdn")
+    }
+    return states(text, *(f"{mean:.0f} " for mean in best.values()))
+
+
+def used_seconds(text: str) -> bool:
+    tables = [
+        rows(f"tuning/local/{arm}/stage-1/tune.csv") for arm in ("mappo", "ippo", "vdn", "vdn-with-value", "qmix")
     ]
+    used = [float(row["cpu_s"]) for table in tables for row in table if row["state"] == "complete"]
+    return states(text, f"{min(used):.0f} to {max(used):.0f} CPU s")
+
+
+def better_than_plans(text: str) -> bool:
+    better = [seed for seed, name in enumerate(LAYOUTS) if GAP[name, "local-greedy-parts"] < GAP[name, "anneal"]]
     layouts = {seed: means("layouts", f"layout {seed}") for seed in range(1, 6)}
     rival = [seed for seed, found in layouts.items() if found["local-greedy-parts"] < found["mappo"]]
-    return (better, rival) == ([1, 3, 4, 5], [5]) and states(text, "1, 3, 4 and 5", "layout seed 5")
+    return (better, rival) == ([0, 1, 3, 4, 5], [5]) and states(text, "0, 1, 3, 4 and 5", "layout seed 5")
 
 
 def best_planner(text: str) -> bool:
@@ -217,6 +244,9 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "is level with it on the same parts": zero_shot("any-map-local", "layouts", 3),
     "of the mean AoU of the planner `best-first`": zero_shot("any-map", "unseen-layouts", 2),
     # studies, and projects that users come from
+    "collects device 18": in_range_of_much,
+    "What it lacks is a value of the state": with_a_value,
+    "used 144 to 246": used_seconds,
     "A device is held if": lambda text: f"{100 * HELD:.0f} %" in text,
     "hold the devices 17, 18 and 22": structured,
     "QMIX reaches 38.4 slots": of_paper,
@@ -276,6 +306,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "plays 100": "the default of the command: tests/cli/test_help.py",
     "on 64 layouts that nothing was trained": "the suites: tests/test_zero_shot.py",
     "--slots 300000`": "an example's option",
+    "gained 3 %": "the sentence after it",
     "The first 12 digits": "tests/runs/test_start.py",
     "[3000000, 6000000]": "an example's options",
     "620,000 slots of the `mlp`": "measured by hand once: the table below it",

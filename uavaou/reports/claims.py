@@ -4,13 +4,14 @@
 :mod:`uavaou.statistics.trainings`.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.stats import rankdata
 
 from uavaou.arrays import Floats
+from uavaou.planners import PLANNERS, PLANNERS_WITH_PLAN
 from uavaou.reports import verdicts
 from uavaou.reports.markdown import rounded
 from uavaou.reports.scores import best_planner
@@ -53,7 +54,10 @@ def judge(study: StudyResults) -> list[Claim]:
         *(_more(study, other, *counted) for counted in _COUNTS for other in verdicts.BASELINES),
         _served_by_frequency(study),
         _beside_planner(study, "everything", "MAPPO flies fresher than the best planner that knows everything"),
-        _beside_planner(study, "local", "MAPPO flies fresher than the best rule that knows as much and learns nothing"),
+        _beside_planner(study, "local", "MAPPO flies fresher than the best rule that knows as much and learns nothing",
+                        PLANNERS.keys() - PLANNERS_WITH_PLAN),
+        _beside_planner(study, "local", "MAPPO flies fresher than the best rule that knows as much and was searched "
+                        "for this layout before take-off", PLANNERS_WITH_PLAN),
         _beside_bound(study),
     ]  # fmt: skip
     return [replace(claim, command=f"uavaou study run {study.argument}") for claim in claims]
@@ -94,8 +98,8 @@ def _more(study: StudyResults, other: str, column: str, text: str, what: str, di
 def _served_by_frequency(study: StudyResults) -> Claim:
     """A communication needs a pending update, so that a device has at most K/k of them in a mission.
 
-    Fewer communications with a longer k are therefore true of every policy. What MAPPO adds to them is the correlation
-    of the share of the cap, less that of moves at random.
+    Every policy measured has fewer communications with a longer k, moves at random included. What MAPPO adds to them is
+    the correlation of the share of the cap, less that of moves at random.
     """
     text = "MAPPO serves devices more often that generate more often, beyond what their updates allow at random moves"
     found: dict[str, list[Floats]] = {}  # of MAPPO (2, S) and of random moves (2, 1)
@@ -138,10 +142,10 @@ def _spearman(x: Floats, y: Floats) -> float:
 # -- ours ----------------------------------------------------------------------------------------------
 
 
-def _beside_planner(study: StudyResults, knows: Knowledge, text: str) -> Claim:
-    planner = best_planner(study, verdicts.common_scenarios(study, "missions", OWN), knows)
+def _beside_planner(study: StudyResults, knows: Knowledge, text: str, among: Collection[str] = PLANNERS) -> Claim:
+    planner = best_planner(study, verdicts.common_scenarios(study, "missions", OWN), knows, among)
     if planner is None:
-        return verdicts.not_measured(text, "", f"missions of both '{OWN}' and a planner that knows: {knows}")
+        return verdicts.not_measured(text, "", f"missions of both '{OWN}' and such a planner that knows: {knows}")
     return _aou(study, planner, text, "", lower)
 
 

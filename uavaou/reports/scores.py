@@ -1,6 +1,6 @@
 """The scores of the policies of a study, and what they are compared with: the best planner and the lower bound."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -98,16 +98,20 @@ def known(results: StudyResults, policy: str) -> str:
 # -- references ----------------------------------------------------------------------------------------
 
 
-def best_planner(study: StudyResults, scenarios: Sequence[str], knows: Knowledge | None = None) -> str | None:
+def best_planner(
+    study: StudyResults, scenarios: Sequence[str], knows: Knowledge | None = None, among: Collection[str] = PLANNERS
+) -> str | None:
     """The planner of the lowest AoU, by the geometric mean over the scenarios; None without one.
 
     Released policies, fixed rules, and planners without missions in one of the scenarios, are left out; with ``knows``,
-    also planners that know more or less than that.
+    also planners that know more or less than that; and those that are not ``among`` the ones given.
     """
     levels = {}
     for name in study.planners:
         flown = study.missions(name, "mean_aou_slots", scenarios)
-        compared = name in PLANNERS and name not in FIXED_RULES and knows in (None, known(study, name))
+        compared = (
+            name in PLANNERS and name in among and name not in FIXED_RULES and knows in (None, known(study, name))
+        )
         if compared and scenarios and len(flown) == len(scenarios):
             means = np.array([table.mean() for table in flown.values()])
             levels[name] = float(np.log(np.maximum(means, 1e-300)).mean())

@@ -1,10 +1,10 @@
 """The structure of a training: which devices its team holds; which trainings stray from it; when that is decided.
 
 A device is **held** where it has the shortest update period of its layout and is collected in at least ``HELD`` of the
-slots in which it has a new update: a UAV then stays within range of it for nearly the whole mission. The held devices
-are counted from the communications of the final evaluation, ``devices.csv``. A training **strays** where it does not
-hold the devices that the study states as ``held``; where the study states none, where it does not hold the devices
-that most of the trainings do which hold any on the scenario.
+slots in which it has a new update: some UAV is then within range of it in nearly every such slot. The held devices are
+counted from the communications of the final evaluation, ``devices.csv``. A training **strays** where it does not hold
+the devices that the study states as ``held``; where the study states none, where it does not hold the commonest set of
+held devices among the trainings on the scenario that hold any.
 """
 
 from collections import Counter
