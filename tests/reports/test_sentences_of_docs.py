@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from tests.reports.test_sentences import ROOT, means, rows, sentences, study, tuned_rule
+from uavaou.plain_yaml import parse_yaml
 from uavaou.planners import decomposition, fleet, rolling, tuned
 from uavaou.planners.exact import LARGEST, program_size
 from uavaou.reports.scores import study_scores
@@ -113,6 +114,17 @@ def with_a_value(text: str) -> bool:
         for arm in ("vdn-with-value", "vdn")
     }
     return states(text, *(f"{mean:.0f} " for mean in best.values()))
+
+
+def searched_slots(text: str) -> bool:
+    """The slots of the best settings of VDN with a value of the state, by those of the published ones."""
+    last = [row for row in rows("tuning/local/search.csv") if (row["arm"], row["stage"]) == ("vdn-with-value", "2")]
+    best, published = (float(row["slots"]) for row in last)
+    files = ("zoo_configs/algorithms/vdn.yaml", "results/tuning/local/vdn-with-value/stage-2/best.yaml")
+    texts = [(ROOT / file).read_text(encoding="utf-8") for file in files]
+    before, after = (parse_yaml(file, "settings")["slots_per_update"] for file in texts)
+    quarter = last[1]["settings"] == "as published" and after == 4 * before
+    return quarter and states(text, f"{best / published:.1f} times")
 
 
 def used_seconds(text: str) -> bool:
@@ -247,6 +259,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "collects device 18": in_range_of_much,
     "What it lacks is a value of the state": with_a_value,
     "used 144 to 246": used_seconds,
+    "Equal CPU seconds are not equal slots": searched_slots,
     "A device is held if": lambda text: f"{100 * HELD:.0f} %" in text,
     "hold the devices 17, 18 and 22": structured,
     "QMIX reaches 38.4 slots": of_paper,
@@ -328,6 +341,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "less than 4 MB for twenty runs": "the committed study: its folder",
     "plays 12 trials of 60 CPU seconds": "the options of the command above",
     "It has 140 trainings": "tests/tuning/test_tournament.py",
+    "Of each learner the two best settings": "the search's file, and the test of the table below",
     "These are 32 missions": "the settings: zoo_configs/algorithms",
     "Ctrl-C ends a search": "tests/tuning/test_tune.py",
     "29 kills of two MAPPO runs": "docs/reliability.md",
@@ -363,6 +377,24 @@ def test_every_sentence_with_a_number_is_in_a_list_and_every_entry_is_in_a_sente
 def test_the_numbers_of_a_sentence_are_those_of_its_table(words: str) -> None:
     for sentence in (sentence for sentence in SENTENCES if words in sentence):
         assert CHECKED[words](sentence), sentence
+
+
+def test_what_the_search_found_on_the_page_on_tuning_is_in_its_table() -> None:
+    page = (ROOT / "docs" / "tuning.md").read_text(encoding="utf-8")
+    table = page[page.index("| learner | best |") : page.index("The settings are in `results/tuning")]
+    stated = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.strip().splitlines()[2:]]
+    names = {"VDN with a value of the state": "vdn-with-value"}
+    ranks, found = ["first", "second", "third", "fourth", "fifth", "sixth"], []
+    for name, *_ in stated:
+        arm = [row for row in rows("tuning/local/search.csv") if row["arm"] == names.get(name, name.lower())]
+        first, last = ([row for row in arm if row["stage"] == stage] for stage in "12")
+        here = [row["settings"] for row in last].count("as published")
+        at = [row["settings"] for row in (last if here else first)].index("as published")
+        place = f"the {ranks[at]} here" if here else f"{ranks[at]} in the first stage"
+        found.append([name, *(f"{float(row['mean_aou_slots']):.1f}" for row in last), place])
+        assert {row["trainings"] for row in last} == {"9"}
+    assert stated == found
+    assert stated == sorted(stated, key=lambda row: float(row[1]))
 
 
 def test_the_rates_of_the_page_on_speed_are_those_of_the_tables() -> None:
