@@ -45,7 +45,7 @@ test: export PYTHONDONTWRITEBYTECODE =
 test: export OMP_NUM_THREADS = 1
 test: install
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m "not slow"
-	$(BIN)/python -m pytest -q -n 3 --dist worksteal -m slow  # many of them wait for other processes
+	$(BIN)/python -m pytest -q -n 4 --dist worksteal -m slow  # many of them wait for other processes
 	@$(BIN)/python -m tests.browser  # the last line says whether the tests in a browser were left out
 
 lint: $(VENV)/.installed
