@@ -1,4 +1,4 @@
-"""Verdicts come out each way on studies whose truth is known, and reach a README."""
+"""Verdicts come out each way on studies whose truth is known."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from scipy.stats import gmean, spearmanr, ttest_1samp
 from tests.synthetic_study import BUDGET, DEFAULT, MAPPO, PLANNERS, QMIX, VDN, K, Variant, write_study
 from uavaou.errors import InputError
 from uavaou.reports.claims import judge
-from uavaou.reports.study_report import END, begin_marker, claims_markdown, write_claims
 from uavaou.reports.training_claims import converged, reached, smooth
 from uavaou.reports.verdicts import Claim, Decide, higher, lower, reduced_to
 from uavaou.statistics import Interval, ratio_of_trainings
@@ -23,8 +22,6 @@ MANY = 9  # seeds
 # At random, the share of the cap falls less with k than MAPPO's; two rules know as much as MAPPO, one of them tuned.
 RULES = {"local-greedy": Variant(70.0), "local-greedy-tuned": Variant(65.0)}
 RIVALS = PLANNERS | RULES | {"random": Variant(5000.0, by_period=0.0)}
-ANY = "<!-- claims:begin -->"  # of no study by name
-BEGIN = begin_marker("paper")
 
 
 def verdicts(folder: Path, **changes: object) -> list[Claim]:
@@ -312,73 +309,6 @@ def test_a_scenario_without_ages_is_not_compared(tmp_path: Path) -> None:
     assert of(claims, "reduced by 1/2").verdict == "not measured"
     assert of(claims, "more communications", "VDN").verdict == "not measured"
     assert of(claims, "converges", "VDN").verdict == "supported"
-
-
-# -- README --------------------------------------------------------------------------------------------
-
-
-def test_the_table_is_written_between_the_markers_and_again(tmp_path: Path) -> None:
-    readme = tmp_path / "README.md"
-    readme.write_text(f"# Mine\n\n{BEGIN}\nthe last table\n{END}\n\nThe end.\n", encoding="utf-8")
-    results = read_study(write_study(tmp_path / "study"))
-    claims = judge(results)
-    write_claims(readme, "paper", claims)
-    text = readme.read_text(encoding="utf-8")
-    assert text.startswith(f"# Mine\n\n{BEGIN}\n")
-    assert text.endswith(f"{END}\n\nThe end.\n")
-    assert "the last table" not in text
-    assert claims_markdown(claims) in text
-    write_claims(readme, "paper", claims)
-    assert readme.read_text(encoding="utf-8") == text
-
-
-def test_every_row_has_its_cells(tmp_path: Path) -> None:
-    claims = verdicts(tmp_path / "study", vdn=None, seeds=1)
-    rows = [line for line in claims_markdown(claims).splitlines() if line.startswith("|")]
-    assert len(rows) == 2 + len(claims)
-    assert {row.count("|") for row in rows} == {7}
-    assert "none: one training" in "".join(rows)
-    assert "nan" not in "".join(rows)
-
-
-def test_a_readme_without_markers_gets_them(tmp_path: Path) -> None:
-    readme = tmp_path / "README.md"
-    claims = verdicts(tmp_path / "study")
-    write_claims(readme, "paper", claims)
-    first = readme.read_text(encoding="utf-8")
-    assert first.count(BEGIN) == first.count(END) == 1
-    write_claims(readme, "paper", claims)
-    assert readme.read_text(encoding="utf-8") == first
-
-
-def test_another_studys_verdicts_are_left_alone(tmp_path: Path) -> None:
-    readme = tmp_path / "README.md"
-    claims = [Claim("it flies", "", "not measured", "nothing")]
-    name = "a --> b é"  # of a file, too
-    readme.write_text(f"{ANY}\nof no study by name\n{END}\n", encoding="utf-8")
-    assert write_claims(readme, name, claims) == name
-    text = readme.read_text(encoding="utf-8")
-    assert "of no study" not in text
-    assert text.count("-->") == 2
-    assert write_claims(readme, "paper", claims) == name
-    assert readme.read_text(encoding="utf-8") == text
-    assert write_claims(readme, name, [replace(claims[0], claim="it lands")]) == name
-    assert "it lands" in readme.read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        BEGIN, ANY, END, f"{END} {BEGIN}", f"{BEGIN} {BEGIN} {END}", f"{ANY} {BEGIN} {END}", f"{BEGIN} {END} {END}",
-        f"<!-- claims:begin of mine --> {END}",
-    ],
-)  # fmt: skip
-def test_markers_without_a_pair_lose_nothing(tmp_path: Path, text: str) -> None:
-    readme = tmp_path / "README.md"
-    readme.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=r"README\.md"):
-        write_claims(readme, "paper", [Claim("it flies", "", "not measured", "nothing")])
-    assert readme.read_text(encoding="utf-8") == text
 
 
 Break = Callable[[Path], object]
