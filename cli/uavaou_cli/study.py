@@ -182,7 +182,7 @@ def _status_lines(study: Study, parts: Sequence[PartStatus]) -> list[str]:
         slots = "-" if part.slots is None else f"{part.slots:,} of {part.budget:,}"
         by = f", {part.detail}" if part.state == "running" and part.detail else ""
         rows.append((part.key.variant, part.key.scenario, seed, slots, part.state + by))
-    failed = [f"{part.key.variant} on {part.key.scenario}: {part.detail}" for part in parts if part.state == "failed"]
+    failed = [f"{part.key}: {part.detail}" for part in parts if part.state == "failed"]
     reasons = [line for text in failed for line in textwrap.wrap(text, WIDTH, subsequent_indent="  ")]
     head = f"study {study.name}: {len(parts)} parts, {summary}{left}"
     return [head, "", *aligned(rows), *(["", *reasons] if reasons else [])]

@@ -60,3 +60,11 @@ def test_policies_play_in_order_and_are_written_together(tmp_path: Path) -> None
     written = json.loads((tmp_path / "both.json").read_text())
     assert (written["scenario"], written["episodes"], written["seed"]) == ("tiny", 3, 5)
     assert written["policies"]["greedy"]["mean_aou_s"] == comparison.results["greedy"].values("mean_aou_s").tolist()
+
+
+def test_a_run_that_was_trained_on_another_scenario_keeps_no_evaluation_of_this_one(tmp_path: Path) -> None:
+    folders = [write_run(tmp_path / "one", "tiny"), write_run(tmp_path / "two", "quickstart")]
+    planners = {name: make_planner("greedy") for name in folders}
+    notes = compare(planners, Scenario.load("tiny"), 2, 5, Told()).keep(read_runs(folders))
+    assert [(Path(folder) / "eval" / "default.json").exists() for folder in folders] == [True, False]
+    assert [note.split()[0] for note in notes] == ["wrote", "left"]

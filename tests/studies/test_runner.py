@@ -256,7 +256,7 @@ def test_a_failed_run_stops_no_other_and_is_tried_again(
     assert main(["study", "status", str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
     assert "7 parts, 1 finished, 6 failed" in shown
-    assert "own critic on tiny: no wind today" in shown
+    assert "own critic on tiny, seed 1: no wind today" in shown
     in_the_way.config.unlink()
     assert run_inline(study, tmp_path / "out", Inline()).failed == {}
     assert not (tmp_path / "out/studies/mine/failures.csv").exists()

@@ -120,7 +120,8 @@ class Comparison:
     def keep(self, runs: Mapping[str, RunConfig]) -> list[str]:
         """Write ``eval/default.json`` of each run, with planners and released policies beside its own.
 
-        The folders of released policies are left as they are. Returns a note on each file.
+        The folders of released policies are left as they are, and those of runs that were trained on something else,
+        as one on a family may have been. Returns a note on each file.
         """
         contents, notes = self.contents(), []
         others = {
@@ -128,9 +129,13 @@ class Comparison:
         }
         for name, config in runs.items():
             folder = RunFolder.at(name)
-            if not folder.is_released:
-                own = own_evaluation(config, contents[name], self.seed, others)
-                notes.append(keep_evaluation(folder.evaluation(), own))
+            if folder.is_released:
+                continue
+            if config.scenario != self.scenario:
+                notes.append(f"left {folder.evaluation()} as it is: the run was not trained on {self.scenario.name}")
+                continue
+            own = own_evaluation(config, contents[name], self.seed, others)
+            notes.append(keep_evaluation(folder.evaluation(), own))
         return notes
 
     def write(self, path: Path) -> None:

@@ -78,7 +78,7 @@ class StudySettings(BaseModel, frozen=True, extra="forbid"):
     seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)]  # of the trainings
     planners: Annotated[list[StrictStr], _expecting(list, "[greedy, random]")] = []  # or released policies, evaluated
     bound: StrictBool = False  # whether each scenario's certified bound is computed
-    planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of annealing, once a scenario
+    planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of each search before take-off
     episodes: Annotated[PositiveWhole, Field(le=MOST_EPISODES)] = 100  # missions of the final evaluation
     reference: StrictStr | None = None  # the variant that the report compares the others with; None: no such table
     claims: StrictBool = False  # whether the report judges the paper's claims
