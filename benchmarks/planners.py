@@ -7,13 +7,13 @@ Rolling takes off with the same plan. Writes results/planners/gap.csv, mean AoU 
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from uavaou.csv_tables import read_csv, write_csv
 from uavaou.evaluation.evaluate import evaluate
+from uavaou.files import write_json
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal
 from uavaou.planners.base import Planner
@@ -21,6 +21,7 @@ from uavaou.planners.bound import lower_bound
 from uavaou.planners.exact import LARGEST, program_size
 from uavaou.planners.plan import RoutePlan
 from uavaou.planners.rolling import Rolling
+from uavaou.runs.folder import scenario_folder
 from uavaou.scenario import Scenario
 from uavaou.statistics import interval_over_missions
 
@@ -70,7 +71,7 @@ def measured(name: str, scenario: Scenario, chosen: argparse.Namespace) -> Itera
         mean = f"{bound.mean_aou_s / tau:.5g}"
         seconds = f"{time.monotonic() - begun:.0f}"
         yield dict(zip(COLUMNS, (name, "bound", mean, "", "", bound.method, seconds), strict=True))
-    for policy, planner in _policies(name, scenario, chosen).items():
+    for policy, planner in _policies(scenario, chosen).items():
         begun = time.monotonic()
         found = interval_over_missions(evaluate(planner, scenario, chosen.episodes).values("mean_aou_s") / tau)
         seconds = f"{time.monotonic() - begun:.0f}"
@@ -78,7 +79,7 @@ def measured(name: str, scenario: Scenario, chosen: argparse.Namespace) -> Itera
         yield dict(zip(COLUMNS, (name, policy, *figures), strict=True))
 
 
-def _policies(name: str, scenario: Scenario, chosen: argparse.Namespace) -> dict[str, Planner]:
+def _policies(scenario: Scenario, chosen: argparse.Namespace) -> dict[str, Planner]:
     layout = scenario.draw_layout()
     solvable = scenario.fading == "none" and program_size(scenario, layout) <= LARGEST
     names = [policy for policy in chosen.policies if policy in PLANNERS and (policy != "exact" or solvable)]
@@ -86,7 +87,8 @@ def _policies(name: str, scenario: Scenario, chosen: argparse.Namespace) -> dict
     planners = {policy: make_planner(policy, limits.get(policy)) for policy in names}
     for planner in planners.values():
         if isinstance(planner, Anneal | Rolling):
-            plan = _annealed(RESULTS / "plans" / f"{name}.json", scenario, chosen.time_limit)
+            path = RESULTS / "plans" / f"{scenario_folder(scenario)}.json"  # where studies look for it
+            plan = _annealed(path, scenario, chosen.time_limit)
             planner.keep(plan, scenario, layout)
     return planners
 
@@ -94,11 +96,11 @@ def _policies(name: str, scenario: Scenario, chosen: argparse.Namespace) -> dict
 def _annealed(path: Path, scenario: Scenario, time_limit_s: float) -> RoutePlan:
     if path.is_file():
         plan, planned_for = RoutePlan.load(path)
-        if planned_for == scenario:
+        if planned_for == scenario and not plan.interrupted:
             return plan
-    path.parent.mkdir(parents=True, exist_ok=True)
     plan = Anneal(time_limit_s).plan(scenario, scenario.draw_layout())
-    path.write_text(json.dumps(plan.to_dict(scenario)) + "\n", encoding="utf-8")
+    if not plan.interrupted:
+        write_json(path, plan.to_dict(scenario), indent=None)
     return plan
 
 

@@ -113,7 +113,7 @@ def gap(
     from uavaou.planners import gap_planners, make_planner
     from uavaou.runs.comparison import compare, load_runs
 
-    limits = dict.fromkeys(("local-greedy-tuned", "anneal", "rolling"), time_limit)
+    limits = dict.fromkeys(("local-greedy-tuned", "anneal", "rolling", "exact"), time_limit)
     planners = {name: make_planner(name, limits.get(name)) for name in gap_planners(chosen)}
     policies = (load_runs(run, chosen) if run else {}) | planners
     bound = _bound(chosen, bound_limit, certificate, quiet)
