@@ -43,6 +43,13 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"scenarios": [{"scenario": "tiny", "set": {"name": "x"}}]}, "write name beside set"),
     ({"scenarios": [{"scenario": "tiny", "name": "a/b"}]}, "no slash"),
     ({"scenarios": ["tiny", {"scenario": "tiny", "name": "too"}]}, "'too' and 'tiny' are the same training"),
+    ({"scenarios": [{"set": {}}]}, "expected scenario or suite, one of them"),
+    ({"scenarios": [{"suite": "devices", "scenario": "tiny"}]}, "expected scenario or suite, one of them"),
+    ({"scenarios": [{"suite": "devises"}]}, "unknown suite 'devises'; did you mean 'devices'?"),
+    ({"scenarios": [{"suite": "devices", "name": "all"}]}, "the points of a suite have the names of its axis"),
+    ({"scenarios": [{"suite": "devices"}, {"suite": "devices"}]}, "scenarios[1]: a second 'devices 5'"),
+    ({"scenarios": [{"suite": "observation"}]}, "point 'location': observation = 'location': what a UAV observes is"),
+    ({"scenarios": [{"suite": "rate", "set": {"transmit_power_mw": 1e-9}}]}, "can be served: R_min = "),
     ({"variants": {}}, "variants"),
     ({"variants": ["a", "b"]}, "variants = ['a', 'b']: expected a mapping, such as {mappo: {}, "),
     ({"variants": {"mappo": {"observation": "shared"}}}, "unknown field 'observation' (known: algorithm, set"),
@@ -137,6 +144,14 @@ def test_every_run_has_the_folder_that_train_gives_it(
     assert main(shlex.split(f"train --scenario tiny {changed} --set scenario.layout_seed=3 --seed 7 --slots 192 {sets} "
                             "--quiet")) == 0  # fmt: skip
     assert study.folder(Path("results"), first).read_config() == first.config
+
+
+def test_a_suite_stands_for_the_scenarios_of_its_points(write: Write) -> None:
+    study = Study.load(
+        write(yaml.safe_dump(BASE | {"scenarios": ["tiny", {"suite": "devices", "set": {"slots": 50}}]}))
+    )
+    assert list(study.scenarios) == ["tiny", *(f"devices {count}" for count in (5, 10, 25, 50, 75, 100, 200))]
+    assert study.scenarios["devices 10"] == Scenario.load("paper").replace(slots=50, devices=10)
 
 
 def test_scenario_files_lie_beside_the_study(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

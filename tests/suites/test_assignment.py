@@ -14,6 +14,7 @@ from uavaou.algorithms.registry import load_config
 from uavaou.family import Family
 from uavaou.runs.folder import RunConfig
 from uavaou.scenario import Scenario
+from uavaou.studies.study import Study
 from uavaou.suites.assignment import assign, budget_lines, missing_trainings, name_runs
 from uavaou.suites.suite import Suite, resolve_points
 from uavaou.zoo import zoo_names
@@ -173,16 +174,11 @@ def test_a_missing_training_takes_the_budget_of_the_others(by_devices: Suite) ->
 
 @pytest.mark.parametrize("name", [name for name in zoo_names("studies") if name.startswith("suite-")])
 def test_companion_studies_train_for_every_point(name: str) -> None:
-    from uavaou.zoo import read_yaml_mapping, zoo_path
-
-    study = read_yaml_mapping(zoo_path("studies", name))
-    suite = Suite.load(name.removeprefix("suite-"))
-    scenarios = [Scenario.load(one["scenario"]).replace(**one.get("set", {})) for one in study["scenarios"]]
-    variants = study["variants"].items()
-    settings = [load_config(entry.get("algorithm", key), entry.get("set", {})) for key, entry in variants]
+    study, suite = Study.load(name), Suite.load(name.removeprefix("suite-"))
     configs = {
         Path(f"{s}-{a}"): RunConfig(scenario, algorithm, 0)
-        for s, scenario in enumerate(scenarios) for a, algorithm in enumerate(settings)
+        for s, scenario in enumerate(study.scenarios.values())
+        for a, algorithm in enumerate(study.variants.values())
     }  # fmt: skip
     base = Scenario.load(suite.scenario)
     assignments = assign(resolve_points(suite, base), name_runs(configs, suite), base)

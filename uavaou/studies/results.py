@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaou.arrays import Floats
 from uavaou.csv_tables import CsvTable, number, read_csv, write_csv
 from uavaou.errors import InputError, command_line
 from uavaou.files import write_text
@@ -23,7 +24,6 @@ from uavaou.studies.folder import BOUND, NO_SEED, PartKey, StudyFolder, part_key
 from uavaou.studies.study import Study
 from uavaou.zoo import read_yaml_mapping, zoo_names
 
-Floats = NDArray[np.float64]
 Table = dict[str, NDArray[Any]]  # column -> (rows,)
 Rows = dict[str, list[list[str]]]  # table -> the rows of one part, as the file holds them
 

@@ -12,7 +12,7 @@ from itertools import islice, product
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, Field, StrictBool, StrictStr
+from pydantic import BaseModel, BeforeValidator, Field, StrictBool, StrictStr, model_validator
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
@@ -26,6 +26,7 @@ from uavaou.runs.fork import Fork
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.studies.folder import ANNEALED, BOUND, PartKey
+from uavaou.suites.suite import Suite, resolve_points
 from uavaou.zoo import read_yaml_mapping, zoo_or_file
 
 SCHEMA = 1  # of study.yaml
@@ -97,11 +98,20 @@ class StudyFile(StudySettings):
 
 
 class ScenarioEntry(BaseModel, frozen=True, extra="forbid"):
-    """An entry of ``scenarios`` that changes one or names it."""
+    """An entry of ``scenarios`` that changes one or names it, or stands for all points of an evaluation suite."""
 
-    scenario: StrictStr
+    scenario: StrictStr | None = None
+    suite: StrictStr | None = None
     set: Annotated[dict[StrictStr, Any], _expecting(dict, "{uavs: 3, layout_seed: 1}")] = {}
     name: StrictStr | None = None
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> ScenarioEntry:
+        if (self.scenario is None) == (self.suite is None):
+            raise ValueError("expected scenario or suite, one of them")
+        if self.suite is not None and self.name is not None:
+            raise ValueError("name: the points of a suite have the names of its axis and their labels")
+        return self
 
 
 class VariantEntry(BaseModel, frozen=True, extra="forbid"):
@@ -142,8 +152,12 @@ class Study(StudySettings):
         """
         path = zoo_or_file("studies", source)
         file = validated(StudyFile, read_yaml_mapping(path), str(path))
-        pairs = [_scenario(entry, f"{path}: scenarios[{k}]", path) for k, entry in enumerate(file.scenarios)]
-        _check_distinct([name for name, _ in pairs], f"{path}: scenarios")
+        scenarios: dict[str, Scenario] = {}
+        for k, stated_scenario in enumerate(file.scenarios):
+            where = f"{path}: scenarios[{k}]"
+            for name, scenario in _scenarios(stated_scenario, where, path):
+                _check_distinct([*scenarios, name], where)
+                scenarios[name] = scenario
         variants, against, forks = {}, {}, {}
         for name, content in file.variants.items():
             where, stated = f"{path}: variants.{short(name)}", {} if content is None else content
@@ -154,8 +168,13 @@ class Study(StudySettings):
             if entry.fork is not None:
                 forks[name] = entry.fork
         values: dict[str, Any] = {name: getattr(file, name) for name in StudySettings.model_fields}
-        values |= {"name": path.stem, "scenarios": dict(pairs), "variants": variants, "against": against}
-        values |= {"forks": forks}
+        values |= {
+            "name": path.stem,
+            "scenarios": scenarios,
+            "variants": variants,
+            "against": against,
+            "forks": forks,
+        }
         study = cls.model_construct(**values)  # validated above
         _check(study, str(path))
         return study
@@ -215,20 +234,41 @@ class Study(StudySettings):
         }
 
 
-def _scenario(entry: Any, source: str, path: Path) -> tuple[str, Scenario]:
-    """The name in the study and the scenario of an entry: a name, a path, or a mapping that changes a scenario."""
+def _scenarios(entry: Any, source: str, path: Path) -> list[tuple[str, Scenario]]:
+    """The names in the study and the scenarios of an entry: a name, a path, or a mapping that changes a scenario."""
     fields = {"scenario": entry} if isinstance(entry, str) else entry
     stated = _validated_entry(ScenarioEntry, fields, source, "changes of the scenario")
     if "name" in stated.set:
         raise InputError(f"{source}: set.name: write name beside set")
     try:
-        beside = path.parent / stated.scenario
-        scenario = Scenario.load(beside if stated.scenario.endswith((".yaml", ".yml")) else stated.scenario)
+        if stated.suite is not None:
+            return _points(Suite.load(_beside(path, stated.suite)), stated.set)
+        assert stated.scenario is not None
+        scenario = Scenario.load(_beside(path, stated.scenario))
         changed = ",".join(f"{key}={value}" for key, value in sorted(stated.set.items()))
         name = stated.name or (f"{scenario.name}+{changed}" if changed else scenario.name)
-        return _usable_name(name, "name"), scenario.replace(**stated.set) if stated.set else scenario
+        return [(_usable_name(name, "name"), scenario.replace(**stated.set) if stated.set else scenario)]
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
+
+
+def _beside(path: Path, named: str) -> str:
+    """The file that a study's file names, which lies beside it; or the preset."""
+    return str(path.parent / named) if named.endswith((".yaml", ".yml")) else named
+
+
+def _points(suite: Suite, changes: dict[str, Any]) -> list[tuple[str, Scenario]]:
+    """The scenario of each point of a suite, whose scenario has the ``changes``."""
+    pairs = []
+    for point in resolve_points(suite, Scenario.load(suite.scenario).replace(**changes)):
+        where = f"suite '{suite.name}', point '{point.label}'"
+        if point.stated.observation is not None:
+            seen = f"observation = '{point.stated.observation}'"
+            raise InputError(f"{where}: {seen}: what a UAV observes is a setting of the algorithm: state variants")
+        if point.scenario is None:
+            raise InputError(f"{where}: {point.problem}")
+        pairs.append((_usable_name(f"{suite.axis.label} {point.label}", "name"), point.scenario))
+    return pairs
 
 
 def _variant(name: str, stated: VariantEntry, slots: int | None, source: str) -> AlgorithmConfig:
@@ -249,7 +289,7 @@ def _variant(name: str, stated: VariantEntry, slots: int | None, source: str) ->
 def _check_distinct(names: Sequence[str], source: str) -> None:
     for index, name in enumerate(names):
         if name in names[:index]:
-            raise InputError(f"{source}[{index}]: a second '{name}': give it another name")
+            raise InputError(f"{source}: a second '{name}': give it another name")
 
 
 def _check(study: Study, source: str) -> None:
