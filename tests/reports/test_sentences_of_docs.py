@@ -15,7 +15,7 @@ from statistics import fmean
 import numpy as np
 import pytest
 
-from tests.reports.test_sentences import ROOT, means, rows, sentences, study, tuned_rule
+from tests.reports.test_sentences import ROOT, means, rows, sentences, study, trainings, tuned_rule
 from uavaou.plain_yaml import parse_yaml
 from uavaou.planners import decomposition, fleet, rolling, tuned
 from uavaou.planners.exact import LARGEST, program_size
@@ -176,8 +176,7 @@ def rules_on_paper(text: str) -> bool:
 
 
 def variables(text: str) -> bool:
-    paper = Scenario.load("paper")
-    return f"{program_size(paper, paper.draw_layout()):,}" in text
+    return states(text, f"{program_size(Scenario.load('paper')):,}")
 
 
 def solved_exactly(text: str) -> bool:
@@ -218,6 +217,15 @@ def last_stage(pattern: str, until: float = 1.0) -> Callable[[str], bool]:
 
 
 CHECKED: dict[str, Callable[[str], bool]] = {
+    # tuning
+    "published and found settings met again": lambda _: (
+        trainings("choosing", 20, 1, 3_000_000) and study("choosing").settings["episodes"] == 100
+    ),
+    "stand here with the trunk": lambda _: all(
+        config["hidden"] == [128, 128]
+        for name, config in study("choosing").settings["variants"].items()
+        if name != "vdn found"
+    ),
     # planners
     "`local-greedy` reaches 39.9": rules_on_paper,
     "every set meets the same draws": lambda text: (
@@ -332,7 +340,6 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "No other one was within": "measured by hand once",
     "two trainings and one of both together": "how it was trained",
     "Made with": "versions: the run's meta.json",
-    "take longer than stated": "a warning before the study has been run",
     "the exit code is 130 or 143": "tests/cli/test_interrupted.py",
     "The exit code is then 1": "tests/studies/test_runner.py",
     "Fisher's test over all": "tests/studies/test_structure.py",
@@ -340,6 +347,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "the lease time": "a property of NFSv4",
     "less than 4 MB for twenty runs": "the committed study: its folder",
     "plays 12 trials of 60 CPU seconds": "the options of the command above",
+    "repeated on another processor": "measured by hand once",
     "It has 140 trainings": "tests/tuning/test_tournament.py",
     "Of each learner the two best settings": "the search's file, and the test of the table below",
     "These are 32 missions": "the settings: zoo_configs/algorithms",

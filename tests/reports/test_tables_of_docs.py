@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 
-from tests.reports.test_sentences import ROOT, rows
+from tests.reports.test_sentences import ROOT, means, rows
 from tests.reports.test_sentences_of_docs import speeds
+from uavaou.statistics import geometric_mean
+from uavaou.studies.study import Study
 
 
 def test_what_the_search_found_on_the_page_on_tuning_is_in_its_table() -> None:
@@ -24,6 +26,32 @@ def test_what_the_search_found_on_the_page_on_tuning_is_in_its_table() -> None:
         assert {row["trainings"] for row in last} == {"9"}
     assert stated == found
     assert stated == sorted(stated, key=lambda row: float(row[1]))
+
+
+def test_what_is_frozen_is_lower_in_the_study_that_chose_it_and_stated_in_the_one_that_follows() -> None:
+    page = (ROOT / "docs" / "tuning.md").read_text(encoding="utf-8")
+    table = page[page.index("| learner | settings |") : page.index("The lower geometric mean is frozen")]
+    stated = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.strip().splitlines()[2:]]
+    chosen, following = Study.load("choosing").variants, Study.load("paper-ten").variants
+    found = []
+    for name, (first, second) in {
+        "MAPPO": ("mappo 128-128", "mappo found"),
+        "IPPO": ("ippo 128-128", "ippo found"),
+        "QMIX": ("qmix", "qmix found"),
+        "VDN with a value of the state": ("vdn with value", "vdn with value found"),
+        "VDN": ("vdn", "vdn found"),
+    }.items():
+        ages = {
+            variant: [means("choosing", f"layout {seed}")[variant] for seed in (6, 7)] for variant in (first, second)
+        }
+        scores = {variant: geometric_mean(own) for variant, own in ages.items()}
+        frozen = min(scores, key=lambda variant: scores[variant])
+        for variant, settings in ((first, "published"), (second, "found")):
+            mark = "**" if variant == frozen else ""
+            cells = [f"{age:.1f}" for age in ages[variant]]
+            found.append([name, settings, *cells, f"{mark}{scores[variant]:.1f}{mark}"])
+        assert following[first.removesuffix(" 128-128")] == chosen[frozen]
+    assert stated == found
 
 
 def test_the_rates_of_the_page_on_speed_are_those_of_the_tables() -> None:
