@@ -63,23 +63,24 @@ def test_minibatches_keep_slots_whole_and_cover_the_rollout_once(learner: type[M
 @pytest.mark.parametrize("learner", [MAPPO, IPPO])
 @pytest.mark.parametrize("collection", ["select", "auto"])
 def test_rollouts_are_those_of_sb3s_loop(learner: type[MAPPO], collection: str) -> None:
-    def buffers(collect_rollouts: Any) -> list[NDArray[np.float32]]:
+    def buffers(collect_rollouts: Any) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
         model = small_model(learner, collection, n_steps=20)
         _, callback = model._setup_learn(1000, CountCalls())
         for _ in range(2):  # missions of 12 slots end in both
             assert collect_rollouts(model, model.env, callback, model.rollout_buffer, 20)
         assert model.num_timesteps == 2 * 20 * 8
         buffer = model.rollout_buffer
-        return [
-            array.copy()
-            for array in (
-                buffer.local, buffer.state, buffer.actions, buffer.log_probs, buffer.values, buffer.rewards,
-                buffer.episode_starts, buffer.advantages, buffer.returns,
-            )
-        ]  # fmt: skip
+        seen = (buffer.local, buffer.state, buffer.actions, buffer.rewards, buffer.episode_starts)
+        computed = (buffer.log_probs, buffer.values, buffer.advantages, buffer.returns)
+        return [array.copy() for array in seen], [array.copy() for array in computed]
 
-    for own, theirs in zip(buffers(MAPPO.collect_rollouts), buffers(PPO.collect_rollouts), strict=True):
+    own_seen, own_computed = buffers(MAPPO.collect_rollouts)
+    seen, computed = buffers(PPO.collect_rollouts)
+    for own, theirs in zip(own_seen, seen, strict=True):
         np.testing.assert_array_equal(own, theirs)
+    # Vectorized kernels may round the last bit by where a tensor lies in memory; on some processors one in 160 differs.
+    for own, theirs in zip(own_computed, computed, strict=True):
+        np.testing.assert_allclose(own, theirs, rtol=1e-6, atol=1e-6)
 
 
 class CountCalls(BaseCallback):
