@@ -56,7 +56,7 @@ def measured(slots: int, side: int, devices: int) -> list[str]:
     begun = time.process_time()
     plan = exact.Exact(LIMIT_S).plan(scenario, layout)
     seconds = time.process_time() - begun
-    size = exact.program_size(scenario, layout)
+    size = exact.program_size(scenario)
     assert plan.bound_s is not None
     assert plan.gap is not None
     figures = [f"{seconds:.1f}", f"{plan.mean_aou_s / tau:.4g}", f"{plan.bound_s / tau:.4g}", f"{plan.gap:.3f}"]

@@ -81,7 +81,7 @@ def measured(name: str, scenario: Scenario, chosen: argparse.Namespace) -> Itera
 
 def _policies(scenario: Scenario, chosen: argparse.Namespace) -> dict[str, Planner]:
     layout = scenario.draw_layout()
-    solvable = scenario.fading == "none" and program_size(scenario, layout) <= LARGEST
+    solvable = scenario.fading == "none" and program_size(scenario) <= LARGEST
     names = [policy for policy in chosen.policies if policy in PLANNERS and (policy != "exact" or solvable)]
     limits = {"local-greedy-tuned": chosen.time_limit}
     planners = {policy: make_planner(policy, limits.get(policy)) for policy in names}

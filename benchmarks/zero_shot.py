@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import re
 from collections.abc import Iterable
@@ -15,16 +14,13 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-from uavaou.algorithms.registry import load_config
 from uavaou.files import read_text, write_text
-from uavaou.planners import PLANNERS, planner_knowledge
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.suites import SuiteRow, SuiteTable, read_suites
-from uavaou.runs.folder import RunFolder
-from uavaou.runs.released import released_folder, released_names
+from uavaou.runs.released import released_folder
+from uavaou.statistics import geometric_mean
 from uavaou.suites.play import RATIO_ABOVE, REFERENCE
 from uavaou.suites.suite import Suite
-from uavaou.world.knowledge import observed
 from uavaou_cli.main import main as uavaou
 
 SUITES = Path("results/suites")
@@ -108,10 +104,10 @@ def summary(policy: str, tables: Iterable[SuiteTable]) -> str:
             theirs = means(found, other)
             ratios = [own[point] / theirs[point] for point in own if theirs.get(point, 0) > RATIO_ABOVE]
             if ratios:
-                geometric = math.exp(sum(map(math.log, ratios)) / len(ratios))
+                geometric = geometric_mean(ratios)
                 cells = (f"{cell:.3f}" for cell in (geometric, sum(ratios) / len(ratios), max(ratios)))
                 last = f"{worst:.2f}" if other == REFERENCE else ""
-                rows.append((f"`{found.suite}`", told(other), str(len(ratios)), *cells, last))
+                rows.append((f"`{found.suite}`", told(found, other), str(len(ratios)), *cells, last))
     head = ("suite", "against (knows)", "points", "ratio: geometric mean", "mean", "largest", "worst mission")
     return "\n\n".join([NOTE, table(head, rows), f"Constraint violations of `{policy}`: {violations:,}."])
 
@@ -132,7 +128,7 @@ def section(policy: str, found: SuiteTable) -> str:
         )
         for point in found.points if point in own
     ]  # fmt: skip
-    head = (found.axis, *map(told, (policy, *others)), f"to `{REFERENCE}`", "worst mission")
+    head = (found.axis, *(told(found, name) for name in (policy, *others)), f"to `{REFERENCE}`", "worst mission")
     return f"{title}\n\n{table(head, rows)}"
 
 
@@ -142,15 +138,10 @@ def seen(policy: str, found: SuiteTable) -> str:
     return f"Mean AoU over the {found.axis}, {policy} beside {', '.join(others)}"
 
 
-def told(policy: str) -> str:
-    """The name of a policy with what it reads in flight: learners that are not released observe as published."""
-    if policy in PLANNERS:
-        known = planner_knowledge(policy)
-    elif policy in released_names():
-        known = observed(RunFolder.at(policy).read_config().algorithm.observation)
-    else:
-        known = observed(load_config(policy).observation)
-    return f"`{policy}` ({known})"
+def told(found: SuiteTable, policy: str) -> str:
+    """The name of a policy with what it reads in flight, as the table says."""
+    known = dict.fromkeys(row.knows for row in found.rows if row.policy == policy)
+    return f"`{policy}` ({', '.join(known)})"
 
 
 def beside(row: SuiteRow) -> tuple[str, str]:

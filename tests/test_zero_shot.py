@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.zero_shot import CARD, TABLES, means, write_pages
+from benchmarks.zero_shot import CARD, TABLES, means, told, write_pages
 from uavaou.reports.markdown import with_interval
 from uavaou.reports.suites import read_suite
 from uavaou.runs.released import released_folder
@@ -37,6 +37,15 @@ def test_the_committed_page_and_card_come_out_of_the_committed_tables(policy: st
         encoding="utf-8"
     )
     assert (tmp_path / "README.md").read_text(encoding="utf-8") == card.read_text(encoding="utf-8")
+
+
+def test_a_policy_of_any_name_is_said_to_know_what_its_table_says(tmp_path: Path) -> None:
+    text = (SUITES / "layouts.csv").read_text(encoding="utf-8")
+    named = text.replace(",mappo,", ",mappo+layout=resample,").replace(",yes,local\n", ",yes,shared\n")
+    (tmp_path / "layouts.csv").write_text(named, encoding="utf-8")
+    found = read_suite(tmp_path / "layouts.csv")
+    assert told(found, "mappo+layout=resample") == "`mappo+layout=resample` (shared)"
+    assert told(found, "best-first") == "`best-first` (everything)"
 
 
 def test_the_readme_states_what_the_tables_hold() -> None:

@@ -240,6 +240,7 @@ def _suite_cells(result: PointResult, several_seeds: bool) -> tuple[str, ...]:
 
 def _beside_reference(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
     """Each policy beside ``best-first``, where that planner plays: point by point, and over several points."""
+    from uavaou.statistics import geometric_mean
     from uavaou.suites.play import RATIO_ABOVE, REFERENCE
 
     others = [one for one in results if not one.refusal and one.flown.policy != REFERENCE]
@@ -255,7 +256,7 @@ def _beside_reference(plan: SuitePlan, results: Sequence[PointResult]) -> list[s
             ratios.setdefault(name, []).append(found.ratio)
         rows.append((one.flown.point.label, name, beside, f"{found.worst_mission:.2f}"))
     means = [
-        f"{name}: geometric mean of the ratios {math.exp(sum(map(math.log, found)) / len(found)):.3f}"
+        f"{name}: geometric mean of the ratios {geometric_mean(found):.3f}"
         for name, found in ratios.items()
         if len(found) > 1
     ]

@@ -143,7 +143,7 @@ def _play_all(ctx: typer.Context, name: str, jobs: int, out: Path, quiet: bool) 
         if not quiet:
             show([f"{contest.arm}, stage {contest.number}: {settings} settings"])
         found[contest.arm, contest.number] = _play(ctx, contest.folder, search, settings, jobs, quiet)
-        write_table(table, tournament, out, found)
+        write_table(table, tournament, found)
     last = {arm: _ranked_lines(records, tournament.scenario.slot_length_s) for (arm, _), records in found.items()}
     lines = [line for arm, told in last.items() for line in ("", arm, *told)]
     show([*lines[1:], "", f"table:  {table}"])
@@ -151,7 +151,8 @@ def _play_all(ctx: typer.Context, name: str, jobs: int, out: Path, quiet: bool) 
 
 def _ranked_lines(records: Sequence[TrialRecord], slot_length_s: float) -> list[str]:
     """The trials of a stage, the best first: the geometric mean AoU of each, and that of each of its layouts."""
-    from uavaou.tuning.search import geometric_mean, ranked
+    from uavaou.statistics import geometric_mean
+    from uavaou.tuning.search import ranked
 
     best = ranked(records)[:_BEST_TRIALS]
     layouts = sorted({one.layout_seed for record in best for one in record.trainings})

@@ -12,16 +12,15 @@ import numpy as np
 import pytest
 import torch as th
 import yaml
-from safetensors.torch import load_file
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
+from tests.runs.stopped_runs import assert_ends_as, stopped_at
 from uavaou import AlgorithmConfig, InputError, LocalRows, Scenario, flatten, register_algorithm
 from uavaou.algorithms import registry
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.policy import load_run
-from uavaou.runs.records import EpisodesCsv
 from uavaou.runs.train import train
 from uavaou_cli.main import main
 
@@ -208,35 +207,15 @@ def test_a_policy_that_no_uav_could_fly_is_refused(build: Any, says: str, tmp_pa
 
 
 @pytest.mark.parametrize("collection", ["select", pytest.param("auto", marks=pytest.mark.slow)])
-def test_a_resumed_run_of_ones_own_is_the_run_never_stopped(
-    collection: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_resumed_run_of_ones_own_is_the_run_never_stopped(collection: str, tmp_path: Path) -> None:
     register_algorithm("own", OwnConfig, ppo)
     config = own(collection=collection)
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
     train(config, whole)
-    with monkeypatch.context() as patch:
-        patch.setattr("uavaou.runs.recorder.EpisodesCsv.write", stop_at(300))
-        with pytest.raises(StoppedError):
-            train(config, parted, checkpoint_every_s=0)
+    with stopped_at(300):
+        train(config, parted, checkpoint_every_s=0)
     train(config, parted, resume=True)
-    one, other = load_file(whole.last), load_file(parted.last)
-    assert all(th.equal(one[key], other[key]) for key in one)
-
-
-class StoppedError(Exception):
-    """Raised in the middle of a training."""
-
-
-def stop_at(wanted: int) -> Any:
-    written = EpisodesCsv.write
-
-    def write(self: Any, missions: Any, slots: int, wall_s: float) -> None:
-        written(self, missions, slots, wall_s)
-        if slots >= wanted:
-            raise StoppedError
-
-    return write
+    assert_ends_as(parted, whole)
 
 
 @pytest.mark.parametrize(("build", "collection"), [(ppo, "select"), (ppo, "auto"), (dqn, "auto")])

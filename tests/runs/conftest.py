@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.runs.stopped_runs import StoppedError, every_update, small, stop_in_update
+from tests.runs.stopped_runs import every_update, small, stopped_at
 from uavaou.runs.folder import RunFolder
 
 
@@ -17,10 +17,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunFolder, RunFolder
     place = tmp_path_factory.mktemp("runs")
     whole, stopped = RunFolder(place / "whole"), RunFolder(place / "stopped")
     every_update(small(), whole)
-    with pytest.MonkeyPatch.context() as patch:
-        stop_in_update(patch, 4)
-        with pytest.raises(StoppedError):
-            every_update(small(), stopped)
+    with stopped_at(192):
+        every_update(small(), stopped)
     return whole, stopped
 
 

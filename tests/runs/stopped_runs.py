@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -12,7 +15,7 @@ from safetensors.numpy import load_file
 
 from uavaou import Scenario
 from uavaou.algorithms.registry import load_config
-from uavaou.runs import recorder as callback
+from uavaou.runs import recorder
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.train import train
 
@@ -34,24 +37,34 @@ class StoppedError(Exception):
     """Raised in the middle of a training."""
 
 
-def stop_in_update(monkeypatch: pytest.MonkeyPatch, update: int) -> None:
-    seen = {"updates": 0}
-    check = callback.check_learner
+@contextmanager
+def stopped_at(slots: int) -> Iterator[None]:
+    """Let the training in here die in the first update from that slot on."""
+    check = recorder.check_learner
 
-    def counted(*arguments: Any) -> None:
-        check(*arguments)
-        seen["updates"] += 1
-        if seen["updates"] == update:
+    def dying(model: Any, done: int, kept: str) -> None:
+        check(model, done, kept)
+        if done >= slots:
             raise StoppedError
 
-    monkeypatch.setattr(callback, "check_learner", counted)
+    with pytest.raises(StoppedError), patch.object(recorder, "check_learner", dying):
+        yield
 
 
 def assert_ends_as(folder: RunFolder, whole: RunFolder) -> None:
-    one, other = load_file(folder.last), load_file(whole.last)
-    assert one.keys() == other.keys()
-    for name in one:
-        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+    """The same checkpoints and tables as those of the run never stopped."""
+    assert_same_checkpoints(folder, whole)
+    for table in ("episodes", "progress"):
+        assert without_wall(getattr(folder, table)) == without_wall(getattr(whole, table)) != []
+
+
+def assert_same_checkpoints(folder: RunFolder, whole: RunFolder) -> None:
+    """The same weights, optimizer and streams."""
+    for name in ("best", "last"):
+        one, other = load_file(getattr(folder, name)), load_file(getattr(whole, name))
+        assert one.keys() == other.keys()
+        for key in one:
+            np.testing.assert_array_equal(one[key], other[key], err_msg=f"{name} {key}")
 
 
 def flip(path: Path, place: int) -> None:

@@ -18,13 +18,11 @@ from safetensors.numpy import load_file
 
 from tests.runs.stopped_runs import (
     SMALL,
-    StoppedError,
     assert_ends_as,
     every_update,
     flip,
     small,
-    stop_in_update,
-    without_wall,
+    stopped_at,
 )
 from uavaou import InputError, Scenario
 from uavaou.algorithms.io import tensor_file
@@ -233,20 +231,14 @@ def test_a_replay_is_part_of_the_checkpoint(
     config = RunConfig(Scenario.load("tiny"), load_config(algorithm, settings | replay), seed=0)
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
     every_update(config, whole)
-    with monkeypatch.context() as patch:
-        stop_in_update(patch, update + 1)
-        with pytest.raises(StoppedError):
-            every_update(config, parted)
+    with stopped_at(8 * (update + 1)):
+        every_update(config, parted)
     held = load_file(parted.last)
     assert held["replay.position"].tolist() == [(2 * update) % 40, int(2 * update >= 40)]
     assert len(held["replay.local"]) == min(2 * update, 40)
     every_update(config, parted, resume=True)
     assert_ends_as(parted, whole)
     assert not any(name.startswith("replay.") for name in load_file(whole.last))  # it has no more use for it
-    for name in ("episodes.csv", "progress.csv"):
-        one, other = (without_wall(folder.path / name) for folder in (whole, parted))
-        assert one == other
-        assert len(one) > 2
 
 
 @pytest.mark.parametrize(
@@ -262,9 +254,7 @@ def test_missions_in_other_processes_are_part_of_it_too(
 ) -> None:
     folder = RunFolder(tmp_path / "run")
     config = small(processes=2)
-    with monkeypatch.context() as patch:
-        stop_in_update(patch, 4)
-        with pytest.raises(StoppedError):
-            every_update(config, folder, backend=before)
+    with stopped_at(192):
+        every_update(config, folder, backend=before)
     every_update(config, folder, backend=after, resume=True)
     assert_ends_as(folder, runs[0])  # which one process has stepped

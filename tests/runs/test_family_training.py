@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from safetensors.numpy import load_file
 
+from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from tests.scenario_files import refusal
 from uavaou import Family, Scenario, flatten, load_run
 from uavaou.algorithms.registry import load_config
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.evaluation.seeds import VALIDATION_DRAWS, VALIDATION_SEED
-from uavaou.runs import recorder
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
 from uavaou.runs.start import Start, continued
 from uavaou.runs.train import train
@@ -41,32 +39,14 @@ def config(family: Family, **changes: Any) -> RunConfig:
     return RunConfig(family.base, load_config("mappo", SMALL | changes), 0, family)
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return [{name: value for name, value in row.items() if "wall" not in name} for row in csv.DictReader(file)]
-
-
 @trainings
 def test_a_resumed_training_is_the_one_never_stopped(family: Family, changes: dict[str, Any], tmp_path: Path) -> None:
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
     train(config(family, **changes), whole)
-    check = recorder.check_learner
-
-    def dying(model: Any, slots: int, kept: str) -> None:
-        check(model, slots, kept)
-        if slots >= 144:
-            raise ConnectionError
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recorder, "check_learner", dying)
-        refusal(lambda: train(config(family, **changes), parted, checkpoint_every_s=0))
+    with stopped_at(144):
+        train(config(family, **changes), parted, checkpoint_every_s=0)
     train(parted.read_config(), parted, resume=True)
-    one, other = load_file(whole.last), load_file(parted.last)
-    assert one.keys() == other.keys()
-    for name in one:
-        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
-    assert rows(whole.episodes) == rows(parted.episodes)
-    assert rows(whole.progress) == rows(parted.progress)
+    assert_ends_as(parted, whole)
     assert whole.read_meta().agent_steps == parted.read_meta().agent_steps
 
 
@@ -86,8 +66,8 @@ def test_agent_steps_are_those_of_uavs_that_are_there(family: Family, changes: d
         counted += sum(uavs) * settings.missions // settings.worlds
         env.step(np.zeros((env.num_envs, *env.action_space.shape), dtype=np.int64))
     assert outcome.agent_steps == outcome.folder.read_meta().agent_steps == counted
-    assert rows(outcome.folder.progress)[-1]["time/agent_steps"] == str(counted)
-    finished = rows(outcome.folder.episodes)
+    assert without_wall(outcome.folder.progress)[-1]["time/agent_steps"] == str(counted)
+    finished = without_wall(outcome.folder.episodes)
     assert len(finished) == outcome.progress.missions > 0
     assert all(float(row["mean_aou_s"]) > 0 for row in finished)
 

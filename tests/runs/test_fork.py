@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.runs.stopped_runs import StoppedError, assert_ends_as, every_update, small, stop_in_update
+from tests.runs.stopped_runs import assert_ends_as, every_update, small, stopped_at
 from uavaou import InputError
 from uavaou.runs.folder import RunFolder, config_folder
 from uavaou.runs.start import forked
@@ -42,10 +42,8 @@ def test_it_is_the_other_until_it_parts_and_resumes_exactly(
     assert len(before) == 2
     assert validations(whole)[:2] == before
     assert validations(whole)[3:] != validations(followed)[3:]
-    with monkeypatch.context() as patch:
-        stop_in_update(patch, 4)  # after the slot at which it parts
-        with pytest.raises(StoppedError):
-            every_update(fork, stopped)
+    with stopped_at(192):  # after the slot at which it parts
+        every_update(fork, stopped)
     every_update(fork, stopped, resume=True)
     assert_ends_as(stopped, whole)
 

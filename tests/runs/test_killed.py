@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import random
@@ -17,6 +16,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from tests.command_line import forked, start_command
+from tests.runs.stopped_runs import assert_ends_as
 from uavaou import Scenario
 from uavaou.algorithms.registry import load_config
 from uavaou.evaluation.evaluate import evaluate
@@ -66,19 +66,9 @@ def kill_until_done(config: RunConfig, path: Path, seed: int, longest_s: float, 
         kills += 1
 
 
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return [{name: value for name, value in row.items() if "wall" not in name} for row in csv.DictReader(file)]
-
-
 def assert_the_same(one: RunFolder, other: RunFolder) -> None:
-    for name in ("best", "last", "previous"):
-        wanted, found = load_file(getattr(one, name)), load_file(getattr(other, name))
-        assert wanted.keys() == found.keys()
-        for key in wanted:
-            np.testing.assert_array_equal(wanted[key], found[key], err_msg=key)
-    assert table(one.episodes) == table(other.episodes)
-    assert table(one.path / "progress.csv") == table(other.path / "progress.csv")
+    assert_ends_as(other, one)
+    assert load_file(one.previous).keys() == load_file(other.previous).keys()
     metas = [json.loads(run.meta.read_text()) for run in (one, other)]
     assert metas[0]["best_score"] == metas[1]["best_score"]
     assert metas[1]["finished"]

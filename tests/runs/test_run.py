@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 from collections.abc import Callable
@@ -15,6 +14,7 @@ import pytest
 import torch as th
 from safetensors.torch import load_file
 
+from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import command_line
@@ -22,7 +22,6 @@ from uavaou.evaluation.checker import CONSTRAINTS
 from uavaou.evaluation.evaluate import evaluate
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.planners import make_planner
-from uavaou.runs import recorder as callback_module
 from uavaou.runs.folder import RunConfig, RunFolder, flight_folder, run_folder
 from uavaou.runs.policy import load_run
 from uavaou.runs.train import train
@@ -38,27 +37,6 @@ SMALL = {
 def small(algorithm: str = "mappo", seed: int = 0, **changes: Any) -> RunConfig:
     scenario = Scenario.load("quickstart").replace(slots=40)
     return RunConfig(scenario, load_config(algorithm, SMALL | changes), seed)
-
-
-class StoppedError(Exception):
-    """Raised in the middle of a training."""
-
-
-def stop_after(monkeypatch: pytest.MonkeyPatch, missions: int) -> None:
-    """Let the training die when that many missions have ended."""
-    write = callback_module.EpisodesCsv.write
-
-    def dying(self: Any, ended: Any, slots: int, wall_s: float) -> None:
-        write(self, ended, slots, wall_s)
-        if self._mission >= missions:
-            raise StoppedError
-
-    monkeypatch.setattr(callback_module.EpisodesCsv, "write", dying)
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return [{k: v for k, v in row.items() if "wall" not in k} for row in csv.DictReader(file)]
 
 
 @pytest.fixture(scope="module")
@@ -90,27 +68,18 @@ def whole_runs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str],
     ],
 )
 def test_a_resumed_run_is_the_run_never_stopped(
-    algorithm: str, before: str, after: str, layout: str, whole_runs: Any, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    algorithm: str, before: str, after: str, layout: str, whole_runs: Any, tmp_path: Path
 ) -> None:  # fmt: skip
     config, whole = whole_runs(algorithm, layout)
     parted = RunFolder(tmp_path / "parted")
-    with monkeypatch.context() as patch:
-        stop_after(patch, missions=8)
-        with pytest.raises(StoppedError):
-            train(config, parted, backend=before, checkpoint_every_s=0)
+    with stopped_at(300):
+        train(config, parted, backend=before, checkpoint_every_s=0)
     assert json.loads(parted.meta.read_text())["finished"] is False
     train(config, parted, backend=after, resume=True)
-    for name in ("best", "last"):
-        one, other = load_file(getattr(whole, name)), load_file(getattr(parted, name))
-        assert one.keys() == other.keys()
-        for key in one:
-            assert th.equal(one[key], other[key]), key
-    assert rows(whole.episodes) == rows(parted.episodes)
-    progress = [rows(folder.path / "progress.csv") for folder in (whole, parted)]
-    assert progress[0] == progress[1]
-    assert len(progress[0]) == 6
-    assert progress[0][-1]["evaluation/mean_aou_greedy_s"]
+    assert_ends_as(parted, whole)
+    progress = without_wall(parted.progress)
+    assert len(progress) == 6
+    assert progress[-1]["evaluation/mean_aou_greedy_s"]
 
 
 def test_the_same_config_gives_the_same_run_and_another_seed_another(tmp_path: Path) -> None:
@@ -120,7 +89,7 @@ def test_the_same_config_gives_the_same_run_and_another_seed_another(tmp_path: P
     key = "policy.actor_body.0.weight"
     assert th.equal(weights["a"][key], weights["b"][key])
     assert not th.equal(weights["a"][key], weights["c"][key])
-    assert rows(tmp_path / "a" / "episodes.csv") == rows(tmp_path / "b" / "episodes.csv")
+    assert without_wall(tmp_path / "a" / "episodes.csv") == without_wall(tmp_path / "b" / "episodes.csv")
 
 
 def test_what_a_run_writes(tmp_path: Path) -> None:
@@ -129,7 +98,7 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
     outcome = train(config, folder)
     assert folder.read_config() == config
     assert outcome.agent_steps == 2 * outcome.progress.slots == 1200
-    episodes = rows(folder.episodes)
+    episodes = without_wall(folder.episodes)
     assert [row["mission"] for row in episodes] == [str(n) for n in range(1, 13)]
     # 4 missions of 40 slots end together.
     assert [int(row["slots"]) for row in episodes[::4]] == [160 * n for n in range(1, 4)]
@@ -137,7 +106,7 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
     assert meta["finished"] is True
     assert meta["slots"] * 2 == meta["agent_steps"]
     assert list((folder.path / "tensorboard").iterdir())
-    progress, tau = rows(folder.progress), config.scenario.slot_length_s
+    progress, tau = without_wall(folder.progress), config.scenario.slot_length_s
     for name in ("rollout/mean_aou", "evaluation/mean_aou_greedy", "evaluation/mean_aou_sample"):  # ages in both units
         ages = [(float(row[f"{name}_s"]), tau * float(row[f"{name}_slots"])) for row in progress if row[f"{name}_s"]]
         assert ages == [pytest.approx((age, age)) for age, _ in ages] != []

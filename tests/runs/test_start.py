@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +11,10 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from tests.scenario_files import refusal
 from uavaou import Family, Scenario
 from uavaou.algorithms.registry import load_config
-from uavaou.runs import recorder
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder, read_config
 from uavaou.runs.start import Start, continued
 from uavaou.runs.train import train
@@ -41,35 +40,6 @@ def test_a_released_policy_is_fine_tuned_with_the_settings_beside_it() -> None:
 def small(algorithm: str = "mappo", **changes: Any) -> RunConfig:
     own = ON_POLICY if algorithm in ("mappo", "ippo") else REPLAY
     return RunConfig(Scenario.load("tiny"), load_config(algorithm, SMALL | own | changes))
-
-
-def without_wall(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return [{name: value for name, value in row.items() if "wall" not in name} for row in csv.DictReader(file)]
-
-
-def assert_same(one: RunFolder, other: RunFolder) -> None:
-    """Two runs that ended with the same weights, optimizer, streams and tables."""
-    for name in ("best", "last"):
-        a, b = load_file(getattr(one, name)), load_file(getattr(other, name))
-        assert a.keys() == b.keys()
-        for key in a:
-            np.testing.assert_array_equal(a[key], b[key], err_msg=f"{name} {key}")
-    for table in ("episodes", "progress"):
-        assert without_wall(getattr(one, table)) == without_wall(getattr(other, table))
-    assert one.read_config() == other.read_config()
-
-
-def stop_at(patch: pytest.MonkeyPatch, slots: int) -> None:
-    """Let a training die in the first update after that many slots."""
-    check = recorder.check_learner
-
-    def dying(model: Any, done: int, kept: str) -> None:
-        check(model, done, kept)
-        if done >= slots:
-            raise ConnectionError
-
-    patch.setattr(recorder, "check_learner", dying)
 
 
 @pytest.fixture(scope="module")
@@ -136,11 +106,10 @@ def test_a_stopped_one_resumes_as_if_it_had_not_stopped(finished: RunFolder, tmp
     config = Start.at(finished).training(Scenario.load("tiny"), {"slots": 192}, seed=1)
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
     train(config, whole, start=finished)
-    with pytest.MonkeyPatch.context() as patch:
-        stop_at(patch, 96)
-        assert "worker process" in refusal(lambda: train(config, parted, start=finished, checkpoint_every_s=0))
+    with stopped_at(96):
+        train(config, parted, start=finished, checkpoint_every_s=0)
     train(config, parted, resume=True)  # the weights are in its checkpoint
-    assert_same(parted, whole)
+    assert_ends_as(parted, whole)
 
 
 def test_weights_that_do_not_fit_are_refused_with_their_sizes(finished: RunFolder, tmp_path: Path) -> None:
@@ -191,13 +160,12 @@ def test_a_finished_run_goes_on_and_resumes_as_exactly(algorithm: str, tmp_path:
     outcome = train(larger, whole, resume=True)
     assert outcome.progress.slots == 384
     assert (whole.finished, whole.read_meta().slots_budget, whole.read_config()) == (True, 384, larger)
-    with pytest.MonkeyPatch.context() as patch:
-        stop_at(patch, 288)
-        refusal(lambda: train(continued(parted, 384, resume=False), parted, resume=True, checkpoint_every_s=0))
+    with stopped_at(288):
+        train(continued(parted, 384, resume=False), parted, resume=True, checkpoint_every_s=0)
     assert not parted.finished
     assert "of 384 slots are done; first: uavaou train --continue" in refusal(lambda: continued(parted, 500, False))
     train(continued(parted, None, resume=True), parted, resume=True)
-    assert_same(parted, whole)
+    assert_ends_as(parted, whole)
 
 
 def test_schedules_stay_at_their_final_values(tmp_path: Path) -> None:
@@ -224,7 +192,7 @@ def test_each_budget_is_recorded_and_the_file_gives_the_same_run_again(run: RunF
     assert (config.budgets, config.slots, config.algorithm.slots) == ((192, 288, 384), 384, 192)
     again = RunFolder(tmp_path / "again")
     train(config, again)
-    assert_same(again, run)
+    assert_ends_as(again, run)
 
 
 def test_a_kill_between_configuration_and_training_is_made_good(run: RunFolder, tmp_path: Path) -> None:
@@ -234,7 +202,7 @@ def test_a_kill_between_configuration_and_training_is_made_good(run: RunFolder, 
     run.config.write_text(larger.to_yaml())  # meta.json still says that it has finished
     assert "192 of 384 slots are done" in refusal(lambda: continued(run, 500, resume=False))
     train(continued(run, None, resume=True), run, resume=True)
-    assert_same(run, whole)
+    assert_ends_as(run, whole)
 
 
 def test_budgets_that_cannot_be_used_are_refused(run: RunFolder) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import multiprocessing
 import os
@@ -22,6 +21,7 @@ import pytest
 from filelock import FileLock
 
 from tests.command_line import start_command
+from tests.runs.stopped_runs import without_wall
 from uavaou.runs.lock import holder
 from uavaou.studies.folder import PartKey
 from uavaou.studies.jobs import Advanced, Bounding, Engine, Job, Training, TrainingReport
@@ -57,17 +57,12 @@ def wait_for_missions(out: Path, runs: int, missions: int) -> list[Path]:
     raise AssertionError("the runs did not begin")
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return [{name: value for name, value in row.items() if "wall" not in name} for row in csv.DictReader(file)]
-
-
 def assert_the_same(one: Path, other: Path, study: Study) -> None:
     """The same episodes and evaluations in all runs, and the same condensed figures."""
     for run in study.runs():
         ours, theirs = (study.folder(place, run).path for place in (one, other))
-        assert rows(ours / "episodes.csv") == rows(theirs / "episodes.csv")
-        assert rows(ours / "progress.csv") == rows(theirs / "progress.csv")
+        assert without_wall(ours / "episodes.csv") == without_wall(theirs / "episodes.csv")
+        assert without_wall(ours / "progress.csv") == without_wall(theirs / "progress.csv")
         assert json.loads((ours / "eval/default.json").read_text()) == json.loads(
             (theirs / "eval/default.json").read_text()
         )

@@ -10,18 +10,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
+from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError
 from uavaou.fields import Numbers, Whole, WholeNumbers, reads_schema, validated
 from uavaou.files import read_json, write_text
 from uavaou.planners.base import Planner
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SCHEMA = 1
 _MOST_BYTES = 50_000_000
@@ -48,14 +45,14 @@ class Recording:
         )
 
     @cached_property
-    def communications(self) -> NDArray[np.bool_]:
+    def communications(self) -> Bools:
         """Whether a transfer carried at least one update, (K, I)."""
         slot = np.arange(1, len(self.age_sum) + 1)[:, None]  # (K, 1)
         generated = slot % self.layout.update_period == 0  # (K, I)
         at_start = np.ones((1, self.age_sum.shape[1]), dtype=np.bool_)  # every device holds update 0 before slot 1
         # What is pending at a slot's end has aged by a slot or more, so that an age of 0 means nothing pending.
         before = np.concatenate([at_start, self.age_sum[:-1] > 0])  # (K, I)
-        carried: NDArray[np.bool_] = (self.collected_by >= 0) & (before | generated)
+        carried: Bools = (self.collected_by >= 0) & (before | generated)
         return carried
 
 

@@ -84,7 +84,7 @@ class BoundSearch:
 
     def run(self) -> Bound:
         """Return the best bound."""
-        if self._start is None and program_size(self._scenario, self._layout) <= _LARGEST_PROGRAM:
+        if self._start is None and program_size(self._scenario) <= _LARGEST_PROGRAM:
             prices, step_prices = Program(self._scenario, self._layout).relaxation()
             total, _ = LagrangianRelaxation(self._scenario, self._layout).bound(prices, step_prices)
             self._offer("linear program", ("prices", "step_prices"), total, prices, step_prices)

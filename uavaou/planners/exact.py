@@ -49,7 +49,7 @@ class Exact(RoutePlanner):
         """
         if scenario.fading != "none":
             raise InputError(f"exact: fading = {scenario.fading}: needs a deterministic channel, fading: none")
-        size = program_size(scenario, layout)
+        size = program_size(scenario)
         if size > LARGEST:
             raise InputError(
                 f"exact: scenario '{scenario.name}' needs {size:,} variables, at most {LARGEST:,} are supported: "
@@ -134,7 +134,7 @@ def flow(scenario: Scenario, uav: int) -> Flow:
     return Flow(slot[feasible], here[feasible], there[feasible])
 
 
-def program_size(scenario: Scenario, layout: Layout) -> int:
+def program_size(scenario: Scenario) -> int:
     """Return an upper bound on the number of variables, without building the program."""
     steps = scenario.uavs * (scenario.slots - 1) * scenario.columns * scenario.rows * len(STEP_OF_MOVE)
     return steps + scenario.devices * (scenario.slots + 1) * (scenario.slots + 2) // 2

@@ -22,7 +22,13 @@ _COLUMNS = (
     "suite", "point", "x", "policy", "trained", "seed", "mean_aou_slots", "low", "high", "axis", "scale",
 )  # fmt: skip
 # Older tables lack these; the cell that stands for what they do not say.
-_LATER_COLUMNS = {"training_slots": "", "joined": "yes", "violations": "0", **dict.fromkeys(Compared._fields, "")}
+_LATER_COLUMNS = {
+    "training_slots": "",
+    "joined": "yes",
+    "violations": "0",
+    "knows": "",
+    **dict.fromkeys(Compared._fields, ""),
+}
 _ALLOWED = {
     "scale": ("linear", "log", "category"),
     "trained": ("trained", "zero-shot", "planner"),
@@ -47,6 +53,7 @@ class SuiteRow:
     joined: bool  # whether a line leads to the point
     seed: str  # of the training; empty for a planner
     violations: int
+    knows: str  # what the policy reads in flight; empty where the table does not say
     compared: Compared  # with ``best-first``; nan where the table does not say
 
 
@@ -114,7 +121,7 @@ def _rows(table: CsvTable) -> list[SuiteRow]:
     slots = (None if value < 0 else value for value in table.integers("training_slots", missing=-1).tolist())
     joined = (cell == "yes" for cell in table.text("joined"))
     names = (table.text(column) for column in ("policy", "trained"))
-    rest = table.text("seed"), table.integers("violations").tolist()
+    rest = table.text("seed"), table.integers("violations").tolist(), table.text("knows")
     compared = map(Compared, *(table.floats(column, missing=True).tolist() for column in Compared._fields))
     columns = zip(
         table.text("point"), table.floats("x").tolist(), *names, aou, slots, joined, *rest, compared, strict=True

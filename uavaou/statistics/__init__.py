@@ -16,7 +16,12 @@ five log-normal values, 95 % percentile intervals of a bootstrap hold the true m
 in about 94 %. The missions of one training say nothing about another training, so each training counts with its mean.
 """
 
-from uavaou.statistics.aggregates import interquartile_mean, performance_profile, probability_of_improvement
+from uavaou.statistics.aggregates import (
+    geometric_mean,
+    interquartile_mean,
+    performance_profile,
+    probability_of_improvement,
+)
 from uavaou.statistics.intervals import Band, Interval
 from uavaou.statistics.missions import band_over_missions, interval_over_missions
 from uavaou.statistics.trainings import band_over_trainings, interval_over_trainings, mean_of_tasks, ratio_of_trainings
@@ -26,6 +31,7 @@ __all__ = [
     "Interval",
     "band_over_missions",
     "band_over_trainings",
+    "geometric_mean",
     "interquartile_mean",
     "interval_over_missions",
     "interval_over_trainings",

@@ -9,6 +9,7 @@ crossed bootstrap of Owen, Annals of Applied Statistics 1(2), 2007), and compari
 mission a run this is the bootstrap of Agarwal et al. and of rliable: runs resampled within each task.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -23,6 +24,13 @@ RESAMPLES = 2000
 _SEED = 20_240_502  # any fixed number: the same scores give the same interval
 _ENTRIES_AT_ONCE = 4_000_000  # resampling weights held in memory together
 _CUT = 0.25  # of the scores, left out at each end of the interquartile mean
+
+
+def geometric_mean(values: Sequence[float]) -> float:
+    """The geometric mean of ages or of their ratios; 0 where one of them is, and exact for one alone."""
+    if len(values) == 1:
+        return values[0]
+    return math.exp(math.fsum(map(math.log, values)) / len(values)) if min(values) > 0 else 0.0
 
 
 def interquartile_mean(scores: Scores) -> Interval:

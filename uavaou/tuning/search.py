@@ -7,7 +7,6 @@ trial is several trainings, on several layouts or with several seeds, ``training
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -182,13 +181,6 @@ class TrainingScore(NamedTuple):
     action: str  # the action that it was reached with
     slots: int  # trained
     cpu_s: float  # spent on playing and learning
-
-
-def geometric_mean(scores: Sequence[float]) -> float:
-    """The geometric mean of mean AoUs; 0 where one of them is."""
-    if len(scores) == 1:
-        return scores[0]
-    return math.exp(math.fsum(map(math.log, scores)) / len(scores)) if min(scores) > 0 else 0.0
 
 
 @dataclass(frozen=True)

@@ -157,13 +157,12 @@ def _arm(name: str, content: Any, source: str) -> tuple[AlgorithmConfig, SearchS
     return config, space
 
 
-def write_table(path: Path, tournament: Tournament, out: Path, found: dict[tuple[str, int], list[TrialRecord]]) -> None:
+def write_table(path: Path, tournament: Tournament, found: dict[tuple[str, int], list[TrialRecord]]) -> None:
     """Write a row for each trial of each stage of each arm, the best of a stage first.
 
     Args:
         path: of the CSV file.
         tournament: the search.
-        out: the folder of all searches.
         found: (arm, number of the stage) -> its trials.
     """
     tau = tournament.scenario.slot_length_s

@@ -28,13 +28,13 @@ from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.interrupt import children_ignore_ctrl_c, interrupt_at_sigterm
 from uavaou.runs.recorder import AfterUpdate, TrainingStatus
 from uavaou.runs.train import train
+from uavaou.statistics import geometric_mean
 from uavaou.tuning.search import (
     REPORTS,
     Search,
     SearchFolder,
     TrainingScore,
     TrialRecord,
-    geometric_mean,
     write_results,
 )
 
