@@ -76,4 +76,6 @@ def seconds_left(parts: list[PartStatus]) -> float | None:
     rate = sum(part.rate for part in parts)
     open_parts = [part for part in parts if part.state not in ("finished", "failed", "not needed")]
     left = sum(max((part.budget or 0) - (part.slots or 0), 0) for part in open_parts)
+    if not left and any(part.state == "running" for part in parts):
+        return 0.0  # a short training may not have a rate yet
     return left / rate if rate else None
