@@ -17,6 +17,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from uavaou.algorithms.io.save_load import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
+from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
 from uavaou.fields import short
 from uavaou.files import replacing
@@ -51,18 +52,25 @@ def save_training(
     Raises:
         OSError: it cannot be written; what was there before is untouched.
     """
+    newest = folder.last.with_name("newest.safetensors")
+    _write(newest, _training_arrays(model, world, replay), progress)
+    if folder.last.exists():
+        folder.last.replace(folder.previous)
+    newest.replace(folder.last)
+
+
+def save_candidate(folder: RunFolder, model: BaseAlgorithm, progress: TrainingProgress, world: Arrays) -> None:
+    """Write the same to the file of the best candidate so far; arguments as above."""
+    _write(folder.candidate, _training_arrays(model, world, replay=True), progress)
+
+
+def _training_arrays(model: BaseAlgorithm, world: Arrays, replay: bool) -> Arrays:
     arrays = policy_arrays(model) | optimizer_arrays(model)
     arrays |= {_WORLD + name: array for name, array in world.items()}
     learner = model.training_state() if hasattr(model, "training_state") else {}  # beside the rest; most keep nothing
     arrays |= {_LEARNER + name: _to_numpy(value) for name, value in learner.items()}
     arrays |= _streams(model)
-    if replay:
-        arrays |= _replay_arrays(model)
-    newest = folder.last.with_name("newest.safetensors")
-    _write(newest, arrays, progress)
-    if folder.last.exists():
-        folder.last.replace(folder.previous)
-    newest.replace(folder.last)
+    return arrays | _replay_arrays(model) if replay else arrays
 
 
 def copy_last(folder: RunFolder) -> None:
@@ -106,6 +114,47 @@ def load_training(folder: RunFolder, model: BaseAlgorithm, config: RunConfig) ->
             warnings.warn(message, DamagedCheckpointWarning, stacklevel=2)
         return progress, world
     raise InputError("; ".join(problems) + "; no checkpoint is left to resume from")
+
+
+def restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> TrainingProgress:
+    """Let a learner and its missions go on from the newest checkpoint that is whole; returns where it stands.
+
+    Raises:
+        InputError: no checkpoint can be used.
+    """
+    progress, missions = load_training(folder, model, config)
+    _go_on(model, env, progress, missions, folder.last)
+    return progress
+
+
+def restore_candidate(
+    folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: TrainingProgress
+) -> TrainingProgress:
+    """Let the best candidate go on where it ended, after all have; ``progress`` is that of the whole training.
+
+    Raises:
+        InputError: its file is lost or damaged.
+    """
+    file = ArrayFile(folder.candidate)
+    ended = read_header(file, oldest=SCHEMA)
+    own = ended.slots - ended.set_aside
+    changes = {"set_aside": progress.slots - own, "budget_left": ended.budget_left, "recent": ended.recent}
+    progress = progress.model_copy(update=changes)
+    _go_on(model, env, progress, _load_state(file, model), folder.candidate)
+    return progress
+
+
+def _go_on(model: BaseAlgorithm, env: MissionVecEnv, progress: TrainingProgress, missions: Arrays, path: Path) -> None:
+    """Let the missions in progress of the checkpoint at ``path`` go on, and the counts of the learner."""
+    model.num_timesteps = progress.slots * env.row_layout.uavs
+    model._n_updates = progress.updates
+    model._current_progress_remaining = progress.budget_left
+    starts = missions.pop("episode_starts", None)
+    if starts is None or starts.shape != (env.num_envs,):
+        raise InputError(f"{path}: does not hold the missions in progress")
+    model._last_episode_starts = starts.astype(bool)
+    assert model.observation_space.shape is not None
+    model._last_obs = env.load_missions_state(missions)[:, : model.observation_space.shape[0]]  # LocalRows or all
 
 
 def _longest_rollout(model: BaseAlgorithm) -> int:

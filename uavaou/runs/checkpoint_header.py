@@ -38,6 +38,9 @@ class TrainingProgress(BaseModel):
     progress_sha256: str | None = None
     figures: dict[str, StrictInt | StrictFloat] = {}  # logged since; may be nan
     budget_left: Number = 1.0  # the argument of SB3's schedules, from 1 to 0
+    candidates: Count = 0  # that have ended, of a training of several
+    candidate_score: NonNegative | None = None  # the lowest of those, mean AoU on the validation missions, s
+    set_aside: Count = 0  # slots that candidates had other than the one that learns
     cpu_s: NonNegative | None = None  # of the training processes so far, playing and learning; None: not measured
 
     def fits(self, config: RunConfig, longest: int) -> str | None:
@@ -54,11 +57,15 @@ class TrainingProgress(BaseModel):
         steps = 0 if self.agent_steps is None else self.agent_steps
         uavs = (1, family.most[0]) if family else (config.scenario.uavs,) * 2  # the fewest and the most of a mission
         ended = slots // together // config.scenario.slots * together  # where all missions are equally long
-        left = {1 - slots / algorithm.slots} | ({0.0} if config.budgets else set())  # 0: beyond the first budget
+        left = {algorithm.budget_left(slots - self.set_aside)} | ({0.0} if config.budgets else set())  # 0: beyond
         agree = {
             "slots": slots % together == 0 and slots < config.slots + longest,
             "agent_steps": self.agent_steps is None or slots * uavs[0] <= steps <= slots * uavs[1],
-            "missions": self.missions <= slots if family else self.missions == ended,
+            "candidates": self.candidates <= algorithm.candidates
+            and (self.candidates == 0 or algorithm.candidates > 1),
+            "candidate_score": (self.candidate_score is None) == (self.candidates == 0),
+            "set_aside": self.set_aside <= slots if self.candidates else self.set_aside == 0,
+            "missions": self.missions <= slots if family or self.candidates else self.missions == ended,
             "recent": len(self.recent) <= min(self.missions, together),
             "next_evaluation": self.next_evaluation in {(slots // one + 1) * one for one in intervals},
             "best_score": self.best_score is not None or slots < every,

@@ -166,6 +166,7 @@ class RunFolder:
     progress = PathIn("progress.csv")  # what the learner logs
     last = PathIn("checkpoints", "last.safetensors")  # what resuming needs
     previous = PathIn("checkpoints", "previous.safetensors")  # the ``last`` before: taken where that one is damaged
+    candidate = PathIn("checkpoints", "candidate.safetensors")  # of several, the best that has ended; until the end
     best = PathIn("checkpoints", "best.safetensors")  # the policy that did best on the validation missions
     weights = PathIn("policy.safetensors")  # of a released policy, which has no checkpoints
     fine_tuning = PathIn("fine-tuning.yaml")  # of a released policy: the settings to train it on with one scenario

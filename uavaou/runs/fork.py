@@ -14,6 +14,7 @@ from uavaou.world.world import fresh_streams
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
+    from uavaou.algorithms.config import AlgorithmConfig
     from uavaou.envs.vec_env import MissionVecEnv
 
 
@@ -26,20 +27,22 @@ class Fork(BaseModel, frozen=True, extra="forbid"):
     def __str__(self) -> str:
         return f"{self.seed}-at-{self.slots}"
 
-    def check(self, seed: int, budget: int) -> None:
+    def check(self, seed: int, algorithm: AlgorithmConfig) -> None:
         """Refuse a fork that would never part from the training it follows.
 
         Args:
             seed: of the training that parts.
-            budget: of both, in slots.
+            algorithm: the settings of both.
 
         Raises:
-            InputError: the seeds are the same, or the slot is not within the budget.
+            InputError: the seeds are the same, the slot is not within the budget, or there are several candidates.
         """
         if seed == self.seed:
             raise InputError(f"fork: seed = {seed}: expected another seed than that of the training that is followed")
-        if self.slots >= budget:
-            raise InputError(f"fork: slots = {self.slots:,}: expected fewer than the budget of {budget:,}")
+        if self.slots >= algorithm.slots:
+            raise InputError(f"fork: slots = {self.slots:,}: expected fewer than the budget of {algorithm.slots:,}")
+        if algorithm.candidates > 1:
+            raise InputError(f"fork: algorithm.candidates = {algorithm.candidates}: expected 1, which can be followed")
 
 
 def part(model: BaseAlgorithm, env: MissionVecEnv, seed: int) -> None:

@@ -16,7 +16,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
 from uavaou.files import write_json
-from uavaou.runs.checkpoint import copy_last, save_policy, save_training
+from uavaou.runs.candidates import CandidateEnded, candidate_ends, next_candidate
+from uavaou.runs.checkpoint import Arrays, copy_last, save_candidate, save_policy, save_training
 from uavaou.runs.checkpoint_header import ROWS_AN_EVALUATION, TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
 from uavaou.runs.fork import part
@@ -165,7 +166,8 @@ class Recorder(BaseCallback):
         if self._display is not None:
             self._display.update(self._slots, self._mean_aou_s)
         scores: dict[str, float] = {}
-        if finished or self._slots >= self.progress.next_evaluation:
+        ended = not finished and candidate_ends(self._config.algorithm, self.progress, self._slots)
+        if finished or ended or self._slots >= self.progress.next_evaluation:
             scores = {action: self._validate(action) for action in ("greedy", "sample")}
         self._log(bool(scores))
         if scores:
@@ -175,7 +177,9 @@ class Recorder(BaseCallback):
             part(self.model, self._env, self._config.seed)
             self._parted = True
         asked = self._interrupts.received is not None
-        if finished or asked or time.monotonic() >= self._next_checkpoint:
+        if ended:
+            self._end_candidate(min(scores.values()))
+        elif finished or asked or time.monotonic() >= self._next_checkpoint:
             self._save(finished)
         if self._callback is not None:
             updates, best = getattr(self.model, "_n_updates", 0), (self.progress.best_score, self.progress.best_action)
@@ -183,6 +187,27 @@ class Recorder(BaseCallback):
         self._cpu_before = time.process_time() - self._cpu_s
         if asked and not finished:
             self._stop()
+        if ended:
+            raise CandidateEnded
+
+    def _end_candidate(self, score: float) -> None:
+        """Keep the candidate that has ended if it is the best so far, by its ``score``, and turn to the next."""
+        best, number, of = (
+            self.progress.candidate_score,
+            self.progress.candidates + 1,
+            self._config.algorithm.candidates,
+        )
+        better = best is None or score < best
+        self._advance(candidates=number, candidate_score=score if better else best)
+        state = self._checkpoint()
+        if better:
+            save_candidate(self._folder, self.model, self.progress, state)
+        self.progress = next_candidate(self._folder, self.model, self._env, self._config, self.progress)
+        self._recent = deque(self.progress.recent, self._recent.maxlen)
+        self._save(finished=False)
+        if self._display is not None:
+            then = f"candidate {number + 1} begins" if number < of else "the best goes on"
+            self._display.message(f"{self._slots:,} slots: candidate {number} of {of} has had its part; {then}")
 
     def _stop(self) -> None:
         self.stopped_by = self._interrupts.received
@@ -253,19 +278,24 @@ class Recorder(BaseCallback):
     def _save(self, finished: bool) -> None:
         """Write a checkpoint; that of a finished training also replaces the previous one, and holds no replay."""
         began = time.monotonic()
-        self.episodes_csv.flush()
-        self.progress_csv.flush()
-        self.progress = self._present()
-        state = self._env.missions_state()
-        state["episode_starts"] = np.asarray(self.model._last_episode_starts, dtype=np.int64)
+        state = self._checkpoint()
         save_training(self._folder, self.model, self.progress, state, replay=not finished)
         self._saved = self._slots
         if finished:
             copy_last(self._folder)
+            self._folder.candidate.unlink(missing_ok=True)
         now = time.monotonic()
         self._checkpoints += 1
         self._checkpoints_s += now - began
         self._next_checkpoint = now + pause_s(self._every_s, now - began)
+
+    def _checkpoint(self) -> Arrays:
+        """Bring the tables and ``progress`` to the present; returns the state of the missions."""
+        self.episodes_csv.flush()
+        self.progress_csv.flush()
+        self.progress = self._present()
+        state = self._env.missions_state()
+        return state | {"episode_starts": np.asarray(self.model._last_episode_starts, dtype=np.int64)}
 
     def write_meta(self) -> None:
         """Write ``meta.json``."""

@@ -73,7 +73,9 @@ class Start:
         published = {"slots": load_config(own["name"]).slots}
         tunes = self.folder.is_released and not isinstance(scenario, Family) and self.folder.fine_tuning.is_file()
         fine_tuning = read_yaml_mapping(self.folder.fine_tuning) if tunes else {}
-        algorithm = changed_config(own | published | fine_tuning, changes).with_enough_validations(changes)
+        algorithm = changed_config(own | published | fine_tuning | {"candidates": 1}, changes).with_enough_validations(
+            changes
+        )
         family = scenario if isinstance(scenario, Family) else None
         base = scenario.base if isinstance(scenario, Family) else scenario
         self.config.check_fits(base, str(self.folder))
@@ -125,7 +127,7 @@ def forked(folder: RunFolder, slots: int, seed: int) -> RunConfig:
         if getattr(config, name) is not None:
             raise InputError(f"--fork {folder}: {why}, which cannot be followed")
     fork = Fork(seed=config.seed, slots=slots)
-    fork.check(seed, config.algorithm.slots)
+    fork.check(seed, config.algorithm)
     return RunConfig(config.scenario, config.algorithm, seed, fork=fork)
 
 

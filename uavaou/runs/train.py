@@ -17,7 +17,8 @@ from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import training_seeds
 from uavaou.files import refuse_links, replacing, writing
-from uavaou.runs.checkpoint import copy_last, load_training
+from uavaou.runs.candidates import CandidateEnded, follow_schedules
+from uavaou.runs.checkpoint import copy_last, restore
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.interrupt import Interrupted, Interrupts
@@ -83,6 +84,9 @@ def train(
     source = None if start is None else Start.at(start)
     if source is not None and config.start is None:
         config = replace(config, start=source.digest)
+    candidates = config.algorithm.candidates
+    if candidates > 1 and (config.start or config.fork):
+        raise InputError(f"algorithm.candidates = {candidates}: expected 1 for a training that follows on another")
     stages = config.stages()
     held = folder.read_config() if resume and folder.exists() else None
     for stage in stages[stages.index(held) if held in stages else 0 :]:
@@ -124,7 +128,7 @@ def _train(
             # With worker processes, the CPU time of this one says little: it waits for those that step the missions.
             cpu_s = 0.0 if algorithm.processes == 1 else None
             started = TrainingProgress(next_evaluation=config.evaluate_every_slots, cpu_s=cpu_s)
-            progress = _restore(folder, model, env, config) if resuming else started
+            progress = restore(folder, model, env, config) if resuming else started
             return _learn(config, folder, model, env, progress, checkpoint_every_s, display, after_update)
     finally:
         env.close()
@@ -195,27 +199,12 @@ def _going_on(folder: RunFolder) -> str:
     return command_line(["uavaou", "train", "--continue", folder.path, "--resume"])
 
 
-def _restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> TrainingProgress:
-    progress, missions = load_training(folder, model, config)
-    model.num_timesteps = progress.slots * env.row_layout.uavs
-    model._n_updates = progress.updates
-    model._current_progress_remaining = progress.budget_left
-    starts = missions.pop("episode_starts", None)
-    if starts is None or starts.shape != (env.num_envs,):
-        raise InputError(f"{folder.last}: does not hold the missions in progress")
-    model._last_episode_starts = starts.astype(bool)
-    assert model.observation_space.shape is not None
-    model._last_obs = env.load_missions_state(missions)[:, : model.observation_space.shape[0]]  # LocalRows or all
-    return progress
-
-
 def _learn(
     config: RunConfig, folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: TrainingProgress,
     checkpoint_every_s: float, display: Display | None, after_update: AfterUpdate | None,
 ) -> Outcome:  # fmt: skip
     rows = env.row_layout.uavs  # of a mission
-    remaining = config.slots - progress.slots
-    if remaining <= 0:  # resumed, but finished before
+    if progress.slots >= config.slots:  # resumed, but finished before
         with writing(folder.path):
             copy_last(folder)
         if not folder.finished:  # killed between its last checkpoint and its meta.json
@@ -232,9 +221,17 @@ def _learn(
             recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s, after_update)
             writers: list[KVWriter] = [recorder.progress_csv, TensorBoardOutputFormat(str(folder.path / "tensorboard"))]
         model.set_logger(Logger(str(folder.path), writers))
+        learning_starts = getattr(model, "learning_starts", 0)  # rows
         try:
-            # No logging by SB3: it would write a row before the update that the row is about.
-            model.learn(remaining * rows, callback=recorder, log_interval=sys.maxsize, reset_num_timesteps=False)
+            while True:
+                follow_schedules(model, config, recorder.progress, rows, learning_starts)
+                left = (config.slots - recorder.progress.slots) * rows
+                try:
+                    # No logging by SB3: it would write a row before the update that the row is about.
+                    model.learn(left, callback=recorder, log_interval=sys.maxsize, reset_num_timesteps=False)
+                    break
+                except CandidateEnded:
+                    pass
         except Interrupted:
             pass
         except (EOFError, ConnectionError) as error:

@@ -312,7 +312,7 @@ def _check(study: Study, source: str) -> None:
     for name, fork in study.forks.items():
         for seed in study.seeds:
             try:
-                fork.check(seed, study.variants[name].slots)
+                fork.check(seed, study.variants[name])
             except InputError as error:
                 raise InputError(f"{source}: variants.{short(name)}: {error}") from None
     planned = ["bound: true"] if study.bound else []
