@@ -18,7 +18,7 @@ from uavaou.runs.candidates import next_candidate
 from uavaou.runs.checkpoint_header import read_header
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.recorder import Recorder
-from uavaou.runs.start import Start, forked
+from uavaou.runs.start import Start, continued, forked
 from uavaou.runs.train import train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -102,6 +102,16 @@ def test_a_candidate_that_ended_is_not_lost_to_a_kill(tmp_path: Path, turn: int)
         train(three_candidates(), killed, checkpoint_every_s=1e9)  # between the candidate's file and the checkpoint
     every_update(three_candidates(), killed, resume=True)
     assert_ends_as(killed, whole)
+
+
+def test_it_goes_on_to_a_larger_budget_also_where_that_came_before_the_last_candidate(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+    config = small(slots=144, evaluate_every_slots=960, candidates=3, candidate_fraction=0.3)  # in updates of 48
+    every_update(config, folder)
+    assert read_header(ArrayFile(folder.last)).candidates == 2
+    every_update(continued(folder, 240, resume=False), folder, resume=True)
+    after = read_header(ArrayFile(folder.last))
+    assert (after.slots, after.candidates, after.budget_left) == (240, 2, 0.0)
 
 
 def test_settings_that_leave_nothing_to_go_on_with_are_refused() -> None:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import make_model
 from uavaou.evaluation.seeds import training_seeds
 from uavaou.runs.checkpoint import restore, restore_candidate, save_training
@@ -27,9 +26,10 @@ class CandidateEnded(Exception):  # noqa: N818  # an event, not an error
     """Ends SB3's loop where another candidate is to learn."""
 
 
-def candidate_ends(algorithm: AlgorithmConfig, progress: TrainingProgress, slots: int) -> bool:
+def candidate_ends(config: RunConfig, progress: TrainingProgress, slots: int) -> bool:
     """Whether the candidate that learns has, at ``slots`` of all missions together, had its part of the budget."""
-    if algorithm.candidates == 1 or progress.candidates == algorithm.candidates:
+    algorithm = config.algorithm
+    if config.budgets or algorithm.candidates == 1 or progress.candidates == algorithm.candidates:
         return False
     return slots - progress.set_aside >= algorithm.candidate_slots
 

@@ -166,7 +166,7 @@ class Recorder(BaseCallback):
         if self._display is not None:
             self._display.update(self._slots, self._mean_aou_s)
         scores: dict[str, float] = {}
-        ended = not finished and candidate_ends(self._config.algorithm, self.progress, self._slots)
+        ended = not finished and candidate_ends(self._config, self.progress, self._slots)
         if finished or ended or self._slots >= self.progress.next_evaluation:
             scores = {action: self._validate(action) for action in ("greedy", "sample")}
         self._log(bool(scores))
