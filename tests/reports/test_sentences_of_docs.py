@@ -342,6 +342,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "Made with": "versions: the run's meta.json",
     "the exit code is 130 or 143": "tests/cli/test_interrupted.py",
     "The exit code is then 1": "tests/studies/test_runner.py",
+    "with `behind: 0.1`": "the example above it",
     "Fisher's test over all": "tests/studies/test_structure.py",
     "VDN and QMIX send their replay": "docs/reliability.md",
     "the lease time": "a property of NFSv4",

@@ -44,6 +44,19 @@ def test_stated_devices_take_the_place_of_the_commonest() -> None:
     assert {key.variant for key, one in found.items() if one.strays} == {"vdn"}
 
 
+def test_trainings_far_behind_the_best_of_their_algorithm_stray_where_that_is_stated() -> None:
+    results = read_study(RESULTS / "paper")
+    means = {key: float(results.cell(key, "mean_aou_slots")) for key in results.parts if key.seed is not None}
+    for behind in (0.05, 0.1):
+        results.settings["behind"] = behind
+        least = {name: min(mean for key, mean in means.items() if key.variant == name) for name in results.algorithms}
+        far = {key for key, mean in means.items() if mean > (1 + behind) * least[key.variant]}
+        found = structures(results)
+        assert {key for key, one in found.items() if one.strays} == far
+        assert PartKey("mappo", "paper", 1) in far
+        assert PartKey("qmix", "paper", 1) not in far
+
+
 def test_only_devices_of_the_shortest_period_are_held() -> None:
     devices: dict[str, Any] = {
         "device": np.arange(4),
@@ -74,6 +87,8 @@ def test_a_comparison_is_decided_when_nothing_can_change_it() -> None:
         ("until_decided: true\nreference: mappo", "needs held and reference"),
         ("until_decided: true\nheld: [22]", "needs held and reference"),
         ("held: []", "held"),
+        ("held: [22]\nbehind: 0.1", "behind = 0.1: beside held"),
+        ("behind: 0", "behind"),
     ],
 )
 def test_a_rule_that_cannot_decide_is_refused(tmp_path: Path, lines: str, words: str) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from uavaou.csv_tables import write_csv
 from uavaou.reports.markdown import rounded, table
@@ -62,14 +63,13 @@ def _cells(row: list[str]) -> tuple[str, ...]:
 
 
 def _strays(results: StudyResults, found: Mapping[PartKey, Structure]) -> list[str]:
-    """How many trainings of each variant stray; where the study states from what, also the test of Fisher.
+    """How many trainings of each variant stray; where the study states what that is, also the test of Fisher.
 
     Without such a statement the trainings themselves say what is common, and a test on that would be circular.
     """
     variants = list(results.algorithms)
     own = results.reference or next(iter(variants), "")
-    stated = results.settings.get("held")
-    tested = isinstance(stated, list)
+    tested = bool(results.settings.get("held") or results.settings.get("behind"))
     parts = []
     for scenario in results.scenarios:
         counts = {name: strays(found, name, scenario) for name in variants}
@@ -81,10 +81,17 @@ def _strays(results: StudyResults, found: Mapping[PartKey, Structure]) -> list[s
             rows.append((f"`{name}`", f"{strayed} of {of}", p)[: 3 if tested else 2])
         parts += [f"### {scenario}"] if len(results.scenarios) > 1 else []
         parts.append(table(("policy", "trainings that stray", f"p against `{own}`")[: 3 if tested else 2], rows))
-    return [f"## Strays\n\n{_strays_note(stated)}", *parts] if parts else []
+    return [f"## Strays\n\n{_strays_note(results.settings)}", *parts] if parts else []
 
 
-def _strays_note(stated: object) -> str:
+def _strays_note(settings: Mapping[str, Any]) -> str:
+    stated, behind = settings.get("held"), settings.get("behind")
+    test = "p: Fisher's exact test, two-sided; each stands by itself."
+    if behind:
+        return (
+            f"A training strays where its mean AoU is more than {float(behind):.0%} above the lowest of its algorithm, "
+            f"of whichever variant, on the scenario. {test}"
+        )
     if not isinstance(stated, list):
         return (
             "A training strays where it does not hold the commonest set of held devices on its scenario. The trainings "
@@ -92,7 +99,4 @@ def _strays_note(stated: object) -> str:
             "before the runs, there is one."
         )
     devices = "device" if len(stated) == 1 else "all of the devices"
-    return (
-        f"A training strays where it does not hold {devices} {', '.join(map(str, stated))}. p: Fisher's exact test, "
-        "two-sided; each stands by itself."
-    )
+    return f"A training strays where it does not hold {devices} {', '.join(map(str, stated))}. {test}"

@@ -3,8 +3,9 @@
 A device is **held** where it has the shortest update period of its layout and is collected in at least ``HELD`` of the
 slots in which it has a new update: some UAV is then within range of it in nearly every such slot. The held devices are
 counted from the communications of the final evaluation, ``devices.csv``. A training **strays** where it does not hold
-the devices that the study states as ``held``; where the study states none, where it does not hold the commonest set of
-held devices among the trainings on the scenario that hold any.
+the devices that the study states as ``held``; or where its mean AoU is more than the fraction that the study states as
+``behind`` above the lowest of its algorithm on the scenario. A study that states neither calls strays those that do not
+hold the commonest set of held devices among the trainings on the scenario that hold any.
 """
 
 from collections import Counter
@@ -42,7 +43,7 @@ def held_devices(devices: Table, slots: int) -> tuple[int, ...]:
 def structures(results: StudyResults) -> dict[PartKey, Structure]:
     """The structure of each training whose layout is fixed, by scenario and then in the tables' order."""
     found: dict[PartKey, Structure] = {}
-    stated = results.settings.get("held")
+    stated, behind = results.settings.get("held"), results.settings.get("behind")
     for scenario, fields in results.scenarios.items():
         keys = [key for key, rows in results.parts.items() if key.seed is not None and "devices" in rows]
         held = {
@@ -51,12 +52,26 @@ def structures(results: StudyResults) -> dict[PartKey, Structure]:
         }  # fmt: skip
         if isinstance(stated, list):
             found |= {key: Structure(own, not set(stated) <= set(own)) for key, own in held.items()}
+        elif isinstance(behind, float | int):
+            found |= {key: Structure(own, _ratio(results, key) > 1 + behind) for key, own in held.items()}
         elif held:
             # Of equally common ones, the one of more devices.
             holding = Counter(own for own in held.values() if own)
             commonest = max(holding.items(), key=lambda pair: (pair[1], len(pair[0])), default=((), 0))[0]
             found |= {key: Structure(own, own != commonest) for key, own in held.items()}
     return found
+
+
+def _ratio(results: StudyResults, key: PartKey) -> float:
+    """The mean AoU of a training, in units of the lowest of its algorithm on the scenario."""
+    algorithms = results.algorithms
+    means = {
+        other: float(results.cell(other, "mean_aou_slots"))
+        for other in results.parts
+        if other.seed is not None and other.scenario == key.scenario
+    }
+    same = [mean for other, mean in means.items() if algorithms[other.variant] == algorithms[key.variant]]
+    return means[key] / min(same)
 
 
 def strays(found: Mapping[PartKey, Structure], variant: str, scenario: str) -> tuple[int, int]:

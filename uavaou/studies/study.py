@@ -84,6 +84,7 @@ class StudySettings(BaseModel, frozen=True, extra="forbid"):
     reference: StrictStr | None = None  # the variant that the report compares the others with; None: no such table
     claims: StrictBool = False  # whether the report judges the paper's claims
     held: Annotated[list[Annotated[Whole, Field(ge=0)]] | None, Field(min_length=1)] = None  # devices; see structure.py
+    behind: Positive | None = None  # by how much of the best training's mean AoU another one strays; see structure.py
     until_decided: StrictBool = False  # whether seeds are left out that cannot change a verdict on strays
 
 
@@ -228,6 +229,7 @@ class Study(StudySettings):
             "against": self.against,
             **({"forks": {name: fork.model_dump() for name, fork in self.forks.items()}} if self.forks else {}),
             **({"held": self.held} if self.held else {}),
+            **({"behind": self.behind} if self.behind else {}),
             **({"until_decided": True} if self.until_decided else {}),
             "variants": {name: config.model_dump(mode="json") for name, config in self.variants.items()},
             "scenarios": {name: scenario.to_dict() for name, scenario in self.scenarios.items()},
@@ -334,6 +336,8 @@ def _check_structure(study: Study, source: str) -> None:
         if max(study.held or ()) >= scenario.devices or scenario.layout == "resample":
             expected = f"expected devices from 0 to {scenario.devices - 1} of a fixed layout, on scenario '{name}'"
             raise InputError(f"{source}: held = {study.held}: {expected}")
+    if study.held and study.behind:
+        raise InputError(f"{source}: behind = {study.behind}: beside held, which says what strays: leave one out")
     if study.until_decided and not (study.held and study.reference):
         raise InputError(f"{source}: until_decided = True: needs held and reference, which say what is decided")
 
