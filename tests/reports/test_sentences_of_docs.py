@@ -86,6 +86,12 @@ def learned(name: str) -> Callable[[str], bool]:
     return lambda text: states(text, f"{rate:,.0f}", f"{rate / 3 / 128:.0f} gradient steps")
 
 
+def seeds_apart(text: str) -> bool:
+    """Where trainings of the same settings end, against ``runs.csv``."""
+    means = study("strays-fresh").table("runs", "frozen", "layout 7")["mean_aou_slots"]
+    return states(text, "five trainings", f"{means.min():.1f}", f"{means.max():.1f}") and len(means) == 5
+
+
 def structured(text: str) -> bool:
     found = rows("studies/paper/trainings.csv")
     learners = [row for row in found if row["variant"] != "vdn"]
@@ -268,6 +274,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "What it lacks is a value of the state": with_a_value,
     "used 144 to 246": used_seconds,
     "Equal CPU seconds are not equal slots": searched_slots,
+    "It differs from seed to seed": seeds_apart,
     "A device is held if": lambda text: f"{100 * HELD:.0f} %" in text,
     "hold the devices 17, 18 and 22": structured,
     "QMIX reaches 38.4 slots": of_paper,
