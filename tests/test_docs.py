@@ -6,6 +6,7 @@ import re
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 import typer.main
@@ -31,7 +32,7 @@ def test_links_resolve(page: Path) -> None:
         if target.startswith("https://"):
             continue
         path, _, anchor = target.partition("#")
-        found = page.parent / path if path else page
+        found = page.parent / unquote(path) if path else page
         assert found.exists(), target
         assert not anchor or anchor in anchors(found), target
 

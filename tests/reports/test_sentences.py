@@ -21,6 +21,7 @@ import yaml
 from scipy.special import stdtrit
 from scipy.stats import mannwhitneyu
 
+from tests.reports import strayed
 from uavaou.reports.scores import study_scores
 from uavaou.statistics import ratio_of_trainings
 from uavaou.studies.results import StudyResults, read_study
@@ -296,6 +297,11 @@ CHECKED: dict[str, Callable[[str], bool]] = {
         and flown("uavs", "training_slots") == flown("devices", "training_slots") == {"1000000"}
     ),
     "on 64 unseen layouts": lambda _: len(any_map("unseen-layouts")) == 64,
+    "in which [four candidates] begin": lambda _: trainings("strays-fresh", 8, 5, 3_000_000),
+    "With one candidate 5 of 20": strayed.stray_counts,
+    "cost the best of them three eighths": strayed.candidates_cost,
+    "Over the four layouts the geometric": strayed.over_layouts,
+    "which learns nothing, has a lower": strayed.rule_ahead,
     "14 settings of 30 CPU seconds": lambda _: searched("quickstart", 14, 30),
     "played 240 CPU seconds": lambda _: searched("paper+layout_seed=1", 4, 240),
 }
@@ -313,6 +319,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "Nothing was chosen on layouts 3, 4 and 5": "what was searched: results/tuning",
     "two cores of an AMD EPYC (Zen 5)": "the machine: results/benchmarks/machine.json",
     "On an AMD EPYC (Zen 4)": "another machine: docs/speed.md",
+    "A training strays here if": "the study's file: behind",
     "on 64 of the 100 missions": "the option of the command that wrote planners/gap.csv",
 }
 
@@ -321,6 +328,13 @@ def test_the_table_of_the_earlier_learner_is_that_of_its_study() -> None:
     page = (RESULTS / "README.md").read_text(encoding="utf-8")
     for row in earlier():
         assert f" | {row} |" in page
+
+
+def test_the_table_of_strays_is_that_of_its_study() -> None:
+    page = (RESULTS / "README.md").read_text(encoding="utf-8")
+    assert len(strayed.layouts()) == 4
+    for layout, one in strayed.layouts().items():
+        assert f"| {layout} | {' | '.join(one['row'])} |" in page
 
 
 def test_every_sentence_with_a_number_is_in_a_list_and_every_entry_is_in_a_sentence() -> None:

@@ -15,6 +15,7 @@ from statistics import fmean
 import numpy as np
 import pytest
 
+from tests.reports.strayed import states
 from tests.reports.test_sentences import ROOT, means, rows, sentences, study, trainings, tuned_rule
 from uavaou.plain_yaml import parse_yaml
 from uavaou.planners import decomposition, fleet, rolling, tuned
@@ -31,11 +32,6 @@ SENTENCES += [sentence for card in CARDS for sentence in sentences(card, stop="<
 GAP = {(row["scenario"], row["policy"]): float(row["mean_aou_slots"]) for row in rows("planners/gap.csv")}
 ANY_MAP, ANY_MAP_LOCAL = "family-many/*", "family-any/*from=226336cd484c*"  # the last stage of each
 LAYOUTS = [f"paper+layout_seed={seed}" for seed in range(6)]
-
-
-def states(text: str, *numbers: str) -> bool:
-    """Whether a sentence states the numbers in this order."""
-    return re.search(r".*\b".join(map(re.escape, numbers)), text) is not None
 
 
 def of_geometric(policy: str, table: str) -> float:

@@ -29,9 +29,9 @@ def small(algorithm: str = "mappo", **changes: Any) -> RunConfig:
     return RunConfig(Scenario.load("tiny"), load_config(algorithm, SMALL | own | changes), seed=0)
 
 
-def three_candidates(algorithm: str = "mappo") -> RunConfig:
+def three_candidates(algorithm: str = "mappo", **changes: Any) -> RunConfig:
     """Three candidates of 96 slots each; 192 slots are left for the best."""
-    return small(algorithm, slots=480, evaluate_every_slots=960, candidates=3, candidate_fraction=0.2)
+    return small(algorithm, slots=480, evaluate_every_slots=960, candidates=3, candidate_fraction=0.2, **changes)
 
 
 def every_update(config: RunConfig, folder: RunFolder, **options: Any) -> Any:

@@ -100,7 +100,7 @@ def assert_as_untouched(folder: RunFolder, whole: RunFolder) -> None:
     assert folder.finished
     assert folder.previous.read_bytes() == folder.last.read_bytes()
     left = {path.name for path in folder.path.rglob("*") if path.is_file()}
-    assert not {name for name in left if "partial" in name or "newest" in name or "damaged" in name}
+    assert not {name for name in left if any(word in name for word in ("partial", "newest", "damaged", "candidate"))}
     assert folder.config.read_bytes() == whole.config.read_bytes()
 
 

@@ -57,6 +57,19 @@ def test_trainings_far_behind_the_best_of_their_algorithm_stray_where_that_is_st
         assert PartKey("qmix", "paper", 1) not in far
 
 
+def test_variants_of_one_algorithm_are_measured_by_the_best_of_all() -> None:
+    results = read_study(RESULTS / "strays-fresh")
+    mean = {key: float(results.cell(key, "mean_aou_slots")) for key in results.parts if key.seed is not None}
+    least = {place: min(one for key, one in mean.items() if key.scenario == place) for place in results.scenarios}
+    found = structures(results)
+    assert {key for key, one in found.items() if one.strays} == {
+        key for key, one in mean.items() if one > 1.1 * least[key.scenario]
+    }
+    four = PartKey("four candidates", "layout 9", 4)
+    assert found[four].strays
+    assert mean[four] < 1.1 * min(one for key, one in mean.items() if key[:2] == four[:2])  # but within 10 % of its own
+
+
 def test_only_devices_of_the_shortest_period_are_held() -> None:
     devices: dict[str, Any] = {
         "device": np.arange(4),
@@ -95,4 +108,12 @@ def test_a_rule_that_cannot_decide_is_refused(tmp_path: Path, lines: str, words:
     file = tmp_path / "mine.yaml"
     file.write_text(f"seeds: 2\nscenarios: [paper]\nvariants: {{mappo: {{}}, ippo: {{}}}}\n{lines}\n")
     with pytest.raises(InputError, match=words):
+        Study.load(file)
+
+
+def test_no_training_is_measured_by_the_best_where_layouts_change(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    place = "{scenario: paper, set: {layout: resample}, name: drawn}"
+    file.write_text(f"seeds: 2\nscenarios: [{place}]\nvariants: {{mappo: {{}}}}\nbehind: 0.1\n")
+    with pytest.raises(InputError, match="expected scenarios of fixed layouts alone"):
         Study.load(file)

@@ -65,11 +65,14 @@ def _cells(row: list[str]) -> tuple[str, ...]:
 def _strays(results: StudyResults, found: Mapping[PartKey, Structure]) -> list[str]:
     """How many trainings of each variant stray; where the study states what that is, also the test of Fisher.
 
-    Without such a statement the trainings themselves say what is common, and a test on that would be circular.
+    Without such a statement the trainings themselves say what is common, and a test on that would be circular. With
+    ``behind`` the best of all of them is the measure: of variants of one algorithm, none is favoured by that.
     """
     variants = list(results.algorithms)
     own = results.reference or next(iter(variants), "")
-    tested = bool(results.settings.get("held") or results.settings.get("behind"))
+    behind = results.settings.get("behind")
+    tested = bool(results.settings.get("held") or behind)
+    incomparable = {name for name in variants if behind and results.algorithms[name] != results.algorithms[own]}
     parts = []
     for scenario in results.scenarios:
         counts = {name: strays(found, name, scenario) for name in variants}
@@ -77,7 +80,7 @@ def _strays(results: StudyResults, found: Mapping[PartKey, Structure]) -> list[s
             continue
         rows = []
         for name, (strayed, of) in counts.items():
-            p = "" if name == own or not of else rounded(fisher(strayed, of, *counts[own]))
+            p = "" if name == own or not of or name in incomparable else rounded(fisher(strayed, of, *counts[own]))
             rows.append((f"`{name}`", f"{strayed} of {of}", p)[: 3 if tested else 2])
         parts += [f"### {scenario}"] if len(results.scenarios) > 1 else []
         parts.append(table(("policy", "trainings that stray", f"p against `{own}`")[: 3 if tested else 2], rows))
@@ -89,8 +92,8 @@ def _strays_note(settings: Mapping[str, Any]) -> str:
     test = "p: Fisher's exact test, two-sided; each stands by itself."
     if behind:
         return (
-            f"A training strays where its mean AoU is more than {float(behind):.0%} above the lowest of its algorithm, "
-            f"of whichever variant, on the scenario. {test}"
+            f"A training strays where its mean AoU is more than {100 * float(behind):g}% above the lowest of its "
+            f"algorithm, of whichever variant, on the scenario; so this may change while trainings are added. {test}"
         )
     if not isinstance(stated, list):
         return (

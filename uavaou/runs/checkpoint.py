@@ -76,9 +76,12 @@ def _training_arrays(model: BaseAlgorithm, world: Arrays, replay: bool) -> Array
 def copy_last(folder: RunFolder) -> None:
     """Replace the previous checkpoint of a finished training, which has a replay, by a copy of the last, if any.
 
+    That of the best candidate is deleted.
+
     Raises:
         OSError: it cannot be written; what was there before is untouched.
     """
+    folder.candidate.unlink(missing_ok=True)
     if not folder.last.exists() or (folder.previous.exists() and cmp(folder.last, folder.previous, shallow=False)):
         return
     with folder.last.open("rb") as last, replacing(folder.previous, "wb") as previous:
@@ -100,7 +103,7 @@ def load_training(folder: RunFolder, model: BaseAlgorithm, config: RunConfig) ->
         try:
             file = ArrayFile(path)
             progress = read_header(file, oldest=SCHEMA)
-            longest = max(_longest_rollout(model), config.scenario.slots) * config.algorithm.missions
+            longest = max(longest_rollout(model), config.scenario.slots) * config.algorithm.missions
             if wrong := progress.fits(config, longest):
                 value = short(getattr(progress, wrong))
                 raise InputError(f"{path}: damaged: {wrong} = {value} cannot be at slot {progress.slots:,} of this run")
@@ -123,28 +126,43 @@ def restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config:
         InputError: no checkpoint can be used.
     """
     progress, missions = load_training(folder, model, config)
-    _go_on(model, env, progress, missions, folder.last)
+    _resume(model, env, progress, missions, folder.last)
     return progress
 
 
+def open_candidate(folder: RunFolder, progress: TrainingProgress) -> tuple[ArrayFile, TrainingProgress]:
+    """Open the file of the best candidate so far, of a training at ``progress``; returns also where that one ended.
+
+    Raises:
+        InputError: it is lost, damaged, or another one.
+    """
+    remedy = "restore it, or train anew in another folder"
+    if not folder.candidate.is_file():
+        raise InputError(f"{folder.candidate}: the best candidate so far is missing: {remedy}")
+    file = ArrayFile(folder.candidate)
+    ended = read_header(file, oldest=SCHEMA)
+    if ended.candidate_score != progress.candidate_score:
+        raise InputError(f"{folder.candidate}: is not the best candidate of this training: {remedy}")
+    return file, ended
+
+
 def restore_candidate(
-    folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: TrainingProgress
+    folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig, progress: TrainingProgress
 ) -> TrainingProgress:
     """Let the best candidate go on where it ended, after all have; ``progress`` is that of the whole training.
 
     Raises:
-        InputError: its file is lost or damaged.
+        InputError: its file is lost, damaged, or another one.
     """
-    file = ArrayFile(folder.candidate)
-    ended = read_header(file, oldest=SCHEMA)
-    own = ended.slots - ended.set_aside
-    changes = {"set_aside": progress.slots - own, "budget_left": ended.budget_left, "recent": ended.recent}
-    progress = progress.model_copy(update=changes)
-    _go_on(model, env, progress, _load_state(file, model), folder.candidate)
+    file, ended = open_candidate(folder, progress)
+    own = {name: getattr(ended, name) for name in ("updates", "budget_left", "recent")}
+    own |= {"candidate": config.algorithm.candidates, "set_aside": progress.slots - (ended.slots - ended.set_aside)}
+    progress = progress.model_copy(update=own)
+    _resume(model, env, progress, _load_state(file, model), file.path)
     return progress
 
 
-def _go_on(model: BaseAlgorithm, env: MissionVecEnv, progress: TrainingProgress, missions: Arrays, path: Path) -> None:
+def _resume(model: BaseAlgorithm, env: MissionVecEnv, progress: TrainingProgress, missions: Arrays, path: Path) -> None:
     """Let the missions in progress of the checkpoint at ``path`` go on, and the counts of the learner."""
     model.num_timesteps = progress.slots * env.row_layout.uavs
     model._n_updates = progress.updates
@@ -157,7 +175,7 @@ def _go_on(model: BaseAlgorithm, env: MissionVecEnv, progress: TrainingProgress,
     model._last_obs = env.load_missions_state(missions)[:, : model.observation_space.shape[0]]  # LocalRows or all
 
 
-def _longest_rollout(model: BaseAlgorithm) -> int:
+def longest_rollout(model: BaseAlgorithm) -> int:
     """Steps of the environment from one update to the next."""
     often = getattr(model, "train_freq", 1)
     return int(getattr(model, "n_steps", 0) or getattr(often, "frequency", often))

@@ -38,9 +38,9 @@ class TrainingProgress(BaseModel):
     progress_sha256: str | None = None
     figures: dict[str, StrictInt | StrictFloat] = {}  # logged since; may be nan
     budget_left: Number = 1.0  # the argument of SB3's schedules, from 1 to 0
-    candidates: Count = 0  # that have ended, of a training of several
-    candidate_score: NonNegative | None = None  # the lowest of those, mean AoU on the validation missions, s
-    set_aside: Count = 0  # slots that candidates had other than the one that learns
+    candidate: Count = 0  # that learns, of several; as many as there are: the best of all goes on
+    candidate_score: NonNegative | None = None  # the lowest of those that ended, on the validation missions, s
+    set_aside: Count = 0  # slots that the others had
     cpu_s: NonNegative | None = None  # of the training processes so far, playing and learning; None: not measured
 
     def fits(self, config: RunConfig, longest: int) -> str | None:
@@ -61,11 +61,10 @@ class TrainingProgress(BaseModel):
         agree = {
             "slots": slots % together == 0 and slots < config.slots + longest,
             "agent_steps": self.agent_steps is None or slots * uavs[0] <= steps <= slots * uavs[1],
-            "candidates": self.candidates <= algorithm.candidates
-            and (self.candidates == 0 or algorithm.candidates > 1),
-            "candidate_score": (self.candidate_score is None) == (self.candidates == 0),
-            "set_aside": self.set_aside <= slots if self.candidates else self.set_aside == 0,
-            "missions": self.missions <= slots if family or self.candidates else self.missions == ended,
+            "candidate": self.candidate <= algorithm.candidates and (self.candidate == 0 or algorithm.candidates > 1),
+            "candidate_score": self.candidate_score is not None or self.candidate == 0,
+            "set_aside": self.set_aside <= slots if self.candidate else self.set_aside == 0,
+            "missions": self.missions <= slots if family or self.candidate else self.missions == ended,
             "recent": len(self.recent) <= min(self.missions, together),
             "next_evaluation": self.next_evaluation in {(slots // one + 1) * one for one in intervals},
             "best_score": self.best_score is not None or slots < every,

@@ -16,8 +16,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
 from uavaou.files import write_json
-from uavaou.runs.candidates import CandidateEnded, candidate_ends, next_candidate
-from uavaou.runs.checkpoint import Arrays, copy_last, save_candidate, save_policy, save_training
+from uavaou.runs.candidates import CandidateEnded, candidate_ends
+from uavaou.runs.checkpoint import Arrays, copy_last, open_candidate, save_candidate, save_policy, save_training
 from uavaou.runs.checkpoint_header import ROWS_AN_EVALUATION, TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
 from uavaou.runs.fork import part
@@ -166,7 +166,7 @@ class Recorder(BaseCallback):
         if self._display is not None:
             self._display.update(self._slots, self._mean_aou_s)
         scores: dict[str, float] = {}
-        ended = not finished and candidate_ends(self._config, self.progress, self._slots)
+        ended = candidate_ends(self._config, self.progress, self._slots)
         if finished or ended or self._slots >= self.progress.next_evaluation:
             scores = {action: self._validate(action) for action in ("greedy", "sample")}
         self._log(bool(scores))
@@ -191,22 +191,16 @@ class Recorder(BaseCallback):
             raise CandidateEnded
 
     def _end_candidate(self, score: float) -> None:
-        """Keep the candidate that has ended if it is the best so far, by its ``score``, and turn to the next."""
-        best, number, of = (
-            self.progress.candidate_score,
-            self.progress.candidates + 1,
-            self._config.algorithm.candidates,
-        )
-        better = best is None or score < best
-        self._advance(candidates=number, candidate_score=score if better else best)
-        state = self._checkpoint()
-        if better:
+        """Keep the candidate that has ended if it is the best so far, by its ``score``, mean AoU in s."""
+        best, number, of = self.progress.candidate_score, self.progress.candidate + 1, self._config.algorithm.candidates
+        if best is None or score < best:
+            self._advance(candidate_score=score)
+            state = self._checkpoint()
             save_candidate(self._folder, self.model, self.progress, state)
-        self.progress = next_candidate(self._folder, self.model, self._env, self._config, self.progress)
-        self._recent = deque(self.progress.recent, self._recent.maxlen)
         self._save(finished=False)
         if self._display is not None:
-            then = f"candidate {number + 1} begins" if number < of else "the best goes on"
+            best_number = open_candidate(self._folder, self.progress)[1].candidate + 1
+            then = f"candidate {number + 1} begins" if number < of else f"candidate {best_number} goes on"
             self._display.message(f"{self._slots:,} slots: candidate {number} of {of} has had its part; {then}")
 
     def _stop(self) -> None:
@@ -283,7 +277,6 @@ class Recorder(BaseCallback):
         self._saved = self._slots
         if finished:
             copy_last(self._folder)
-            self._folder.candidate.unlink(missing_ok=True)
         now = time.monotonic()
         self._checkpoints += 1
         self._checkpoints_s += now - began

@@ -17,8 +17,8 @@ from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import training_seeds
 from uavaou.files import refuse_links, replacing, writing
-from uavaou.runs.candidates import CandidateEnded, follow_schedules
-from uavaou.runs.checkpoint import copy_last, restore
+from uavaou.runs.candidates import CandidateEnded, candidate_ends, check_parts, next_candidate
+from uavaou.runs.checkpoint import copy_last, longest_rollout, open_candidate, restore
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.interrupt import Interrupted, Interrupts
@@ -90,7 +90,10 @@ def train(
     stages = config.stages()
     held = folder.read_config() if resume and folder.exists() else None
     for stage in stages[stages.index(held) if held in stages else 0 :]:
-        outcome = _train(stage, folder, source, device, backend, resume, checkpoint_every_s, display, after_update)
+        arguments = folder, source, device, backend
+        outcome = _train(stage, *arguments, resume, checkpoint_every_s, display, after_update)
+        while outcome.stopped_by is None and candidate_ends(stage, outcome.progress, outcome.progress.slots):
+            outcome = _train(stage, *arguments, True, checkpoint_every_s, display, after_update)
         if outcome.stopped_by is not None:
             break
         resume = True
@@ -117,6 +120,7 @@ def _train(
         raise InputError(f"not enough memory for missions = {algorithm.missions}: lower it") from error
     try:
         model = _make_learner(config, env, device)
+        check_parts(config, longest_rollout(model) * algorithm.missions)
         if not resuming and config.start is not None:
             _begin_with(config.start, source, model)
         with one_writer(folder.path):
@@ -129,6 +133,10 @@ def _train(
             cpu_s = 0.0 if algorithm.processes == 1 else None
             started = TrainingProgress(next_evaluation=config.evaluate_every_slots, cpu_s=cpu_s)
             progress = restore(folder, model, env, config) if resuming else started
+            if progress.candidate_score is not None and progress.candidate < algorithm.candidates:
+                open_candidate(folder, progress)
+            if candidate_ends(config, progress, progress.slots):
+                model, progress = next_candidate(folder, model, env, config, progress)
             return _learn(config, folder, model, env, progress, checkpoint_every_s, display, after_update)
     finally:
         env.close()
@@ -204,14 +212,14 @@ def _learn(
     checkpoint_every_s: float, display: Display | None, after_update: AfterUpdate | None,
 ) -> Outcome:  # fmt: skip
     rows = env.row_layout.uavs  # of a mission
-    if progress.slots >= config.slots:  # resumed, but finished before
+    remaining = config.slots - progress.slots
+    if remaining <= 0:  # resumed, but finished before
         with writing(folder.path):
             copy_last(folder)
         if not folder.finished:  # killed between its last checkpoint and its meta.json
             write_meta(folder, config, progress, describe_machine(), str(model.device), {})
         return Outcome(folder, progress, agent_steps(progress, config))
-    if config.budgets:
-        _go_on(model, config.budgets[-2] * rows)
+    _follow_schedules(model, config, progress, rows)
     if folder.finished:  # with a smaller budget
         write_meta(folder, config, progress, describe_machine(), str(model.device), {})
     with Interrupts(quiet=display is None) as interrupts, closing(display) if display is not None else nullcontext():
@@ -221,18 +229,10 @@ def _learn(
             recorder = Recorder(config, folder, env, progress, display, interrupts, checkpoint_every_s, after_update)
             writers: list[KVWriter] = [recorder.progress_csv, TensorBoardOutputFormat(str(folder.path / "tensorboard"))]
         model.set_logger(Logger(str(folder.path), writers))
-        learning_starts = getattr(model, "learning_starts", 0)  # rows
         try:
-            while True:
-                follow_schedules(model, config, recorder.progress, rows, learning_starts)
-                left = (config.slots - recorder.progress.slots) * rows
-                try:
-                    # No logging by SB3: it would write a row before the update that the row is about.
-                    model.learn(left, callback=recorder, log_interval=sys.maxsize, reset_num_timesteps=False)
-                    break
-                except CandidateEnded:
-                    pass
-        except Interrupted:
+            # No logging by SB3: it would write a row before the update that the row is about.
+            model.learn(remaining * rows, callback=recorder, log_interval=sys.maxsize, reset_num_timesteps=False)
+        except (Interrupted, CandidateEnded):
             pass
         except (EOFError, ConnectionError) as error:
             raise InputError(f"a worker process has ended (out of memory?); {recorder.kept}") from error
@@ -251,16 +251,19 @@ def _mean_uavs(config: RunConfig) -> float:
     return fmean([scenario.uavs for scenario in draws] or [config.scenario.uavs])
 
 
-def _go_on(model: BaseAlgorithm, steps: int) -> None:
-    """Prepare a learner for slots beyond its first budget, after ``steps`` rows of the budgets before.
+def _follow_schedules(model: BaseAlgorithm, config: RunConfig, progress: TrainingProgress, rows: int) -> None:
+    """Let the schedules of a learner run over the slots that are its own, of ``rows`` steps each.
 
-    Schedules stay where the first budget ended: SB3 would spread them over all slots, also those done. A replay, which
-    the checkpoint of a finished run lacks, is filled as at the beginning.
+    SB3 would spread them over all slots: also over those of other candidates, and of the budgets before. Beyond the
+    first budget they stay where it ended, and a replay, which the checkpoint of a finished run lacks, is filled anew.
     """
+    if not config.budgets and config.algorithm.candidates == 1:
+        return
 
     def update(num_timesteps: int, total_timesteps: int) -> None:
-        model._current_progress_remaining = 0.0
+        own = num_timesteps // rows - progress.set_aside
+        model._current_progress_remaining = 0.0 if config.budgets else config.algorithm.budget_left(own)
 
     model._update_current_progress_remaining = update  # type: ignore[method-assign]
     if isinstance(model, OffPolicyAlgorithm):
-        model.learning_starts += steps
+        model.learning_starts += rows * (config.budgets[-2] if config.budgets else progress.set_aside)

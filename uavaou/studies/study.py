@@ -336,6 +336,8 @@ def _check_structure(study: Study, source: str) -> None:
         if max(study.held or ()) >= scenario.devices or scenario.layout == "resample":
             expected = f"expected devices from 0 to {scenario.devices - 1} of a fixed layout, on scenario '{name}'"
             raise InputError(f"{source}: held = {study.held}: {expected}")
+    if study.behind and any(scenario.layout == "resample" for scenario in study.scenarios.values()):
+        raise InputError(f"{source}: behind = {study.behind}: expected scenarios of fixed layouts alone")
     if study.held and study.behind:
         raise InputError(f"{source}: behind = {study.behind}: beside held, which says what strays: leave one out")
     if study.until_decided and not (study.held and study.reference):

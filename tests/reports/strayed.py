@@ -1,0 +1,67 @@
+"""What the page of results says of trainings that stray, from the tables of ``strays-fresh``."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from uavaou.statistics import geometric_mean
+from uavaou.statistics.counts import fisher
+from uavaou.studies.results import read_study
+from uavaou.studies.structure import strays, structures
+
+RESULTS = Path(__file__).resolve().parents[2] / "results" / "studies" / "strays-fresh"
+VARIANTS = ("frozen", "four candidates")
+
+
+def states(text: str, *numbers: str) -> bool:
+    """Whether a sentence states the numbers in this order."""
+    return re.search(r".*\b".join(map(re.escape, numbers)), text) is not None
+
+
+@cache
+def layouts() -> dict[str, dict[str, Any]]:
+    """Of each layout of ``strays-fresh``: the table's row, and the means of the trainings of each variant."""
+    results = read_study(RESULTS)
+    found = structures(results)
+    table: dict[str, dict[str, Any]] = {}
+    for name in results.scenarios:
+        cells, means = [], {}
+        for variant in VARIANTS:
+            mean = means[variant] = results.table("runs", variant, name)["mean_aou_slots"]
+            cells += [f"{mean.mean():.1f}", f"{mean.min():.1f}–{mean.max():.1f}"]
+            cells.append("{} of {}".format(*strays(found, variant, name)))
+        rule = results.table("missions", "local-greedy-parts", name)["mean_aou_slots"].mean()
+        table[name.removeprefix("layout ")] = means | {"row": [*cells, f"{rule:.1f}"], "rule": rule}
+    return table
+
+
+def stray_counts(text: str) -> bool:
+    """How many trainings stray with one candidate and with four, and Fisher's p of that."""
+    counts = [sum(int(one["row"][place].split()[0]) for one in layouts().values()) for place in (2, 5)]
+    p = fisher(counts[0], 20, counts[1], 20)
+    return states(text, f"{counts[0]} of 20 stray", f"with four {counts[1]} of 20", f"p = {p:.2f}") and p > 0.05
+
+
+def candidates_cost(text: str) -> bool:
+    """What four candidates cost on the layouts where none of one candidate strays."""
+    ratios = {
+        layout: one["four candidates"].mean() / one["frozen"].mean()
+        for layout, one in layouts().items() if one["row"][2] == "0 of 5"
+    }  # fmt: skip
+    percents = " and ".join(f"{100 * (ratio - 1):.0f} %" for ratio in ratios.values())
+    return states(text, "layouts " + " and ".join(ratios), f"{percents} higher")
+
+
+def over_layouts(text: str) -> bool:
+    """The geometric means over the layouts."""
+    means = [geometric_mean([geometric_mean(one[name]) for one in layouts().values()]) for name in VARIANTS]
+    return states(text, f"{means[0]:.1f} slots with one candidate", f"{means[1]:.1f} with four")
+
+
+def rule_ahead(text: str) -> bool:
+    """On which layouts the rule is below the trainings with one candidate and with four."""
+    ahead = [layout for layout, one in layouts().items() if one["rule"] < min(one[name].mean() for name in VARIANTS)]
+    return states(text, "layouts 6, 7 and 9") and ahead == ["6", "7", "9"]
