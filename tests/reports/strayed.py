@@ -12,7 +12,7 @@ from uavaou.statistics.counts import fisher
 from uavaou.studies.results import read_study
 from uavaou.studies.structure import strays, structures
 
-RESULTS = Path(__file__).resolve().parents[2] / "results" / "studies" / "strays-fresh"
+RESULTS = Path(__file__).resolve().parents[2] / "results" / "studies"
 VARIANTS = ("frozen", "four candidates")
 
 
@@ -24,7 +24,7 @@ def states(text: str, *numbers: str) -> bool:
 @cache
 def layouts() -> dict[str, dict[str, Any]]:
     """Of each layout of ``strays-fresh``: the table's row, and the means of the trainings of each variant."""
-    results = read_study(RESULTS)
+    results = read_study(RESULTS / "strays-fresh")
     found = structures(results)
     table: dict[str, dict[str, Any]] = {}
     for name in results.scenarios:
@@ -65,3 +65,12 @@ def rule_ahead(text: str) -> bool:
     """On which layouts the rule is below the trainings with one candidate and with four."""
     ahead = [layout for layout, one in layouts().items() if one["rule"] < min(one[name].mean() for name in VARIANTS)]
     return states(text, "layouts 6, 7 and 9") and ahead == ["6", "7", "9"]
+
+
+def forked(text: str) -> bool:
+    """How many forks stray by the slot at which they part."""
+    results = read_study(RESULTS / "strays-forks")
+    found = structures(results)
+    counts = ["{} of {}".format(*strays(found, f"at {slots}", "layout 8")) for slots in ("0.1M", "0.3M", "1M")]
+    own = strays(found, "own start", "layout 8")
+    return states(text, f"0.1M slots {counts[0]}", f"0.3M {counts[1]}", f"1M {counts[2]}") and own == (0, 4)

@@ -302,6 +302,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "cost the best of them three eighths": strayed.candidates_cost,
     "Over the four layouts the geometric": strayed.over_layouts,
     "which learns nothing, has a lower": strayed.rule_ahead,
+    "Of those that part at 0.1M slots": strayed.forked,
     "14 settings of 30 CPU seconds": lambda _: searched("quickstart", 14, 30),
     "played 240 CPU seconds": lambda _: searched("paper+layout_seed=1", 4, 240),
 }
@@ -320,6 +321,8 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "two cores of an AMD EPYC (Zen 5)": "the machine: results/benchmarks/machine.json",
     "On an AMD EPYC (Zen 4)": "another machine: docs/speed.md",
     "A training strays here if": "the study's file: behind",
+    "strays on layout 8 to a slot": "the study's file",
+    "a tenth of the budget, and nothing": "the sentence before it",
     "on 64 of the 100 missions": "the option of the command that wrote planners/gap.csv",
 }
 
