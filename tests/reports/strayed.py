@@ -7,8 +7,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from uavaou.statistics import geometric_mean
 from uavaou.statistics.counts import fisher
+from uavaou.studies.folder import PartKey
 from uavaou.studies.results import read_study
 from uavaou.studies.structure import strays, structures
 
@@ -74,3 +77,28 @@ def forked(text: str) -> bool:
     counts = ["{} of {}".format(*strays(found, f"at {slots}", "layout 8")) for slots in ("0.1M", "0.3M", "1M")]
     own = strays(found, "own start", "layout 8")
     return states(text, f"0.1M slots {counts[0]}", f"0.3M {counts[1]}", f"1M {counts[2]}") and own == (0, 4)
+
+
+def mended(text: str) -> bool:
+    """Whether trainings with four candidates stray on layout 0, and where they end."""
+    results = read_study(RESULTS / "strays-mended")
+    means = results.table("runs", "four candidates", "paper")["mean_aou_slots"]
+    numbers = [f"{means.mean():.1f}", f"{means.min():.1f}", f"{means.max():.1f}", f"{np.log(means).std(ddof=1):.3f}"]
+    return states(text, *numbers) and len(means) == 20
+
+
+def none_strays(_: str) -> bool:
+    """Whether none of the twenty does."""
+    results = read_study(RESULTS / "strays-mended")
+    return strays(structures(results), "four candidates", "paper") == (0, 20)
+
+
+def first_four(text: str) -> bool:
+    """Where the first four trainings with one candidate end."""
+    results = read_study(RESULTS / "strays-masks")
+    means = results.table("runs", "masks on", "paper")["mean_aou_slots"][:4]
+    found = structures(results)
+    stray = [found[PartKey("masks on", "paper", seed)].strays for seed in range(100, 104)]
+    others = [mean for mean, strayed in zip(means, stray, strict=True) if not strayed]
+    ends = [f"{mean:.1f}" for mean in (*means[stray], min(others), max(others))]
+    return sum(stray) == 1 and states(text, "first four", *ends)

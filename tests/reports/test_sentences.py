@@ -303,6 +303,9 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "Over the four layouts the geometric": strayed.over_layouts,
     "which learns nothing, has a lower": strayed.rule_ahead,
     "Of those that part at 0.1M slots": strayed.forked,
+    "With four candidates and 20 fresh seeds": strayed.none_strays,
+    "They end at": strayed.mended,
+    "Of the first four trainings": strayed.first_four,
     "14 settings of 30 CPU seconds": lambda _: searched("quickstart", 14, 30),
     "played 240 CPU seconds": lambda _: searched("paper+layout_seed=1", 4, 240),
 }
