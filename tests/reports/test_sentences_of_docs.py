@@ -220,9 +220,11 @@ def last_stage(pattern: str, until: float = 1.0) -> Callable[[str], bool]:
 
 CHECKED: dict[str, Callable[[str], bool]] = {
     # tuning
-    "published and found settings met again": lambda _: (
-        trainings("choosing", 20, 1, 3_000_000) and study("choosing").settings["episodes"] == 100
+    "published and found settings met again": lambda _: trainings("choosing", 20, 1, 3_000_000),
+    "It has one training on each of the layouts": lambda said: states(
+        said, *(str(scenario["layout_seed"]) for scenario in study("choosing").settings["scenarios"].values())
     ),
+    "Mean AoU over 100 missions, in slots": lambda _: study("choosing").settings["episodes"] == 100,
     "stand here with the trunk": lambda _: all(
         config["hidden"] == [128, 128]
         for name, config in study("choosing").settings["variants"].items()
@@ -345,13 +347,14 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "Made with": "versions: the run's meta.json",
     "the exit code is 130 or 143": "tests/cli/test_interrupted.py",
     "The exit code is then 1": "tests/studies/test_runner.py",
-    "with `behind: 0.1`": "the example above it",
+    "With `behind: 0.1` instead": "the example above it",
     "Fisher's test over all": "tests/studies/test_structure.py",
     "VDN and QMIX send their replay": "docs/reliability.md",
     "the lease time": "a property of NFSv4",
     "less than 4 MB for twenty runs": "the committed study: its folder",
     "plays 12 trials of 60 CPU seconds": "the options of the command above",
     "repeated on another processor": "measured by hand once",
+    "So the ranks of settings within": "the sentence before it",
     "It has 140 trainings": "tests/tuning/test_tournament.py",
     "Of each learner the two best settings": "the search's file, and the test of the table below",
     "These are 32 missions": "the settings: zoo_configs/algorithms",
