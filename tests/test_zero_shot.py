@@ -65,5 +65,6 @@ def test_the_layouts_with_trainings_are_those_of_the_studies() -> None:
     for row in read_suite(SUITES / "known-layouts.csv").rows:
         study, scenario = ("paper", "paper") if row.point == "0" else ("layouts", f"layout {row.point}")
         seed = int(row.seed) if row.seed else None
-        values = studies[study].table("missions", row.policy, scenario, seed)
+        four = ", four candidates" if (row.policy, study) == ("mappo", "paper") else ""  # as published
+        values = studies[study].table("missions", row.policy + four, scenario, seed)
         assert row.aou.value == pytest.approx(values["mean_aou_slots"].mean(), rel=1e-5)

@@ -95,7 +95,7 @@ def validated(kind: type[_Model], content: Any, source: str) -> _Model:
         InputError: it names the field, its value and what is allowed. It has the class of the InputError that a
             validator raised.
     """
-    names = list(kind.model_fields)
+    names = [field.alias or name for name, field in kind.model_fields.items()]
     if not isinstance(content, dict):
         of = f" with {', '.join(names)}" if len(names) <= _MOST_LISTED else ""
         raise InputError(f"{source} = {short(content)}: expected a mapping{of}")

@@ -1,13 +1,16 @@
-"""What the page of results says of trainings that stray, from the tables of ``strays-fresh``."""
+"""What the pages of results say of trainings that stray, from the tables of the studies."""
 
 from __future__ import annotations
 
 import re
 from functools import cache
+from itertools import chain
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
+from scipy.stats import ttest_ind
 
 from uavaou.statistics import geometric_mean
 from uavaou.statistics.counts import fisher
@@ -102,3 +105,64 @@ def first_four(text: str) -> bool:
     others = [mean for mean, strayed in zip(means, stray, strict=True) if not strayed]
     ends = [f"{mean:.1f}" for mean in (*means[stray], min(others), max(others))]
     return sum(stray) == 1 and states(text, "first four", *ends)
+
+
+@cache
+def ends(variant: str) -> tuple[list[float], list[float]]:
+    """Where the trainings of a variant of the paper's study end that stray, and the others."""
+    results = read_study(RESULTS / "paper")
+    found = {key: one for key, one in structures(results).items() if key.variant == variant}
+    pair = [
+        [float(results.cell(key, "mean_aou_slots")) for key, one in found.items() if one.strays == is_it]
+        for is_it in (True, False)
+    ]
+    return pair[0], pair[1]
+
+
+def between(means: list[float]) -> str:
+    lowest, highest = (f"{mean:.1f}" for mean in (min(means), max(means))) if means else ("", "")
+    return lowest if lowest == highest else f"{lowest}–{highest}"
+
+
+def structure_rows() -> list[str]:
+    """The rows of the table of strays on ``paper``."""
+    variants = list(read_study(RESULTS / "paper").algorithms)
+    pairs = [ends(name) for name in variants]
+    spread = [np.log(strays + others).std(ddof=1) for strays, others in pairs]
+    return [
+        "| stray | " + " | ".join(f"{len(strays)} of {len(strays + others)}" for strays, others in pairs) + " |",
+        "| those end at | " + " | ".join(between(strays) for strays, _ in pairs).rstrip() + " |",
+        "| the others at | " + " | ".join(between(others) for _, others in pairs).replace("|  ", "| ") + " |",
+        "| sd of log AoU | " + " | ".join(f"{one:.3f}" for one in spread) + " |",
+    ]
+
+
+def half_strays(text: str) -> bool:
+    """README: where MAPPO's trainings end."""
+    strays, others = ends("mappo")
+    words = f"at {between(strays)} slots, the other five at {between(others)}".replace("–", " to ")
+    return (len(strays), len(others)) == (5, 5) and words in text
+
+
+def level_apart_from_strays() -> bool:
+    """Whether the trainings of MAPPO and QMIX that do not stray have no significant difference."""
+    own, theirs = ends("mappo")[1], ends("qmix")[1]
+    return ttest_ind(np.log(own), np.log(theirs), equal_var=False).pvalue > 0.05
+
+
+def fewer_strays(text: str) -> bool:
+    counts = [(len(strays), len(strays + others)) for strays, others in (ends("mappo"), ends("qmix"))]
+    p = fisher(*counts[0], *counts[1])
+    return "{} of {} of QMIX".format(*counts[1]) in text and f"p = {p:.2f}" in text and p > 0.05
+
+
+def of_four(text: str) -> bool:
+    """What four candidates do to the spread of MAPPO and to the mean of QMIX."""
+    spread = [np.log([*chain(*ends(name))]).std(ddof=1) for name in ("mappo", "mappo, four candidates")]
+    cost = fmean(chain(*ends("qmix, four candidates"))) / fmean(chain(*ends("qmix"))) - 1
+    return "a sixth" in text and round(spread[0] / spread[1]) == 6 and f"{100 * cost:.0f} %" in text
+
+
+def mended_strays(text: str) -> bool:
+    strays, others = ends("mappo, four candidates")
+    return "four candidates" in text and (len(strays), len(others)) == (1, 9)

@@ -32,7 +32,7 @@ def test_what_is_frozen_is_lower_in_the_study_that_chose_it_and_stated_in_the_on
     page = (ROOT / "docs" / "tuning.md").read_text(encoding="utf-8")
     table = page[page.index("| learner | settings |") : page.index("The lower geometric mean is frozen")]
     stated = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.strip().splitlines()[2:]]
-    chosen, following = Study.load("choosing").variants, Study.load("paper-ten").variants
+    chosen, following = Study.load("choosing").variants, Study.load("paper").variants
     found = []
     for name, (first, second) in {
         "MAPPO": ("mappo 128-128", "mappo found"),

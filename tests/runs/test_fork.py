@@ -67,7 +67,8 @@ def test_a_fork_of_a_family_is_refused() -> None:
 def test_a_variant_of_a_study_may_follow_a_training(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(
-        "seeds: [4, 5]\nscenarios: [tiny]\nvariants:\n  a: {algorithm: mappo, fork: {seed: 1, slots: 99}}\n"
+        "seeds: [4, 5]\nscenarios: [tiny]\n"
+        "variants: {a: {algorithm: mappo, set: {candidates: 1}, fork: {seed: 1, slots: 99}}}\n"
     )
     assert [str(run.config.fork) for run in Study.load(file).runs()] == ["1-at-99"] * 2
     file.write_text(file.read_text().replace("seed: 1", "seed: 4"))

@@ -70,7 +70,7 @@ def test_a_training_begins_with_the_weights_of_another(finished: RunFolder, tmp_
     for name in weights:
         np.testing.assert_allclose(after[name], before[name], atol=1e-9)
     steps = {float(array) for name, array in after.items() if name.endswith(".step")}
-    assert steps == {10.0}  # of an optimizer of its own: 5 epochs of two minibatches
+    assert steps == {8.0}  # of an optimizer of its own: 4 epochs of two minibatches
     assert outcome.folder.read_config() == read_config(outcome.folder.config) == config
 
 
@@ -92,6 +92,16 @@ def test_validations_follow_the_budget(finished: RunFolder) -> None:
         (load_config("mappo", {"slots": 60, "evaluate_every_slots": 7}), "mappo+evaluate_every_slots=7,slots=60"),
     ):
         assert config_folder(Path("r"), RunConfig(tiny, settings)).path.parent.name == name
+
+
+def test_a_released_policy_is_found_by_the_digest_of_its_weights(tmp_path: Path) -> None:
+    start = Start.at("any-map")
+    changes = {"slots": 24, "missions": 2, "worlds": 1, "rollout_slots": 12, "batch_rows": 48, "learning_rate": 1e-12}
+    config = start.training(Scenario.load("tiny"), changes | {"evaluation_missions": 1}, 0)
+    assert train(config, tmp_path / "named", start="any-map").progress.slots == 24
+    found = load_file(train(config, tmp_path / "found").folder.last)
+    for name, array in load_file(RunFolder(tmp_path / "named").last).items():
+        np.testing.assert_array_equal(found[name], array)
 
 
 def test_the_digest_of_the_weights_is_in_the_name_of_the_folder(finished: RunFolder) -> None:

@@ -10,7 +10,8 @@ import pytest
 import yaml
 
 from tests.studies.tiny_study import SET, TINY, Write
-from uavaou import Scenario
+from uavaou import InputError, Scenario
+from uavaou.runs.start import Start
 from uavaou.studies.study import Study
 from uavaou.zoo import zoo_names
 from uavaou_cli.main import main
@@ -52,7 +53,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"scenarios": [{"suite": "rate", "set": {"transmit_power_mw": 1e-9}}]}, "can be served: R_min = "),
     ({"variants": {}}, "variants"),
     ({"variants": ["a", "b"]}, "variants = ['a', 'b']: expected a mapping, such as {mappo: {}, "),
-    ({"variants": {"mappo": {"observation": "shared"}}}, "unknown field 'observation' (known: algorithm, set"),
+    ({"variants": {"mappo": {"observation": "shared"}}}, "unknown field 'observation' (known: algorithm, from, set"),
     ({"variants": {"mappo": {"observation": "shared"}}}, "; settings of the algorithm go below set"),
     ({"variants": {"mappo": {"set": 3}}}, "set = 3: expected a mapping, such as {gamma: 0.9}"),
     ({"variants": {"mappo": {"algorithm": 3}}}, "algorithm = 3: expected text"),
@@ -126,10 +127,29 @@ def test_the_shipped_studies_are_valid_and_balanced() -> None:
     assert {"paper", "smoke"} <= set(zoo_names("studies"))
     study = Study.load("paper")
     runs = list(study.runs())
-    assert [run.key.variant for run in runs[:4]] == ["mappo", "ippo", "vdn", "qmix"]
-    assert [run.key.seed for run in runs] == sorted([0, 1, 2, 3, 4] * 4)
+    several = [f"{name}, four candidates" for name in ("mappo", "ippo", "qmix")]
+    assert [run.key.variant for run in runs[:8]] == ["mappo", "ippo", "vdn", "vdn with value", "qmix", *several]
+    assert [run.key.seed for run in runs] == sorted([*range(10)] * 8)
     assert {run.config.algorithm.slots for run in runs} == {3_000_000}
-    assert study.folder(Path("results"), runs[0]).path == Path("results/paper/mappo/seed-0")  # as `uavaou train`
+    assert study.folder(Path("results"), runs[0]).path == Path("results/paper/mappo+candidates=1/seed-0")
+    assert study.folder(Path("results"), runs[5]).path == Path("results/paper/mappo/seed-0")  # as `uavaou train`
+
+
+def test_a_variant_may_begin_with_a_released_policy(write: Write) -> None:
+    stated: dict[str, Any] = {"tuned": {"from": "any-map-local", "set": {"gamma": 0.9}}}
+    content = BASE | {"scenarios": ["tiny", "paper"], "variants": stated, "slots": 5000}
+    study = Study.load(write(yaml.safe_dump(content)))
+    start = Start.at("any-map-local")
+    for run in study.runs():
+        assert run.config == start.training(run.config.scenario, {"gamma": 0.9, "slots": 5000}, run.config.seed)
+    assert study.resolved()["starts"] == {"tuned": start.digest}
+    for field, value in {"fork": {"seed": 1, "slots": 99}, "algorithm": "mappo"}.items():
+        with pytest.raises(InputError, match=rf"variants\.'tuned': {field}: expected none beside from"):
+            Study.load(write(yaml.safe_dump(BASE | {"variants": {"tuned": stated["tuned"] | {field: value}}})))
+    with pytest.raises(InputError, match="from: unknown released policy 'any-mop'; did you mean 'any-map'"):
+        Study.load(write(yaml.safe_dump(BASE | {"variants": {"tuned": {"from": "any-mop"}}})))
+    with pytest.raises(InputError, match="hidden"):
+        Study.load(write(yaml.safe_dump(BASE | {"variants": {"tuned": {"from": "any-map", "set": {"hidden": [8]}}}})))
 
 
 def test_every_run_has_the_folder_that_train_gives_it(

@@ -143,7 +143,8 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
     """Load an algorithm's published configuration, with some fields changed.
 
     Where ``overrides`` choose ``network: set``, a file such as ``mappo-set.yaml`` replaces some published fields. Where
-    they change the budget, validations follow it (:meth:`AlgorithmConfig.with_enough_validations`).
+    they change the budget, validations follow it (:meth:`AlgorithmConfig.with_enough_validations`), and below the
+    published one a single candidate learns: a share of less tells too little of which one to go on with.
 
     Raises:
         InputError: the algorithm or a field is unknown, or a value cannot be used.
@@ -154,8 +155,11 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
     if entry.defaults is not None and overrides.get("network", "mlp") != "mlp":
         of_network = entry.defaults.with_name(f"{entry.defaults.stem}-set.yaml")
         published |= read_yaml_mapping(of_network) if of_network.is_file() else {}
+    several = published.pop("candidates", None)
     fields = published | {"name": algorithm} | overrides
     config = validated(entry.config, fields, f"algorithm '{algorithm}'")
+    if several and "candidates" not in overrides and config.slots >= published["slots"]:
+        config = config.model_copy(update={"candidates": several})
     return config.with_enough_validations(overrides) if "slots" in overrides else config
 
 
@@ -210,7 +214,7 @@ def make_model(config: AlgorithmConfig, env: MissionVecEnv, seed: int, device: s
 
 _OWN: tuple[tuple[str, type[LearnerConfig], str], ...] = (
     ("mappo", MappoConfig, "mappo"),
-    ("ippo", IppoConfig, "mappo"),  # another critic input
+    ("ippo", IppoConfig, "ippo"),
     ("vdn", VdnConfig, "vdn"),
     ("qmix", QmixConfig, "qmix"),
     ("iql", JointQConfig, "vdn"),  # another mixer

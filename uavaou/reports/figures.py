@@ -239,11 +239,11 @@ class _Scenario:
         self._results = {key: result for key, result in evaluations.items() if key.scenario == scenario}
         flown = [name for name in study.planners if PartKey(name, scenario) in self._results]
         self._planners = flown if evaluations else _planners_beside(study, scenario)
-        self._looks = style.looks([*study.algorithms, BOUND, *self._planners], study.algorithms)
+        self._looks = style.looks([*study.drawn, BOUND, *self._planners], study.algorithms)
 
     def figures(self) -> dict[str, Figure]:
         """Figures 3 to 8 and AoU over wall-clock time, those that there are tables for."""
-        algorithms, figures = self._study.algorithms, {}
+        algorithms, figures = self._study.drawn, {}
         if curves := self._runs("curves", algorithms):
             figures = {name: self._training_figure(curves, measure) for name, measure in _TRAINING_FIGURES.items()}
         if validations := self._runs("validation", algorithms):

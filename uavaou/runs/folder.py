@@ -358,7 +358,7 @@ def train_command(
 def _published(algorithm: AlgorithmConfig) -> dict[str, Any]:
     """The published settings that these start from: those of the algorithm with their network.
 
-    Validations follow the budget (:func:`load_config`): they differ only where they were set.
+    Validations and candidates follow the budget (:func:`load_config`): they differ only where they were set.
     """
     fields = load_config(algorithm.name).model_dump(mode="json")
     network = getattr(algorithm, "network", None)
@@ -366,9 +366,10 @@ def _published(algorithm: AlgorithmConfig) -> dict[str, Any]:
     if chosen:
         fields = load_config(algorithm.name, chosen).model_dump(mode="json") | {"network": None}
     follows = load_config(algorithm.name, chosen | {"slots": algorithm.slots})
-    if algorithm.evaluate_every_slots != follows.evaluate_every_slots:
-        return fields
-    return fields | {name: getattr(follows, name) for name in ("evaluate_every_slots", "evaluation_missions")}
+    names = ["candidates"]
+    if algorithm.evaluate_every_slots == follows.evaluate_every_slots:
+        names += ["evaluate_every_slots", "evaluation_missions"]
+    return fields | {name: getattr(follows, name) for name in names}
 
 
 def _differences(base: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str, str]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
 from uavaou.algorithms.registry import changed_config, config_from_dict, load_config
@@ -73,6 +73,8 @@ class Start:
         published = {"slots": load_config(own["name"]).slots}
         tunes = self.folder.is_released and not isinstance(scenario, Family) and self.folder.fine_tuning.is_file()
         fine_tuning = read_yaml_mapping(self.folder.fine_tuning) if tunes else {}
+        if changes.get("network", own.get("network")) != own.get("network"):  # other networks need other fields
+            self._refuse("network", own.get("network"), changes["network"])
         algorithm = changed_config(own | published | fine_tuning | {"candidates": 1}, changes).with_enough_validations(
             changes
         )
@@ -85,11 +87,14 @@ class Start:
                 continue
             held, wanted = own.get(field), algorithm.model_dump(mode="json").get(field)
             if held != wanted:
-                raise InputError(
-                    f"--from {self.folder}: algorithm.{field} = {short(wanted)} does not fit its weights, which were "
-                    f"trained with {short(held)} and fit no other: leave out --set algorithm.{field}"
-                )
+                self._refuse(field, held, wanted)
         return RunConfig(base, algorithm, seed, family, self.digest)
+
+    def _refuse(self, field: str, held: Any, wanted: Any) -> NoReturn:
+        raise InputError(
+            f"--from {self.folder}: algorithm.{field} = {short(wanted)} does not fit its weights, which were "
+            f"trained with {short(held)} and fit no other: leave out --set algorithm.{field}"
+        )
 
     def load_into(self, model: BaseAlgorithm) -> None:
         """Give a learner the weights; its optimizer stays new.

@@ -25,6 +25,7 @@ from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.lock import one_writer
 from uavaou.runs.machine import describe_machine
 from uavaou.runs.recorder import CHECKPOINT_EVERY_S, AfterUpdate, Display, Recorder, agent_steps, write_meta
+from uavaou.runs.released import released_names
 from uavaou.runs.start import Start
 
 _DRAWS_COUNTED = 64  # of a family
@@ -157,7 +158,9 @@ def _refuse_unreadable_name(path: Path) -> None:
 
 
 def _begin_with(digest: str, source: Start | None, model: BaseAlgorithm) -> None:
-    """Give a learner the weights of ``source``, which must have the ``digest``."""
+    """Give a learner the weights of ``source``, or of the released policy, that has the ``digest``."""
+    if source is None:
+        source = next((start for start in map(Start.at, released_names()) if start.digest == digest), None)
     if source is None or source.digest != digest:
         found = "" if source is None else f", and those of '{source.folder}' have {source.digest[:12]}"
         raise InputError(f"the training begins with weights of digest {digest[:12]}{found}: name their run with --from")

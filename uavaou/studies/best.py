@@ -107,7 +107,7 @@ The second command trains it anew.
 
 
 def record_missions(study: Path) -> list[Path]:
-    """Play one mission with the kept policy of each variant and write ``mission-<variant>.json``.
+    """Play one mission with the kept policy of each variant that figures show, and write ``mission-<variant>.json``.
 
     Figures then need no policy. All play the first mission of the evaluation, on the first of the study's scenarios
     that has kept policies. Earlier recordings of another scenario are removed.
@@ -121,9 +121,11 @@ def record_missions(study: Path) -> list[Path]:
     Raises:
         InputError: a policy cannot be loaded, or a file not be written.
     """
-    scenarios = read_yaml_mapping(study / "study.yaml").get("scenarios")
+    settings = read_yaml_mapping(study / "study.yaml")
+    scenarios, drawn = settings.get("scenarios"), settings.get("drawn")
     for scenario in scenarios if isinstance(scenarios, dict) else ():
         folders = sorted((study / "best" / folder_name(scenario)).glob("*/seed-*"))
+        folders = [path for path in folders if not isinstance(drawn, list) or unquote(path.parent.name) in drawn]
         if folders:
             written = [_record_mission(study, RunFolder(folder)) for folder in folders]
             shown = read_mission(written[0]).scenario

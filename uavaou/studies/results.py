@@ -112,6 +112,12 @@ class StudyResults:
         return reference if isinstance(reference, str) else None
 
     @property
+    def drawn(self) -> list[str]:
+        """The learned variants that figures 3 to 8 and the recorded missions show."""
+        stated = self.settings.get("drawn")
+        return [name for name in self.algorithms if not isinstance(stated, list) or name in stated]
+
+    @property
     def scenarios(self) -> dict[str, dict[str, Any]]:
         """Name -> fields of the scenarios with trained or evaluated parts, in the study's order.
 

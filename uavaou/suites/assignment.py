@@ -73,7 +73,7 @@ def name_runs(configs: Mapping[Path, RunConfig], suite: Suite) -> list[SuiteRun]
     varied = any(point.observation for point in suite.points)
     apart = {*_BUDGET, *(["observation"] if varied else [])}
     settings = {
-        path: {k: v for k, v in config.algorithm.model_dump(mode="json").items() if k not in apart}
+        path: {k: v for k, v in _without_usual_candidates(config.algorithm).items() if k not in apart}
         | ({"family": config.family.name} if config.family else {})
         for path, config in configs.items()
         if not RunFolder(path).is_released
@@ -84,6 +84,14 @@ def name_runs(configs: Mapping[Path, RunConfig], suite: Suite) -> list[SuiteRun]
         for path, config in configs.items()
         for folder in (RunFolder(path),)
     ]
+
+
+def _without_usual_candidates(algorithm: AlgorithmConfig) -> dict[str, Any]:
+    """The settings, without the number of candidates where it is the one that is published for the budget."""
+    settings = algorithm.model_dump(mode="json")
+    chosen: dict[str, Any] = {field: settings[field] for field in ("network", "slots") if field in settings}
+    usual = load_config(algorithm.name, chosen).candidates
+    return {k: v for k, v in settings.items() if k != "candidates" or v != usual}
 
 
 def _policy_name(own: Mapping[str, Any], every: Iterable[Mapping[str, Any]]) -> str:
