@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import ttest_ind
 
+from uavaou.reports.scores import study_scores
 from uavaou.statistics import geometric_mean
 from uavaou.statistics.counts import fisher
 from uavaou.studies.folder import PartKey
@@ -166,3 +167,16 @@ def of_four(text: str) -> bool:
 def mended_strays(text: str) -> bool:
     strays, others = ends("mappo, four candidates")
     return "four candidates" in text and (len(strays), len(others)) == (1, 9)
+
+
+def fine_tuned(form: str) -> list[str]:
+    """Mean and interval of the trainings that begin with ``any-map-local``, of which none strays."""
+    results = read_study(RESULTS / "fine-tuning")
+    assert strays(structures(results), "fine-tuned", "paper") == (0, 10)
+    (mean,) = (one.mean for one in study_scores(results)["paper"] if one.policy == "fine-tuned")
+    return [form.format(number) for number in mean]
+
+
+def spread(variant: str) -> str:
+    means = read_study(RESULTS / "fine-tuning").table("runs", variant, "paper")["mean_aou_slots"]
+    return f"logarithm is {np.log(means).std(ddof=1):.3f}"

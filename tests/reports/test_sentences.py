@@ -22,6 +22,7 @@ from scipy.special import stdtrit
 from scipy.stats import mannwhitneyu
 
 from tests.reports import strayed
+from tests.reports.strayed import states
 from uavaou.reports.scores import study_scores
 from uavaou.statistics import ratio_of_trainings
 from uavaou.studies.results import StudyResults, read_study
@@ -290,6 +291,11 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "With four candidates and 20 fresh seeds": strayed.none_strays,
     "They end at": strayed.mended,
     "Of the first four trainings": strayed.first_four,
+    "goes on from the released `any-map-local`": lambda text: states(text, *strayed.fine_tuned("{:.1f}")),
+    "Ten trainings that go on from it": lambda text: (
+        states(text, "600,000 slots", *strayed.fine_tuned("{:.2f}")) and strayed.spread("fine-tuned") in text
+    ),
+    "`any-map-local` itself has": lambda text: f"{means('paper', 'paper')['any-map-local']:.2f}" in text,
     "14 settings of 30 CPU seconds": lambda _: searched("quickstart", 14, 30),
     "played 240 CPU seconds": lambda _: searched("paper+layout_seed=1", 4, 240),
 }
@@ -311,6 +317,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "two cores of an AMD EPYC (Zen 5)": "the machine: results/benchmarks/machine.json",
     "On an AMD EPYC (Zen 4)": "another machine: docs/speed.md",
     "A training strays here if": "the study's file: behind",
+    "Stated in advance were at most 37.0": "the study's file",
     "strays on layout 8 to a slot": "the study's file",
     "a tenth of the budget, and nothing": "the sentence before it",
     "on 64 of the 100 missions": "the option of the command that wrote planners/gap.csv",
