@@ -344,6 +344,17 @@ def test_the_table_of_strays_is_that_of_its_study() -> None:
         assert f"| {layout} | {' | '.join(one['row'])} |" in page
 
 
+def test_a_plain_mlp_that_meets_new_layouts_is_between_greedy_and_those_of_layout_0() -> None:
+    own, greedy, fixed = (
+        {row["point"]: float(row["mean_aou_slots"]) for row in rows("suites/layouts.csv") if row["policy"] == policy}
+        for policy in ("mappo+layout=resample", "greedy", "mappo")
+    )
+    assert len(own) == 10
+    assert all(greedy[point] < mean < fixed[point] for point, mean in own.items())
+    page = (RESULTS / "README.md").read_text(encoding="utf-8")
+    assert f"on all ten: {min(own.values()):,.0f} to {max(own.values()):,.0f} slots" in page
+
+
 def test_every_sentence_with_a_number_is_in_a_list_and_every_entry_is_in_a_sentence() -> None:
     known = [*CHECKED, *ELSEWHERE]
     assert [sentence for sentence in SENTENCES if sum(words in sentence for words in known) != 1] == []
