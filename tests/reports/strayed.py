@@ -10,10 +10,12 @@ from statistics import fmean
 from typing import Any
 
 import numpy as np
-from scipy.stats import ttest_ind
+from scipy.stats import ttest_1samp, ttest_ind
 
+from uavaou.reports.claims import _by_period
 from uavaou.reports.scores import study_scores
-from uavaou.statistics import geometric_mean
+from uavaou.reports.training_claims import converged
+from uavaou.statistics import geometric_mean, ratio_of_trainings
 from uavaou.statistics.counts import fisher
 from uavaou.studies.folder import PartKey
 from uavaou.studies.results import read_study
@@ -154,14 +156,60 @@ def level_apart_from_strays() -> bool:
 def fewer_strays(text: str) -> bool:
     counts = [(len(strays), len(strays + others)) for strays, others in (ends("mappo"), ends("qmix"))]
     p = fisher(*counts[0], *counts[1])
-    return "{} of {} of QMIX".format(*counts[1]) in text and f"p = {p:.2f}" in text and p > 0.05
+    told = "{} of {} against {} of {} of QMIX".format(*counts[0], *counts[1])
+    return told in text and f"p = {p:.2f}" in text and p > 0.05
 
 
 def of_four(text: str) -> bool:
-    """What four candidates do to the spread of MAPPO and to the mean of QMIX."""
-    spread = [np.log([*chain(*ends(name))]).std(ddof=1) for name in ("mappo", "mappo, four candidates")]
-    cost = fmean(chain(*ends("qmix, four candidates"))) / fmean(chain(*ends("qmix"))) - 1
-    return "a sixth" in text and round(spread[0] / spread[1]) == 6 and f"{100 * cost:.0f} %" in text
+    """What four candidates do to the spread and to the median of MAPPO."""
+    groups = [[*chain(*ends(name))] for name in ("mappo", "mappo, four candidates")]
+    spread = [np.log(group).std(ddof=1) for group in groups]
+    medians = " and ".join(f"{np.median(group):.1f}" for group in groups)
+    return "a sixth" in text and round(spread[0] / spread[1]) == 6 and f"({medians})" in text
+
+
+def cost_of_four(text: str) -> bool:
+    """What four candidates cost: MAPPO's trainings that do not stray, and QMIX's."""
+    own = fmean(ends("mappo, four candidates")[1]) / fmean(ends("mappo")[1])
+    theirs = fmean(chain(*ends("qmix, four candidates"))) / fmean(chain(*ends("qmix")))
+    return states(text, f"MAPPO {100 * (own - 1):.1f} %", f"QMIX {100 * (theirs - 1):.0f} %")
+
+
+def of_ten(text: str) -> bool:
+    counts = [len(ends(name)[0]) for name in ("mappo, four candidates", "mappo")]
+    return states(text, *(f"{count} of 10" for count in counts))
+
+
+def pooled(text: str) -> bool:
+    """The strays on layout 0 of all studies with the frozen settings, with four candidates and with one."""
+    four = [strays(structures(read_study(RESULTS / "strays-mended")), "four candidates", "paper")]
+    one = [strays(structures(read_study(RESULTS / "strays-masks")), "masks on", "paper")]
+    for counts, name in ((four, "mappo, four candidates"), (one, "mappo")):
+        counts.append((len(ends(name)[0]), 10))
+    (few, of_few), (many, of_many) = (tuple(map(sum, zip(*counts, strict=True))) for counts in (four, one))
+    p = fisher(few, of_few, many, of_many)
+    return states(text, f"{few} of {of_few}", f"{many} of {of_many}", f"p = {p:.3f}")
+
+
+def of_four_to_qmix() -> tuple[str, str]:
+    """Ratios of MAPPO with four candidates to QMIX with one: of the AoU, and of the slots until convergence."""
+    results, aou, slots = read_study(RESULTS / "paper"), [], []
+    for name in ("mappo, four candidates", "qmix"):
+        aou.append({"": results.missions(name, "mean_aou_slots", ["paper"])["paper"].mean(axis=1)})
+        runs = results.runs("validation", name, "paper")
+        slots.append({"": np.array([float(run["slots"][converged(run["mean_aou_slots"]).place]) for run in runs])})
+    ratios = [ratio_of_trainings(*pair) for pair in (aou, slots)]
+    first, second = (f"{one.value:.2f} ({one.low:.2f}–{one.high:.2f})" for one in ratios)
+    return first, second
+
+
+def four_against_qmix(text: str) -> bool:
+    return states(text, *of_four_to_qmix())
+
+
+def four_converge_no_sooner(text: str) -> bool:
+    aou, slots = (ratio.replace("–", " to ") for ratio in of_four_to_qmix())
+    return f"(ratio {slots.replace(' (', ', ')}" in text and aou.replace(" (", " times its AoU (") in text
 
 
 def mended_strays(text: str) -> bool:
@@ -180,3 +228,14 @@ def fine_tuned(form: str) -> list[str]:
 def spread(variant: str) -> str:
     means = read_study(RESULTS / "fine-tuning").table("runs", variant, "paper")["mean_aou_slots"]
     return f"logarithm is {np.log(means).std(ddof=1):.3f}"
+
+
+def frequencies_of_strays() -> bool:
+    """Whether MAPPO's strays favour frequent devices less than `random`, and the others show no difference."""
+    results = read_study(RESULTS / "paper")
+    found = structures(results)
+    at_random = _by_period(results.runs("devices", "random", "paper"))[1, 0]
+    own = _by_period(results.runs("devices", "mappo", "paper"))[1]
+    stray = np.array([found[PartKey("mappo", "paper", seed)].strays for seed in range(10)])
+    first, second = (ttest_1samp(own[which] - at_random, 0).confidence_interval() for which in (stray, ~stray))
+    return bool(first.low > 0 and second.low < 0 < second.high)

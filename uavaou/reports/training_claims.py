@@ -13,9 +13,9 @@ import numpy as np
 
 from uavaou.arrays import Floats
 from uavaou.reports import verdicts
-from uavaou.reports.markdown import rounded, with_interval
+from uavaou.reports.markdown import rounded
 from uavaou.reports.verdicts import OWN, Claim, lower, mean, means
-from uavaou.statistics import Interval, ratio_of_trainings
+from uavaou.statistics import Interval
 from uavaou.studies.results import StudyResults, Table
 
 SMOOTHED = 3  # evaluations
@@ -68,7 +68,7 @@ def convergence(study: StudyResults, other: str) -> Claim:
 
 
 def time_to_level(study: StudyResults, other: str) -> Claim:
-    """Training slots, and time, until a level that the other's trainings reach on average."""
+    """Training slots until a level that the other's trainings reach on average."""
     text = f"MAPPO reaches the level of {other.upper()}'s trainings sooner than these do"
     scenarios = verdicts.common_scenarios(study, "validation", OWN, other)
     levels = {name: _level(study.runs("validation", other, name)) for name in scenarios}
@@ -76,9 +76,7 @@ def time_to_level(study: StudyResults, other: str) -> Claim:
 
     def measured() -> str:
         level = f" ({rounded(levels[scenarios[0]])} slots)" if len(scenarios) == 1 else ""
-        wall = with_interval(*ratio_of_trainings(own.wall_s, theirs.wall_s))
-        told = f"{own.told('never')}, {theirs.told('never')}"
-        return f"training slots until that AoU{level}: {told}; wall-clock ratio {wall}; ratio in slots"
+        return f"training slots until that AoU{level}: {own.told('never')}, {theirs.told('never')}; ratio"
 
     return verdicts.ratio_claim(
         text, FEWER_ITERATIONS, own.slots, theirs.slots, _sooner(own, theirs), measured, _missing(other)
@@ -98,21 +96,19 @@ class _Times:
     """When each training of a variant comes to a moment, in the scenarios where the other has trainings too.
 
     Attributes:
-        slots, wall_s: scenario -> (S,), the training slots and the seconds of each training.
+        slots: scenario -> (S,), the training slots of each training.
         trainings, never: how many there are, and how many of them never come to it.
     """
 
     def __init__(self, study: StudyResults, variant: str, other: str, when: Callable[[str, Floats], Moment]) -> None:
         self._name, self.never = variant.upper(), 0
         self.slots: verdicts.Trainings = {}
-        self.wall_s: verdicts.Trainings = {}
         for scenario in verdicts.common_scenarios(study, "validation", OWN, other):
             runs = study.runs("validation", variant, scenario)
             moments = [when(scenario, run["mean_aou_slots"]) for run in runs]
             self.never += sum(not moment.happened for moment in moments)
             pairs = list(zip(runs, moments, strict=True))
             self.slots |= {scenario: np.array([float(run["slots"][moment.place]) for run, moment in pairs])}
-            self.wall_s |= {scenario: np.array([run["wall_s"][moment.place] for run, moment in pairs])}
         self.trainings = sum(len(group) for group in self.slots.values())
 
     def told(self, what: str) -> str:
