@@ -21,7 +21,7 @@ import yaml
 from scipy.special import stdtrit
 from scipy.stats import mannwhitneyu
 
-from tests.reports import strayed
+from tests.reports import fresh, strayed
 from tests.reports.strayed import states
 from uavaou.reports.scores import study_scores
 from uavaou.statistics import ratio_of_trainings
@@ -296,7 +296,17 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "With four candidates and 20 fresh seeds": strayed.none_strays,
     "They end at": strayed.mended,
     "Of the first four trainings": strayed.first_four,
-    "goes on from the released `any-map-local`": lambda text: states(text, *strayed.fine_tuned("{:.1f}")),
+    "goes on from the released `any-map-local`": lambda text: (
+        states(text, *strayed.fine_tuned("{:.1f}"))
+        and f"0.91 of QMIX's mean AoU ({fresh.interval('fine-tuned', 'qmix')})" in text
+    ),
+    "of its 60 trainings are there": fresh.counted,
+    "goes on from `any-map-local` for 600,000 slots, three seeds": lambda _: trainings(
+        "fine-tuning-fresh", 5, 3, 600_000
+    ),
+    "MAPPO to QMIX is": fresh.to_qmix,
+    "has 0.91 (": fresh.tuned_ratios,
+    "is lower than it on four of five": fresh.lower_than_tuned,
     "Ten trainings that go on from it": lambda text: (
         states(text, "600,000 slots", *strayed.fine_tuned("{:.2f}")) and strayed.spread("fine-tuned") in text
     ),
@@ -306,6 +316,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "played 240 CPU seconds": lambda _: searched("paper+layout_seed=1", 4, 240),
 }
 ELSEWHERE = {  # words -> where the numbers are checked, or what they are
+    "Nothing was chosen on layouts 11 to 15": "layout seeds",
     "Intervals are 95 %": "the rule of all intervals: tests/statistics",
     "It has the lowest mean here": "tests/test_readme.py",
     "one claim on speed is partly": "tests/test_readme.py",
@@ -343,6 +354,13 @@ def test_the_table_of_strays_on_paper_is_that_of_its_study() -> None:
     assert "MAPPO's trainings that do not stray are level with QMIX's." in page
     assert strayed.level_apart_from_strays()
     assert [row for row in strayed.structure_rows() if f"{row}\n" not in page] == []
+
+
+def test_the_table_of_fresh_layouts_is_that_of_its_studies() -> None:
+    page = (RESULTS / "README.md").read_text(encoding="utf-8")
+    assert [row for row in fresh.table() if f"{row}\n" not in page] == []
+    assert "That holds on all five." in page
+    assert fresh.tuned_below()
 
 
 def test_the_table_of_strays_is_that_of_its_study() -> None:
