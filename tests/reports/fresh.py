@@ -55,9 +55,13 @@ def ratio(policy: str, other: str) -> str:
         means = [planned(name, place) if name in PLANNERS else trainings(name, place) for place in places()]
         return np.array([np.log(mean).mean() for mean in means])
 
-    own = logs(policy) - logs(other)
-    half = float(stdtrit(len(own) - 1, 0.975)) * own.std(ddof=1) / len(own) ** 0.5
-    return f"{exp(own.mean()):.2f} ({exp(own.mean() - half):.2f}–{exp(own.mean() + half):.2f})"
+    return of_logs(logs(policy) - logs(other))
+
+
+def of_logs(logs: np.ndarray) -> str:
+    """The ratio whose logarithm is the mean of (n,) logarithms, with Student's interval over these."""
+    half = float(stdtrit(len(logs) - 1, 0.975)) * logs.std(ddof=1) / len(logs) ** 0.5
+    return f"{exp(logs.mean()):.2f} ({exp(logs.mean() - half):.2f}–{exp(logs.mean() + half):.2f})"
 
 
 def tuned_below() -> bool:
@@ -70,12 +74,13 @@ def tuned_below() -> bool:
     )
 
 
-def interval(policy: str, other: str) -> str:
-    return ratio(policy, other).partition("(")[2].rstrip(")")
-
-
 def to_qmix(text: str) -> bool:
     return f"is {ratio('mappo', 'qmix')}, and {ratio('mappo, four candidates', 'qmix')} with" in text
+
+
+def tuned_to_qmix(text: str) -> bool:
+    """README: the fine-tuned trainings beside QMIX's."""
+    return ratio(TUNED, "qmix").replace(" (", " of QMIX's mean AoU (") in text
 
 
 def tuned_ratios(text: str) -> bool:

@@ -225,8 +225,8 @@ def fine_tuned(form: str) -> list[str]:
     return [form.format(number) for number in mean]
 
 
-def spread(variant: str) -> str:
-    means = read_study(RESULTS / "fine-tuning").table("runs", variant, "paper")["mean_aou_slots"]
+def spread_of_fine_tuned() -> str:
+    means = read_study(RESULTS / "fine-tuning").table("runs", "fine-tuned", "paper")["mean_aou_slots"]
     return f"logarithm is {np.log(means).std(ddof=1):.3f}"
 
 

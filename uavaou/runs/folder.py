@@ -294,7 +294,7 @@ def config_folder(out: Path, config: RunConfig) -> RunFolder:
         InputError: the algorithm is not registered.
     """
     name = config.algorithm.name
-    overrides = _differences(_published(config.algorithm), config.algorithm.model_dump(mode="json"))
+    overrides = _differences(published_settings(config.algorithm), config.algorithm.model_dump(mode="json"))
     overrides |= {"from": config.start[:12]} if config.start else {}
     overrides |= {"fork": str(config.fork)} if config.fork else {}
     place = family_folder(config.family) if config.family else scenario_folder(config.scenario)
@@ -346,7 +346,7 @@ def train_command(
     command += ["--scenario", source, "--algorithm", algorithm.name]
     changes = {
         "scenario": _differences(Scenario.load(source).to_dict(), scenario.to_dict()),
-        "algorithm": _differences(_published(algorithm), algorithm.model_dump(mode="json")),
+        "algorithm": _differences(published_settings(algorithm), algorithm.model_dump(mode="json")),
     }
     for part, fields in changes.items():
         for name, value in fields.items():
@@ -355,7 +355,7 @@ def train_command(
     return command
 
 
-def _published(algorithm: AlgorithmConfig) -> dict[str, Any]:
+def published_settings(algorithm: AlgorithmConfig) -> dict[str, Any]:
     """The published settings that these start from: those of the algorithm with their network.
 
     Validations and candidates follow the budget (:func:`load_config`): they differ only where they were set.

@@ -15,7 +15,7 @@ from urllib.parse import quote
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
-from uavaou.runs.folder import RunConfig, RunFolder, train_command
+from uavaou.runs.folder import RunConfig, RunFolder, published_settings, train_command
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.suites.suite import ResolvedPoint, Suite
@@ -88,9 +88,7 @@ def name_runs(configs: Mapping[Path, RunConfig], suite: Suite) -> list[SuiteRun]
 
 def _without_usual_candidates(algorithm: AlgorithmConfig) -> dict[str, Any]:
     """The settings, without the number of candidates where it is the one that is published for the budget."""
-    settings = algorithm.model_dump(mode="json")
-    chosen: dict[str, Any] = {field: settings[field] for field in ("network", "slots") if field in settings}
-    usual = load_config(algorithm.name, chosen).candidates
+    settings, usual = algorithm.model_dump(mode="json"), published_settings(algorithm)["candidates"]
     return {k: v for k, v in settings.items() if k != "candidates" or v != usual}
 
 
