@@ -52,6 +52,7 @@ def judge(study: StudyResults) -> list[Claim]:
           for other in verdicts.BASELINES),
         *(_aou(study, other, text, quote, verdicts.reduced_to(share)) for other, share, text, quote in _REDUCTIONS),
         *(_more(study, other, *counted) for counted in _COUNTS for other in verdicts.BASELINES),
+        _communications_by_frequency(study),
         _served_by_frequency(study),
         _beside_planner(study, "everything", "MAPPO flies fresher than the best planner that knows everything"),
         _beside_planner(study, "local", "MAPPO flies fresher than the best rule that knows as much and learns nothing",
@@ -95,6 +96,17 @@ def _more(study: StudyResults, other: str, column: str, text: str, what: str, di
     )  # fmt: skip
 
 
+def _communications_by_frequency(study: StudyResults) -> Claim:
+    """The paper's sentence as it is written: communications fall with the generation period k."""
+    text = "devices that generate more often have more communications with MAPPO"
+    found = _correlations(study, OWN, _AT_RANDOM) or _correlations(study, OWN)
+    if not found:
+        return verdicts.not_measured(text, FREQUENT, f"devices of '{OWN}' with different periods and communications")
+    estimate = mean_of_tasks({name: own[0] for name, (own, *_) in found.items()}).within(-1, 1)
+    measured = f"Spearman correlation over devices of communications with the generation period k: {_told(found, 0)}"
+    return Claim(text, FREQUENT, lower(estimate, 0), measured, estimate)
+
+
 def _served_by_frequency(study: StudyResults) -> Claim:
     """A communication needs a pending update, so that a device has at most K/k of them in a mission.
 
@@ -102,25 +114,32 @@ def _served_by_frequency(study: StudyResults) -> Claim:
     the correlation of the share of the cap, less that of moves at random.
     """
     text = "MAPPO serves devices more often that generate more often, beyond what their updates allow at random moves"
-    found: dict[str, list[Floats]] = {}  # of MAPPO (2, S) and of random moves (2, 1)
-    for scenario in verdicts.common_scenarios(study, "devices", OWN, _AT_RANDOM):
-        pair = [_by_period(study.runs("devices", name, scenario)) for name in (OWN, _AT_RANDOM)]
-        if all(np.isfinite(values).all() for values in pair):
-            found[scenario] = pair
+    found = _correlations(study, OWN, _AT_RANDOM)
     if not found:
         missing = f"devices of both '{OWN}' and '{_AT_RANDOM}' with different periods and communications"
-        return verdicts.not_measured(text, FREQUENT, missing)
-
-    def told(row: int) -> str:
-        own, theirs = (rounded(float(np.mean([pair[k][row].mean() for pair in found.values()]))) for k in (0, 1))
-        return f"MAPPO {own}, `{_AT_RANDOM}` {theirs}"
-
+        return verdicts.not_measured(text, "", missing)
     measured = (
-        f"Spearman correlation over devices with the generation period k, of communications: {told(0)}; of their share "
-        f"of K/k: {told(1)}; difference of the latter"
+        f"Spearman correlation over devices with the generation period k, of communications: {_told(found, 0)}; of "
+        f"their share of K/k: {_told(found, 1)}; difference of the latter"
     )
     difference = mean_of_tasks({name: own[1] - random[1] for name, (own, random) in found.items()}).within(-2, 2)
-    return Claim(text, FREQUENT, lower(difference, 0), measured, difference)
+    return Claim(text, "", lower(difference, 0), measured, difference)
+
+
+def _correlations(study: StudyResults, *variants: str) -> dict[str, list[Floats]]:
+    """:func:`_by_period` of each of the variants, in the scenarios in which all of them have one."""
+    found: dict[str, list[Floats]] = {}
+    for scenario in verdicts.common_scenarios(study, "devices", *variants):
+        values = [_by_period(study.runs("devices", name, scenario)) for name in variants]  # (2, S) each
+        if all(np.isfinite(value).all() for value in values):
+            found[scenario] = values
+    return found
+
+
+def _told(found: dict[str, list[Floats]], row: int) -> str:
+    """A row of the correlations of MAPPO, and of random moves where they are there, in words."""
+    named = zip(("MAPPO", f"`{_AT_RANDOM}`"), zip(*found.values(), strict=True), strict=False)
+    return ", ".join(f"{name} {rounded(float(np.mean([one[row].mean() for one in values])))}" for name, values in named)
 
 
 def _by_period(runs: Sequence[Table]) -> Floats:
