@@ -140,7 +140,7 @@ def test_what_it_says_of_the_claims_is_what_they_say() -> None:
         == "supported"
     )
     text = README.read_text(encoding="utf-8")
-    assert "all hold but one, which says that MAPPO serves more devices: both serve all 25 devices" in text
+    assert "All hold but one, which says that MAPPO serves more devices: both serve all 25 devices" in text
     assert (
         "converges in fewer slots; one claim on speed is partly supported, four are not supported, and the three"
         in text
