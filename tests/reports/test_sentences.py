@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from scipy.stats import mannwhitneyu
 
-from tests.reports import fresh, strayed
+from tests.reports import earliness, fresh, strayed
 from tests.reports.strayed import states
 from uavaou.reports.scores import study_scores
 from uavaou.statistics import ratio_of_trainings
@@ -157,79 +156,9 @@ def of_the_scenario(text: str) -> bool:
     return fields["rician_factor"] == 10 and fields["rate_min_bit_s"] == 150_000
 
 
-def at(name: str, variant: str, slots: int) -> list[float]:
-    """The validation AoU in slots of each training of a variant at the evaluation next to a number of slots."""
-    found = study(name).table("validation", variant)
-    last = {}
-    for seed in sorted(set(found["seed"])):
-        own = np.flatnonzero(found["seed"] == seed)
-        last[seed] = float(found["mean_aou_slots"][own[np.abs(found["slots"][own] - slots).argmin()]])
-    return list(last.values())
-
-
-def earlier() -> list[str]:
-    """The rows of the table of ``earliness-short``."""
-    name = "earliness-short"
-    variants = list(study(name).settings["variants"])
-    ends = {one.policy: one.mean for one in study_scores(study(name))["paper"]}
-    halfway = [at(name, variant, 500_000) for variant in variants]
-    converged = {
-        variant: fmean(
-            float(row["converged_slots"]) for row in rows(f"studies/{name}/trainings.csv") if row["variant"] == variant
-        )
-        for variant in variants
-    }
-    return [
-        " | ".join(f"{ends[name].value:.1f} ({max(ends[name].low, 0):.1f}–{ends[name].high:.1f})" for name in variants),
-        " | ".join(f"{min(group):,.0f} to {max(group):,.0f}" for group in halfway),
-        " | ".join(f"{converged[name]:,.0f} slots" for name in variants),
-    ]
-
-
-def earliest(text: str) -> bool:
-    name = "earliness-short"
-    first, *others = (at(name, variant, 500_000) for variant in study(name).settings["variants"])
-    return "500,000" in text and max(first) < min(map(min, others)) and trainings(name, 5, 5, 1_000_000)
-
-
-def overlapping(text: str) -> bool:
-    """From which evaluation on the range of MAPPO's trainings and that of QMIX's overlap."""
-    own, theirs = (
-        [
-            (min(group), max(group))
-            for group in (at("earliness-short", name, slots) for slots in range(100_000, 10**6, 10**5))
-        ]
-        for name in ("mappo", "qmix")
-    )
-    apart = [mine[1] < other[0] for mine, other in zip(own, theirs, strict=True)]
-    return f"From {(apart.index(False) + 1) * 100_000:,} slots" in text and not any(apart[apart.index(False) :])
-
-
-def delayed(text: str) -> bool:
-    qmix, vdn = (
-        mannwhitneyu(*(at("earliness-short", f"{name}{arm}", 500_000) for arm in ("", ", short epsilon"))).pvalue
-        for name in ("qmix", "vdn")
-    )
-    return f"p = {qmix:.3f}" in text and vdn > 0.05
-
-
-def still_improving(text: str) -> bool:
-    found = rows("studies/earliness-short/trainings.csv")
-    ended = sum(float(row["converged_slots"] or 0) > 1e6 for row in found)
-    return f"{ended} of the {len(found)} trainings" in text
-
-
 def widths(text: str) -> bool:
     settings = study("paper").settings["variants"]
     return {tuple(one["hidden"]) for one in settings.values()} == {(128, 128)} and "128-128" in text
-
-
-def behind(text: str) -> bool:
-    """QMIX's ratio to MAPPO after a third of the budget, as the study's page has it."""
-    page = (RESULTS / "studies/earliness-short/README.md").read_text(encoding="utf-8")
-    (row,) = (line for line in page.splitlines() if line.startswith("| qmix | 5 |"))
-    ratio, interval = row.split(" | ")[3].split(" ", 1)
-    return f"{ratio} times" in text and interval.strip("()") in text and "no significant difference" in row
 
 
 CHECKED: dict[str, Callable[[str], bool]] = {
@@ -267,11 +196,11 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     ),
     "trains with a third of the budget, 1M slots": lambda _: trainings("earliness-short", 5, 5, 1_000_000),
     "Five seeds each, 100 missions a training": lambda _: study("earliness-short").settings["episodes"] == 100,
-    "of each of its trainings is lower at 500,000 slots": earliest,
-    "range and QMIX's overlap": overlapping,
-    "falls three times as early": delayed,
-    "were still improving at the end": still_improving,
-    "QMIX's mean AoU after 1M slots": behind,
+    "of each of its trainings is lower at 500,000 slots": earliness.earliest,
+    "range and QMIX's overlap": earliness.overlapping,
+    "falls three times as early": earliness.delayed,
+    "were still improving at the end": earliness.still_improving,
+    "QMIX's mean AoU after 1M slots": earliness.behind,
     "(3M slots, one seed each) on five layouts": lambda _: trainings("layouts", 5, 1, 3_000_000),
     "On layout 0, over ten seeds": ratio_to_anneal,
     "To `rolling`, on the 64 missions of both": ratios_to_rolling,
@@ -343,7 +272,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
 
 def test_the_table_of_the_earlier_learner_is_that_of_its_study() -> None:
     page = (RESULTS / "README.md").read_text(encoding="utf-8")
-    for row in earlier():
+    for row in earliness.table("earliness-short"):
         assert f" | {row} |" in page
 
 

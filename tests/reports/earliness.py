@@ -1,0 +1,87 @@
+"""What the page of results says of the learners that are earlier, from the tables of two studies."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from statistics import fmean
+
+import numpy as np
+from scipy.stats import mannwhitneyu
+
+from uavaou.csv_tables import read_csv
+from uavaou.reports.scores import study_scores
+from uavaou.studies.results import StudyResults, read_study
+
+RESULTS = Path(__file__).resolve().parents[2] / "results" / "studies"
+SHORT = "earliness-short"  # a third of the budget
+HALFWAY = 500_000  # slots
+
+
+@cache
+def study(name: str) -> StudyResults:
+    return read_study(RESULTS / name)
+
+
+def at(name: str, variant: str, slots: int) -> list[float]:
+    """The validation AoU in slots of each training of a variant at the evaluation next to a number of slots."""
+    found = study(name).table("validation", variant)
+    last = {}
+    for seed in sorted(set(found["seed"])):
+        own = np.flatnonzero(found["seed"] == seed)
+        last[seed] = float(found["mean_aou_slots"][own[np.abs(found["slots"][own] - slots).argmin()]])
+    return list(last.values())
+
+
+def converged(name: str, variant: str | None = None) -> list[float]:
+    """The slots after which the trainings, of a variant or all, have converged; 0 for one that has not."""
+    table = read_csv(RESULTS / name / "trainings.csv", ("variant", "converged_slots"))
+    slots = np.nan_to_num(table.floats("converged_slots", missing=True))
+    return [float(one) for one, own in zip(slots, table.text("variant"), strict=True) if variant in (None, own)]
+
+
+def table(name: str) -> list[str]:
+    """The rows of the table of a study."""
+    variants = list(study(name).settings["variants"])
+    ends = {one.policy: one.mean for one in study_scores(study(name))["paper"]}
+    halfway = [at(name, variant, HALFWAY) for variant in variants]
+    return [
+        " | ".join(f"{ends[name].value:.1f} ({max(ends[name].low, 0):.1f}–{ends[name].high:.1f})" for name in variants),
+        " | ".join(f"{min(group):,.0f} to {max(group):,.0f}" for group in halfway),
+        " | ".join(f"{fmean(converged(name, variant)):,.0f} slots" for variant in variants),
+    ]
+
+
+def earliest(text: str) -> bool:
+    first, *others = (at(SHORT, variant, HALFWAY) for variant in study(SHORT).settings["variants"])
+    return f"{HALFWAY:,}" in text and max(first) < min(map(min, others))
+
+
+def overlapping(text: str) -> bool:
+    """From which evaluation on the range of MAPPO's trainings and that of QMIX's overlap."""
+    groups = (
+        [at(SHORT, variant, slots) for variant in ("mappo", "qmix")] for slots in range(100_000, 1_000_000, 100_000)
+    )
+    apart = [max(own) < min(theirs) for own, theirs in groups]
+    return f"From {(apart.index(False) + 1) * 100_000:,} slots" in text and not any(apart[apart.index(False) :])
+
+
+def delayed(text: str) -> bool:
+    qmix, vdn = (
+        mannwhitneyu(*(at(SHORT, f"{name}{arm}", HALFWAY) for arm in ("", ", short epsilon"))).pvalue
+        for name in ("qmix", "vdn")
+    )
+    return f"p = {qmix:.3f}" in text and vdn > 0.05
+
+
+def still_improving(text: str) -> bool:
+    ended = converged(SHORT)
+    return f"{sum(slots > 1e6 for slots in ended)} of the {len(ended)} trainings" in text
+
+
+def behind(text: str) -> bool:
+    """QMIX's ratio to MAPPO after a third of the budget, as the study's page has it."""
+    page = (RESULTS / SHORT / "README.md").read_text(encoding="utf-8")
+    (row,) = (line for line in page.splitlines() if line.startswith("| qmix | 5 |"))
+    ratio, interval = row.split(" | ")[3].split(" ", 1)
+    return f"{ratio} times" in text and interval.strip("()") in text and "no significant difference" in row
