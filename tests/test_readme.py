@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from scipy.stats import mannwhitneyu
 
+from tests.committed import study
 from tests.documents import ROOT, blocks, commands
 from tests.reports.strayed import frequencies_of_strays
 from uavaou.csv_tables import read_csv
@@ -17,7 +18,6 @@ from uavaou.reports.claims import judge
 from uavaou.reports.markdown import rounded
 from uavaou.reports.scores import study_scores
 from uavaou.statistics import Interval
-from uavaou.studies.results import read_study
 
 README = ROOT / "README.md"
 RULES = "local-greedy-tuned", "local-greedy-parts"
@@ -61,7 +61,7 @@ def means() -> dict[str, dict[str, Interval]]:
     """Study and scenario -> policy -> its mean AoU with its interval, from the committed tables."""
     found = {}
     for name in ("paper", "layouts"):
-        for scenario, scores in study_scores(read_study(ROOT / "results" / "studies" / name)).items():
+        for scenario, scores in study_scores(study(name)).items():
             found[f"{name}: {scenario}"] = {one.policy: one.mean for one in scores}
     return found
 
@@ -126,7 +126,7 @@ def test_the_rule_with_searched_numbers_has_the_lowest_mean(means: dict[str, dic
 
 
 def test_what_it_says_of_the_claims_is_what_they_say() -> None:
-    claims = judge(read_study(ROOT / "results" / "studies" / "paper"))
+    claims = judge(study("paper"))
     against = {name: [one.verdict for one in claims if name in one.claim and one.quote] for name in ("VDN", "QMIX")}
     assert Counter(against["QMIX"]) == {
         "supported": 1,
@@ -147,7 +147,7 @@ def test_what_it_says_of_the_claims_is_what_they_say() -> None:
     )
     frequent = [one.verdict for one in claims if "generate more often" in one.claim]
     assert frequent == ["supported", "contradicted"]
-    runs = read_study(ROOT / "results" / "studies" / "paper")
+    runs = study("paper")
     ranks = mannwhitneyu(*(runs.table("runs", name)["mean_aou_slots"] for name in ("qmix", "mappo")))
     assert f"in {ranks.statistic:.0f} of 100 pairs (p = {ranks.pvalue:.3f} by the rank-sum test)" in text
     assert ranks.pvalue > 0.05

@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from functools import cache
-from pathlib import Path
 from statistics import fmean
 
 import numpy as np
 from scipy.stats import mannwhitneyu
 
+from tests.committed import STUDIES, study
 from uavaou.csv_tables import read_csv
 from uavaou.reports.scores import study_scores
-from uavaou.studies.results import StudyResults, read_study
 
-RESULTS = Path(__file__).resolve().parents[2] / "results" / "studies"
 SHORT = "earliness-short"  # a third of the budget
 HALFWAY = 500_000  # slots
-
-
-@cache
-def study(name: str) -> StudyResults:
-    return read_study(RESULTS / name)
 
 
 def at(name: str, variant: str, slots: int) -> list[float]:
@@ -35,7 +27,7 @@ def at(name: str, variant: str, slots: int) -> list[float]:
 
 def converged(name: str, variant: str | None = None) -> list[float]:
     """The slots after which the trainings, of a variant or all, have converged; 0 for one that has not."""
-    table = read_csv(RESULTS / name / "trainings.csv", ("variant", "converged_slots"))
+    table = read_csv(STUDIES / name / "trainings.csv", ("variant", "converged_slots"))
     slots = np.nan_to_num(table.floats("converged_slots", missing=True))
     return [float(one) for one, own in zip(slots, table.text("variant"), strict=True) if variant in (None, own)]
 
@@ -81,7 +73,7 @@ def still_improving(text: str) -> bool:
 
 def behind(text: str) -> bool:
     """QMIX's ratio to MAPPO after a third of the budget, as the study's page has it."""
-    page = (RESULTS / SHORT / "README.md").read_text(encoding="utf-8")
+    page = (STUDIES / SHORT / "README.md").read_text(encoding="utf-8")
     (row,) = (line for line in page.splitlines() if line.startswith("| qmix | 5 |"))
     ratio, interval = row.split(" | ")[3].split(" ", 1)
     return f"{ratio} times" in text and interval.strip("()") in text and "no significant difference" in row

@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 from math import exp
-from pathlib import Path
 
 import numpy as np
 from scipy.special import stdtrit
 
-from uavaou.studies.results import read_study
+from tests.committed import study
 
-RESULTS = Path(__file__).resolve().parents[2] / "results" / "studies"
 LEARNERS = ("mappo", "qmix", "mappo, four candidates", "qmix, four candidates")
+FOUR = (("mappo, four candidates", "mappo"), ("qmix, four candidates", "qmix"))
 TUNED = "fine-tuned"
 PLANNERS = ("any-map-local", "local-greedy-parts", "local-greedy-tuned", "anneal")
 
 
 def trainings(policy: str, place: str) -> np.ndarray:
     """Where the trainings of a variant end on a layout, in slots."""
-    study = read_study(RESULTS / ("fine-tuning-fresh" if policy == TUNED else "fresh-layouts"))
-    return np.asarray(study.table("runs", policy, place)["mean_aou_slots"])
+    own = study("fine-tuning-fresh" if policy == TUNED else "fresh-layouts")
+    return np.asarray(own.table("runs", policy, place)["mean_aou_slots"])
 
 
 def places() -> list[str]:
-    return list(read_study(RESULTS / "fresh-layouts").scenarios)
+    return list(study("fresh-layouts").scenarios)
 
 
 def planned(policy: str, place: str) -> float:
-    missions = read_study(RESULTS / "fresh-layouts").table("missions", policy, place)
+    missions = study("fresh-layouts").table("missions", policy, place)
     return float(missions["mean_aou_slots"].mean())
 
 
@@ -40,12 +39,6 @@ def table() -> list[str]:
         cells += [f"{planned(policy, place):.1f}" for policy in PLANNERS]
         found.append(f"| {' | '.join(cells)} |")
     return found
-
-
-def counted(text: str) -> bool:
-    """How many of the study's trainings are there."""
-    done = sum(len(trainings(policy, place)) for policy in LEARNERS for place in places())
-    return f"{done} of its 60 trainings" in text
 
 
 def ratio(policy: str, other: str) -> str:
@@ -75,7 +68,39 @@ def tuned_below() -> bool:
 
 
 def to_qmix(text: str) -> bool:
-    return f"is {ratio('mappo', 'qmix')}, and {ratio('mappo, four candidates', 'qmix')} with" in text
+    stated = ratio("mappo", "qmix")
+    return f"is {stated}, and {ratio('mappo, four candidates', 'qmix')} with" in text and above_one(stated)
+
+
+def above_one(stated: str) -> bool:
+    return float(stated.partition("(")[2].partition("–")[0]) > 1
+
+
+def qmix_ahead(text: str) -> bool:
+    """README: MAPPO beside QMIX, and both beside the rule that learns nothing."""
+    stated = ratio("mappo", "qmix")
+    value, interval = stated.replace("–", " to ").split(" ", 1)
+    shown = [name for name in LEARNERS[:2] if not above_one(ratio("local-greedy-parts", name))]
+    return f"MAPPO has {value} times its AoU {interval}" in text and above_one(stated) and shown == list(LEARNERS[:2])
+
+
+def four_to_one(text: str) -> bool:
+    return all(f"is {ratio(four, one)}" in text or f" {ratio(four, one)}." in text for four, one in FOUR)
+
+
+def spreads(text: str) -> bool:
+    """The standard deviation of log AoU, pooled over the layouts."""
+    mappo, qmix = (" and ".join(f"{spread(name):.3f}" for name in pair) for pair in FOUR)
+    return f"is {mappo.replace(' and', ' with four and')} with one (QMIX {qmix})" in text
+
+
+def spread(policy: str) -> float:
+    return float(np.sqrt(np.mean([np.log(trainings(policy, place)).var(ddof=1) for place in places()])))
+
+
+def to_the_rule(text: str) -> bool:
+    own, theirs = (ratio(name, "local-greedy-parts") for name in LEARNERS[:2])
+    return f"MAPPO is {own} and QMIX {theirs}" in text and not above_one(own)
 
 
 def tuned_to_qmix(text: str) -> bool:
@@ -84,7 +109,10 @@ def tuned_to_qmix(text: str) -> bool:
 
 
 def tuned_ratios(text: str) -> bool:
-    return f"has {ratio(TUNED, 'qmix')} of" in text and f"and {ratio(TUNED, 'any-map-local')} of" in text
+    stated = [ratio(TUNED, other) for other in ("qmix", "any-map-local", "local-greedy-parts")]
+    return "has {} of QMIX's mean AoU, {} of that of `any-map-local`".format(*stated) in text and (
+        f"and {stated[2]} of that of `local-greedy-parts`" in text
+    )
 
 
 def lower_than_tuned(text: str) -> bool:

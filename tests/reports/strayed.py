@@ -5,23 +5,21 @@ from __future__ import annotations
 import re
 from functools import cache
 from itertools import chain
-from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 from scipy.stats import ttest_1samp, ttest_ind
 
+from tests.committed import study
 from uavaou.reports.claims import _by_period
 from uavaou.reports.scores import study_scores
 from uavaou.reports.training_claims import converged
 from uavaou.statistics import geometric_mean, ratio_of_trainings
 from uavaou.statistics.counts import fisher
 from uavaou.studies.folder import PartKey
-from uavaou.studies.results import read_study
 from uavaou.studies.structure import strays, structures
 
-RESULTS = Path(__file__).resolve().parents[2] / "results" / "studies"
 VARIANTS = ("frozen", "four candidates")
 
 
@@ -33,7 +31,7 @@ def states(text: str, *numbers: str) -> bool:
 @cache
 def layouts() -> dict[str, dict[str, Any]]:
     """Of each layout of ``strays-fresh``: the table's row, and the means of the trainings of each variant."""
-    results = read_study(RESULTS / "strays-fresh")
+    results = study("strays-fresh")
     found = structures(results)
     table: dict[str, dict[str, Any]] = {}
     for name in results.scenarios:
@@ -78,7 +76,7 @@ def rule_ahead(text: str) -> bool:
 
 def forked(text: str) -> bool:
     """How many forks stray by the slot at which they part."""
-    results = read_study(RESULTS / "strays-forks")
+    results = study("strays-forks")
     found = structures(results)
     counts = ["{} of {}".format(*strays(found, f"at {slots}", "layout 8")) for slots in ("0.1M", "0.3M", "1M")]
     own = strays(found, "own start", "layout 8")
@@ -87,7 +85,7 @@ def forked(text: str) -> bool:
 
 def mended(text: str) -> bool:
     """Whether trainings with four candidates stray on layout 0, and where they end."""
-    results = read_study(RESULTS / "strays-mended")
+    results = study("strays-mended")
     means = results.table("runs", "four candidates", "paper")["mean_aou_slots"]
     numbers = [f"{means.mean():.1f}", f"{means.min():.1f}", f"{means.max():.1f}", f"{np.log(means).std(ddof=1):.3f}"]
     return states(text, *numbers) and len(means) == 20
@@ -95,13 +93,13 @@ def mended(text: str) -> bool:
 
 def none_strays(_: str) -> bool:
     """Whether none of the twenty does."""
-    results = read_study(RESULTS / "strays-mended")
+    results = study("strays-mended")
     return strays(structures(results), "four candidates", "paper") == (0, 20)
 
 
 def first_four(text: str) -> bool:
     """Where the first four trainings with one candidate end."""
-    results = read_study(RESULTS / "strays-masks")
+    results = study("strays-masks")
     means = results.table("runs", "masks on", "paper")["mean_aou_slots"][:4]
     found = structures(results)
     stray = [found[PartKey("masks on", "paper", seed)].strays for seed in range(100, 104)]
@@ -113,7 +111,7 @@ def first_four(text: str) -> bool:
 @cache
 def ends(variant: str) -> tuple[list[float], list[float]]:
     """Where the trainings of a variant of the paper's study end that stray, and the others."""
-    results = read_study(RESULTS / "paper")
+    results = study("paper")
     found = {key: one for key, one in structures(results).items() if key.variant == variant}
     pair = [
         [float(results.cell(key, "mean_aou_slots")) for key, one in found.items() if one.strays == is_it]
@@ -129,7 +127,7 @@ def between(means: list[float]) -> str:
 
 def structure_rows() -> list[str]:
     """The rows of the table of strays on ``paper``."""
-    variants = list(read_study(RESULTS / "paper").algorithms)
+    variants = list(study("paper").algorithms)
     pairs = [ends(name) for name in variants]
     spread = [np.log(strays + others).std(ddof=1) for strays, others in pairs]
     return [
@@ -182,8 +180,8 @@ def of_ten(text: str) -> bool:
 
 def pooled(text: str) -> bool:
     """The strays on layout 0 of all studies with the frozen settings, with four candidates and with one."""
-    four = [strays(structures(read_study(RESULTS / "strays-mended")), "four candidates", "paper")]
-    one = [strays(structures(read_study(RESULTS / "strays-masks")), "masks on", "paper")]
+    four = [strays(structures(study("strays-mended")), "four candidates", "paper")]
+    one = [strays(structures(study("strays-masks")), "masks on", "paper")]
     for counts, name in ((four, "mappo, four candidates"), (one, "mappo")):
         counts.append((len(ends(name)[0]), 10))
     (few, of_few), (many, of_many) = (tuple(map(sum, zip(*counts, strict=True))) for counts in (four, one))
@@ -193,7 +191,7 @@ def pooled(text: str) -> bool:
 
 def of_four_to_qmix() -> tuple[str, str]:
     """Ratios of MAPPO with four candidates to QMIX with one: of the AoU, and of the slots until convergence."""
-    results, aou, slots = read_study(RESULTS / "paper"), [], []
+    results, aou, slots = study("paper"), [], []
     for name in ("mappo, four candidates", "qmix"):
         aou.append({"": results.missions(name, "mean_aou_slots", ["paper"])["paper"].mean(axis=1)})
         runs = results.runs("validation", name, "paper")
@@ -219,20 +217,20 @@ def mended_strays(text: str) -> bool:
 
 def fine_tuned(form: str) -> list[str]:
     """Mean and interval of the trainings that begin with ``any-map-local``, of which none strays."""
-    results = read_study(RESULTS / "fine-tuning")
+    results = study("fine-tuning")
     assert strays(structures(results), "fine-tuned", "paper") == (0, 10)
     (mean,) = (one.mean for one in study_scores(results)["paper"] if one.policy == "fine-tuned")
     return [form.format(number) for number in mean]
 
 
 def spread_of_fine_tuned() -> str:
-    means = read_study(RESULTS / "fine-tuning").table("runs", "fine-tuned", "paper")["mean_aou_slots"]
+    means = study("fine-tuning").table("runs", "fine-tuned", "paper")["mean_aou_slots"]
     return f"logarithm is {np.log(means).std(ddof=1):.3f}"
 
 
 def frequencies_of_strays() -> bool:
     """Whether MAPPO's strays favour frequent devices less than `random`, and the others show no difference."""
-    results = read_study(RESULTS / "paper")
+    results = study("paper")
     found = structures(results)
     at_random = _by_period(results.runs("devices", "random", "paper"))[1, 0]
     own = _by_period(results.runs("devices", "mappo", "paper"))[1]

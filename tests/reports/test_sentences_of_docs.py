@@ -16,8 +16,9 @@ from statistics import fmean
 import numpy as np
 import pytest
 
+from tests.committed import study
 from tests.reports.strayed import states
-from tests.reports.test_sentences import ROOT, means, rows, sentences, study, trainings, tuned_rule
+from tests.reports.test_sentences import ROOT, means, rows, sentences, trainings, tuned_rule
 from uavaou.plain_yaml import parse_yaml
 from uavaou.planners import decomposition, fleet, rolling, tuned
 from uavaou.planners.exact import LARGEST, program_size
