@@ -10,8 +10,9 @@ from scipy.stats import mannwhitneyu
 from tests.committed import STUDIES, study
 from uavaou.csv_tables import read_csv
 from uavaou.reports.scores import study_scores
+from uavaou.statistics import ratio_of_trainings
 
-SHORT = "earliness-short"  # a third of the budget
+WHOLE, SHORT = "earliness", "earliness-short"  # of the budget all, and a third
 HALFWAY = 500_000  # slots
 
 
@@ -26,9 +27,10 @@ def at(name: str, variant: str, slots: int) -> list[float]:
 
 
 def converged(name: str, variant: str | None = None) -> list[float]:
-    """The slots after which the trainings, of a variant or all, have converged; 0 for one that has not."""
+    """The slots after which the trainings, of a variant or all, have converged; the budget for one that has not."""
     table = read_csv(STUDIES / name / "trainings.csv", ("variant", "converged_slots"))
-    slots = np.nan_to_num(table.floats("converged_slots", missing=True))
+    budget = float(study(name).table("runs")["slots"].max())
+    slots = np.nan_to_num(table.floats("converged_slots", missing=True), nan=budget)
     return [float(one) for one, own in zip(slots, table.text("variant"), strict=True) if variant in (None, own)]
 
 
@@ -42,6 +44,37 @@ def table(name: str) -> list[str]:
         " | ".join(f"{min(group):,.0f} to {max(group):,.0f}" for group in halfway),
         " | ".join(f"{fmean(converged(name, variant)):,.0f} slots" for variant in variants),
     ]
+
+
+def to_converge(other: str) -> str:
+    """The slots until convergence with the whole budget, of MAPPO to another, with Welch's interval."""
+    found = ratio_of_trainings(*({"": converged(WHOLE, name)} for name in ("mappo", other)))
+    return f"{found.value:.2f} ({found.low:.2f}–{found.high:.2f})"
+
+
+def by_ranks(name: str, one: str, other: str, slots: int = HALFWAY) -> float:
+    """p of the rank-sum test between the validation AoU of two variants' trainings."""
+    return float(mannwhitneyu(at(name, one, slots), at(name, other, slots)).pvalue)
+
+
+def of_convergence(text: str) -> bool:
+    return f"are {to_converge('qmix')} of QMIX's, and {to_converge('qmix, short epsilon')} of those" in text
+
+
+def ahead(text: str) -> bool:
+    p = by_ranks(WHOLE, "mappo", "qmix")
+    return f"p = {p:.2f}" in text and p < 0.05
+
+
+def level(text: str) -> bool:
+    """No difference to QMIX with the short epsilon, at two times; each training of VDN's arms is above MAPPO's."""
+    halfway, later = (by_ranks(WHOLE, "mappo", "qmix, short epsilon", slots) for slots in (HALFWAY, 1_000_000))
+    behind_vdn = [
+        min(at(WHOLE, f"vdn{arm}", HALFWAY)) > max(at(WHOLE, "mappo", HALFWAY)) for arm in ("", ", short epsilon")
+    ]
+    return (
+        f"(p = {halfway:.2f}), nor at 1,000,000 slots (p = {later:.2f})" in text and halfway > 0.05 and all(behind_vdn)
+    )
 
 
 def earliest(text: str) -> bool:
@@ -59,10 +92,7 @@ def overlapping(text: str) -> bool:
 
 
 def delayed(text: str) -> bool:
-    qmix, vdn = (
-        mannwhitneyu(*(at(SHORT, f"{name}{arm}", HALFWAY) for arm in ("", ", short epsilon"))).pvalue
-        for name in ("qmix", "vdn")
-    )
+    qmix, vdn = (by_ranks(SHORT, name, f"{name}, short epsilon") for name in ("qmix", "vdn"))
     return f"p = {qmix:.3f}" in text and vdn > 0.05
 
 
