@@ -141,7 +141,7 @@ def test_what_it_says_of_the_claims_is_what_they_say() -> None:
     )
     text = README.read_text(encoding="utf-8")
     assert "All hold but one, which says that MAPPO serves more devices: both serve all 25 devices" in text
-    assert "is shown; one claim on speed is partly supported, four are not supported, and the three" in text
+    assert "is shown. One claim on speed is partly supported, four are not supported, and the three" in text
     frequent = [one.verdict for one in claims if "generate more often" in one.claim]
     assert frequent == ["supported", "contradicted"]
     runs = study("paper")

@@ -46,9 +46,9 @@ def table(name: str) -> list[str]:
     ]
 
 
-def to_converge(other: str) -> str:
-    """The slots until convergence with the whole budget, of MAPPO to another, with Welch's interval."""
-    found = ratio_of_trainings(*({"": converged(WHOLE, name)} for name in ("mappo", other)))
+def to_converge(other: str, name: str = WHOLE, own: str = "mappo") -> str:
+    """The slots until convergence, of MAPPO to another, with Welch's interval."""
+    found = ratio_of_trainings(*({"": converged(name, variant)} for variant in (own, other)))
     return f"{found.value:.2f} ({found.low:.2f}–{found.high:.2f})"
 
 
@@ -73,7 +73,9 @@ def level(text: str) -> bool:
         min(at(WHOLE, f"vdn{arm}", HALFWAY)) > max(at(WHOLE, "mappo", HALFWAY)) for arm in ("", ", short epsilon")
     ]
     return (
-        f"(p = {halfway:.2f}), nor at 1,000,000 slots (p = {later:.2f})" in text and halfway > 0.05 and all(behind_vdn)
+        f"(p = {halfway:.2f}), nor at 1,000,000 slots (p = {later:.2f})" in text
+        and min(halfway, later) > 0.05
+        and all(behind_vdn)
     )
 
 

@@ -80,12 +80,17 @@ def qmix_ahead(text: str) -> bool:
     """README: MAPPO beside QMIX, and both beside the rule that learns nothing."""
     stated = ratio("mappo", "qmix")
     value, interval = stated.replace("–", " to ").split(" ", 1)
-    shown = [name for name in LEARNERS[:2] if not above_one(ratio("local-greedy-parts", name))]
-    return f"MAPPO has {value} times its AoU {interval}" in text and above_one(stated) and shown == list(LEARNERS[:2])
+    return f"MAPPO has {value} times its AoU {interval}" in text and above_one(stated) and none_below_the_rule()
+
+
+def none_below_the_rule() -> bool:
+    """Whether neither learner from the start is shown to be below the rule that learns nothing."""
+    return not any(above_one(ratio("local-greedy-parts", name)) for name in LEARNERS[:2])
 
 
 def four_to_one(text: str) -> bool:
-    return all(f"is {ratio(four, one)}" in text or f" {ratio(four, one)}." in text for four, one in FOUR)
+    mappo, qmix = (ratio(*pair) for pair in FOUR)
+    return f"is {mappo}, and QMIX's {qmix}." in text
 
 
 def spreads(text: str) -> bool:
@@ -100,7 +105,7 @@ def spread(policy: str) -> float:
 
 def to_the_rule(text: str) -> bool:
     own, theirs = (ratio(name, "local-greedy-parts") for name in LEARNERS[:2])
-    return f"MAPPO is {own} and QMIX {theirs}" in text and not above_one(own)
+    return f"MAPPO is {own} and QMIX {theirs}" in text and none_below_the_rule()
 
 
 def tuned_to_qmix(text: str) -> bool:

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.stats import ttest_1samp, ttest_ind
 
 from tests.committed import study
+from tests.reports.earliness import to_converge
 from uavaou.reports.claims import _by_period
 from uavaou.reports.scores import study_scores
-from uavaou.reports.training_claims import converged
 from uavaou.statistics import geometric_mean, ratio_of_trainings
 from uavaou.statistics.counts import fisher
 from uavaou.studies.folder import PartKey
@@ -191,14 +191,10 @@ def pooled(text: str) -> bool:
 
 def of_four_to_qmix() -> tuple[str, str]:
     """Ratios of MAPPO with four candidates to QMIX with one: of the AoU, and of the slots until convergence."""
-    results, aou, slots = study("paper"), [], []
-    for name in ("mappo, four candidates", "qmix"):
-        aou.append({"": results.missions(name, "mean_aou_slots", ["paper"])["paper"].mean(axis=1)})
-        runs = results.runs("validation", name, "paper")
-        slots.append({"": np.array([float(run["slots"][converged(run["mean_aou_slots"]).place]) for run in runs])})
-    ratios = [ratio_of_trainings(*pair) for pair in (aou, slots)]
-    first, second = (f"{one.value:.2f} ({one.low:.2f}–{one.high:.2f})" for one in ratios)
-    return first, second
+    own, other = "mappo, four candidates", "qmix"
+    missions = (study("paper").missions(name, "mean_aou_slots", ["paper"])["paper"] for name in (own, other))
+    aou = ratio_of_trainings(*({"": each.mean(axis=1)} for each in missions))
+    return f"{aou.value:.2f} ({aou.low:.2f}–{aou.high:.2f})", to_converge(other, "paper", own)
 
 
 def four_against_qmix(text: str) -> bool:
