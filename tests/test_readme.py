@@ -117,7 +117,7 @@ def test_the_ratios_on_other_layouts_are_those_of_the_tables(means: dict[str, di
     assert (
         f"ratios is **{over[0]}** to `anneal`, **{over[1]}** to `{RULES[0]}` and **{over[2]}** to `{RULES[1]}`" in page
     )
-    assert f"over the three fresh layouts {fresh[0]}, {fresh[1]} and {fresh[2]}." in page
+    assert f"Over the three fresh layouts it is {fresh[0]}, {fresh[1]} and {fresh[2]}." in page
 
 
 def test_the_rule_with_searched_numbers_has_the_lowest_mean(means: dict[str, dict[str, Interval]]) -> None:
