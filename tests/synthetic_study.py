@@ -86,7 +86,7 @@ def _train(tables: _Tables, name: str, variant: Variant, scenario: str, seed: in
     own = variant.aou * (1 + variant.spread * rng.standard_normal())
     wall_s = 1e-3 * BUDGET
     tables.rows["runs"].append(
-        [name, algorithm, scenario, seed, BUDGET, 3 * BUDGET, wall_s, wall_s, BUDGET, own, own, own, 0, "0" * 40]
+        [name, algorithm, scenario, seed, BUDGET, 3 * BUDGET, wall_s, wall_s, BUDGET, own, own, own, 0, "0" * 40, "one"]
     )
     for slots in np.linspace(BUDGET / GROUPS, BUDGET, GROUPS).astype(int):
         aou = own * _learning(slots, variant.converges) * (1 + 0.05 * rng.standard_normal())

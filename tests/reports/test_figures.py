@@ -104,6 +104,20 @@ def test_figures_show_what_the_tables_say(tmp_path: Path, drawn: dict[str, Any])
     assert wall["QMIX"].get_ydata()[-1] == pytest.approx(held[:, -1].mean())
 
 
+@pytest.mark.parametrize("other", ["two", ""])
+def test_a_wall_clock_of_several_processors_says_so(tmp_path: Path, drawn: dict[str, Any], other: str) -> None:
+    study = write_study(tmp_path / "study")
+
+    def note() -> bool:
+        plot_study(study, tmp_path / "out")
+        return "several processors" in drawn["out/aou-wall-clock"].legends[0].get_title().get_text()
+
+    assert not note()
+    runs = study / "runs.csv"
+    runs.write_text(runs.read_text().replace(",one", f",{other}", 1))
+    assert note()
+
+
 def test_one_seed_and_no_planners_or_bound(tmp_path: Path, drawn: dict[str, Any]) -> None:
     study = write_study(tmp_path / "study", {"mappo": MAPPO}, {}, seeds=1, bound=None)
     plot_study(study, tmp_path / "out")

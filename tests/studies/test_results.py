@@ -297,6 +297,15 @@ def test_damaged_results_are_named(
     assert message in str(caught.value)
 
 
+def test_tables_from_before_a_column_are_read(copied: tuple[Study, Path]) -> None:
+    runs = copied[1] / "studies/mine/runs.csv"
+    before = read_study(runs.parent).table("runs")
+    runs.write_text("".join(line.rpartition(",")[0] + "\n" for line in runs.open()))
+    after = read_study(runs.parent).table("runs")
+    assert set(before["processor"]) != {""} == set(after["processor"])
+    assert all((before[name] == after[name]).all() for name in before if name != "processor")
+
+
 def test_a_part_cut_off_between_two_tables_is_done_again(copied: tuple[Study, Path]) -> None:
     study, out = copied
     shutil.rmtree(out / "tiny")
@@ -333,7 +342,7 @@ def test_numbers_have_six_digits() -> None:
 def test_the_columns_keep_their_names() -> None:
     assert COLUMNS["runs"] == (
         "variant", "algorithm", "scenario", "seed", "slots", "agent_steps", "wall_s", "cpu_s", "best_slots",
-        "mean_aou_slots", "low", "high", "violations", "commit",
+        "mean_aou_slots", "low", "high", "violations", "commit", "processor",
     )  # fmt: skip
     assert list(COLUMNS)[-1] == "runs"  # written last: a run counts by its row here
     assert Study.load("paper").planner_parts()[0] == PartKey("bound", "paper")

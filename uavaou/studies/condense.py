@@ -138,7 +138,7 @@ def condense_run(results: StudyResults, study: Study, out: Path, run: StudyRun) 
     measured = map(number, (meta.wall_s, meta.cpu_s, best, found.value, found.low, found.high))
     variant, *place = _cells(run.key)
     steps, violations = (str(meta.slots), str(meta.agent_steps)), str(sum(evaluation.violations.values()))
-    rows["runs"] = [[variant, name, *place, *steps, *measured, violations, meta.commit or ""]]
+    rows["runs"] = [[variant, name, *place, *steps, *measured, violations, meta.commit or "", meta.processor or ""]]
     results.put(run.key, rows, run.config)
     return True
 

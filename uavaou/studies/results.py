@@ -45,12 +45,13 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     ),
     "runs": (
         "variant", "algorithm", "scenario", "seed", "slots", "agent_steps", "wall_s", "cpu_s", "best_slots",
-        "mean_aou_slots", "low", "high", "violations", "commit",
+        "mean_aou_slots", "low", "high", "violations", "commit", "processor",
     ),
 }  # fmt: skip
-_TEXT = ("variant", "algorithm", "scenario", "method", "commit")
+_TEXT = ("variant", "algorithm", "scenario", "method", "commit", "processor")
 _WHOLE = ("seed", "device", "slot", "mission", "slots", "agent_steps", "violations", "update_period_slots")
 _MAY_BE_EMPTY = ("cpu_s", "low", "high", "best_slots")
+_LATER_COLUMNS = ("processor",)  # files from before them have none
 
 
 class NothingYetError(InputError):
@@ -179,6 +180,10 @@ class StudyResults:
         found = {scenario: self.stack("missions", variant, scenario, column) for scenario in wanted}
         return {scenario: values for scenario, values in found.items() if values.size}
 
+    def processors(self, scenario: str) -> set[str]:
+        """The processors that the trainings on a scenario ran on; "" where one was not recorded."""
+        return set(self.table("runs", scenario=scenario)["processor"].tolist())
+
     def cell(self, key: PartKey, column: str) -> str:
         """A cell of a training's row in ``runs.csv``."""
         return self.parts[key]["runs"][0][COLUMNS["runs"].index(column)]
@@ -273,7 +278,7 @@ def _read(folder: StudyFolder, names: Sequence[str]) -> StudyResults:
     # In the opposite order of writing: while the study runs, tables then hold more parts than `runs` names, never less.
     parts: dict[PartKey, Rows] = {}
     for name in reversed(names):
-        table = read_csv(folder.table(name), COLUMNS[name], exact=True)
+        table = _read_table(folder.table(name), COLUMNS[name])
         _arrays(table)  # refuses what is not a number, while the lines are known
         for key, row in zip(part_keys(table), table.rows, strict=True):
             parts.setdefault(key, {}).setdefault(name, []).append(row)
@@ -281,6 +286,16 @@ def _read(folder: StudyFolder, names: Sequence[str]) -> StudyResults:
     last = {key: "runs" if key.seed is not None else "bounds" if key.variant == BOUND else "missions" for key in parts}
     # A part without rows in its last table was cut off while it was written.
     return StudyResults(folder, settings, {key: rows for key, rows in parts.items() if last[key] in rows})
+
+
+def _read_table(path: Path, columns: tuple[str, ...]) -> CsvTable:
+    later = [column for column in _LATER_COLUMNS if column in columns]
+    table = read_csv(path, [column for column in columns if column not in later])
+    for column in later:
+        table = table if column in table.columns else table.filled(column, "")
+    if table.columns != columns:
+        raise InputError(f"{path}: expected the columns {', '.join(columns)}")
+    return table
 
 
 def study_folders(results: Path) -> list[Path]:
