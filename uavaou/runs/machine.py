@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 _PACKAGES = ("uavaou", "torch", "stable-baselines3", "supersuit", "pettingzoo", "gymnasium", "numpy")
+_NUMBERS = {"family": "cpu family", "model": "model"}  # of a processor: its field in /proc/cpuinfo
 
 
 def describe_machine() -> dict[str, Any]:
@@ -40,8 +41,13 @@ def _commit() -> str | None:
 
 
 def _processor() -> str:
+    """The name, and where Linux tells them the family and model: some virtual machines hide those in the name."""
     with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
+        first = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n", 1)[0]
+        stated = {
+            name.strip(): value.strip() for name, _, value in (line.partition(":") for line in first.splitlines())
+        }
+        if name := stated.get("model name"):
+            numbers = " ".join(f"{part} {stated[field]}" for part, field in _NUMBERS.items() if field in stated)
+            return f"{name} ({numbers})" if numbers else name
     return platform.processor()
