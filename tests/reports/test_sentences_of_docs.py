@@ -263,7 +263,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "403,200 slots (the best of 1,002,240)": last_stage(ANY_MAP_LOCAL, until=403_200 / 1_002_240),
     "202.97 slots": validated(ANY_MAP),
     "59.13 slots": validated(ANY_MAP_LOCAL),
-    "is level with it on the same parts": zero_shot("any-map-local", "layouts", 3),
+    "is close to it on the same parts": zero_shot("any-map-local", "layouts", 3),
     "of the mean AoU of the planner `best-first`": zero_shot("any-map", "unseen-layouts", 2),
     # studies, and projects that users come from
     "collects device 18": in_range_of_much,
