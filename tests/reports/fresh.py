@@ -1,33 +1,37 @@
-"""What the page of results says of the layouts on which nothing was chosen, from the tables of two studies."""
+"""What the page of results says of other layouts than that of the paper's study, from the tables of three studies."""
 
 from __future__ import annotations
 
+import re
 from math import exp
 
 import numpy as np
 from scipy.special import stdtrit
 
-from tests.committed import study
+from tests.committed import STUDIES, study
+from uavaou.csv_tables import read_csv
+from uavaou.reports.scores import study_scores
 
+RESULTS = STUDIES.parent
 LEARNERS = ("mappo", "qmix", "mappo, four candidates", "qmix, four candidates")
 FOUR = (("mappo, four candidates", "mappo"), ("qmix, four candidates", "qmix"))
 TUNED = "fine-tuned"
 PLANNERS = ("any-map-local", "local-greedy-parts", "local-greedy-tuned", "anneal")
+ON_LAYOUTS = ("local-greedy-tuned", "local-greedy-parts", "anneal", "rolling", "best-first", "greedy")  # of the page
 
 
-def trainings(policy: str, place: str) -> np.ndarray:
+def trainings(policy: str, place: str, of: str = "fresh-layouts") -> np.ndarray:
     """Where the trainings of a variant end on a layout, in slots."""
-    own = study("fine-tuning-fresh" if policy == TUNED else "fresh-layouts")
+    own = study("fine-tuning-fresh" if policy == TUNED else of)
     return np.asarray(own.table("runs", policy, place)["mean_aou_slots"])
 
 
-def places() -> list[str]:
-    return list(study("fresh-layouts").scenarios)
+def places(of: str = "fresh-layouts") -> list[str]:
+    return list(study(of).scenarios)
 
 
-def planned(policy: str, place: str) -> float:
-    missions = study("fresh-layouts").table("missions", policy, place)
-    return float(missions["mean_aou_slots"].mean())
+def planned(policy: str, place: str, of: str = "fresh-layouts") -> float:
+    return float(study(of).table("missions", policy, place)["mean_aou_slots"].mean())
 
 
 def table() -> list[str]:
@@ -41,11 +45,12 @@ def table() -> list[str]:
     return found
 
 
-def ratio(policy: str, other: str) -> str:
+def ratio(policy: str, other: str, of: str = "fresh-layouts") -> str:
     """Of geometric means over the layouts, with Student's interval over these."""
 
     def logs(name: str) -> np.ndarray:
-        means = [planned(name, place) if name in PLANNERS else trainings(name, place) for place in places()]
+        is_planned = name in study(of).planners
+        means = [planned(name, place, of) if is_planned else trainings(name, place, of) for place in places(of)]
         return np.array([np.log(mean).mean() for mean in means])
 
     return of_logs(logs(policy) - logs(other))
@@ -127,3 +132,36 @@ def lower_than_tuned(text: str) -> bool:
     qmix = [place for place in places() if trainings("qmix", place).mean() < own[place]]
     stated = f"(ratio {ratio(TUNED, 'local-greedy-tuned').replace(' (', ', ')}"
     return stated in text and len(rule) == 4 and qmix == ["layout 15"]
+
+
+def gap(policy: str, place: str) -> float:
+    """The mean of a policy on a layout in ``planners/gap.csv``, over 64 missions."""
+    table = read_csv(RESULTS / "planners" / "gap.csv")
+    named = zip(table.text("scenario"), table.text("policy"), table.floats("mean_aou_slots"), strict=True)
+    wanted = (f"paper+layout_seed={place.removeprefix('layout ')}", policy)
+    return next(mean for *row, mean in named if tuple(row) == wanted)
+
+
+def layouts_table() -> list[str]:
+    """The rows of the page's table of ``layouts``."""
+    found = []
+    for place, scores in study_scores(study("layouts")).items():
+        means = {one.policy: one.mean for one in scores}
+        own = "{:.1f}** ({:.1f}–{:.1f})".format(*means["mappo"])
+        others = [means[name].value if name in means else gap(name, place) for name in ON_LAYOUTS]
+        cells = [place.removeprefix("layout "), f"{gap('bound', place):.1f}", f"**{own}"]
+        found.append(f"| {' | '.join([*cells, *(f'{mean:.1f}' for mean in others)])} |")
+    return found
+
+
+def on_layouts(text: str) -> bool:
+    """The ratios of MAPPO to three planners on the layouts 1 to 5."""
+    names = re.findall(r"of `([a-z-]+)`'s", text)
+    return len(names) == 3 and all(f"{ratio('mappo', name, 'layouts')} of `{name}`'s" in text for name in names)
+
+
+def to_rolling(text: str) -> bool:
+    """MAPPO beside ``rolling`` there, over the missions that both flew."""
+    missions = study("layouts").missions("mappo", "mean_aou_slots")
+    logs = [np.log(own[:, :64].mean(axis=1)).mean() - np.log(gap("rolling", place)) for place, own in missions.items()]
+    return f"is {of_logs(np.array(logs))}." in text

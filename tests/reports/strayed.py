@@ -9,7 +9,7 @@ from statistics import fmean
 from typing import Any
 
 import numpy as np
-from scipy.stats import ttest_1samp, ttest_ind
+from scipy.stats import levene, mannwhitneyu, ttest_1samp, ttest_ind
 
 from tests.committed import study
 from tests.reports.earliness import to_converge
@@ -18,7 +18,7 @@ from uavaou.reports.scores import study_scores
 from uavaou.statistics import geometric_mean, ratio_of_trainings
 from uavaou.statistics.counts import fisher
 from uavaou.studies.folder import PartKey
-from uavaou.studies.structure import strays, structures
+from uavaou.studies.structure import not_needed, strays, structures
 
 VARIANTS = ("frozen", "four candidates")
 
@@ -97,15 +97,43 @@ def none_strays(_: str) -> bool:
     return strays(structures(results), "four candidates", "paper") == (0, 20)
 
 
-def first_four(text: str) -> bool:
-    """Where the first four trainings with one candidate end."""
+def of_masks() -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """How many trainings stray with masks and without, Fisher's p, and where they end with masks and without."""
+    results, names = study("strays-masks"), ("masks on", "masks off")
+    counts = [strays(structures(results), name, "paper") for name in names]
+    told = ["{} of {}".format(*count) for count in counts]
+    on, off = (np.asarray(results.table("runs", name, "paper")["mean_aou_slots"]) for name in names)
+    return (*told, f"p = {fisher(*counts[0], *counts[1]):.2f}"), on, off
+
+
+def with_masks(text: str) -> bool:
+    return text.endswith(f"settings, {of_masks()[0][0]} stray.")
+
+
+def masks_stray(text: str) -> bool:
+    """Whether trainings stray with masks as without, with too few left to change that."""
+    told = of_masks()[0]
     results = study("strays-masks")
-    means = results.table("runs", "masks on", "paper")["mean_aou_slots"][:4]
-    found = structures(results)
-    stray = [found[PartKey("masks on", "paper", seed)].strays for seed in range(100, 104)]
-    others = [mean for mean, strayed in zip(means, stray, strict=True) if not strayed]
-    ends = [f"{mean:.1f}" for mean in (*means[stray], min(others), max(others))]
-    return sum(stray) == 1 and states(text, "first four", *ends)
+    keys = {PartKey(name, "paper", seed) for name in ("masks on", "masks off") for seed in range(100, 120)}
+    left = keys - results.parts.keys()
+    decided = bool(left) and not_needed(results, results.settings) == left
+    return states(text, *told) and float(told[2].split()[-1]) > 0.05 and decided
+
+
+def masks_end(text: str) -> bool:
+    """Where the trainings without masks end, beside those with them, and how far apart."""
+    _, on, off = of_masks()
+    ratio = ratio_of_trainings({"": off}, {"": on})
+    spread = [f"{np.log(own).std(ddof=1):.3f}" for own in (off, on)]
+    p = levene(np.log(on), np.log(off)).pvalue
+    told = f"at {ratio.value:.3f} ({ratio.low:.3f}–{ratio.high:.3g})"
+    return told in text and states(text, *spread, f"p = {p:.2f}") and p > 0.05 and ratio.low < 1 < ratio.high
+
+
+def masks_ranked(text: str) -> bool:
+    _, on, off = of_masks()
+    p = mannwhitneyu(on, off).pvalue
+    return states(text, f"{np.median(on):.1f} and {np.median(off):.1f}", f"p = {p:.2f}") and p < 0.05
 
 
 @cache

@@ -220,7 +220,10 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "Of those that part at 0.1M slots": strayed.forked,
     "With four candidates and 20 fresh seeds": strayed.none_strays,
     "They end at": strayed.mended,
-    "Of the first four trainings": strayed.first_four,
+    "with one candidate and the same settings": strayed.with_masks,
+    "and the test is Fisher's": strayed.masks_stray,
+    "Without masks they end at": strayed.masks_end,
+    "lower by ranks": strayed.masks_ranked,
     "goes on from the released `any-map-local`": lambda text: (
         states(text, *strayed.fine_tuned("{:.1f}")) and fresh.tuned_to_qmix(text)
     ),
@@ -264,6 +267,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "Nothing was chosen on layouts 3, 4 and 5": "what was searched: results/tuning",
     "two cores of an AMD EPYC (Zen 5)": "the machine: results/benchmarks/machine.json",
     "On an AMD EPYC (Zen 4)": "another machine: docs/speed.md",
+    "up to 20 of each": "the study's file",
     "A training strays here if": "the study's file: behind",
     "Stated in advance were at most 37.0": "the study's file",
     "was trained for 5.4M slots before": "its model card",
