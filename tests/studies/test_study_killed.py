@@ -47,15 +47,15 @@ episodes: 4
 """
 
 
-def wait_for_missions(out: Path, runs: int, missions: int) -> list[Path]:
-    """Wait until that many runs have played that many missions; returns their folders."""
+def wait_for_missions(process: Any, out: Path, runs: int, missions: int) -> list[Path]:
+    """Wait until that many runs of a study's process have played that many missions; returns their folders."""
     deadline = time.monotonic() + 300
-    while time.monotonic() < deadline:
+    while process.exitcode is None and time.monotonic() < deadline:
         found = [path for path in out.glob("*/*/seed-*/episodes.csv") if path.read_text().count("\n") > missions]
         if len(found) >= runs:
             return [path.parent for path in found]
         time.sleep(0.05)
-    raise AssertionError("the runs did not begin")
+    raise AssertionError(f"the runs did not begin; the exit status is {process.exitcode}")
 
 
 def assert_the_same(one: Path, other: Path, study: Study) -> None:
@@ -95,7 +95,7 @@ def test_sigterm_makes_every_run_save_and_the_same_command_goes_on(
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
     process = start_command(line, tmp_path / "stderr")
-    folders = wait_for_missions(tmp_path / "out", 2, 20)
+    folders = wait_for_missions(process, tmp_path / "out", 2, 20)
     os.killpg(process.pid, signal.SIGTERM)  # to the children too
     process.join(120)
     assert process.exitcode == 143
@@ -118,7 +118,7 @@ def test_trainings_save_and_end_when_the_study_process_is_killed(untouched: tupl
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
     process = start_command(line, tmp_path / "stderr")
-    folders = wait_for_missions(tmp_path / "out", 2, 20)
+    folders = wait_for_missions(process, tmp_path / "out", 2, 20)
     os.kill(process.pid, signal.SIGKILL)
     process.join()
     deadline = time.monotonic() + 60
@@ -287,12 +287,22 @@ def test_a_killed_worker_and_a_lost_node_of_a_cluster_are_replaced_and_their_run
 
 
 @pytest.mark.slow
+def test_a_cluster_is_started_beside_one_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = pytest.importorskip("ray")
+    from uavaou.studies.cluster import Cluster
+
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # as of a cluster that `ray start` began
+    with Cluster(jobs=1):
+        assert ray.cluster_resources()["CPU"] == 1
+
+
+@pytest.mark.slow
 def test_a_study_stopped_on_a_cluster_resumes_without_it(untouched: tuple[Path, Study], tmp_path: Path) -> None:
     pytest.importorskip("ray")
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'} --engine ray"
     process = start_command(f"{line} --checkpoint-every 0", tmp_path / "stderr")
-    folders = wait_for_missions(tmp_path / "out", 2, 5)
+    folders = wait_for_missions(process, tmp_path / "out", 2, 5)
     assert all(str(holder(folder / ".lock")).startswith("process ") for folder in folders)
     os.killpg(process.pid, signal.SIGINT)
     process.join(120)
@@ -308,7 +318,7 @@ def test_a_study_stopped_on_a_cluster_resumes_without_it(untouched: tuple[Path, 
 def test_the_smoke_study_killed_and_resumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = f"study run smoke --jobs 2 --out {tmp_path / 'out'}"
     process = start_command(line, tmp_path / "stderr")
-    wait_for_missions(tmp_path / "out", 1, 20)
+    wait_for_missions(process, tmp_path / "out", 1, 20)
     process.kill()
     process.join()
     time.sleep(1)

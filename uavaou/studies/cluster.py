@@ -62,7 +62,8 @@ class Cluster:
         local: dict[str, Any] = {"num_cpus": self._jobs, "include_dashboard": False} if self._address is None else {}
         try:
             with _as_workers_need_it():
-                ray.init(address=self._address, log_to_driver=False, logging_level="ERROR", **local)
+                # Without an address Ray would join a cluster that somebody has started here, and refuse `num_cpus`.
+                ray.init(address=self._address or "local", log_to_driver=False, logging_level="ERROR", **local)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise InputError(f"--address {self._address}: no Ray cluster can be reached: {str(error)[:200]}") from error
         here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
