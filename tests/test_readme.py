@@ -12,7 +12,6 @@ from scipy.stats import mannwhitneyu
 from tests.committed import study
 from tests.documents import ROOT, blocks, commands
 from tests.reports.strayed import frequencies_of_strays
-from uavaou.csv_tables import read_csv
 from uavaou.planners import PLANNERS, planner_knowledge
 from uavaou.reports.claims import judge
 from uavaou.reports.markdown import rounded
@@ -57,27 +56,22 @@ def test_it_shows_every_command() -> None:
 
 
 @pytest.fixture(scope="module")
-def means() -> dict[str, dict[str, Interval]]:
-    """Study and scenario -> policy -> its mean AoU with its interval, from the committed tables."""
-    found = {}
-    for name in ("paper", "layouts"):
-        for scenario, scores in study_scores(study(name)).items():
-            found[f"{name}: {scenario}"] = {one.policy: one.mean for one in scores}
-    return found
+def means() -> dict[str, Interval]:
+    """Policy -> its mean AoU with its interval, from the committed tables of the study ``paper``."""
+    return {one.policy: one.mean for one in study_scores(study("paper"))["paper"]}
 
 
-def test_the_results_are_those_of_the_tables(means: dict[str, dict[str, Interval]]) -> None:
+def test_the_results_are_those_of_the_tables(means: dict[str, Interval]) -> None:
     """Mean, interval and knowledge of every policy in the table, with as many digits as it shows."""
     text = README.read_text(encoding="utf-8")
     heads, values, levels = (
         [cell.strip(" `") for cell in line.strip("|").split("|")][1:]
         for line in re.findall(r"^\|(?: \| QMIX| mean \|| knows \|).*", text, re.M)
     )
-    found = means["paper: paper"]
     for head, value, level in zip(heads, values, levels, strict=True):
         policy = {"bound": "lower bound"}.get(head, head.lower())
         shown = [cell.replace(",", "") for cell in re.findall(r"[\d.,]+", value)]
-        assert shown == [rounded_like(number, cell) for number, cell in zip(found[policy], shown, strict=False)], head
+        assert shown == [rounded_like(number, cell) for number, cell in zip(means[policy], shown, strict=False)], head
         assert len(shown) == (1 if head == "bound" else 3)
         assert level == (planner_knowledge(policy) if policy in PLANNERS else "" if head == "bound" else "local")
 
@@ -89,39 +83,8 @@ def rounded_like(value: float, shown: str) -> str:
     return f"{value:.{len(shown.partition('.')[2])}f}"
 
 
-def test_the_ratios_on_other_layouts_are_those_of_the_tables(means: dict[str, dict[str, Interval]]) -> None:
-    layouts = [means[f"layouts: layout {seed}"] for seed in range(1, 6)]
-    ratios = {name: [one["mappo"].value / one[name].value for one in layouts] for name in ("anneal", *RULES)}
-    text = README.read_text(encoding="utf-8")
-    for name, found in ratios.items():
-        *most, last = (f"{ratio:.2f}" for ratio in found)
-        assert f"{', '.join(most)} and {last} of `{name}`'s" in text
-    page = (ROOT / "results" / "README.md").read_text(encoding="utf-8")
-    table = read_csv(ROOT / "results" / "planners" / "gap.csv")
-    names, planned_means = (
-        zip(table.text("scenario"), table.text("policy"), strict=True),
-        table.floats("mean_aou_slots"),
-    )
-    planned = {name: f"{mean:.1f}" for name, mean in zip(names, planned_means, strict=True)}
-    for seed, one in enumerate(layouts, start=1):
-        cells = [cell.strip(" *") for cell in re.findall(rf"^\| {seed} \|(.*)\|$", page, re.M)[0].split("|")]
-        mean, low, high = one["mappo"]
-        assert cells[2] == f"{mean:.1f}** ({low:.1f}–{high:.1f})"
-        shown = [f"{one[name].value:.1f}" for name in (*RULES, "anneal", "best-first", "greedy")]
-        assert [*cells[3:6], *cells[7:9]] == shown
-        assert [cells[1], cells[6]] == [planned[f"paper+layout_seed={seed}", name] for name in ("bound", "rolling")]
-        assert cells[9:12] == [f"{found[seed - 1]:.2f}" for found in ratios.values()]
-    assert "has a lower mean than MAPPO on all five" in page
-    assert min(ratios[RULES[0]]) > 1
-    over, fresh = ([f"{sum(found[first:]) / (5 - first):.2f}" for found in ratios.values()] for first in (0, 2))
-    assert (
-        f"ratios is **{over[0]}** to `anneal`, **{over[1]}** to `{RULES[0]}` and **{over[2]}** to `{RULES[1]}`" in page
-    )
-    assert f"Over the three fresh layouts it is {fresh[0]}, {fresh[1]} and {fresh[2]}." in page
-
-
-def test_the_rule_with_searched_numbers_has_the_lowest_mean(means: dict[str, dict[str, Interval]]) -> None:
-    found = {policy: mean.value for policy, mean in means["paper: paper"].items() if policy != "lower bound"}
+def test_the_rule_with_searched_numbers_has_the_lowest_mean(means: dict[str, Interval]) -> None:
+    found = {policy: mean.value for policy, mean in means.items() if policy != "lower bound"}
     assert min(found, key=lambda policy: found[policy]) == RULES[0]
 
 

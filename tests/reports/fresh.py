@@ -160,6 +160,16 @@ def on_layouts(text: str) -> bool:
     return len(names) == 3 and all(f"{ratio('mappo', name, 'layouts')} of `{name}`'s" in text for name in names)
 
 
+def rule_below(text: str) -> bool:
+    """Where the rule that learns nothing is below MAPPO's mean, and where only within its interval over trainings."""
+    scores = [*study_scores(study("paper")).values(), *study_scores(study("layouts")).values()]
+    means = [{one.policy: one.mean for one in found} for found in scores]
+    rule = [found["local-greedy-parts"].value for found in means]
+    below = [str(seed) for seed, found in enumerate(means) if rule[seed] < found["mappo"].value]
+    unclear = [seed for seed in below if rule[int(seed)] > means[int(seed)]["mappo"].low]
+    return f"seeds {', '.join(below[:-1])} and {below[-1]}; on {' and '.join(unclear)} the difference" in text
+
+
 def to_rolling(text: str) -> bool:
     """MAPPO beside ``rolling`` there, over the missions that both flew."""
     missions = study("layouts").missions("mappo", "mean_aou_slots")
