@@ -136,6 +136,41 @@ def masks_ranked(text: str) -> bool:
     return states(text, f"{np.median(on):.1f} and {np.median(off):.1f}", f"p = {p:.2f}") and p < 0.05
 
 
+def of_bonus(word: str) -> tuple[int, int]:
+    """How many trainings stray in the variants of ``strays-entropy`` whose names have a word."""
+    results = study("strays-entropy")
+    counts = [strays(structures(results), name, "paper") for name in results.algorithms if word in name]
+    few, many = map(sum, zip(*counts, strict=True))
+    return few, many
+
+
+def bonus_strays(text: str) -> bool:
+    """Strays with larger bonuses, by bonus and by clip range, and beside them."""
+    told = [" of ".join(map(str, of_bonus(word))) for word in ("entropy 0.01,", "clip 0.2", "frozen")]
+    none = [of_bonus(word)[0] for word in ("entropy 0.027", "entropy 0.05", "clip 0.1")]
+    return states(text, "Of these 30, 1", *told) and of_bonus("entropy") == (1, 30) and none == [0, 0, 0]
+
+
+def bonus_pooled(text: str) -> bool:
+    """Larger bonuses beside all trainings with the frozen settings and one candidate."""
+    results = study("strays-entropy")
+    own = [results.table("runs", name, "paper")["mean_aou_slots"] for name in results.algorithms if name != "frozen"]
+    stray, others = ends("mappo")
+    frozen = np.concatenate([of_masks()[1], stray, others])
+    many = len(stray) + strays(structures(study("strays-masks")), "masks on", "paper")[0], len(frozen)
+    ratio = ratio_of_trainings({"": np.concatenate(own)}, {"": frozen})
+    told = f"{ratio.value:.2f} ({ratio.low:.2f}–{ratio.high:.2f}) of theirs"
+    return states(text, "{} of {}".format(*many), f"p = {fisher(*of_bonus('entropy'), *many):.3f}") and told in text
+
+
+def bonus_ends(text: str) -> bool:
+    """Where the trainings with larger bonuses end that do not stray."""
+    results = study("strays-entropy")
+    found = {key: one for key, one in structures(results).items() if key.variant != "frozen" and not one.strays}
+    means = np.array([float(results.cell(key, "mean_aou_slots")) for key in found])
+    return states(text, str(len(means)), f"{means.min():.1f}", f"{means.max():.1f}")
+
+
 @cache
 def ends(variant: str) -> tuple[list[float], list[float]]:
     """Where the trainings of a variant of the paper's study end that stray, and the others."""

@@ -216,6 +216,10 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "and the test is Fisher's": strayed.masks_stray,
     "Without masks they end at": strayed.masks_end,
     "lower by ranks": strayed.masks_ranked,
+    "crosses bonuses of 0.01, 0.027 and 0.05": lambda _: trainings("strays-entropy", 7, 5, 3_000_000),
+    "Of these 30, 1 strays": strayed.bonus_strays,
+    "The other 29 end": strayed.bonus_ends,
+    "that have the frozen settings and one candidate": strayed.bonus_pooled,
     "goes on from the released `any-map-local`": lambda text: (
         states(text, *strayed.fine_tuned("{:.1f}")) and fresh.tuned_to_qmix(text)
     ),
