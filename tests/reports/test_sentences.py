@@ -220,6 +220,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "Of these 30, 1 strays": strayed.bonus_strays,
     "The other 29 end": strayed.bonus_ends,
     "that have the frozen settings and one candidate": strayed.bonus_pooled,
+    "with a bonus of 0.027, MAPPO has": fresh.of_bonus,
     "goes on from the released `any-map-local`": lambda text: (
         states(text, *strayed.fine_tuned("{:.1f}")) and fresh.tuned_to_qmix(text)
     ),

@@ -227,6 +227,9 @@ CHECKED: dict[str, Callable[[str], bool]] = {
         for name, config in study("choosing").settings["variants"].items()
         if name != "vdn found"
     ),
+    "asks the layouts 6 to 9": lambda _: trainings("choosing-entropy", 20, 3, 3_000_000),
+    "The larger one has": fresh.of_bonus,
+    "The number was chosen for MAPPO": lambda text: fresh.ratio("four candidates", "frozen", "strays-fresh") in text,
     # planners
     "`local-greedy` reaches 39.9": rules_on_paper,
     "every set meets the same draws": lambda text: (
@@ -360,7 +363,6 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "Of each learner the two best settings": "the search's file, and the test of the table below",
     "These are 32 missions": "the settings: zoo_configs/algorithms",
     "Ctrl-C ends a search": "tests/tuning/test_tune.py",
-    "The number was chosen for MAPPO": "layout seeds",
     "29 kills of two MAPPO runs": "docs/reliability.md",
     "are subclasses of SB3's classes": "the name of a package",
     "4 to 10 times as fast as SB3's": "docs/pipeline.md",
