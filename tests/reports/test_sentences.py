@@ -19,7 +19,7 @@ import pytest
 import yaml
 
 from tests.committed import study
-from tests.reports import earliness, fresh, strayed
+from tests.reports import earliness, fresh, strayed, trunks
 from tests.reports.strayed import states
 from uavaou.reports.scores import study_scores
 from uavaou.statistics import ratio_of_trainings
@@ -240,6 +240,12 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     ),
     "is still lower, at": lambda text: f"at {means('paper', 'paper')['local-greedy-tuned']:.2f}" in text,
     "`any-map-local` itself has": lambda text: f"{means('paper', 'paper')['any-map-local']:.2f}" in text,
+    "five trainings of each learner with the [set": lambda _: trainings("paper-set", 4, 5, 3_000_000),
+    "MAPPO to IPPO is": trunks.level,
+    "MAPPO is ahead of QMIX here as well": trunks.converges_sooner,
+    "MAPPO to VDN is": trunks.against_vdn,
+    "VDN ends at 56.2": trunks.in_short,
+    "aim is not reached from the start": trunks.aim_missed,
     "14 settings of 30 CPU seconds": lambda _: searched("quickstart", 14, 30),
     "played 240 CPU seconds": lambda _: searched("paper+layout_seed=1", 4, 240),
 }
@@ -277,6 +283,13 @@ def test_the_table_of_the_earlier_learner_is_that_of_its_study() -> None:
     page = (RESULTS / "README.md").read_text(encoding="utf-8")
     for row in (*earliness.table("earliness"), *earliness.table("earliness-short")):
         assert f" | {row} |" in page
+
+
+def test_the_table_of_the_set_network_is_that_of_its_studies() -> None:
+    page = (RESULTS / "README.md").read_text(encoding="utf-8")
+    assert [row for row in trunks.table() if f"{row}\n" not in page] == []
+    assert "**It serves IPPO and VDN far better.** For MAPPO and QMIX no difference is shown." in page
+    assert trunks.better_for_two()
 
 
 def test_the_table_of_strays_on_paper_is_that_of_its_study() -> None:

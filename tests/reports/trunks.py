@@ -1,0 +1,106 @@
+"""What the pages of results say of the set network beside the flat one, from the tables of two studies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.committed import study
+from tests.reports.strayed import states
+from uavaou.reports.claims import judge
+from uavaou.reports.scores import study_scores
+from uavaou.statistics import ratio_of_trainings
+from uavaou.statistics.intervals import Interval
+from uavaou.studies.structure import strays, structures
+
+LEARNERS = ("mappo", "ippo", "vdn", "qmix")
+FLAT, SET = "paper", "paper-set"
+
+
+def ends(name: str, variant: str) -> np.ndarray:
+    """Where the trainings of a variant end, (seeds,), in slots."""
+    return np.asarray(study(name).table("runs", variant, "paper")["mean_aou_slots"])
+
+
+def of_means(name: str, variant: str) -> str:
+    found = {one.policy: one.mean for one in study_scores(study(name))["paper"]}[variant]
+    return f"{found.value:.1f} ({max(found.low, 0):.1f}–{found.high:.1f})"
+
+
+def ratio(ours: np.ndarray, theirs: np.ndarray) -> Interval:
+    return ratio_of_trainings({"": ours}, {"": theirs})
+
+
+def told(found: Interval) -> str:
+    return f"{found.value:.2f} ({found.low:.2f}–{found.high:.2f})"
+
+
+def minutes(name: str, variant: str) -> str:
+    return f"{study(name).table('runs', variant, 'paper')['cpu_s'].mean() / 60:.0f}"
+
+
+def spread(variant: str) -> float:
+    return float(np.log(ends(SET, variant)).std(ddof=1))
+
+
+def table() -> list[str]:
+    """The rows of the table."""
+    found = structures(study(SET))
+    cells = {
+        "`mlp`, ten trainings": [of_means(FLAT, name) for name in LEARNERS],
+        "`set`, five trainings": [of_means(SET, name) for name in LEARNERS],
+        "ratio of `set` to `mlp`": [told(ratio(ends(SET, name), ends(FLAT, name))) for name in LEARNERS],
+        "stray with `set`": ["{} of {}".format(*strays(found, name, "paper")) for name in LEARNERS],
+        "sd of log AoU with `set`": [f"{spread(name):.3f}" for name in LEARNERS],
+        "CPU minutes a training, `mlp`, `set`": [f"{minutes(FLAT, name)}, {minutes(SET, name)}" for name in LEARNERS],
+    }
+    return [f"| {name} | {' | '.join(row)} |" for name, row in cells.items()]
+
+
+def better_for_two() -> bool:
+    """Whether the set network is shown to be better for IPPO and VDN, and no difference for MAPPO and QMIX."""
+    shown = [name for name in LEARNERS if not (low := ratio(ends(SET, name), ends(FLAT, name))).low < 1 < low.high]
+    return shown == ["ippo", "vdn"] and all(ends(SET, name).mean() < ends(FLAT, name).mean() for name in shown)
+
+
+def level(text: str) -> bool:
+    """MAPPO to IPPO and QMIX with the set network: no difference, IPPO to QMIX neither."""
+    found = {name: ratio(ends(SET, "mappo"), ends(SET, name)) for name in ("ippo", "qmix")}
+    pairs = (*found.values(), ratio(ends(SET, "ippo"), ends(SET, "qmix")))
+    return all(one.low < 1 < one.high for one in pairs) and states(text, *map(told, found.values()))
+
+
+def converges_sooner(text: str) -> bool:
+    claims = {one.claim: one for one in judge(study(SET))}
+    found = claims["MAPPO converges in fewer training slots than QMIX"].estimate
+    assert found is not None
+    sooner = claims["MAPPO reaches the level of QMIX's trainings sooner than these do"].estimate
+    numbers = f"(ratio {found.value:.2f}, {found.low:.2f} to {found.high:.2f})"
+    return sooner is not None and sooner.high > 1 > found.high and numbers in text
+
+
+def against_vdn(text: str) -> bool:
+    """Which claims against VDN are supported with the flat network, and which of them with the set."""
+    flat, other = (
+        {one.claim for one in judge(study(name)) if "VDN" in one.claim and one.verdict == "supported"}
+        for name in (FLAT, SET)
+    )
+    speed = {claim for claim in flat if "converges" in claim or "sooner" in claim}
+    return (
+        len(flat) == 6
+        and other == speed
+        and len(speed) == 2
+        and told(ratio(ends(SET, "mappo"), ends(SET, "vdn"))) in text
+    )
+
+
+def in_short(text: str) -> bool:
+    """The sentence of the README."""
+    means = [f"{ends(SET, name).mean():.1f}" for name in ("vdn", "mappo", "ippo", "qmix")]
+    return states(text, *means) and against_vdn(told(ratio(ends(SET, "mappo"), ends(SET, "vdn"))))
+
+
+def aim_missed(_: str) -> bool:
+    """Whether MAPPO from the start misses both aims with either network."""
+    return all(
+        ends(name, "mappo").mean() > 37 and np.log(ends(name, "mappo")).std(ddof=1) > 0.02 for name in (FLAT, SET)
+    )
