@@ -7,9 +7,8 @@ from statistics import fmean
 import numpy as np
 from scipy.stats import mannwhitneyu
 
-from tests.committed import STUDIES, study
+from tests.committed import STUDIES, mean_of, study
 from uavaou.csv_tables import read_csv
-from uavaou.reports.scores import study_scores
 from uavaou.statistics import ratio_of_trainings
 
 WHOLE, SHORT = "earliness", "earliness-short"  # of the budget all, and a third
@@ -37,10 +36,9 @@ def converged(name: str, variant: str | None = None) -> list[float]:
 def table(name: str) -> list[str]:
     """The rows of the table of a study."""
     variants = list(study(name).settings["variants"])
-    ends = {one.policy: one.mean for one in study_scores(study(name))["paper"]}
     halfway = [at(name, variant, HALFWAY) for variant in variants]
     return [
-        " | ".join(f"{ends[name].value:.1f} ({max(ends[name].low, 0):.1f}–{ends[name].high:.1f})" for name in variants),
+        " | ".join(mean_of(name, variant) for variant in variants),
         " | ".join(f"{min(group):,.0f} to {max(group):,.0f}" for group in halfway),
         " | ".join(f"{fmean(converged(name, variant)):,.0f} slots" for variant in variants),
     ]
@@ -80,17 +78,30 @@ def level(text: str) -> bool:
 
 
 def earliest(text: str) -> bool:
-    first, *others = (at(SHORT, variant, HALFWAY) for variant in study(SHORT).settings["variants"])
-    return f"{HALFWAY:,}" in text and max(first) < min(map(min, others))
+    """Until when the validation AoU of each of MAPPO's trainings is lower than that of any other."""
+    ahead = []
+    for slots in range(100_000, 1_000_001, 100_000):
+        first, *others = (at(SHORT, variant, slots) for variant in study(SHORT).settings["variants"])
+        ahead.append(max(first) < min(map(min, others)))
+    return f"until {ahead.index(False) * 100_000:,} slots" in text and not any(ahead[ahead.index(False) :])
 
 
-def overlapping(text: str) -> bool:
-    """From which evaluation on the range of MAPPO's trainings and that of QMIX's overlap."""
-    groups = (
-        [at(SHORT, variant, slots) for variant in ("mappo", "qmix")] for slots in range(100_000, 1_000_000, 100_000)
+def no_longer_ahead(text: str) -> bool:
+    """From when on no difference to QMIX is shown."""
+    p = {slots: by_ranks(SHORT, "mappo", "qmix", slots) for slots in range(100_000, 1_000_001, 100_000)}
+    first = next(slots for slots, one in p.items() if one > 0.05)
+    return (
+        f"From {first:,} slots on" in text
+        and f"p = {p[HALFWAY]:.2f}" in text
+        and all(one > 0.05 for slots, one in p.items() if slots >= first)
     )
-    apart = [max(own) < min(theirs) for own, theirs in groups]
-    return f"From {(apart.index(False) + 1) * 100_000:,} slots" in text and not any(apart[apart.index(False) :])
+
+
+def level_at_the_end(text: str) -> bool:
+    qmix, mappo = (study(SHORT).table("runs", name)["mean_aou_slots"] for name in ("qmix", "mappo"))
+    found = ratio_of_trainings({"": qmix}, {"": mappo})
+    numbers = (f"{found.value:.2f} ({found.low:.2f}–{found.high:.2f})", to_converge("qmix", SHORT))
+    return all(one in text for one in numbers) and found.low < 1 < found.high
 
 
 def delayed(text: str) -> bool:
@@ -98,14 +109,20 @@ def delayed(text: str) -> bool:
     return f"p = {qmix:.3f}" in text and vdn > 0.05
 
 
+def short_schedule(_: str) -> bool:
+    arms = (study(SHORT).settings["variants"][f"{name}, short epsilon"] for name in ("qmix", "vdn"))
+    return {arm["epsilon_fraction"] for arm in arms} == {0.1}
+
+
+def behind(_: str) -> bool:
+    """Whether each training of VDN's arms is above each of MAPPO's at every evaluation."""
+    return all(
+        max(at(SHORT, "mappo", slots)) < min(at(SHORT, f"vdn{arm}", slots))
+        for slots in range(100_000, 1_000_001, 100_000)
+        for arm in ("", ", short epsilon")
+    )
+
+
 def still_improving(text: str) -> bool:
     ended = converged(SHORT)
     return f"{sum(slots > 1e6 for slots in ended)} of the {len(ended)} trainings" in text
-
-
-def behind(text: str) -> bool:
-    """QMIX's ratio to MAPPO after a third of the budget, as the study's page has it."""
-    page = (STUDIES / SHORT / "README.md").read_text(encoding="utf-8")
-    (row,) = (line for line in page.splitlines() if line.startswith("| qmix | 5 |"))
-    ratio, interval = row.split(" | ")[3].split(" ", 1)
-    return f"{ratio} times" in text and interval.strip("()") in text and "no significant difference" in row

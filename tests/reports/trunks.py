@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.committed import study
+from tests.committed import mean_of, study
 from tests.reports.strayed import states
 from uavaou.reports.claims import judge
-from uavaou.reports.scores import study_scores
 from uavaou.statistics import ratio_of_trainings
 from uavaou.statistics.intervals import Interval
 from uavaou.studies.structure import strays, structures
@@ -19,11 +18,6 @@ FLAT, SET = "paper", "paper-set"
 def ends(name: str, variant: str) -> np.ndarray:
     """Where the trainings of a variant end, (seeds,), in slots."""
     return np.asarray(study(name).table("runs", variant, "paper")["mean_aou_slots"])
-
-
-def of_means(name: str, variant: str) -> str:
-    found = {one.policy: one.mean for one in study_scores(study(name))["paper"]}[variant]
-    return f"{found.value:.1f} ({max(found.low, 0):.1f}–{found.high:.1f})"
 
 
 def ratio(ours: np.ndarray, theirs: np.ndarray) -> Interval:
@@ -46,8 +40,8 @@ def table() -> list[str]:
     """The rows of the table."""
     found = structures(study(SET))
     cells = {
-        "`mlp`, ten trainings": [of_means(FLAT, name) for name in LEARNERS],
-        "`set`, five trainings": [of_means(SET, name) for name in LEARNERS],
+        "`mlp`, ten trainings": [mean_of(FLAT, name) for name in LEARNERS],
+        "`set`, five trainings": [mean_of(SET, name) for name in LEARNERS],
         "ratio of `set` to `mlp`": [told(ratio(ends(SET, name), ends(FLAT, name))) for name in LEARNERS],
         "stray with `set`": ["{} of {}".format(*strays(found, name, "paper")) for name in LEARNERS],
         "sd of log AoU with `set`": [f"{spread(name):.3f}" for name in LEARNERS],
