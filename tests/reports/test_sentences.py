@@ -65,8 +65,12 @@ def any_map(table: str, point: str | None = None) -> list[dict[str, str]]:
     return [row for row in found if point in (None, row["point"])]
 
 
-def flown(table: str, column: str = "point") -> set[str]:
-    return {row[column] for row in rows(f"suites/{table}.csv") if row["seed"]}
+def each_point_trained(_: str) -> bool:
+    """Whether seed 0 was trained for 1M slots at each point of two suites."""
+    found = [row for suite in ("uavs", "devices") for row in rows(f"suites/{suite}.csv")]
+    points = {(row["suite"], row["point"]) for row in found}
+    seeds = [(row["suite"], row["point"]) for row in found if row["seed"] == "0" and row["training_slots"] == "1000000"]
+    return len(seeds) == len(points) and set(seeds) == points
 
 
 def as_released(text: str) -> bool:
@@ -199,11 +203,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "with parts changed, 1M slots": lambda _: trainings("ablations", 7, 3, 1_000_000),
     "The unchanged settings reach": ablated,
     "were trained at 10 dB and 150 kbit/s": of_the_scenario,
-    "each point up to 6 UAVs": lambda _: (
-        flown("uavs") == set("123456")
-        and {int(point) for point in flown("devices")} >= {10, 100}
-        and flown("uavs", "training_slots") == flown("devices", "training_slots") == {"1000000"}
-    ),
+    "So each point has one training of MAPPO as published": each_point_trained,
     "on 64 unseen layouts": lambda _: len(any_map("unseen-layouts")) == 64,
     "in which [four candidates] begin": lambda _: trainings("strays-fresh", 8, 5, 3_000_000),
     "With one candidate 5 of 20": strayed.stray_counts,

@@ -1,0 +1,34 @@
+"""What the page of results says below its figures of suites, from the tables of these."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+RESULTS = Path(__file__).resolve().parents[2] / "results"
+PAGE = (RESULTS / "README.md").read_text(encoding="utf-8")
+
+
+def flown(suite: str, policy: str) -> dict[str, list[float]]:
+    """Point -> the mean AoU in slots of each training of a policy there, or of the planner."""
+    with (RESULTS / "suites" / f"{suite}.csv").open(newline="", encoding="utf-8") as file:
+        found: dict[str, list[float]] = {}
+        for row in csv.DictReader(file):
+            if row["policy"] == policy:
+                found.setdefault(row["point"], []).append(float(row["mean_aou_slots"]))
+        return found
+
+
+def test_of_uavs() -> None:
+    ours, planned = flown("uavs", "mappo"), flown("uavs", "best-first")
+    assert f"from 3 to 4 UAVs, MAPPO's mean AoU falls from {ours['3'][0]:.1f} to {ours['4'][0]:.1f} slots" in PAGE
+    assert "(seed 0 of each). It is below `best-first` at every point |" in PAGE
+    assert ours.keys() == planned.keys()
+    assert all(ours[point][0] < planned[point][0] for point in ours)
+
+
+def test_of_devices() -> None:
+    assert "MAPPO is below `best-first` up to 100 devices, and above `greedy` at 200 |" in PAGE
+    ours, planned, greedy = (flown("devices", policy) for policy in ("mappo", "best-first", "greedy"))
+    assert {point for point in ours if ours[point][0] < planned[point][0]} == ours.keys() - {"200"}
+    assert ours["200"][0] > greedy["200"][0]
