@@ -32,3 +32,10 @@ def test_of_devices() -> None:
     ours, planned, greedy = (flown("devices", policy) for policy in ("mappo", "best-first", "greedy"))
     assert {point for point in ours if ours[point][0] < planned[point][0]} == ours.keys() - {"200"}
     assert ours["200"][0] > greedy["200"][0]
+
+
+def test_of_observation() -> None:
+    assert "observation, 1M slots, ten seeds:" in PAGE
+    assert {point: len(means) for point, means in flown("observation", "mappo").items()} == dict.fromkeys(
+        ("location", "local", "shared"), 10
+    )

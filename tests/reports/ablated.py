@@ -1,0 +1,80 @@
+"""What the page of results says of the ablations, from the tables of their study."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import levene
+
+from tests.committed import mean_of, study
+from tests.reports.strayed import states
+from uavaou.reports.ablations import Ablation, ablations
+from uavaou.statistics.counts import fisher
+from uavaou.studies.structure import strays, structures
+
+NAME = "ablations"
+
+
+def found() -> dict[str, Ablation]:
+    """Variant -> its comparison, those of the study's page."""
+    results = study(NAME)
+    variants = results.settings["variants"]
+    means = {name: results.table("runs", name, "paper")["mean_aou_slots"] for name in variants}
+    compared = ablations({"paper": means}, "published", {"observation location": "masks off"})
+    return {one.variant: one for one in compared}
+
+
+def table() -> list[str]:
+    """The rows of the table: the mean and the ratio with their intervals, the range of the trainings, the finding."""
+    rows = []
+    for name, one in found().items():
+        ends = study(NAME).table("runs", name, "paper")["mean_aou_slots"]
+        ratio = one.other_ratio or one.ratio
+        against = f" to `{one.against}`" if one.against else ""
+        told = f"{ratio.value:.2f} ({ratio.low:.2f}–{ratio.high:.2f}){against}" if ratio else "1"
+        rows.append(f"{mean_of(NAME, name)} | {min(ends):.1f}–{max(ends):.1f} | {told} | {one.finding}")
+    return rows
+
+
+def _ratio(name: str, digits: int) -> tuple[str, str]:
+    one = found()[name]
+    ratio = one.other_ratio or one.ratio
+    assert ratio is not None
+    assert not ratio.low <= 1 <= ratio.high
+    return f"{ratio.value:.2f}", f"({ratio.low:.{digits}f}–{ratio.high:.{digits}f})"
+
+
+def of_local_critic(text: str) -> bool:
+    return all(one in text for one in _ratio("local critic", 2))
+
+
+def of_reward(text: str) -> bool:
+    return all(one in text for one in _ratio("reward aou", 2))
+
+
+def of_location(text: str) -> bool:
+    return all(one in text for one in _ratio("observation location", 2))
+
+
+def of_shared(text: str) -> bool:
+    return all(one in text for one in _ratio("observation shared", 3))
+
+
+def of_global_critic(text: str) -> bool:
+    """How many trainings stray with a critic of the global state alone and as published, and Fisher's p."""
+    held = structures(study(NAME))
+    counts = [strays(held, name, "paper") for name in ("global critic", "published")]
+    numbers = [*("{} of {}".format(*one) for one in counts), f"p = {fisher(*counts[0], *counts[1]):.2f}"]
+    return all(one in text for one in numbers) and len(found()) == 8
+
+
+def of_spread(text: str) -> bool:
+    """The spread of these trainings, and Levene's p."""
+    logs = [
+        np.log(study(NAME).table("runs", name, "paper")["mean_aou_slots"]) for name in ("global critic", "published")
+    ]
+    return states(text, *(f"{one.std(ddof=1):.3f}" for one in logs), f"p = {levene(*logs).pvalue:.2f}")
+
+
+def not_shown() -> list[str]:
+    """The variants whose difference to the published one is not shown."""
+    return [name for name, one in found().items() if "no significant" in one.finding]
