@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,8 @@ def test_the_strays_on_paper_are_those_that_are_known() -> None:
 
 def test_trainings_that_hold_nothing_are_no_majority() -> None:
     found = structures(read_study(RESULTS / "earliness-short"))
-    assert sum(not one.held for one in found.values()) > len(found) / 2
-    assert [strays(found, name, "paper") for name in ("mappo", "qmix", "vdn")] == [(1, 5), (5, 5), (5, 5)]
+    assert Counter(one.held for one in found.values()).most_common(1)[0][0] == ()
+    assert [strays(found, name, "paper") for name in ("mappo", "qmix", "vdn")] == [(3, 5), (2, 5), (5, 5)]
 
 
 def test_stated_devices_take_the_place_of_the_commonest() -> None:
