@@ -1,14 +1,25 @@
-"""The studies whose tables are in the repository, each read once."""
+"""The tables that are in the repository, and numbers as the pages of results have them."""
 
 from __future__ import annotations
 
+import csv
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from uavaou.reports.scores import study_scores
+from uavaou.statistics import Interval
 from uavaou.studies.results import StudyResults, read_study
 
-STUDIES = Path(__file__).resolve().parents[1] / "results" / "studies"
+RESULTS = Path(__file__).resolve().parents[1] / "results"
+STUDIES = RESULTS / "studies"
+
+
+def rows(name: str) -> list[dict[str, str]]:
+    """The rows of a table below ``results``."""
+    with (RESULTS / name).open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
 
 
 @cache
@@ -20,3 +31,12 @@ def mean_of(name: str, variant: str) -> str:
     """The mean AoU of a variant of a study on ``paper`` with its interval, as tables have it."""
     (found,) = (one.mean for one in study_scores(study(name))["paper"] if one.policy == variant)
     return f"{found.value:.1f} ({max(found.low, 0):.1f}–{found.high:.1f})"
+
+
+def ends(name: str, variant: str) -> np.ndarray:
+    """Where the trainings of a variant end on ``paper``, (seeds,), in slots."""
+    return np.asarray(study(name).table("runs", variant, "paper")["mean_aou_slots"])
+
+
+def told(found: Interval) -> str:
+    return f"{found.value:.2f} ({found.low:.2f}–{found.high:.2f})"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import levene
 
-from tests.committed import mean_of, study
+from tests.committed import ends, mean_of, study, told
 from tests.reports.strayed import states
 from uavaou.reports.ablations import Ablation, ablations
 from uavaou.statistics.counts import fisher
@@ -16,9 +16,7 @@ NAME = "ablations"
 
 def found() -> dict[str, Ablation]:
     """Variant -> its comparison, those of the study's page."""
-    results = study(NAME)
-    variants = results.settings["variants"]
-    means = {name: results.table("runs", name, "paper")["mean_aou_slots"] for name in variants}
+    means = {name: ends(NAME, name) for name in study(NAME).settings["variants"]}
     compared = ablations({"paper": means}, "published", {"observation location": "masks off"})
     return {one.variant: one for one in compared}
 
@@ -27,11 +25,11 @@ def table() -> list[str]:
     """The rows of the table: the mean and the ratio with their intervals, the range of the trainings, the finding."""
     rows = []
     for name, one in found().items():
-        ends = study(NAME).table("runs", name, "paper")["mean_aou_slots"]
+        means = ends(NAME, name)
         ratio = one.other_ratio or one.ratio
         against = f" to `{one.against}`" if one.against else ""
-        told = f"{ratio.value:.2f} ({ratio.low:.2f}–{ratio.high:.2f}){against}" if ratio else "1"
-        rows.append(f"{mean_of(NAME, name)} | {min(ends):.1f}–{max(ends):.1f} | {told} | {one.finding}")
+        cell = told(ratio) + against if ratio else "1"
+        rows.append(f"{mean_of(NAME, name)} | {min(means):.1f}–{max(means):.1f} | {cell} | {one.finding}")
     return rows
 
 
@@ -69,9 +67,7 @@ def of_global_critic(text: str) -> bool:
 
 def of_spread(text: str) -> bool:
     """The spread of these trainings, and Levene's p."""
-    logs = [
-        np.log(study(NAME).table("runs", name, "paper")["mean_aou_slots"]) for name in ("global critic", "published")
-    ]
+    logs = [np.log(ends(NAME, name)) for name in ("global critic", "published")]
     return states(text, *(f"{one.std(ddof=1):.3f}" for one in logs), f"p = {levene(*logs).pvalue:.2f}")
 
 

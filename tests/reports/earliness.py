@@ -7,12 +7,13 @@ from statistics import fmean
 import numpy as np
 from scipy.stats import mannwhitneyu
 
-from tests.committed import STUDIES, mean_of, study
+from tests.committed import STUDIES, ends, mean_of, study, told
 from uavaou.csv_tables import read_csv
 from uavaou.statistics import ratio_of_trainings
 
 WHOLE, SHORT = "earliness", "earliness-short"  # of the budget all, and a third
 HALFWAY = 500_000  # slots
+EVALUATIONS = range(100_000, 1_000_001, 100_000)  # slots of those of the third
 
 
 def at(name: str, variant: str, slots: int) -> list[float]:
@@ -46,8 +47,7 @@ def table(name: str) -> list[str]:
 
 def to_converge(other: str, name: str = WHOLE, own: str = "mappo") -> str:
     """The slots until convergence, of MAPPO to another, with Welch's interval."""
-    found = ratio_of_trainings(*({"": converged(name, variant)} for variant in (own, other)))
-    return f"{found.value:.2f} ({found.low:.2f}–{found.high:.2f})"
+    return told(ratio_of_trainings(*({"": converged(name, variant)} for variant in (own, other))))
 
 
 def by_ranks(name: str, one: str, other: str, slots: int = HALFWAY) -> float:
@@ -80,7 +80,7 @@ def level(text: str) -> bool:
 def earliest(text: str) -> bool:
     """Until when the validation AoU of each of MAPPO's trainings is lower than that of any other."""
     ahead = []
-    for slots in range(100_000, 1_000_001, 100_000):
+    for slots in EVALUATIONS:
         first, *others = (at(SHORT, variant, slots) for variant in study(SHORT).settings["variants"])
         ahead.append(max(first) < min(map(min, others)))
     return f"until {ahead.index(False) * 100_000:,} slots" in text and not any(ahead[ahead.index(False) :])
@@ -88,7 +88,7 @@ def earliest(text: str) -> bool:
 
 def no_longer_ahead(text: str) -> bool:
     """From when on no difference to QMIX is shown."""
-    p = {slots: by_ranks(SHORT, "mappo", "qmix", slots) for slots in range(100_000, 1_000_001, 100_000)}
+    p = {slots: by_ranks(SHORT, "mappo", "qmix", slots) for slots in EVALUATIONS}
     first = next(slots for slots, one in p.items() if one > 0.05)
     return (
         f"From {first:,} slots on" in text
@@ -98,9 +98,8 @@ def no_longer_ahead(text: str) -> bool:
 
 
 def level_at_the_end(text: str) -> bool:
-    qmix, mappo = (study(SHORT).table("runs", name)["mean_aou_slots"] for name in ("qmix", "mappo"))
-    found = ratio_of_trainings({"": qmix}, {"": mappo})
-    numbers = (f"{found.value:.2f} ({found.low:.2f}–{found.high:.2f})", to_converge("qmix", SHORT))
+    found = ratio_of_trainings({"": ends(SHORT, "qmix")}, {"": ends(SHORT, "mappo")})
+    numbers = (told(found), to_converge("qmix", SHORT))
     return all(one in text for one in numbers) and found.low < 1 < found.high
 
 
@@ -118,7 +117,7 @@ def behind(_: str) -> bool:
     """Whether each training of VDN's arms is above each of MAPPO's at every evaluation."""
     return all(
         max(at(SHORT, "mappo", slots)) < min(at(SHORT, f"vdn{arm}", slots))
-        for slots in range(100_000, 1_000_001, 100_000)
+        for slots in EVALUATIONS
         for arm in ("", ", short epsilon")
     )
 

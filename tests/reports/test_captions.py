@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
+from tests.committed import RESULTS, rows
 
-RESULTS = Path(__file__).resolve().parents[2] / "results"
 PAGE = (RESULTS / "README.md").read_text(encoding="utf-8")
 
 
 def flown(suite: str, policy: str) -> dict[str, list[float]]:
     """Point -> the mean AoU in slots of each training of a policy there, or of the planner."""
-    with (RESULTS / "suites" / f"{suite}.csv").open(newline="", encoding="utf-8") as file:
-        found: dict[str, list[float]] = {}
-        for row in csv.DictReader(file):
-            if row["policy"] == policy:
-                found.setdefault(row["point"], []).append(float(row["mean_aou_slots"]))
-        return found
+    found: dict[str, list[float]] = {}
+    for row in rows(f"suites/{suite}.csv"):
+        if row["policy"] == policy:
+            found.setdefault(row["point"], []).append(float(row["mean_aou_slots"]))
+    return found
 
 
 def test_of_uavs() -> None:

@@ -6,7 +6,6 @@ settings that were given to a command, or are said to be checked elsewhere. A se
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Callable
 from math import exp, log
@@ -18,7 +17,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.committed import study
+from tests.committed import RESULTS, rows, study, told
 from tests.reports import ablated, earliness, fresh, strayed, trunks
 from tests.reports.strayed import states
 from uavaou.reports.scores import study_scores
@@ -26,7 +25,6 @@ from uavaou.statistics import ratio_of_trainings
 from uavaou.studies.structure import HELD
 
 ROOT = Path(__file__).resolve().parents[2]
-RESULTS = ROOT / "results"
 
 
 def sentences(path: Path, start: str = "", stop: str = "\0") -> list[str]:
@@ -46,11 +44,6 @@ SENTENCES = [
     *sentences(ROOT / "README.md", "## Results", "## Reading on"),
     *sentences(RESULTS / "README.md"),
 ]
-
-
-def rows(name: str) -> list[dict[str, str]]:
-    with (RESULTS / name).open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def trainings(name: str, variants: int, seeds: int, slots: int) -> bool:
@@ -99,8 +92,7 @@ def ratio_to_anneal(text: str) -> bool:
     results = study("paper")
     trained = results.missions("mappo", "mean_aou_slots", ["paper"])["paper"].mean(axis=1)
     planned = results.missions("anneal", "mean_aou_slots", ["paper"])["paper"].mean()
-    ratio = ratio_of_trainings({"": trained}, {"": planned})
-    return text.endswith(f"{ratio.value:.2f} ({ratio.low:.2f}–{ratio.high:.2f}).")
+    return text.endswith(f"{told(ratio_of_trainings({'': trained}, {'': planned}))}.")
 
 
 def level_with_parts(text: str) -> bool:

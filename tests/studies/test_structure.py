@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +33,13 @@ def test_the_strays_on_paper_are_those_that_are_known() -> None:
 
 
 def test_trainings_that_hold_nothing_are_no_majority() -> None:
-    found = structures(read_study(RESULTS / "earliness-short"))
-    assert Counter(one.held for one in found.values()).most_common(1)[0][0] == ()
-    assert [strays(found, name, "paper") for name in ("mappo", "qmix", "vdn")] == [(3, 5), (2, 5), (5, 5)]
+    results = read_study(RESULTS / "paper")
+    del results.settings["held"]
+    for key in [key for key in results.parts if key.variant not in ("ippo", "vdn", "qmix")]:
+        del results.parts[key]
+    found = structures(results)
+    assert sum(not one.held for one in found.values()) > len(found) / 2
+    assert [strays(found, name, "paper") for name in ("ippo", "vdn", "qmix")] == [(10, 10), (10, 10), (1, 10)]
 
 
 def test_stated_devices_take_the_place_of_the_commonest() -> None:
