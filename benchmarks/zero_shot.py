@@ -44,8 +44,8 @@ each layout in `unseen-layouts`. *To `{REFERENCE}`* is the ratio of the mean AoU
 {RATIO_ABOVE} slots, elsewhere the difference. The *worst mission* has the largest mean AoU as a multiple of
 2 x `{REFERENCE}` + 5 slots. The ratios of the first table are over the points where the other policy has more than
 {RATIO_ABOVE} slots; it lists planners, and policies that were trained for the points (on layout 0 but for
-`known-layouts`), by one training each (layout 0: five), in `known-layouts` by three
-(layout 0: ten), of 1M or 3M slots."""
+`known-layouts`), by one training each, in
+`known-layouts` by three (layout 0: ten), of 1M or 3M slots."""
 
 
 def main() -> None:

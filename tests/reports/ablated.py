@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import levene
+from scipy.stats import levene, mannwhitneyu
 
-from tests.committed import ends, mean_of, study, told
+from tests.committed import ends, mean_of, rows, study, told
 from tests.reports.strayed import states
 from uavaou.reports.ablations import Ablation, ablations
 from uavaou.statistics.counts import fisher
@@ -50,11 +50,17 @@ def of_reward(text: str) -> bool:
 
 
 def of_location(text: str) -> bool:
-    return all(one in text for one in _ratio("observation location", 2))
+    own = [row for row in rows(f"studies/{NAME}/trainings.csv") if row["variant"] == "observation location"]
+    told = f"{sum(not row['converged_slots'] for row in own)} of these {len(own)} trainings never converge"
+    return told in text and all(one in text for one in _ratio("observation location", 2))
 
 
 def of_shared(text: str) -> bool:
-    return all(one in text for one in _ratio("observation shared", 3))
+    """By means, by medians, and by ranks."""
+    own, published = (ends(NAME, name) for name in ("observation shared", "published"))
+    medians = f"{np.median(own) / np.median(published):.2f} by medians"
+    told = f"and {medians} (p = {mannwhitneyu(own, published).pvalue:.3f} by ranks)"
+    return told in text and all(one in text for one in _ratio("observation shared", 3))
 
 
 def of_global_critic(text: str) -> bool:

@@ -9,6 +9,7 @@ from scipy.stats import mannwhitneyu
 
 from tests.committed import STUDIES, ends, mean_of, study, told
 from uavaou.csv_tables import read_csv
+from uavaou.reports.training_claims import SMOOTHED, WITHIN, smooth
 from uavaou.statistics import ratio_of_trainings
 
 WHOLE, SHORT = "earliness", "earliness-short"  # of the budget all, and a third
@@ -59,22 +60,32 @@ def of_convergence(text: str) -> bool:
     return f"are {to_converge('qmix')} of QMIX's, and {to_converge('qmix, short epsilon')} of those" in text
 
 
+def lead(name: str, other: str) -> int:
+    """The slots of the last evaluation until which MAPPO is ahead of another by ranks, and after which never again."""
+    budget = int(study(name).table("runs")["slots"].max())
+    shown = [by_ranks(name, "mappo", other, slots) < 0.05 for slots in range(100_000, budget + 1, 100_000)]
+    assert not any(shown[shown.index(False) :])
+    assert np.median(at(name, "mappo", 100_000)) < np.median(at(name, other, 100_000))
+    return 100_000 * shown.index(False)
+
+
 def ahead(text: str) -> bool:
-    p = by_ranks(WHOLE, "mappo", "qmix")
-    return f"p = {p:.2f}" in text and p < 0.05
-
-
-def level(text: str) -> bool:
-    """No difference to QMIX with the short epsilon, at two times; each training of VDN's arms is above MAPPO's."""
-    halfway, later = (by_ranks(WHOLE, "mappo", "qmix, short epsilon", slots) for slots in (HALFWAY, 1_000_000))
-    behind_vdn = [
-        min(at(WHOLE, f"vdn{arm}", HALFWAY)) > max(at(WHOLE, "mappo", HALFWAY)) for arm in ("", ", short epsilon")
-    ]
-    return (
-        f"(p = {halfway:.2f}), nor at 1,000,000 slots (p = {later:.2f})" in text
-        and min(halfway, later) > 0.05
-        and all(behind_vdn)
+    """Until when MAPPO is ahead of each arm of QMIX, at what largest p, and of each arm of VDN throughout."""
+    until = [lead(WHOLE, arm) for arm in ("qmix", "qmix, short epsilon")]
+    p = max(
+        by_ranks(WHOLE, "mappo", arm, slots)
+        for arm, last in zip(("qmix", "qmix, short epsilon"), until, strict=True)
+        for slots in range(100_000, last + 1, 100_000)
     )
+    stated = f"until {until[0]:,} slots, and of QMIX with the short ε until {until[1]:,} (p at most {p:.2f} by"
+    return stated in text and behind(WHOLE)
+
+
+def leads(text: str) -> bool:
+    """README: until when MAPPO's lead over QMIX is shown, with both schedules and with a third of the budget."""
+    whole, short = (lead(WHOLE, arm) for arm in ("qmix", "qmix, short epsilon"))
+    stated = f"until {whole:,} slots, over QMIX with a shorter ε until {short:,}, and with a third of the budget until"
+    return f"{stated} {lead(SHORT, 'qmix'):,}." in text
 
 
 def earliest(text: str) -> bool:
@@ -113,15 +124,24 @@ def short_schedule(_: str) -> bool:
     return {arm["epsilon_fraction"] for arm in arms} == {0.1}
 
 
-def behind(_: str) -> bool:
+def behind(name: str) -> bool:
     """Whether each training of VDN's arms is above each of MAPPO's at every evaluation."""
+    budget = int(study(name).table("runs")["slots"].max())
     return all(
-        max(at(SHORT, "mappo", slots)) < min(at(SHORT, f"vdn{arm}", slots))
-        for slots in EVALUATIONS
+        max(at(name, "mappo", slots)) < min(at(name, f"vdn{arm}", slots))
+        for slots in range(100_000, budget + 1, 100_000)
         for arm in ("", ", short epsilon")
     )
 
 
 def still_improving(text: str) -> bool:
-    ended = converged(SHORT)
-    return f"{sum(slots > 1e6 for slots in ended)} of the {len(ended)} trainings" in text
+    """How many trainings are at their best at the last evaluation, averaged as for convergence; how many not before."""
+    found = study(SHORT).table("validation")
+    own = [
+        found["mean_aou_slots"][(found["variant"] == name) & (found["seed"] == seed)]
+        for name, seed in sorted({*zip(found["variant"], found["seed"], strict=True)})
+    ]
+    last = sum(averaged.argmin() == len(averaged) - 1 for averaged in map(smooth, own))
+    late = f"{sum(slots > 1e6 for slots in converged(SHORT))} come within {100 * WITHIN:.0f} % of it there alone"
+    told = (f"{last} of the {len(own)} trainings", f"averaged over {SMOOTHED} evaluations", late)
+    return all(one in text for one in told)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import levene, mannwhitneyu, ttest_1samp, ttest_ind
 
+from tests import committed
 from tests.committed import study
 from tests.reports.earliness import to_converge
 from uavaou.reports.claims import _by_period
@@ -83,6 +84,16 @@ def forked(text: str) -> bool:
     return states(text, f"0.1M slots {counts[0]}", f"0.3M {counts[1]}", f"1M {counts[2]}") and own == (0, 4)
 
 
+def decided(text: str) -> bool:
+    """Those that part early beside those that part later, by Fisher's test."""
+    found = structures(study("strays-forks"))
+    early, *late = (strays(found, f"at {slots}", "layout 8") for slots in ("0.1M", "0.3M", "1M"))
+    many, of_many = map(sum, zip(*late, strict=True))
+    p = fisher(*early, many, of_many)
+    numbers = (f"none of {of_many} forks", f"{early[1] - early[0]} of {early[1]}", f"p = {p:.2f}")
+    return states(text, *numbers) and many == of_many and p > 0.05
+
+
 def mended(text: str) -> bool:
     """Whether trainings with four candidates stray on layout 0, and where they end."""
     results = study("strays-mended")
@@ -151,14 +162,28 @@ def bonus_strays(text: str) -> bool:
     return states(text, "Of these 30, 1", *told) and of_bonus("entropy") == (1, 30) and none == [0, 0, 0]
 
 
+def with_bonus() -> np.ndarray:
+    """Where the trainings with larger bonuses end, (30,)."""
+    names = (name for name in study("strays-entropy").algorithms if name != "frozen")
+    return np.concatenate([committed.ends("strays-entropy", name) for name in names])
+
+
+def bonus_beside(text: str) -> bool:
+    """Larger bonuses beside the trainings that the study itself has without."""
+    ratio = ratio_of_trainings({"": with_bonus()}, {"": committed.ends("strays-entropy", "frozen")})
+    p = fisher(*of_bonus("entropy"), *of_bonus("frozen"))
+    variants = study("strays-entropy").settings["variants"].values()
+    frozen, *clips = (one["clip_range"] for one in variants)
+    stated = f"(p = {p:.2f}; mean AoU {ratio.value:.2f}, {ratio.low:.2f}–{ratio.high:.2f}), and all 30 have"
+    return stated in text and p > 0.05 and ratio.low < 1 < ratio.high and frozen not in clips
+
+
 def bonus_pooled(text: str) -> bool:
     """Larger bonuses beside all trainings with the frozen settings and one candidate."""
-    results = study("strays-entropy")
-    own = [results.table("runs", name, "paper")["mean_aou_slots"] for name in results.algorithms if name != "frozen"]
     stray, others = ends("mappo")
     frozen = np.concatenate([of_masks()[1], stray, others])
     many = len(stray) + strays(structures(study("strays-masks")), "masks on", "paper")[0], len(frozen)
-    ratio = ratio_of_trainings({"": np.concatenate(own)}, {"": frozen})
+    ratio = ratio_of_trainings({"": with_bonus()}, {"": frozen})
     told = f"{ratio.value:.2f} ({ratio.low:.2f}–{ratio.high:.2f}) of theirs"
     return states(text, "{} of {}".format(*many), f"p = {fisher(*of_bonus('entropy'), *many):.3f}") and told in text
 
@@ -252,21 +277,44 @@ def pooled(text: str) -> bool:
     return states(text, f"{few} of {of_few}", f"{many} of {of_many}", f"p = {p:.3f}")
 
 
-def of_four_to_qmix() -> tuple[str, str]:
-    """Ratios of MAPPO with four candidates to QMIX with one: of the AoU, and of the slots until convergence."""
-    own, other = "mappo, four candidates", "qmix"
+def pooled_ends(text: str) -> bool:
+    """Where the same trainings end: no gain in the mean, and a higher median with four candidates."""
+    four = np.concatenate([*ends("mappo, four candidates"), committed.ends("strays-mended", "four candidates")])
+    one = np.concatenate([*ends("mappo"), of_masks()[1]])
+    ratio, p = ratio_of_trainings({"": four}, {"": one}), mannwhitneyu(four, one).pvalue
+    numbers = (f"{np.median(four):.1f} to {np.median(one):.1f}", f"p = {p:.3f}")
+    stated = f"(ratio {ratio.value:.2f}, {ratio.low:.2f}–{ratio.high:.2f})"
+    return stated in text and states(text, *numbers) and ratio.low < 1 < ratio.high and len(four) + len(one) == 57
+
+
+def of_four_to(other: str) -> tuple[str, str]:
+    """Ratios of MAPPO with four candidates to another: of the AoU, and of the slots until convergence."""
+    own = "mappo, four candidates"
     missions = (study("paper").missions(name, "mean_aou_slots", ["paper"])["paper"] for name in (own, other))
     aou = ratio_of_trainings(*({"": each.mean(axis=1)} for each in missions))
     return f"{aou.value:.2f} ({aou.low:.2f}–{aou.high:.2f})", to_converge(other, "paper", own)
 
 
 def four_against_qmix(text: str) -> bool:
-    return states(text, *of_four_to_qmix())
+    return states(text, *of_four_to("qmix"))
 
 
-def four_converge_no_sooner(text: str) -> bool:
-    aou, slots = (ratio.replace("–", " to ") for ratio in of_four_to_qmix())
-    return f"(ratio {slots.replace(' (', ', ')}" in text and aou.replace(" (", " times its AoU (") in text
+def four_against_four(text: str) -> bool:
+    return states(text, *of_four_to("qmix, four candidates"))
+
+
+def four_converge_sooner(text: str) -> bool:
+    """README: MAPPO with four candidates beside QMIX with one, and with four, where it converges sooner."""
+    (aou, slots), (same_aou, same_slots) = (
+        [ratio.replace("–", " to ") for ratio in of_four_to(other)] for other in ("qmix", "qmix, four candidates")
+    )
+    return (
+        aou.replace(" (", " times the AoU of QMIX with one (") in text
+        and f"(ratio {slots.replace(' (', ', ')}" in text
+        and same_aou.replace(" (", " times its AoU (") in text
+        and f"({same_slots.replace(' (', ', ')}" in text
+        and float(same_slots.partition(" to ")[2].rstrip(")")) < 1 < float(slots.partition(" to ")[2].rstrip(")"))
+    )
 
 
 def mended_strays(text: str) -> bool:

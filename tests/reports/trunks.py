@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
-from tests.committed import ends, mean_of, study, told
+from tests.committed import STUDIES, ends, mean_of, study, told
+from tests.reports.fresh import above_one, of_logs
 from tests.reports.strayed import states
 from uavaou.reports.claims import judge
 from uavaou.statistics import ratio_of_trainings
@@ -72,6 +75,42 @@ def on_speed_alone() -> bool:
     )
     speed = {claim for claim in flat if "converges" in claim or "sooner" in claim}
     return len(flat) == 6 and other == speed and len(speed) == 2
+
+
+def on_choosing_layouts() -> dict[str, float]:
+    """Layout seed -> the mean AoU with the set to that with the flat network, by the table of a page."""
+    page = (STUDIES.parents[1] / "docs" / "policies.md").read_text(encoding="utf-8")
+    found = re.findall(r"^\| (\d) \| `(?:mlp|set)` \|.* (\d+\.\d) \(\d+ s\) \|$", page, re.MULTILINE)
+    ends = [(layout, float(end)) for layout, end in found]
+    return {layout: other / flat for (layout, flat), (_, other) in zip(ends[::2], ends[1::2], strict=True)}
+
+
+def level_on_choosing_layouts(text: str) -> bool:
+    """No difference in geometric mean, and by how much which network is ahead where, as far as it is said."""
+    found = on_choosing_layouts()
+    stated = of_logs(np.log([*found.values()]))
+    shorter, interval = stated.rstrip(")").split(" (")
+    parts = ["{:.0f} and {:.0f} %".format(*(100 * abs(1 - found[layout]) for layout in pair)) for pair in ("78", "69")]
+    whole = "by {}, and behind on two, by {}".format(*parts)
+    assert list(found) == ["6", "7", "8", "9"]
+    assert not above_one(stated)
+    return shorter in text and interval in text and ("on two layouts" not in text or whole in text)
+
+
+def against_planners(text: str) -> bool:
+    """MAPPO with the set network beside the best planner and the rule that learns nothing: no difference."""
+    found = [ratio(ends(SET, "mappo"), flown(SET, name)) for name in ("rolling", "local-greedy-parts")]
+    return states(text, *map(told, found)) and all(one.low < 1 < one.high for one in found)
+
+
+def above_tuned(text: str) -> bool:
+    found = ratio(ends(SET, "mappo"), flown(SET, "local-greedy-tuned"))
+    return told(found) in text and found.low > 1
+
+
+def flown(name: str, planner: str) -> np.ndarray:
+    """The mean AoU of a planner on ``paper``, (), in slots."""
+    return np.asarray(study(name).table("missions", planner, "paper")["mean_aou_slots"].mean())
 
 
 def against_vdn(text: str) -> bool:
