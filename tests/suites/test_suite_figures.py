@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.committed import RESULTS
 from tests.suites.small_suites import GOOD, OWN, call
 from uavaou.errors import InputError
 from uavaou.planners import make_planner
@@ -63,6 +65,18 @@ def test_lines_join_all_points_but_marked_ones(monkeypatch: pytest.MonkeyPatch, 
     (axes,) = drawn(monkeypatch, tmp_path / "s.csv").axes
     lines = [list(line.get_xdata()) for line in axes.lines if len(line.get_xdata()) > 1]
     assert lines == ([] if scale == "category" else [[250.0, 500.0]])
+
+
+@pytest.mark.parametrize("name", ["devices", "fading", "layouts", "rate", "uavs"])
+def test_labels_along_the_axis_stand_apart(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    figure = drawn(monkeypatch, RESULTS / "suites" / f"{name}.csv")
+    figure.canvas.draw()
+    (axes,) = figure.axes
+    low, high = axes.get_xlim()
+    ticks = zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)
+    boxes = sorted(label.get_window_extent().extents.tolist() for x, label in ticks if low <= x <= high)
+    assert len(boxes) > 5
+    assert all(one[2] + 2 < other[0] for one, other in pairwise(boxes))  # pixels
 
 
 def test_no_line_leads_to_an_infinite_rician_factor() -> None:

@@ -4,6 +4,7 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,7 @@ _ALLOWED = {
     "joined": ("yes", "no"),
 }
 _MOST_TICKS = 12
+_CHARACTERS = 46  # of tick labels along the axis
 _WIDTH = 62  # characters of a line below the axes
 _LINE_IN = 0.13
 _SPREAD = 0.7  # share of the distance between two categories over which the policies stand side by side
@@ -213,8 +215,8 @@ def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
     if table.scale == "log" and min(places.values()) > 0:
         axes.set_xscale("log")
         axes.xaxis.set_minor_locator(NullLocator())
-    crowded = sum(len(label) + 1 for label in places) > 46
     if len(places) <= _MOST_TICKS or table.scale == "category":
+        crowded = _crowded(places, log=axes.get_xscale() == "log")
         axes.set_xticks(list(places.values()), list(places), rotation=90 if crowded else 0)
     if table.scale == "category":
         axes.set_xlim(-0.6, len(places) - 0.4)
@@ -225,6 +227,13 @@ def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
     else:
         axes.set_ylim(bottom=0)
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.compact(value)))
+
+
+def _crowded(places: dict[str, float], *, log: bool) -> bool:
+    """Whether two labels side by side would touch, between the margins of the axis."""
+    at = np.log(list(places.values())) if log else np.array(list(places.values()))
+    needed = np.array([(len(one) + len(other)) / 2 + 1 for one, other in pairwise(places)]) / _CHARACTERS
+    return bool((0.91 * np.abs(np.diff(at)) < needed * np.ptp(at)).any())
 
 
 def _meanings(table: SuiteTable) -> list[str]:
