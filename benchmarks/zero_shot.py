@@ -14,6 +14,8 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
+import numpy as np
+
 from uavaou.files import read_text, write_text
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.suites import SuiteRow, SuiteTable, read_suites
@@ -24,6 +26,7 @@ from uavaou.suites.suite import Suite
 from uavaou_cli.main import main as uavaou
 
 SUITES = Path("results/suites")
+RULE = "local-greedy-parts"  # the best one that learns nothing and reads local information
 # Name of a table -> options of `uavaou eval`, those that take longest first.
 TABLES = {
     "drawn-uavs": ["--suite", "uavs", "--set", "scenario.layout=resample"],
@@ -43,9 +46,9 @@ Mean AoU in slots with its 95 % interval over missions. All policies of a table 
 each layout in `unseen-layouts`. *To `{REFERENCE}`* is the ratio of the mean AoU where `{REFERENCE}` has more than
 {RATIO_ABOVE} slots, elsewhere the difference. The *worst mission* has the largest mean AoU as a multiple of
 2 x `{REFERENCE}` + 5 slots. The ratios of the first table are over the points where the other policy has more than
-{RATIO_ABOVE} slots; it lists planners, and policies that were trained for the points (on layout 0 but for
-`known-layouts`), by one training each, in
-`known-layouts` by three (layout 0: ten), of 1M or 3M slots."""
+{RATIO_ABOVE} slots; *elsewhere* has the smallest and the largest difference at the other points. It lists planners, and
+policies that were trained for the points: in `known-layouts` by three trainings of 3M slots (layout 0: ten), else by
+one of 1M. In `layouts`, `mappo` learned layout 0 alone, and `mappo+layout=resample` new layouts in one training."""
 
 
 def main() -> None:
@@ -72,9 +75,10 @@ def one_thread() -> None:
 
 
 def measure(policy: str, name: str) -> int:
-    """Play the suite of a table beside ``best-first``, and write the table; returns the command's exit code."""
+    """Play the suite of a table beside two planners, and write the table; returns the command's exit code."""
     out = SUITES / policy / f"{name}.csv"
-    return uavaou(["eval", policy, "--policy", REFERENCE, *TABLES[name], "--out", str(out), "--quiet"])
+    planners = [word for name in (REFERENCE, RULE) for word in ("--policy", name)]
+    return uavaou(["eval", policy, *planners, *TABLES[name], "--out", str(out), "--quiet"])
 
 
 def write_pages(policy: str, suites: Path, card: Path) -> None:
@@ -104,12 +108,16 @@ def summary(policy: str, tables: Iterable[SuiteTable]) -> str:
         for other in dict.fromkeys(row.policy for row in found.rows if row.how != "zero-shot"):
             theirs = means(found, other)
             ratios = [own[point] / theirs[point] for point in own if theirs.get(point, 0) > RATIO_ABOVE]
+            apart = [own[point] - theirs[point] for point in own if theirs.get(point, np.inf) <= RATIO_ABOVE]
             if ratios:
-                geometric = geometric_mean(ratios)
-                cells = (f"{cell:.3f}" for cell in (geometric, sum(ratios) / len(ratios), max(ratios)))
+                points = f"{len(ratios)} of {len(ratios) + len(apart)}"
+                cells = (f"{cell:.3f}" for cell in (geometric_mean(ratios), sum(ratios) / len(ratios), max(ratios)))
+                elsewhere = f"{min(apart):+.2f} to {max(apart):+.2f} slots" if apart else ""
                 last = f"{worst:.2f}" if other == REFERENCE else ""
-                rows.append((f"`{found.suite}`", told(found, other), str(len(ratios)), *cells, last))
-    head = ("suite", "against (knows)", "points", "ratio: geometric mean", "mean", "largest", "worst mission")
+                rows.append((f"`{found.suite}`", told(found, other), points, *cells, elsewhere, last))
+    head = (
+        "suite", "against (knows)", "points", "ratio: geometric mean", "mean", "largest", "elsewhere", "worst mission"
+    )  # fmt: skip
     return "\n\n".join([NOTE, table(head, rows), f"Constraint violations of `{policy}`: {violations:,}."])
 
 

@@ -107,7 +107,7 @@ def level_with_parts(text: str) -> bool:
 
 def tuned_rule(text: str) -> bool:
     """MAPPO beside the rule with searched numbers, on layouts 0 to 5."""
-    places = [(means("paper", "paper"), "mappo, four candidates")]
+    places = [(means("paper", "paper"), name) for name in ("mappo, four candidates", "mappo")]
     places += [(means("layouts", f"layout {seed}"), "mappo") for seed in range(1, 6)]
     return re.findall(r"\d+\.\d+", text) == [f"{one[name] / one['local-greedy-tuned']:.2f}" for one, name in places]
 
