@@ -19,7 +19,16 @@ import pytest
 from tests.committed import study
 from tests.reports import fresh, planned, trunks
 from tests.reports.strayed import states
-from tests.reports.test_sentences import ROOT, means, rows, sentences, trainings, tuned_rule
+from tests.reports.test_sentences import (
+    ROOT,
+    beside_the_rule,
+    means,
+    rows,
+    sentences,
+    to_the_rule,
+    trainings,
+    tuned_rule,
+)
 from uavaou.plain_yaml import parse_yaml
 from uavaou.planners import decomposition, fleet, rolling, tuned
 from uavaou.planners.exact import LARGEST
@@ -198,6 +207,8 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "a trained MAPPO with four candidates": tuned_rule,
     "In the end the set is ahead": trunks.level_on_choosing_layouts,
     "no guarantee: on layout 102": on_102,
+    "Of the mean AoU of the rule": beside_the_rule,
+    "is close to it: on the 64 layouts": beside_the_rule,
     "**Limits**: on layout 102": on_102,
     "measures the row of 600 s again": planned.tuned_row,
     "is better than the plan of ten minutes": planned.better_than_plans,
@@ -222,7 +233,9 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "202.97 slots": validated(ANY_MAP),
     "59.13 slots": validated(ANY_MAP_LOCAL),
     "is close to it on the same parts": zero_shot("any-map-local", "layouts", 3),
-    "of the mean AoU of the planner `best-first`": zero_shot("any-map", "unseen-layouts", 2),
+    "of the mean AoU of the planner `best-first`": lambda text: (
+        zero_shot("any-map", "unseen-layouts", 2)(text) and to_the_rule("unseen-layouts") in text
+    ),
     # studies, and projects that users come from
     "collects device 18": in_range_of_much,
     "settings that a search chose for that, VDN ends": lambda text: states(
