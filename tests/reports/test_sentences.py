@@ -94,18 +94,22 @@ def ratio_to_anneal(text: str) -> bool:
     return text.endswith(f"to `anneal` is {four}, with one candidate {one}.")
 
 
-def to_the_rule(table: str) -> str:
-    """The ratio of ``any-map`` to the untuned rule over the layouts of a table, with Student's interval over these."""
-    found = rows(f"suites/any-map/{table}.csv")
-    rule = {row["point"]: row["mean_aou_slots"] for row in found if row["policy"] == "local-greedy-parts"}
-    return fresh.of_logs(np.log([float(row["mean_aou_slots"]) / float(rule[row["point"]]) for row in any_map(table)]))
+def to_the_rule(table: str, policy: str = "any-map") -> str:
+    """The ratio of a policy to the untuned rule over the layouts of a table, with Student's interval over these."""
+    means = {
+        name: np.array([
+            float(row["mean_aou_slots"]) for row in rows(f"suites/{policy}/{table}.csv") if row["policy"] == name
+        ])
+        for name in (policy, "local-greedy-parts")
+    }  # fmt: skip
+    return fresh.of_logs(np.log(means[policy] / means["local-greedy-parts"]))
 
 
-def beside_the_rule(text: str) -> bool:
-    first, second = map(to_the_rule, ("unseen-layouts", "layouts"))
-    return (len(any_map("unseen-layouts")), len(any_map("layouts"))) == (64, 10) and (
-        first in text and f"({second.replace(' (', ', ')}" in text
-    )
+def beside_the_rule(text: str, policy: str = "any-map") -> bool:
+    """On the 64 layouts below it, and on ten no difference."""
+    first, second = (to_the_rule(table, policy) for table in ("unseen-layouts", "layouts"))
+    level = not (fresh.above_one(second) or "–0." in second)
+    return first in text and "–0." in first and f"({second.replace(' (', ', ')}" in text and level
 
 
 def tuned_rule(text: str) -> bool:

@@ -232,7 +232,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "403,200 slots (the best of 1,002,240)": last_stage(ANY_MAP_LOCAL, until=403_200 / 1_002_240),
     "202.97 slots": validated(ANY_MAP),
     "59.13 slots": validated(ANY_MAP_LOCAL),
-    "is close to it on the same parts": zero_shot("any-map-local", "layouts", 3),
+    "is close to it on the same parts": lambda text: beside_the_rule(text, "any-map-local"),
     "of the mean AoU of the planner `best-first`": lambda text: (
         zero_shot("any-map", "unseen-layouts", 2)(text) and to_the_rule("unseen-layouts") in text
     ),
