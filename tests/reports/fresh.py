@@ -132,7 +132,7 @@ def four_to_one(text: str) -> bool:
 def above_tuned(text: str) -> bool:
     """Both learners from the start are above the rule with searched numbers."""
     own, theirs = (ratio(name, "local-greedy-tuned") for name in LEARNERS[:2])
-    return f"by {own} and {theirs}" in text and above_one(own) and above_one(theirs)
+    return f": {own} and {theirs}." in text and above_one(own) and above_one(theirs)
 
 
 def spreads(text: str) -> bool:

@@ -238,7 +238,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "MAPPO's with four to those with one": fresh.four_to_one,
     "pooled over the layouts": fresh.spreads,
     "To `local-greedy-parts`, which learns nothing, MAPPO": fresh.to_the_rule,
-    "Both are above `local-greedy-tuned`, by": fresh.above_tuned,
+    "Both are above `local-greedy-tuned`": fresh.above_tuned,
     "MAPPO that goes on from `any-map-local` has": fresh.tuned_ratios,
     "On the fresh layouts 11 to 15, three trainings": fresh.qmix_ahead,
     "is lower than it on four of five": fresh.lower_than_tuned,
