@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from statistics import fmean
+
 from tests.committed import RESULTS, rows
+from tests.committed import ends as study_ends
 
 PAGE = (RESULTS / "README.md").read_text(encoding="utf-8")
 
@@ -14,6 +17,62 @@ def flown(suite: str, policy: str) -> dict[str, list[float]]:
         if row["policy"] == policy:
             found.setdefault(row["point"], []).append(float(row["mean_aou_slots"]))
     return found
+
+
+def ends(suite: str, *policies: str, point: str | None = None) -> list[float]:
+    """Means over the seeds at each point, or each seed's at one."""
+    found = [flown(suite, policy) for policy in policies]
+    return [number for one in found for number in (one[point] if point else map(fmean, one.values()))]
+
+
+def test_of_fading() -> None:
+    planned, rule = (ends("fading", policy) for policy in ("best-first", "local-greedy-parts"))
+    learned = {name: ends("fading", name) for name in ("mappo", "qmix", "ippo", "vdn")}
+    pair = learned["mappo"] + learned["qmix"]
+    assert planned == sorted(planned, reverse=True)
+    assert f"`best-first` falls from {planned[0]:.0f} to {planned[-1]:.0f} slots." in PAGE
+    assert f"stay between {min(pair):.0f} and {max(pair):.0f} (means of five seeds)" in PAGE
+    assert f"as `local-greedy-parts` does between {min(rule):.0f} and {max(rule):.0f};" in PAGE
+    above = zip(learned["ippo"], learned["vdn"], learned["mappo"], learned["qmix"], rule, strict=True)
+    assert all(min(others[:2]) > max(others[2:]) for others in above)
+    last = [learned["mappo"][-1], learned["qmix"][-1], rule[-1]]
+    assert "ahead of all: MAPPO has {:.0f}, QMIX {:.0f}, the rule {:.0f} |".format(*last) in PAGE
+    assert planned[-1] < min(last)
+    assert {len(means) for name in learned for means in flown("fading", name).values()} == {5}
+
+
+def test_of_rate() -> None:
+    names, planners = ("mappo", "qmix", "ippo", "vdn"), ("greedy", "best-first", "local-greedy-parts")
+    points = list(flown("rate", "mappo"))
+    means = {name: dict(zip(points, ends("rate", name), strict=True)) for name in (*names, *planners)}
+    at = {name: f"{one['160']:.0f}" for name, one in means.items()}
+    learned = f"QMIX is at {at['qmix']} slots, MAPPO at {at['mappo']}, `best-first` at {at['best-first']} and "
+    assert f"at 160 kbit/s {learned}`local-greedy-parts` at {at['local-greedy-parts']}." in PAGE
+    above = [p for p in points if min(means[n][p] for n in names) > max(means[n][p] for n in planners)]
+    assert "At 120 and from 170 on, all learners are above all planners (means of five seeds);" in PAGE
+    assert above == ["120", "170", "180", "200"]
+    seeds = ends("rate", "mappo", "qmix", point="120")
+    assert f"at 120 the seeds of MAPPO and QMIX have {min(seeds):.0f} to {max(seeds):.0f} slots." in PAGE
+    assert "below each learner at every point but 150, where they were trained and QMIX is ahead of it |" in PAGE
+    rule = means["local-greedy-parts"]
+    ahead = [(name, p) for name in names for p in points if means[name][p] < rule[p]]
+    assert ahead == [("qmix", "150")]
+
+
+def test_of_layouts() -> None:
+    trained = [mean for name in ("mappo", "qmix") for means in flown("layouts", name).values() for mean in means]
+    assert f"fail on others, with {min(trained):,.0f} slots and more; `any-map` and" in PAGE
+    assert len(trained) == 100
+    planned = flown("layouts", "greedy")
+    assert all(flown("layouts", "local-greedy-parts")[point] < planned[point] for point in planned)
+
+
+def test_they_are_trainings_of_the_study() -> None:
+    """The suites' trainings at the point that they were trained for, and those of the study of the paper."""
+    names = {"mappo": "mappo, four candidates", "ippo": "ippo, four candidates", "qmix": "qmix", "vdn": "vdn"}
+    for suite, point in (("fading", "10"), ("rate", "150")):
+        for name, variant in names.items():
+            assert flown(suite, name)[point] == [round(mean, 4) for mean in study_ends("paper", variant)[:5]]
 
 
 def test_of_uavs() -> None:

@@ -260,6 +260,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "played 240 CPU seconds": lambda _: searched("paper+layout_seed=1", 4, 240),
 }
 ELSEWHERE = {  # words -> where the numbers are checked, or what they are
+    "They are seeds 0 to 4 of the study": "tests/reports/test_captions.py",
     "Nothing was chosen on layouts 11 to 15": "layout seeds",
     "Intervals are 95 %": "the rule of all intervals: tests/statistics",
     "It has the lowest mean here": "tests/test_readme.py",

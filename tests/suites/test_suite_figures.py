@@ -76,7 +76,7 @@ def test_labels_along_the_axis_stand_apart(monkeypatch: pytest.MonkeyPatch, name
     ticks = zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)
     boxes = sorted(label.get_window_extent().extents.tolist() for x, label in ticks if low <= x <= high)
     assert len(boxes) > 5
-    assert all(one[2] + 2 < other[0] for one, other in pairwise(boxes))  # pixels
+    assert all(one[2] + 0.03 * figure.dpi < other[0] for one, other in pairwise(boxes))
 
 
 def test_no_line_leads_to_an_infinite_rician_factor() -> None:

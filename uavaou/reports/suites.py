@@ -36,7 +36,7 @@ _ALLOWED = {
     "joined": ("yes", "no"),
 }
 _MOST_TICKS = 12
-_CHARACTERS = 46  # of tick labels along the axis
+_CHARACTERS = 35  # of tick labels along the axis
 _WIDTH = 62  # characters of a line below the axes
 _LINE_IN = 0.13
 _SPREAD = 0.7  # share of the distance between two categories over which the policies stand side by side
