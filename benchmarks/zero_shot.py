@@ -112,7 +112,8 @@ def summary(policy: str, tables: Iterable[SuiteTable]) -> str:
             if ratios:
                 points = f"{len(ratios)} of {len(ratios) + len(apart)}"
                 cells = (f"{cell:.3f}" for cell in (geometric_mean(ratios), sum(ratios) / len(ratios), max(ratios)))
-                elsewhere = f"{min(apart):+.2f} to {max(apart):+.2f} slots" if apart else ""
+                ends = dict.fromkeys(f"{end:+.2f}" for end in (min(apart), max(apart))) if apart else ()
+                elsewhere = f"{' to '.join(ends)} slots" if ends else ""
                 last = f"{worst:.2f}" if other == REFERENCE else ""
                 rows.append((f"`{found.suite}`", told(found, other), points, *cells, elsewhere, last))
     head = (
