@@ -48,7 +48,7 @@ each layout in `unseen-layouts`. *To `{REFERENCE}`* is the ratio of the mean AoU
 2 x `{REFERENCE}` + 5 slots. The ratios of the first table are over the points where the other policy has more than
 {RATIO_ABOVE} slots; *elsewhere* has the smallest and the largest difference at the other points. It lists planners, and
 policies that were trained for the points: in `known-layouts` by three trainings of 3M slots (layout 0: ten), else by
-one of 1M. In `layouts`, `mappo` and `qmix` learned layout 0 alone; `mappo+layout=resample` is one training on new ones."""
+one of 1M. In `layouts`, `mappo` and `qmix` learned layout 0 alone; `mappo+layout=resample` trained on new ones."""
 
 
 def main() -> None:
