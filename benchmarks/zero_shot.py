@@ -110,7 +110,7 @@ def summary(policy: str, tables: Iterable[SuiteTable]) -> str:
             ratios = [own[point] / theirs[point] for point in own if theirs.get(point, 0) > RATIO_ABOVE]
             apart = [own[point] - theirs[point] for point in own if theirs.get(point, np.inf) <= RATIO_ABOVE]
             if ratios:
-                points = f"{len(ratios)} of {len(ratios) + len(apart)}"
+                points = f"{len(ratios)} of {len(ratios) + len(apart)}" if apart else str(len(ratios))
                 cells = (f"{cell:.3f}" for cell in (geometric_mean(ratios), sum(ratios) / len(ratios), max(ratios)))
                 ends = dict.fromkeys(f"{end:+.2f}" for end in (min(apart), max(apart))) if apart else ()
                 elsewhere = f"{' to '.join(ends)} slots" if ends else ""
