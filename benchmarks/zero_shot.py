@@ -11,10 +11,9 @@ import os
 import re
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
+from math import inf
 from multiprocessing import get_context
 from pathlib import Path
-
-import numpy as np
 
 from uavaou.files import read_text, write_text
 from uavaou.reports.markdown import rounded, table, with_interval
@@ -108,7 +107,7 @@ def summary(policy: str, tables: Iterable[SuiteTable]) -> str:
         for other in dict.fromkeys(row.policy for row in found.rows if row.how != "zero-shot"):
             theirs = means(found, other)
             ratios = [own[point] / theirs[point] for point in own if theirs.get(point, 0) > RATIO_ABOVE]
-            apart = [own[point] - theirs[point] for point in own if theirs.get(point, np.inf) <= RATIO_ABOVE]
+            apart = [own[point] - theirs[point] for point in own if theirs.get(point, inf) <= RATIO_ABOVE]
             if ratios:
                 points = f"{len(ratios)} of {len(ratios) + len(apart)}" if apart else str(len(ratios))
                 cells = (f"{cell:.3f}" for cell in (geometric_mean(ratios), sum(ratios) / len(ratios), max(ratios)))

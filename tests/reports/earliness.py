@@ -14,7 +14,12 @@ from uavaou.statistics import ratio_of_trainings
 
 WHOLE, SHORT = "earliness", "earliness-short"  # of the budget all, and a third
 HALFWAY = 500_000  # slots
-EVALUATIONS = range(100_000, 1_000_001, 100_000)  # slots of those of the third
+EVERY = 100_000  # slots between evaluations
+
+
+def evaluations(name: str) -> range:
+    """The slots of the evaluations of a study's trainings."""
+    return range(EVERY, int(study(name).table("runs")["slots"].max()) + 1, EVERY)
 
 
 def at(name: str, variant: str, slots: int) -> list[float]:
@@ -62,20 +67,18 @@ def of_convergence(text: str) -> bool:
 
 def lead(name: str, other: str) -> int:
     """The slots of the last evaluation until which MAPPO is ahead of another by ranks, and after which never again."""
-    budget = int(study(name).table("runs")["slots"].max())
-    shown = [by_ranks(name, "mappo", other, slots) < 0.05 for slots in range(100_000, budget + 1, 100_000)]
+    shown = [by_ranks(name, "mappo", other, slots) < 0.05 for slots in evaluations(name)]
     assert not any(shown[shown.index(False) :])
-    assert np.median(at(name, "mappo", 100_000)) < np.median(at(name, other, 100_000))
-    return 100_000 * shown.index(False)
+    assert np.median(at(name, "mappo", EVERY)) < np.median(at(name, other, EVERY))
+    return EVERY * shown.index(False)
 
 
 def ahead(text: str) -> bool:
     """Until when MAPPO is ahead of each arm of QMIX, at what largest p, and of each arm of VDN throughout."""
-    until = [lead(WHOLE, arm) for arm in ("qmix", "qmix, short epsilon")]
+    last_of = {arm: lead(WHOLE, arm) for arm in ("qmix", "qmix, short epsilon")}
+    until = [*last_of.values()]
     p = max(
-        by_ranks(WHOLE, "mappo", arm, slots)
-        for arm, last in zip(("qmix", "qmix, short epsilon"), until, strict=True)
-        for slots in range(100_000, last + 1, 100_000)
+        by_ranks(WHOLE, "mappo", arm, slots) for arm, last in last_of.items() for slots in range(EVERY, last + 1, EVERY)
     )
     stated = f"until {until[0]:,} slots, and of QMIX with the short ε until {until[1]:,} (p at most {p:.2f} by"
     return stated in text and behind(WHOLE)
@@ -91,15 +94,15 @@ def leads(text: str) -> bool:
 def earliest(text: str) -> bool:
     """Until when the validation AoU of each of MAPPO's trainings is lower than that of any other."""
     ahead = []
-    for slots in EVALUATIONS:
+    for slots in evaluations(SHORT):
         first, *others = (at(SHORT, variant, slots) for variant in study(SHORT).settings["variants"])
         ahead.append(max(first) < min(map(min, others)))
-    return f"until {ahead.index(False) * 100_000:,} slots" in text and not any(ahead[ahead.index(False) :])
+    return f"until {ahead.index(False) * EVERY:,} slots" in text and not any(ahead[ahead.index(False) :])
 
 
 def no_longer_ahead(text: str) -> bool:
     """From when on no difference to QMIX is shown."""
-    p = {slots: by_ranks(SHORT, "mappo", "qmix", slots) for slots in EVALUATIONS}
+    p = {slots: by_ranks(SHORT, "mappo", "qmix", slots) for slots in evaluations(SHORT)}
     first = next(slots for slots, one in p.items() if one > 0.05)
     return (
         f"From {first:,} slots on" in text
@@ -126,10 +129,9 @@ def short_schedule(_: str) -> bool:
 
 def behind(name: str) -> bool:
     """Whether each training of VDN's arms is above each of MAPPO's at every evaluation."""
-    budget = int(study(name).table("runs")["slots"].max())
     return all(
         max(at(name, "mappo", slots)) < min(at(name, f"vdn{arm}", slots))
-        for slots in range(100_000, budget + 1, 100_000)
+        for slots in evaluations(name)
         for arm in ("", ", short epsilon")
     )
 

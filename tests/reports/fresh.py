@@ -6,12 +6,11 @@ import re
 from math import exp
 
 import numpy as np
-from scipy.special import stdtrit
 
 from tests.committed import STUDIES, study, told
 from uavaou.csv_tables import read_csv
 from uavaou.reports.scores import study_scores
-from uavaou.statistics import ratio_of_trainings
+from uavaou.statistics import Interval, interval_over_trainings, ratio_of_trainings
 
 RESULTS = STUDIES.parent
 LEARNERS = ("mappo", "qmix", "mappo, four candidates", "qmix, four candidates")
@@ -65,8 +64,7 @@ def of_bonus(text: str) -> bool:
 
 def of_logs(logs: np.ndarray) -> str:
     """The ratio whose logarithm is the mean of (n,) logarithms, with Student's interval over these."""
-    half = float(stdtrit(len(logs) - 1, 0.975)) * logs.std(ddof=1) / len(logs) ** 0.5
-    return f"{exp(logs.mean()):.2f} ({exp(logs.mean() - half):.2f}–{exp(logs.mean() + half):.2f})"
+    return told(Interval(*map(exp, interval_over_trainings(logs))))
 
 
 def tuned_below() -> bool:
@@ -107,6 +105,11 @@ def of_pair(text: str, policy: str, other: str) -> bool:
 
 def above_one(stated: str) -> bool:
     return float(stated.partition("(")[2].partition("–")[0]) > 1
+
+
+def spans_one(stated: str) -> bool:
+    """Whether an interval shows no difference."""
+    return not above_one(stated) and float(stated.partition("–")[2].rstrip(")")) > 1
 
 
 def qmix_ahead(text: str) -> bool:
