@@ -47,6 +47,15 @@ def test_every_policy_stands_in_the_table_with_its_mean_the_best_first(tmp_path:
     assert not (tmp_path / "README.md").exists()
 
 
+@pytest.mark.parametrize("other", ["two", ""])
+def test_a_page_says_where_wall_clock_times_are_of_several_processors(tmp_path: Path, other: str) -> None:
+    folder, remark = write_study(tmp_path / "study"), "their wall-clock times do not compare"
+    assert remark not in page(folder)
+    runs = folder / "runs.csv"
+    runs.write_text(runs.read_text().replace(",one", f",{other}", 1))
+    assert remark in page(folder)
+
+
 def test_a_reference_and_claims_are_told_where_the_study_asks_for_them(tmp_path: Path) -> None:
     plain = page(study_with(tmp_path / "plain"))
     assert "Against" not in plain

@@ -277,8 +277,7 @@ class _Scenario:
         lines = {name: _over_time(runs) for name, runs in validations.items()}
         unit, seconds = drawing.time_unit(max(float(line.x[-1]) for line in lines.values()))
         lines = {name: drawing.Line(line.x / seconds, line.y, line.seeds) for name, line in lines.items()}
-        processors = self._study.processors(self._scenario)  # none where the runs are no study's
-        mixed = len(processors) > 1 or "" in processors
+        mixed = self._study.on_several_processors(self._scenario)
         note = "\ntrainings on several processors, or not recorded on which" if mixed else ""
         figure, axes = self._measure_figure(lines, drawing.VALIDATION_AOU, note)
         axes.set_xlabel(f"wall-clock time of training ({unit})")

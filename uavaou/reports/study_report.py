@@ -40,6 +40,9 @@ half of all missions, with a stratified bootstrap over seeds and missions. Knows
 expectation and without foreseeing the channel."""
 _REPLAY = f"[{STUDY_REPLAY}]({STUDY_REPLAY}) plays one mission of each kept policy, side by side, in a browser."
 _HEAD = ("policy", "knows", "seeds", "mean AoU (slots)", "IQM (slots)", "wall-clock of a training", "violations")
+_SEVERAL_PROCESSORS = """\
+The trainings ran on several processors, or it was not recorded on which: their wall-clock times do not compare
+policies."""
 _DIGITS = 4
 
 END = "<!-- claims:end -->"
@@ -179,6 +182,8 @@ def _results(results: StudyResults) -> Iterator[str]:
     yield _NOTE
     for scenario, found in study_scores(results).items():
         yield f"## {scenario}\n\n" + table(_HEAD, map(_cells, found))
+        if results.on_several_processors(scenario):
+            yield _SEVERAL_PROCESSORS
 
 
 def _cells(one: PolicyScores) -> tuple[str, ...]:

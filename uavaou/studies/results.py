@@ -180,9 +180,10 @@ class StudyResults:
         found = {scenario: self.stack("missions", variant, scenario, column) for scenario in wanted}
         return {scenario: values for scenario, values in found.items() if values.size}
 
-    def processors(self, scenario: str) -> set[str]:
-        """The processors that the trainings on a scenario ran on; "" where one was not recorded."""
-        return set(self.table("runs", scenario=scenario)["processor"].tolist())
+    def on_several_processors(self, scenario: str) -> bool:
+        """Whether the trainings on a scenario ran on several processors, or it was not recorded on which."""
+        found = set(self.table("runs", scenario=scenario)["processor"].tolist())
+        return len(found) > 1 or "" in found
 
     def cell(self, key: PartKey, column: str) -> str:
         """A cell of a training's row in ``runs.csv``."""
