@@ -53,7 +53,16 @@ def test_a_page_says_where_wall_clock_times_are_of_several_processors(tmp_path: 
     assert remark not in page(folder)
     runs = folder / "runs.csv"
     runs.write_text(runs.read_text().replace(",one", f",{other}", 1))
-    assert remark in page(folder)
+    assert page(folder).count(remark) == 1
+
+
+def test_a_page_names_the_scenarios_of_several_processors_where_others_have_one(tmp_path: Path) -> None:
+    folder = write_study(tmp_path / "study", scenarios=("small", "large"))
+    runs = folder / "runs.csv"
+    rows = runs.read_text().splitlines()
+    at = next(number for number, row in enumerate(rows) if ",large," in row)
+    runs.write_text("\n".join([*rows[:at], rows[at].replace(",one", ",two"), *rows[at + 1 :]]) + "\n")
+    assert "The trainings on large ran on several processors" in page(folder)
 
 
 def test_a_reference_and_claims_are_told_where_the_study_asks_for_them(tmp_path: Path) -> None:

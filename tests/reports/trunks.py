@@ -23,6 +23,11 @@ def ratio(ours: np.ndarray, theirs: np.ndarray | float) -> Interval:
     return ratio_of_trainings({"": ours}, {"": np.asarray(theirs)})
 
 
+def to_planner(name: str) -> Interval:
+    """Of MAPPO with the set network."""
+    return ratio(ends(SET, "mappo"), planned(name, "paper", SET))
+
+
 def exactly(found: Interval) -> str:
     """To three decimals: two would hide on which side of 1 an end lies."""
     return f"{found.value:.3f} ({found.low:.3f}–{found.high:.3f})"
@@ -110,14 +115,12 @@ def level_on_choosing_layouts(text: str) -> bool:
 
 def against_planners(text: str) -> bool:
     """MAPPO with the set network is below the best planner; to the rule that learns nothing no difference is shown."""
-    planner, rule = (
-        ratio(ends(SET, "mappo"), planned(name, "paper", SET)) for name in ("rolling", "local-greedy-parts")
-    )
+    planner, rule = to_planner("rolling"), to_planner("local-greedy-parts")
     return states(text, told(planner), exactly(rule)) and planner.high < 1 and rule.low < 1 < rule.high
 
 
 def above_tuned(text: str) -> bool:
-    found = ratio(ends(SET, "mappo"), planned("local-greedy-tuned", "paper", SET))
+    found = to_planner("local-greedy-tuned")
     return told(found) in text and found.low > 1
 
 

@@ -41,7 +41,7 @@ expectation and without foreseeing the channel."""
 _REPLAY = f"[{STUDY_REPLAY}]({STUDY_REPLAY}) plays one mission of each kept policy, side by side, in a browser."
 _HEAD = ("policy", "knows", "seeds", "mean AoU (slots)", "IQM (slots)", "wall-clock of a training", "violations")
 _SEVERAL_PROCESSORS = """\
-The trainings ran on several processors, or it was not recorded on which: their wall-clock times do not compare
+The trainings{where} ran on several processors, or it was not recorded on which: their wall-clock times do not compare
 policies."""
 _DIGITS = 4
 
@@ -180,10 +180,12 @@ def _unfinished(results: StudyResults) -> str:
 def _results(results: StudyResults) -> Iterator[str]:
     """A table for each scenario, the best first."""
     yield _NOTE
-    for scenario, found in study_scores(results).items():
+    scores = study_scores(results)
+    mixed = [scenario for scenario in scores if results.on_several_processors(scenario)]
+    if mixed:
+        yield _SEVERAL_PROCESSORS.format(where="" if len(mixed) == len(scores) else f" on {', '.join(mixed)}")
+    for scenario, found in scores.items():
         yield f"## {scenario}\n\n" + table(_HEAD, map(_cells, found))
-        if results.on_several_processors(scenario):
-            yield _SEVERAL_PROCESSORS
 
 
 def _cells(one: PolicyScores) -> tuple[str, ...]:
