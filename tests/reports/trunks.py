@@ -33,10 +33,12 @@ def exactly(found: Interval) -> str:
     return f"{found.value:.3f} ({found.low:.3f}–{found.high:.3f})"
 
 
-def minutes(variant: str, processor: str) -> float:
-    """The mean CPU time of a training with the set network on a processor."""
+def minutes(variant: str, processor: str, seeds: range) -> float:
+    """The mean CPU time of a training with the set network on a processor, over seeds that all ran there."""
     runs = study(SET).table("runs", variant, "paper")
-    return float(runs["cpu_s"][runs["processor"] == processor].mean() / 60)
+    there = runs["processor"] == processor
+    assert set(seeds) <= set(runs["seed"][there].tolist())
+    return float(runs["cpu_s"][there & np.isin(runs["seed"], seeds)].mean() / 60)
 
 
 def spread(name: str, variant: str) -> float:
@@ -48,13 +50,17 @@ def table() -> list[str]:
     found = structures(study(SET))
     cells = {
         "`mlp`, ten trainings": [mean_of(FLAT, name) for name in LEARNERS],
-        "`set`, seven trainings": [mean_of(SET, name) for name in LEARNERS],
+        "`set`, ten trainings": [mean_of(SET, name) for name in LEARNERS],
         "ratio of `set` to `mlp`": [told(ratio(ends(SET, name), ends(FLAT, name))) for name in LEARNERS],
         "stray with `set`": ["{} of {}".format(*strays(found, name, "paper")) for name in LEARNERS],
         "sd of log AoU with `set`": [f"{spread(SET, name):.3f}" for name in LEARNERS],
         **{
-            f"CPU minutes a training with `set`, {named}": [f"{minutes(name, one):.0f}" for name in LEARNERS]
-            for named, one in (("Zen 4", ZEN_4), ("Zen 3", ZEN_3))
+            f"CPU minutes a training with `set`, {where}": [f"{minutes(name, *ran):.0f}" for name in LEARNERS]
+            for where, ran in {
+                "Zen 4": (ZEN_4, range(5)),
+                "Zen 3": (ZEN_3, range(5, 7)),
+                "Zen 3 without packing": (ZEN_3, range(7, 10)),
+            }.items()
         },
     }
     return [f"| {name} | {' | '.join(row)} |" for name, row in cells.items()]
@@ -79,18 +85,19 @@ def converges_sooner(text: str) -> bool:
     found = claims["MAPPO converges in fewer training slots than QMIX"].estimate
     assert found is not None
     sooner = claims["MAPPO reaches the level of QMIX's trainings sooner than these do"].estimate
-    numbers = f"(ratio {found.value:.2f}, {found.low:.2f} to {found.high:.2f})"
-    return sooner is not None and sooner.high > 1 > found.high and numbers in text
+    assert sooner is not None
+    numbers = [f"(ratio {one.value:.2f}, {one.low:.2f} to {one.high:.2f})" for one in (found, sooner)]
+    return max(found.high, sooner.high) < 1 and all(one in text for one in numbers)
 
 
-def on_speed_alone() -> bool:
-    """Whether, of the claims against VDN that the flat network supports, the set supports the two on speed alone."""
+def half_of_six() -> bool:
+    """Whether, of the claims against VDN that the flat network supports, the set supports speed and a lower AoU."""
     flat, other = (
         {one.claim for one in judge(study(name)) if "VDN" in one.claim and one.verdict == "supported"}
         for name in (FLAT, SET)
     )
-    speed = {claim for claim in flat if "converges" in claim or "sooner" in claim}
-    return len(flat) == 6 and other == speed and len(speed) == 2
+    kept = {claim for claim in flat if any(words in claim for words in ("converges", "sooner", "is lower"))}
+    return len(flat) == 6 and other == kept and len(kept) == 3
 
 
 def on_choosing_layouts() -> dict[str, float]:
@@ -114,9 +121,9 @@ def level_on_choosing_layouts(text: str) -> bool:
 
 
 def against_planners(text: str) -> bool:
-    """MAPPO with the set network is below the best planner; to the rule that learns nothing no difference is shown."""
+    """MAPPO with the set network is below the best planner, and a little below the rule that learns nothing."""
     planner, rule = to_planner("rolling"), to_planner("local-greedy-parts")
-    return states(text, told(planner), exactly(rule)) and planner.high < 1 and rule.low < 1 < rule.high
+    return states(text, told(planner), exactly(rule)) and planner.high < 1 and 0.99 < rule.high < 1
 
 
 def above_tuned(text: str) -> bool:
@@ -126,13 +133,13 @@ def above_tuned(text: str) -> bool:
 
 def against_vdn(text: str) -> bool:
     found = ratio(ends(SET, "mappo"), ends(SET, "vdn"))
-    return exactly(found) in text and found.low < 1 < found.high and on_speed_alone()
+    return told(found) in text and found.high < 1 and half_of_six()
 
 
 def in_short(text: str) -> bool:
     """The sentence of the README."""
     return states(text, *(f"{ends(SET, name).mean():.1f}" for name in ("vdn", "mappo", "ippo", "qmix"))) and (
-        on_speed_alone()
+        half_of_six()
     )
 
 
