@@ -33,7 +33,7 @@ from uavaou.fields import (
     validated,
 )
 from uavaou.plain_yaml import to_yaml
-from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_or_file, zoo_path
+from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_names, zoo_or_file, zoo_path
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 ZETA_TOLERANCE_S = 1e-6  # slack in comparisons of flight times
@@ -139,7 +139,7 @@ class Scenario(BaseModel):
             fields = inherited | fields
         if "devices_csv" in fields:
             read_devices_csv(path, fields, stated_devices)
-        fields.setdefault("name", path.stem)
+        fields.setdefault("name", name_of_file(path))
         return cls.from_dict(fields, source=str(path))
 
     @classmethod

@@ -29,6 +29,11 @@ def zoo_path(kind: str, name: str) -> Path:
     return zoo_folder(kind) / f"{name}.yaml"
 
 
+def name_of_file(path: Path) -> str:
+    """Return the name that a file gives to what it holds; bytes that are no text become question marks."""
+    return path.stem.encode(errors="replace").decode()
+
+
 def zoo_or_file(kind: str, source: str | Path) -> Path:
     """Return the path of a shipped configuration by name, or of a YAML file by path.
 

@@ -3,6 +3,7 @@
 No heavy module is imported here or at the top of a command's module, so that ``uavaou --help`` answers at once.
 """
 
+import io
 import os
 import signal
 import sys
@@ -139,6 +140,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     terminated = signal.getsignal(signal.SIGTERM)
     interrupt_at_sigterm(signal.SIG_DFL)
+    os.environ["MPLBACKEND"] = "agg"  # that of a notebook, which a command inherits, may not be installed here
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names that the console has no letters for are escaped
+            stream.reconfigure(errors="backslashreplace")
     warnings.formatwarning = lambda message, *_, **__: f"uavaou: warning: {message}\n"
     try:
         code = _command()(arguments, prog_name="uavaou", standalone_mode=False, obj={"arguments": arguments})

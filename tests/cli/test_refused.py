@@ -167,6 +167,8 @@ BAD_INPUTS = [
     ("audit papr", "did you mean 'paper'?"),
     ("audit twins.yaml", "same position"),
     ("audit paper tiny", "unexpected"),
+    ("audit tiny --set scenario.slots=1", "slots = 1"),
+    ("audit tiny --set algorithm.gamma=0.9", "only scenario.* can be set here"),
 ]
 BAD_INPUTS_WITH_A_RUN = [
     ("eval {run} --scenario paper", "which its network does not fit"),
