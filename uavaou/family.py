@@ -16,7 +16,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, 
 from uavaou.arrays import Floats
 from uavaou.errors import InputError
 from uavaou.fields import FolderName, Length, NonNegative, Positive, PositiveWhole, validated
-from uavaou.scenario import Range, Scenario
+from uavaou.scenario import Scenario
+from uavaou.scenario_fields import Range
 from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_or_file
 
 _STREAM = 4  # spawn key of the draws, apart from the layouts' (1), the planners' (2) and the policies' (3)

@@ -51,7 +51,7 @@ BAD_INPUTS = [
     ("train --algorithm mapo", "did you mean 'mappo'?"),
     ("train --scenario quikstart", "did you mean 'quickstart'?"),
     ("train --scenario nowhere.yaml", "nowhere.yaml"),
-    ("train --scenario twins.yaml", "same position"),
+    ("train --scenario outside.yaml", "outside the area"),
     ("train --scenario list.yaml", "list.yaml"),
     ("train --scenario .", "unknown scenario"),
     ("train --out file", "'file"),
@@ -102,7 +102,7 @@ BAD_INPUTS = [
     ("eval --policy random --json .", "it is a folder"),
     ("eval --policy random --json /dev/null", "not a regular file"),
     ("eval --policy random --scenario nothing", "unknown scenario"),
-    ("eval --policy random --scenario twins.yaml", "same position"),
+    ("eval --policy random --scenario outside.yaml", "outside the area"),
     ("eval --policy random --set scenario.slots=1", "slots = 1"),
     ("eval --policy random --set algorithm.gamma=0.9", "algorithm.gamma"),
     # a circle of symbolic links
@@ -165,7 +165,7 @@ BAD_INPUTS = [
     # audit
     ("audit", "missing argument 'SCENARIO'"),
     ("audit papr", "did you mean 'paper'?"),
-    ("audit twins.yaml", "same position"),
+    ("audit outside.yaml", "outside the area"),
     ("audit paper tiny", "unexpected"),
     ("audit tiny --set scenario.slots=1", "slots = 1"),
     ("audit tiny --set algorithm.gamma=0.9", "only scenario.* can be set here"),
