@@ -40,7 +40,7 @@ class Scenario(ScenarioFields):
     """Area, fleet, devices, channel and mission.
 
     :meth:`load` reads a scenario, :meth:`replace` changes it. Both validate and raise
-    :class:`~uavaou.errors.InputError` with one readable line.
+    :class:`~uavaou.errors.InputError`, which lists all faults.
     """
 
     # -- reading and writing -------------------------------------------------------------------------
