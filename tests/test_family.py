@@ -133,8 +133,8 @@ def test_a_base_may_be_a_file_or_fields(tmp_path: Path) -> None:
         ({"base": "papr"}, "did you mean 'paper'?"),
         ({"base_share": 2}, "base_share = 2: must be less than or equal to 1"),
         ({"name": "a/b"}, "must be usable as a folder name"),
-        ({"slots": {"low": 1, "high": 5}}, "cannot be flown: scenario 'paper': slots = 1"),
-        ({"altitudes_m": {"low": 80, "high": 80}}, "draw 0 cannot be flown: scenario 'paper': altitudes_m = [80.0"),
+        ({"slots": {"low": 1, "high": 5}}, "(1) slots = 1.0: must be"),
+        ({"altitudes_m": {"low": 80, "high": 80}}, "draw 0 cannot be flown: scenario 'paper': altitudes_m = [80"),
         ({"altitudes_m": {"low": 4e4, "high": 5e4}}, "breaks constraint (Time)"),
     ],
 )

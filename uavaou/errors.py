@@ -19,7 +19,7 @@ class InputError(ValueError):
     traceback.
 
     Attributes:
-        faults: where :func:`all_faults` made the error, the single errors, without the source.
+        faults: where :func:`all_faults` made the error, the single errors, each without the source.
         source: of these faults.
     """
 

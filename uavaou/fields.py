@@ -161,7 +161,8 @@ def explain_validation(error: ValidationError, fields: list[str]) -> list[InputE
             missing.append(str(field))
         else:
             unknown.append(InputError(_unknown_field(str(field), fields)))
-    if missing:
+    hinted = " ".join(map(str, unknown))
+    if missing := [name for name in missing if f"'{name}'" not in hinted]:
         words = "the field {} is missing" if len(missing) == 1 else "the fields {} are missing"
         wrong.append(InputError(words.format(", ".join(missing))))
     return [*unknown, *wrong]
