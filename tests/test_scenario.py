@@ -180,7 +180,9 @@ BAD_CHANGES: list[tuple[dict[str, Any], list[str]]] = [
     # wrong types
     ({"slots": "twelve"}, ["slots", "'twelve'", "number"]),
     ({"slots": 1_000_001}, ["slots", "1000001", "less than or equal to 1000000"]),
-    ({"slots": "12"}, ["slots", "'12'", "number"]),
+    ({"slots": "12"}, ["slots", "'12'", "number, not text; write 12"]),
+    ({"speed_m_s": "15 m/s"}, ["speed_m_s", "write 15"]),
+    ({"speed_m_s": "1,5"}, ["speed_m_s", "write 1.5"]),
     ({"slots": 12.5}, ["slots", "12.5", "integer"]),
     ({"slots": True}, ["slots", "True", "number"]),
     ({"slots": None}, ["slots", "None"]),
@@ -240,6 +242,33 @@ def test_bad_values_are_refused_in_one_line(changes: dict[str, Any], words: list
     assert "tiny" in message  # whose field it is
     for word in words:
         assert word in message, message
+
+
+@pytest.mark.parametrize(
+    ("changes", "remedy", "fitting"),
+    [
+        ({"grid_step_m": 70}, "area_x_m = 210 would fit", {"area_x_m": 210, "area_y_m": 210}),
+        ({"grid_step_m": 66.6666}, "area_x_m = 199.9998 would fit", {"area_x_m": 199.9998, "area_y_m": 199.9998}),
+        ({"altitudes_m": [80]}, "[80, 90] would fit", {"altitudes_m": [80, 90]}),
+        ({"altitudes_m": [90, 90]}, "[90, 100] would fit", {"altitudes_m": [90, 100], "flight_time_budget_s": 99}),
+        ({"altitudes_m": []}, "[80, 90] would fit", {"altitudes_m": [80, 90]}),
+        ({"cds_m": []}, "[[0, 0], [0, 0]] would fit", {"cds_m": [[0, 0], [0, 0]]}),
+        ({"cds_m": [[0, 0], [60, 260]]}, "[100, 200] would fit", {"cds_m": [[0, 0], [100, 200]]}),
+        ({"flight_time_budget_s": 11.9}, "12 or more would fit", {"flight_time_budget_s": 12}),
+        ({"speed_m_s": 0.7, "flight_time_budget_s": 9}, "257.143 or more", {"flight_time_budget_s": 257.143}),
+        ({"bandwidth_hz": [1, 2]}, "devices: 2 would fit", {"devices": 2}),
+        ({"devices_m": []}, "leave it out", {"devices_m": None}),
+        ({"devices": 1, "devices_m": [[450, 0]]}, "area_x_m = 500 would fit", {"area_x_m": 500}),
+        (
+            {"devices": 2, "devices_m": [[450, -3], [0, 1]]},
+            "area_x_m = 500 and [0, -3] subtracted from all positions would fit",
+            {"devices_m": [[450, 0], [0, 4]], "area_x_m": 500},
+        ),
+    ],
+)
+def test_what_is_said_to_fit_fits(changes: dict[str, Any], remedy: str, fitting: dict[str, Any]) -> None:
+    assert remedy in refusal(lambda: TINY.replace(**changes))
+    TINY.replace(**changes | fitting)
 
 
 def test_a_budget_of_take_off_and_landing_alone_is_accepted() -> None:

@@ -106,7 +106,7 @@ def read_text(path: Path, most_bytes: int) -> str:
     except InputError:
         raise
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text: save it as UTF-8"
         raise InputError(f"{path}: cannot be read: {reason}") from error
 
 

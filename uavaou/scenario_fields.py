@@ -258,6 +258,6 @@ def _wrong_number(
 ) -> Iterator[str]:
     """Yield the refusal of a list that has not one entry for each of the UAVs or devices."""
     if len(given) != number:
-        fits = f"{kind}: {len(given)} would fit" if given else "leave it out"
-        fits = f"{_full_list(fitting)} would fit" if 0 < len(fitting) <= _MOST_SHOWN else fits
-        yield f"{field}: has {len(given)} entries, needs one for each of the {number} {kind}; {fits}"
+        fits = _full_list(fitting) if 0 < len(fitting) <= _MOST_SHOWN else f"{kind}: {len(given)}"
+        remedy = f"{fits} would fit" if fitting or given else "leave it out"
+        yield f"{field}: has {len(given)} entries, needs one for each of the {number} {kind}; {remedy}"

@@ -163,3 +163,10 @@ def test_any_valid_scenario_can_be_audited(scenario: Scenario) -> None:
     assert len(result.budget.mean) == scenario.devices
     assert all(math.isfinite(f.number) for f in result.findings)
     assert audit_lines(result)
+
+
+def test_devices_nearer_than_a_tenth_of_a_step_may_not_be_in_metres() -> None:
+    degrees = Scenario.load("quickstart").replace(devices=2, devices_m=[[8.54, 47.38], [8.55, 47.37]])
+    found = [finding for finding in audit(degrees).findings if finding.check == "places"]
+    assert [(finding.level, finding.change) for finding in found] == [("warning", "check that positions are in metres")]
+    assert "all devices lie within 1 cm" in found[0].message
