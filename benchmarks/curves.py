@@ -6,7 +6,6 @@ is stopped after SECONDS (240) of wall-clock.
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -31,10 +30,10 @@ def trained(collection: str, cores: int, seconds: float, place: Path) -> Path:
     """Train for some seconds; returns progress.csv."""
     settings = [f"algorithm.evaluate_every_slots={EVERY_SLOTS}", f"algorithm.collection={collection}"]
     command = [sys.executable, "-c", "import sys; from uavaou_cli.main import main; sys.exit(main())", "train"]
-    command += ["--scenario", SCENARIO, "--quiet", "--out", str(place)]
+    command += ["--scenario", SCENARIO, "--quiet", "--out", str(place), "--threads", str(cores)]
     for setting in settings:
         command += ["--set", setting]
-    process = subprocess.Popen(command, env=os.environ | {"OMP_NUM_THREADS": str(cores)})
+    process = subprocess.Popen(command)
     try:
         process.wait(seconds)
     except subprocess.TimeoutExpired:

@@ -20,15 +20,16 @@ from benchmarks.measure import Measurement, Stopwatch, exactly, seconds_of, side
 from uavaou import MAPPO, Scenario, flatten
 from uavaou.algorithms.config import AlgorithmConfig, MappoConfig
 from uavaou.algorithms.fast import loss
-from uavaou.algorithms.fast.update import ClippedAdam, GradientWorker
+from uavaou.algorithms.fast.update import ClippedAdam
 from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
 from uavaou.algorithms.nets.mlp import FullyConnected, Linear
 from uavaou.algorithms.registry import load_config, make_model
+from uavaou.threads import available_threads, use_threads
 
 MISSIONS = 64
 # MAPPO's work of one update, the same in every measurement whatever settings are published.
 WORK = {"missions": MISSIONS, "rollout_slots": 60, "batch_rows": 750, "epochs": 5, "critic_input": "global"}
-ROLLOUTS = 12  # of ours in one measurement, so that the start of a worker process hardly counts
+ROLLOUTS = 12  # of ours in one measurement, so that one slow moment hardly counts
 ALGORITHMS = ("mappo", "vdn", "qmix")
 STOCK = "stock SB3 PPO on SuperSuit's stage"
 
@@ -41,7 +42,7 @@ def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Measure
 def _training(repeats: int, rollout_slots: int | None, hidden: list[int]) -> list[Measurement]:
     scenario, config = Scenario.load("paper"), _mappo(rollout_slots, hidden=hidden)
     rows = MISSIONS * scenario.uavs * config.rollout_slots
-    cores = th.get_num_threads()
+    cores = available_threads()
     contestants = {
         f"{STOCK}, {processes} process{'es' if processes > 1 else ''}": (
             _learner(_stock(scenario, config, processes), rows, cores),
@@ -66,7 +67,7 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
     model = _ours(scenario, config)
     assert isinstance(model, MAPPO)
     rows = MISSIONS * scenario.uavs * config.rollout_slots
-    learn = _learner(model, ROLLOUTS * rows, th.get_num_threads())
+    learn = _learner(model, ROLLOUTS * rows, available_threads())
     learn()
     rollout = {
         "rollout: World, rewards, rows": (model.env, "step"),
@@ -82,7 +83,6 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
         "update: loss of the actor": (loss, "clipped_surrogate"),
         "update: loss of the critic": (loss, "squared_error"),
         "update: clipping and Adam": (ClippedAdam, "step"),
-        "update: waiting for other processes": (GradientWorker, "result"),
     }
     learning, seconds = _split(learn, rollout, repeats, rollouts=ROLLOUTS)
     updating, in_update = _split(model.train, update, repeats)
@@ -190,9 +190,9 @@ def _stock(scenario: Scenario, config: MappoConfig, processes: int) -> BaseAlgor
 
 def _learner(model: BaseAlgorithm, rows: int, threads: int) -> Callable[[], None]:
     def learn() -> None:
-        before = th.get_num_threads()
-        th.set_num_threads(threads)
+        use_threads(threads)
+        th.set_num_threads(threads)  # of SB3's own learner; ours computes with one and divides the work itself
         model.learn(rows, reset_num_timesteps=model.num_timesteps == 0)
-        th.set_num_threads(before)
+        use_threads(None)
 
     return learn

@@ -12,6 +12,7 @@ import typer
 
 from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import LARGEST_SEED
+from uavaou.threads import use_threads
 from uavaou_cli.options import (
     Quiet,
     Results,
@@ -72,6 +73,10 @@ def train(
         number("Seconds between checkpoints; they never take more than 2.5 % of the time.", 1, 86_400, "SECONDS"),
     ] = 30.0,
     device: Annotated[str, choice("Where the networks run.", "auto", "cpu", "cuda")] = "auto",
+    threads: Annotated[
+        int | None,
+        number("Threads of the learner, which do not change the weights. [default: all cores]", 1, 1024),
+    ] = None,
     backend: Annotated[
         str, choice("How missions are stepped; both give the same rows, batched is faster.", "batched", "supersuit")
     ] = "batched",
@@ -113,6 +118,7 @@ def train(
         )
     writable_folder(folder.path)
     available_device(device)
+    use_threads(threads)
     resume = resume or continue_ is not None
     if resume and not folder.exists() and not quiet:
         print(f"no run in '{folder.path}' yet: starting one", file=sys.stderr)

@@ -20,7 +20,7 @@ from uavaou.runs.start import Start, continued
 from uavaou.runs.train import train
 from uavaou.runs.validation import family_score
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
+pytestmark = pytest.mark.slow
 
 SMALL = {
     "slots": 192, "missions": 4, "worlds": 2, "rollout_slots": 12, "batch_rows": 48, "evaluate_every_slots": 96,

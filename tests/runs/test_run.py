@@ -26,8 +26,6 @@ from uavaou.runs.folder import RunConfig, RunFolder, flight_folder, run_folder
 from uavaou.runs.policy import load_run
 from uavaou.runs.train import train
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 SMALL = {
     "slots": 600, "missions": 4, "rollout_slots": 25, "batch_rows": 100, "evaluate_every_slots": 200,
     "evaluation_missions": 2, "hidden": [16],

@@ -15,6 +15,7 @@ from typing import Any
 from uavaou.errors import InputError
 from uavaou.runs.interrupt import children_ignore_ctrl_c, ignore_repeats, interrupt_at_sigterm, was_interrupt
 from uavaou.studies.jobs import Advanced, Ended, Event, Events, Job, StoppedEarlyError, TakeJob, Tell, TrainingReport
+from uavaou.threads import use_threads
 
 _LOOK_EVERY_S = 0.5
 
@@ -137,11 +138,9 @@ def _follow_parent() -> None:
 
 
 def prepare(plugins: Sequence[str]) -> None:
-    """Make this process ready for jobs, with one thread, so that sums do not depend on what runs beside it."""
+    """Make this process ready for jobs, with one thread: each has a core."""
     ignore_repeats()
-    os.environ["OMP_NUM_THREADS"] = "1"  # of torch, which takes seconds to load: planners and bounds never do
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(1)
+    use_threads(1)
     if plugins:
         from uavaou.algorithms.registry import load_plugin
 
