@@ -46,7 +46,7 @@ class LossCoefficients(NamedTuple):
 
 
 class GradientShard:
-    """The gradient of a minibatch's loss, as far as it comes from some of the minibatch's slots.
+    """The gradient of a minibatch's loss, as far as it comes from some of the minibatch's rows.
 
     The arrays of ``buffer`` are read anew for each minibatch.
     """
@@ -62,6 +62,7 @@ class GradientShard:
         known = inherits(policy, CentralizedValuePolicy, "normalised_values") and is_exactly(policy.value_net, PopArt)
         critic = fully_connected(policy.critic_body, policy.value_net.linear) if known else None
         self._critic = _network(critic, lambda r: policy.normalised_values(r)[:, None], policy.critic_parameters())
+        self._networks = (self._actor, self._critic)
         arrays = (buffer.actions, buffer.log_probs, buffer.advantages, buffer.returns)
         self._actions, self._log_probs, self._advantages, self._returns = map(_by_slot, arrays)
         present = buffer.row_layout.present_column
@@ -74,7 +75,7 @@ class GradientShard:
     @property
     def uses_autograd(self) -> bool:
         """Whether autograd differentiates one of the networks."""
-        return not (isinstance(self._actor, FullyConnected) and isinstance(self._critic, FullyConnected))
+        return not all(isinstance(network, FullyConnected) for network in self._networks)
 
     @property
     def divisible(self) -> bool:
@@ -85,18 +86,10 @@ class GradientShard:
         """
         return not self.uses_autograd or self._modules_keep_no_state
 
-    def pieces(self, slots: int, rows: tuple[int, int]) -> tuple[int, int]:
-        """Into how many shards a minibatch is divided for the actor's loss and for the critic's.
-
-        Args:
-            slots: of the minibatch.
-            rows: of the actor's loss, and of the critic's.
-        """
-        actor, critic = (
-            min(slots, count // (ROWS if isinstance(network, FullyConnected) else AUTOGRAD_ROWS))
-            for network, count in zip((self._actor, self._critic), rows, strict=True)
-        )
-        return max(actor, 1), max(critic, 1)
+    def pieces(self, rows: int, critic_rows: int) -> tuple[int, int]:
+        """Into how many shards a minibatch's rows are divided for the actor's loss, and for the critic's."""
+        least = (ROWS if isinstance(network, FullyConnected) else AUTOGRAD_ROWS for network in self._networks)
+        return max(rows // next(least), 1), max(critic_rows // next(least), 1)
 
     def rows(self, indices: Indices) -> Indices:
         """Return the rows, counted from that of the rollout's first slot, of UAVs that are there in slots (B,)."""
@@ -115,16 +108,14 @@ class GradientShard:
         return advantage_moments(self._advantages, self.rows(indices), self._actions.shape[1])
 
     @th.no_grad()
-    def actor_gradient(
-        self, indices: Indices, rows_in_batch: int, coefficients: LossCoefficients, later: Later
-    ) -> Gradient:
-        """The gradient by the actor's parameters, in order, as far as it comes from slots ``indices`` (B,).
+    def actor_gradient(self, at: Indices, part: float, coefficients: LossCoefficients, later: Later) -> Gradient:
+        """The gradient by the actor's parameters, in order, as far as it comes from some of a minibatch's rows.
 
         Gradients and statistics of a minibatch's shards, actor's and critic's, add up to those of the minibatch.
 
         Args:
-            indices: slots of the rollout.
-            rows_in_batch: of all shards together.
+            at: (R,) of :meth:`rows`.
+            part: share of these rows in the minibatch.
             coefficients: of the loss.
             later: is given tasks that complete the gradients.
 
@@ -132,32 +123,26 @@ class GradientShard:
             The gradients, and (6,) the statistics in the order of
             :class:`~uavaou.algorithms.mappo.mappo.LossStatistics`.
         """
-        at = self.rows(indices)
-        rows = self._local.index_select(0, th.from_numpy(at))  # (B * U, local)
+        rows = self._local.index_select(0, th.from_numpy(at))  # (R, local)
         activations = self._actor.forward(rows)
-        logits = activations[-1]  # (B * U, 5 + I)
+        logits = activations[-1]  # (R, 5 + I)
         grad_logits = th.empty_like(logits)
         objective, entropy, kl, clipped = clipped_surrogate(
             logits.numpy(), rows.numpy(), self._moves_column, self._range, at, self._actions, self._log_probs,
-            self._advantages, *coefficients[:4], len(at) / rows_in_batch, grad_logits.numpy(),
+            self._advantages, *coefficients[:4], part, grad_logits.numpy(),
         )  # fmt: skip
         loss = -objective - coefficients.entropy_coef * entropy
         statistics = np.array([-objective, 0.0, entropy, loss, kl, clipped])
         return self._actor.backward(activations, grad_logits, later=later), statistics
 
     @th.no_grad()
-    def critic_gradient(
-        self, indices: Indices, rows_in_batch: int, coefficients: LossCoefficients, later: Later
-    ) -> Gradient:
-        """The gradient by the critic's parameters; see :meth:`actor_gradient`."""
-        at = self.critic_rows(indices)
-        rows = self._critic_rows.index_select(0, th.from_numpy(at))  # (B * V, global or local)
+    def critic_gradient(self, at: Indices, part: float, coefficients: LossCoefficients, later: Later) -> Gradient:
+        """The gradient by the critic's parameters, from some of :meth:`critic_rows`; see :meth:`actor_gradient`."""
+        rows = self._critic_rows.index_select(0, th.from_numpy(at))  # (R, global, local or both)
         activations = self._critic.forward(rows)
-        values = activations[-1]  # (B * V, 1)
+        values = activations[-1]  # (R, 1)
         grad_values = th.empty_like(values)
-        value_loss = squared_error(
-            values.numpy(), at, self._returns, *coefficients[4:], len(at) / rows_in_batch, grad_values.numpy()
-        )
+        value_loss = squared_error(values.numpy(), at, self._returns, *coefficients[4:], part, grad_values.numpy())
         statistics = np.array([0.0, value_loss, 0.0, coefficients.value_coef * value_loss, 0.0, 0.0])
         return self._critic.backward(activations, grad_values, later=later), statistics
 

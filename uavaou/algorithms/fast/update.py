@@ -75,18 +75,18 @@ class FastUpdate:
         if self._normalises_batches:
             mean, std = shard.advantage_moments(indices)
             coefficients = coefficients._replace(advantage_mean=mean, advantage_scale=1 / (std + 1e-8))
-        rows = len(shard.rows(indices)), len(shard.critic_rows(indices))
-        pieces = shard.pieces(len(indices), rows) if shard.divisible else (1, 1)
+        rows = shard.rows(indices), shard.critic_rows(indices)
+        pieces = shard.pieces(*map(len, rows)) if shard.divisible else (1, 1)
         computed: list[dict[int, Gradient]] = [{}, {}]  # the actor's by shard, and the critic's
         tasks = Tasks(alone=not shard.divisible)
 
-        def compute(network: int, piece: int, slots: Indices) -> None:
+        def compute(network: int, piece: int, at: Indices) -> None:
             gradient = (shard.actor_gradient, shard.critic_gradient)[network]
-            computed[network][piece] = gradient(slots, rows[network], coefficients, tasks.add)
+            computed[network][piece] = gradient(at, len(at) / len(rows[network]), coefficients, tasks.add)
 
         for network in range(2):
-            for piece, slots in enumerate(np.array_split(indices, pieces[network])):
-                tasks.add(partial(compute, network, piece, slots))
+            for piece, at in enumerate(np.array_split(rows[network], pieces[network])):
+                tasks.add(partial(compute, network, piece, at))
         tasks.run()
         for gradients, shards in zip(self._gradients, computed, strict=True):
             th._foreach_copy_(gradients, shards[0][0])
