@@ -16,9 +16,8 @@ from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 from tests.runs.stopped_runs import assert_ends_as, stopped_at
-from uavaou import AlgorithmConfig, InputError, LocalRows, Scenario, flatten, register_algorithm
+from uavaou import AlgorithmConfig, InputError, LocalRows, Scenario, evaluate, flatten, register_algorithm
 from uavaou.algorithms import registry
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.policy import load_run
 from uavaou.runs.train import train
