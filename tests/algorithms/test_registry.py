@@ -255,7 +255,7 @@ def test_drawn_actions_have_the_policys_probabilities(collection: str) -> None:
     local = th.from_numpy(model.env.reset())[:1]
     devices = env.row_layout.devices if collection == "select" else 0
     uniforms = th.rand((20_000, 5 + devices), generator=th.Generator().manual_seed(0))
-    drawn = _act(model, local.expand(20_000, -1), uniforms).reshape(20_000, -1)
+    drawn = _act(model, local.expand(20_000, -1), uniforms, env.row_layout).reshape(20_000, -1)
     parts = model.policy.get_distribution(local).distribution
     for k, part in enumerate(parts if isinstance(parts, list) else [parts]):
         shares = th.bincount(drawn[:, k], minlength=part.probs.shape[1]) / 20_000

@@ -1,5 +1,6 @@
 """The policy of a run, with the interface of planners; it reads local observations alone."""
 
+import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,20 +12,19 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.policies import ActorCriticPolicy
 
 from uavaou.algorithms.io.save_load import load_policy_arrays
 from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import flatten
-from uavaou.envs.spaces import split_actions
+from uavaou.envs.spaces import action_masks, split_actions
 from uavaou.errors import InputError
 from uavaou.runs.checkpoint_header import open_policy
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.knowledge import Knowledge, observed
-from uavaou.world.views import MOVES, Rows, RowViews
+from uavaou.world.views import MOVES, RowLayout, Rows, RowViews
 
 Actions = tuple[NDArray[np.int64], NDArray[np.bool_] | None]
 Fit = Callable[[Scenario], tuple[BaseAlgorithm, RowViews]]
@@ -89,27 +89,31 @@ def act_together(policies: Sequence[TrainedPolicy], worlds: Sequence[World]) -> 
     local = np.concatenate([policy.local_rows(world) for policy, world in flights])
     drawn = None if greedy else np.concatenate([policy.uniforms(world) for policy, world in flights])
     uniforms = None if drawn is None else th.from_numpy(drawn).to(model.device)
-    chosen = _act(model, th.from_numpy(local).to(model.device), uniforms).cpu().numpy()
+    layout = policies[0].views.layout
+    chosen = _act(model, th.from_numpy(local).to(model.device), uniforms, layout).cpu().numpy()
     ends = np.cumsum([world.missions * world.scenario.uavs for world in worlds])
     parts = np.split(chosen, ends[:-1])
     return [policy.actions(part, world) for part, (policy, world) in zip(parts, flights, strict=True)]
 
 
 @th.no_grad()
-def _act(model: BaseAlgorithm, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
+def _act(model: BaseAlgorithm, local: th.Tensor, uniforms: th.Tensor | None, layout: RowLayout) -> th.Tensor:
     """Actions (B, 1 + I) or (B,) of a learner for ``local`` (B, local): the likeliest, or drawn from ``uniforms``.
 
-    ``policy.act`` where there is one. Any other SB3 policy reads ``local`` as its observation; one without a
-    distribution (DQN) has its greedy action alone.
+    ``policy.act`` where there is one. Any other SB3 policy reads ``local`` as its observation, with the masks in it
+    where it takes them (MaskablePPO); one without a distribution (DQN) has its greedy action alone.
     """
     policy: Any = model.policy
     if hasattr(policy, "act"):
         chosen: th.Tensor = policy.act(local, uniforms)
         return chosen
-    if uniforms is None or not isinstance(policy, ActorCriticPolicy):
-        return th.from_numpy(model.predict(local.cpu().numpy(), deterministic=True)[0])
-    categories: Any = policy.get_distribution(local).distribution
-    if not isinstance(categories, list):  # Discrete(5): the move alone
+    rows, masked = local.cpu().numpy(), "action_masks" in inspect.signature(model.predict).parameters
+    masks: dict[str, Any] = {"action_masks": action_masks(rows, layout)} if masked else {}
+    if uniforms is None or not hasattr(policy, "get_distribution"):
+        return th.from_numpy(model.predict(rows, deterministic=True, **masks)[0])
+    drawn_from = policy.get_distribution(local, **masks)
+    categories: Any = drawn_from.distributions if masked and layout.selects else drawn_from.distribution
+    if not layout.selects:
         return _draw(categories.probs, uniforms[:, 0])
     columns = [0, *range(MOVES, uniforms.shape[1])]  # one uniform for the move, one for each device
     drawn = [_draw(part.probs, uniforms[:, k]) for part, k in zip(categories, columns, strict=True)]
