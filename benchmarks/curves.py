@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from uavaou import evaluate
 from uavaou.csv_tables import read_csv, write_csv
 from uavaou.envs.map import BLACK, BLUE, ORANGE
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.reports import style
 from uavaou.scenario import Scenario
 

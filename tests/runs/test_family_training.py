@@ -11,9 +11,8 @@ import pytest
 
 from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from tests.scenario_files import refusal
-from uavaou import Family, Scenario, flatten, load_run
+from uavaou import Family, Scenario, evaluate, flatten, load_run
 from uavaou.algorithms.registry import load_config
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.evaluation.seeds import VALIDATION_DRAWS, VALIDATION_SEED
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
 from uavaou.runs.start import Start, continued

@@ -16,9 +16,8 @@ from safetensors.numpy import load_file
 
 from tests.command_line import forked, start_command
 from tests.runs.stopped_runs import assert_ends_as
-from uavaou import Scenario
+from uavaou import Scenario, evaluate
 from uavaou.algorithms.registry import load_config
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.policy import load_run
 from uavaou.runs.train import train

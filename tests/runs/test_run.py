@@ -15,11 +15,10 @@ import torch as th
 from safetensors.torch import load_file
 
 from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
-from uavaou import InputError, Scenario
+from uavaou import InputError, Scenario, evaluate
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import command_line
 from uavaou.evaluation.checker import CONSTRAINTS
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.planners import make_planner
 from uavaou.runs.folder import RunConfig, RunFolder, flight_folder, run_folder

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import pickle
 import shlex
 import signal
 import subprocess
@@ -142,7 +143,7 @@ def test_a_job_finishes_silently_when_the_study_process_is_gone(
         job = Training(run.key, run.config, tmp_path / "run", 2, None)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(job, theirs, []))
+    process = context.Process(target=_work, args=(job.key, pickle.dumps(job), theirs, []))
     process.start()
     ours.close()  # before it can have said anything
     theirs.close()

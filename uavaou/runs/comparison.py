@@ -1,6 +1,6 @@
-"""A comparison: trained runs and planners play the same missions of one scenario."""
+"""From names to policies, and a comparison: trained runs and planners play the same missions of one scenario."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
@@ -8,7 +8,8 @@ from typing import Protocol
 from urllib.parse import unquote
 
 from uavaou.errors import InputError, unknown
-from uavaou.evaluation.evaluate import Evaluation, evaluate
+from uavaou.evaluation.evaluate import Evaluation, play
+from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.planners.base import Planner
 from uavaou.runs.folder import RunConfig, RunFolder
@@ -62,7 +63,7 @@ def load_runs(folders: Iterable[str], scenario: Scenario, action: str | None = N
     return {name: load_run(name, scenario, action) for name in folders}
 
 
-def make_policy(name: str, scenario: Scenario, time_limit_s: float | None = None) -> Planner:
+def make_policy(name: RunFolder | Path | str, scenario: Scenario, time_limit_s: float | None = None) -> Planner:
     """The planner, released policy or run of that name, to act in ``scenario``.
 
     Args:
@@ -73,9 +74,11 @@ def make_policy(name: str, scenario: Scenario, time_limit_s: float | None = None
     Raises:
         InputError: there is none of that name, or the policy does not fit the scenario.
     """
-    if is_planner(name):
+    if isinstance(name, str) and is_planner(name):
         return make_planner(name, time_limit_s)
-    return load_runs([name], scenario)[name]
+    from uavaou.runs.policy import load_run  # imports torch, which planners do without
+
+    return load_run(name, scenario)
 
 
 def is_planner(name: str) -> bool:
@@ -89,6 +92,35 @@ def is_planner(name: str) -> bool:
     if Path(name).name == name and not RunFolder.at(name).path.exists():  # with a separator it can only be a folder
         raise unknown("policy", name, [*released_names(), *PLANNERS])
     return False
+
+
+def evaluate(
+    policy: Planner | RunFolder | Path | str,
+    scenario: Scenario | Path | str,
+    episodes: int = 100,
+    seed: int = EVALUATION_SEED,
+    after_slot: Callable[[int, World], None] | None = None,
+) -> Evaluation:
+    """Play ``episodes`` missions; mission j is seeded with ``seed + j``, and its result depends on no other mission.
+
+    Args:
+        policy: the name of a planner or of a released policy, the folder of a run, or a policy itself
+            (:func:`uavaou.load_run`, or one of your own with ``reset`` and ``act``).
+        scenario: what is played, or the name of a preset or the path of a YAML file.
+        episodes: number of missions.
+        seed: of mission 0.
+        after_slot: called with the slots done of all missions together, and the World, after each slot.
+
+    Raises:
+        InputError: no policy or scenario has the name, or the policy refuses the scenario.
+
+    >>> from uavaou import evaluate
+    >>> evaluate("greedy", "quickstart", episodes=2).violations["association"]
+    0
+    """
+    scenario = Scenario.load(scenario)
+    flown = make_policy(policy, scenario) if isinstance(policy, RunFolder | Path | str) else policy
+    return play(flown, scenario, episodes, seed, after_slot)
 
 
 def recorded_as(name: str) -> tuple[str, int | None]:
@@ -156,5 +188,5 @@ def compare(
     results = {}
     for name, policy in policies.items():
         display.start(name)
-        results[name] = evaluate(policy, scenario, episodes, seed, display.after_slot)
+        results[name] = play(policy, scenario, episodes, seed, display.after_slot)
     return Comparison(scenario, episodes, seed, policies, results)

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -14,6 +15,7 @@ from typing import Any
 
 from uavaou.errors import InputError
 from uavaou.runs.interrupt import children_ignore_ctrl_c, ignore_repeats, interrupt_at_sigterm, was_interrupt
+from uavaou.studies.folder import PartKey
 from uavaou.studies.jobs import Advanced, Ended, Event, Events, Job, StoppedEarlyError, TakeJob, Tell, TrainingReport
 from uavaou.threads import use_threads
 
@@ -73,7 +75,7 @@ class Processes:
     def _start(self, job: Job) -> _Worker:
         ours, theirs = self._context.Pipe(duplex=False)
         # Not a daemon: a training may have processes of its own, for its missions.
-        process = self._context.Process(target=_work, args=(job, theirs, self._plugins))
+        process = self._context.Process(target=_work, args=(job.key, pickle.dumps(job), theirs, self._plugins))
         with children_ignore_ctrl_c():
             process.start()
         theirs.close()
@@ -109,8 +111,8 @@ def _ended(worker: _Worker) -> Ended:
     return Ended(worker.job.key, None, f"its process ended with code {code}")
 
 
-def _work(job: Job, pipe: Connection, plugins: Sequence[str]) -> None:
-    """The main function of a child process."""
+def _work(key: PartKey, job: bytes, pipe: Connection, plugins: Sequence[str]) -> None:
+    """The main function of a child process, for the pickled job of that key."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     interrupt_at_sigterm()
     threading.Thread(target=_follow_parent, daemon=True).start()
@@ -120,10 +122,9 @@ def _work(job: Job, pipe: Connection, plugins: Sequence[str]) -> None:
             pipe.send(event)
 
     try:
-        prepare(plugins)
-        send(outcome(job, send))
+        send(outcome(unpacked(job, plugins), send))
     except KeyboardInterrupt:
-        send(Ended(job.key, None))
+        send(Ended(key, None))
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # nothing is left to stop
         pipe.close()
@@ -135,6 +136,13 @@ def _follow_parent() -> None:
     if parent is not None:
         parent.join()
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+def unpacked(job: bytes, plugins: Sequence[str]) -> Job:
+    """The pickled job, in a process that is ready for it: a plugin's classes are found once it is loaded."""
+    prepare(plugins)
+    unpickled: Job = pickle.loads(job)
+    return unpickled
 
 
 def prepare(plugins: Sequence[str]) -> None:
