@@ -11,12 +11,12 @@ from uavaou.errors import InputError
 
 
 def refusal(action: Callable[[], object]) -> str:
-    """The message of the InputError that the action ends in; one line."""
+    """The message of the InputError that the action ends in; one line, of a length for the number of faults."""
     with pytest.raises(InputError) as caught:
         action()
     message = str(caught.value)
     assert "\n" not in message
-    assert 0 < len(message) < 400
+    assert 0 < len(message) < 600 * len(caught.value.lines)
     return message
 
 

@@ -22,6 +22,7 @@ LAYERS = (
     "fields",
     "csv_tables",
     "devices_csv",
+    "scenario_fields",
     "scenario",
     "family",
     "statistics",

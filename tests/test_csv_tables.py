@@ -65,7 +65,7 @@ def test_an_error_names_file_line_and_column(tmp_path: Path, text: str, told: st
 
 @pytest.mark.parametrize("cell", ["1.5", "", "1e3", "9" * 30, "x" * 5000, "9" * 5000])
 def test_a_cell_that_is_no_integer_is_refused_and_quoted_briefly(tmp_path: Path, cell: str) -> None:
-    table = read_csv(_file(tmp_path, f"n,m\n{cell},\n"))
+    table = read_csv(_file(tmp_path, f"n,m,k\n{cell},,1\n"))
     with pytest.raises(InputError, match="is not an integer") as refused:
         table.integers("n")
     assert len(str(refused.value)) < len(str(tmp_path)) + 140

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from tests.scenario_files import refusal, write
+from uavaou import evaluate
+from uavaou.errors import InputError
+from uavaou.reports.audit import audit
 from uavaou.scenario import Scenario
 from uavaou.world.world import World
 from uavaou_cli.overrides import parse_overrides
@@ -49,6 +52,68 @@ def test_a_map_as_spreadsheets_write_it(tmp_path: Path) -> None:
     assert Scenario.load(write(tmp_path, "base: tiny\ndevices_csv: map.csv\n")).devices == 2
 
 
+@pytest.mark.parametrize(
+    "table",
+    [
+        "x_m,y_m,,\n0,0,,\n50,60,,\n,,,\n,,,\n",
+        ",,\nx_m,y_m,\n0,0\n50,60,,,\n",
+        ",x_m,,y_m\n,0,,0\n , 50, ,60 \n",
+        "X_M,Y_m\n0,0\n50,60\n",
+        "x_m,y_m\n-1e-9,0\n50,60\n",
+    ],
+)
+def test_columns_and_rows_of_blanks_are_ignored(table: str, tmp_path: Path) -> None:
+    assert with_csv(tmp_path, table).devices_m == ((0, 0), (50, 60))
+
+
+def test_other_columns_are_left_out_with_a_note(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match=r"map\.csv: columns that are not read: 'id', 'name'"):
+        scenario = with_csv(tmp_path, "id,name,x_m,y_m\n7,well,0,0\n9,barn,50,60\n")
+    assert scenario.devices_m == ((0, 0), (50, 60))
+
+
+def test_two_devices_at_one_place(tmp_path: Path) -> None:
+    scenario = with_csv(tmp_path, f"{CSV}0,0\n")
+    for name in ("best-first", "local-greedy-parts", "tour", "partition-tour", "anneal"):
+        assert evaluate(name, scenario, episodes=2).violations["layout"] == 0
+    said = [finding.message for finding in audit(scenario).of_level("note")]
+    assert "devices 0, 2 stand at one place." in said
+
+
+def test_rounding_noise_at_the_border_is_taken_off(tmp_path: Path) -> None:
+    scenario = with_csv(tmp_path, "x_m,y_m\n200.00004,-0.00004\n", "cds_m: [[0.00003, 0], [200.00004, 100]]\n")
+    assert scenario.devices_m == ((200, 0),)
+    assert scenario.cds_m == ((0, 0), (200, 100))
+
+
+def test_everything_wrong_is_said_at_once(tmp_path: Path) -> None:
+    write(tmp_path, "x_m,y_m,bandwidth_hz,power\n0,0,0,1\n300,zero,x,1\n", "map.csv")
+    path = write(
+        tmp_path,
+        "base: tinny\ndevices_csv: map.csv\nslot: 5\nno_fly_zone: []\nuavs: 3\naltitudes_m: [80, 80, 90]\n"
+        "speed_m_s: 15 m/s\ncds_m: [[0, 0], [60, 0]]\nfading: rice\nflight_time_budget_s: 1\narea_y_m: 250\n",
+    )
+    with pytest.raises(InputError) as caught:
+        Scenario.load(path)
+    text = "\n".join(line.replace(f"{tmp_path}/", "") for line in caught.value.lines)
+    for fault in (
+        "base = 'tinny': not a preset; did you mean 'tiny'?",
+        "map.csv: column 'power'; did you mean 'transmit_power_mw'?",
+        "map.csv: line 3, column 'y_m': 'zero' is not a finite number",
+        "map.csv: line 3, column 'bandwidth_hz': 'x' is not a finite number",
+        "unknown field 'slot'; did you mean 'slots'?",
+        "unknown field 'no_fly_zone': UAVs may fly over the whole area",
+        "speed_m_s = '15 m/s': expected a number, not text; write 15",
+        "fading = 'rice': must be 'rician' or 'none'",
+        "grid_step_m = 100: does not divide area_y_m = 250 into whole steps; area_y_m = 300 would fit",
+        "altitudes_m = [80, 80, 90]: must all differ, so that UAVs cannot collide; [80, 100, 90] would fit",
+        "cds_m: has 2 entries, needs one for each of the 3 uavs; [[0, 0], [60, 0], [0, 0]] would fit",
+        "cds_m[1] = [60, 0]: x is not on the grid (0 to 200 m in steps of 100 m)",
+    ):
+        assert f"\n{fault}" in text, text
+    assert text.startswith("mine.yaml: 12 faults\n")
+
+
 def test_a_map_is_the_same_in_every_resampled_mission(tmp_path: Path) -> None:
     scenario = with_csv(tmp_path, CSV, "layout: resample\n")
     world = World(scenario, missions=3)
@@ -71,11 +136,31 @@ def test_a_map_is_the_same_in_every_resampled_mission(tmp_path: Path) -> None:
         ("x_m,y_m\n", ["no device"]),
         ("", ["x_m"]),
         ("root:secret:19000,daemon:x,bin\n", ["no table of devices"]),
-        ("x_m,y_m\n0,0\n0,0\n", ["devices_m[1]", "same position", "device 0"]),
-        ("x_m,y_m\n0,0\n900,0\n", ["devices_m[1]", "outside"]),
-        ("x_m,y_m,update_period_slots\n0,0,1.5\n", ["update_period_slots", "1.5"]),
-        ("x_m,y_m,update_period_slots\n0,0,0\n", ["update_period_slots", "0"]),
-        ("x_m,y_m,bandwidth_hz\n0,0,-1\n", ["bandwidth_hz", "-1", "greater than 0"]),
+        ("x_m,y_m\n0,0\n\n200.04,0\n", ["/map.csv: line 4 = [200.04, 0]", "outside", "area_x_m = 300 would fit"]),
+        ("x_m,y_m\n-5,1\n50,90\n", ["line 2 = [-5, 1]", "[-5, 0] subtracted from all positions would fit"]),
+        ("x_m,y_m\n465000,5247000\n465090,5247011\n", ["line 2 = [465000, 5247000]", "[465000, 5247000] subtracted"]),
+        ("x_m,y_m\n0,0\n0,1e12\n", ["line 3, column 'y_m' = 1", "less than or equal to 1000000000"]),
+        ("x_m,y_m,update_period_slots\n0,0,1.5\n", ["line 2, column 'update_period_slots' = 1.5"]),
+        ("x_m,y_m,update_period_slots\n0,0,0\n", ["line 2, column 'update_period_slots' = 0"]),
+        ("x_m,y_m,bandwidth_hz\n0,0,-1\n", ["line 2, column 'bandwidth_hz' = -1", "greater than 0"]),
+        ("x_m,y_m,tx power\n0,0,1\n", ["'tx power'", "did you mean 'transmit_power_mw'"]),
+        ("easting,y_m\n0,0\n", ["'easting'", "did you mean 'x_m'"]),
+        ('x_m,y_m\n"0,5",0\n', ["line 2, column 'x_m': '0,5' is not a finite number; write 0.5"]),
+        ("x_m;y_m\n0,5;0\n", ["line 1", "not separated by commas", "1.5 for 1,5"]),
+        (
+            '{"type": "FeatureCollection",\n"features": []}',
+            ["is JSON, expected a CSV table with the columns x_m and y_m"],
+        ),
+        ("<kml>\n</kml>", ["is XML, expected a CSV table"]),
+        (
+            "station,Latitude,lng\nA,47.3801,8.5402\nB,47.379,8.5467\n",
+            [
+                "columns 'Latitude' and 'lng'",
+                "x_m = (lng - 8.5402) * 75294",
+                "y_m = (Latitude - 47.379) * 111195",
+                "an area of 490 m x 123 m",
+            ],
+        ),
         ("x_m,y_m,x_m\n0,0,5\n", ["x_m", "twice"]),
         ("x_m,y_m\n0,0,5\n", ["line 2", "3 values, expected 2"]),
     ],

@@ -1,7 +1,7 @@
 """CSV tables: one reader, whose errors name file, line and column, and one writer, which replaces a file atomically.
 
 Files are UTF-8 with commas, a header line and ``\\n`` line ends. The reader accepts a byte-order mark, spaces after
-commas and blank lines. An empty cell is a missing value.
+commas, blank lines, and the rows and columns of blank cells that spreadsheets write. An empty cell is a missing value.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from typing import Any
 import numpy as np
 
 from uavaou.arrays import Floats, Ints
-from uavaou.errors import InputError
-from uavaou.fields import short
+from uavaou.errors import InputError, all_faults
+from uavaou.fields import number_meant, short
 from uavaou.files import read_text, write_text
+
+_MOST_BYTES = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -44,14 +46,14 @@ class CsvTable:
         """A column as finite numbers, (R,); an empty cell is nan if ``missing`` is true.
 
         Raises:
-            InputError: a cell is not a finite number, or empty where none may be.
+            InputError: cells are not finite numbers, or empty where none may be; it lists them all.
         """
         cells = self.text(column)
         values = np.array([_float(cell) for cell in cells], dtype=np.float64)
-        for row in np.flatnonzero(~np.isfinite(values)):
-            if not missing or cells[row].strip():
-                raise self.error(int(row), column, "a finite number")
-            values[row] = np.nan
+        unread = np.flatnonzero(~np.isfinite(values)).tolist()
+        values[unread] = np.nan
+        if wrong := [row for row in unread if not missing or cells[row].strip()]:
+            raise self._error({row: f"a finite number{number_meant(cells[row])}" for row in wrong}, column)
         return values
 
     def integers(self, column: str, *, missing: int | None = None) -> Ints:
@@ -83,14 +85,17 @@ class CsvTable:
 
     def error(self, row: int, column: str, expected: str) -> InputError:
         """The error for a cell that is not what is ``expected``; it quotes at most 60 characters of the cell."""
-        cell = self.rows[row][self.columns.index(column)]
-        return InputError(f"{self.path}: line {self.lines[row]}, column '{column}': {short(cell)} is not {expected}")
+        return self._error({row: expected}, column)
+
+    def _error(self, expected: Mapping[int, str], column: str) -> InputError:
+        cells = self.text(column)
+        faults = (
+            f"line {self.lines[row]}, column '{column}': {short(cells[row])} is not {expected[row]}" for row in expected
+        )
+        return all_faults(str(self.path), [InputError(fault) for fault in faults])
 
 
-def read_csv(
-    path: Path, columns: Sequence[str] = (), *, exact: bool = False, whole_lines: bool = False,
-    most_bytes: int = 1_000_000_000,
-) -> CsvTable:  # fmt: skip
+def read_csv(path: Path, columns: Sequence[str] = (), *, exact: bool = False, whole_lines: bool = False) -> CsvTable:
     """Read a CSV file.
 
     Args:
@@ -98,30 +103,44 @@ def read_csv(
         columns: that it must have.
         exact: whether it must have these columns alone, in this order.
         whole_lines: whether to leave out a last line without a line end, which an interrupted writer leaves.
-        most_bytes: that are read.
 
     Raises:
         InputError: the file cannot be read, lacks a column, has a column twice, or has a row of another length.
     """
-    text = read_text(path, most_bytes).removeprefix("\ufeff")
-    if whole_lines:
-        text = text[: text.rfind("\n") + 1]
-    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
+    text = read_text(path, _MOST_BYTES)
+    return parse_csv(path, text[: text.rfind("\n") + 1] if whole_lines else text, columns, exact)
+
+
+def parse_csv(path: Path, text: str, columns: Sequence[str] = (), exact: bool = False) -> CsvTable:
+    """Parse the text of a CSV file; arguments and errors as those of :func:`read_csv`."""
+    reader = csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline=""), skipinitialspace=True)
     try:
-        header = [name.strip() for name in next(reader, [])]
-        rows = [(row, reader.line_num) for row in reader if row]
+        rows = [(row, reader.line_num) for row in reader if any(map(str.strip, row))]
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num}: not a CSV file: {error}") from error
+    names = [name.strip() for name in rows[0][0]] if rows else []
+    named = [place for place, name in enumerate(names) if name]  # spreadsheets write columns that have no name
+    header = [names[place] for place in named]
     _check_header(path, header, columns, exact)
-    for row, line in rows:
-        if len(row) != len(header):
-            raise InputError(f"{path}: line {line}: {len(row)} values, expected {len(header)}")
-    return CsvTable(path, tuple(header), [row for row, _ in rows], [line for _, line in rows])
+    return CsvTable(
+        path, tuple(header), [_cells(path, *row, named) for row in rows[1:]], [line for _, line in rows[1:]]
+    )
+
+
+def _cells(path: Path, row: list[str], line: int, named: list[int]) -> list[str]:
+    """The cells of a row below the named columns; the others are blank."""
+    if len(row) == len(named) == named[-1] + 1:
+        return row
+    last = max(place for place, cell in enumerate(row) if cell.strip())
+    if len(row) <= named[-1] or any(cell.strip() for place, cell in enumerate(row) if place not in named):
+        found = max(last, min(len(row) - 1, named[-1])) + 1
+        raise InputError(f"{path}: line {line}: {found} values, expected {len(named)}")
+    return [row[place] for place in named]
 
 
 def _check_header(path: Path, header: list[str], columns: Sequence[str], exact: bool) -> None:
     if len(header) == 1 and set(header[0]) & set(";\t"):
-        raise InputError(f"{path}: line 1: the columns are not separated by commas")
+        raise InputError(f"{path}: line 1: the columns are not separated by commas: write commas, and 1.5 for 1,5")
     for name in columns:
         if name not in header:
             raise InputError(f"{path}: column '{name}' is missing (header: {short(', '.join(header))})")

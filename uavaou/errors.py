@@ -1,10 +1,14 @@
 """Errors that the user can correct: the message is one line written for a person."""
 
+from __future__ import annotations
+
 import difflib
 import re
 import shlex
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 
+_MOST_FAULTS = 15  # that one message lists
 _PLAIN_WORD = re.compile(r"[\w@%+=:,./-][\w@%+=:,./~-]*", re.ASCII)  # a ~ at the beginning alone means a home folder
 
 
@@ -13,14 +17,63 @@ class InputError(ValueError):
 
     The command line prints the message as one line and exits with code 2. Every other exception is a bug and keeps its
     traceback.
+
+    Attributes:
+        faults: where :func:`all_faults` made the error, the single errors, each without the source.
+        source: of these faults.
     """
+
+    faults: list[InputError]
+    source: str
 
     def __init__(self, message: str) -> None:
         super().__init__(" ".join(message.split()))
+        self.faults, self.source = [], ""
+
+    def reworded(self, change: Callable[[str], str]) -> InputError:
+        """Return the same error with every fault in other words."""
+        return all_faults(self.source, [type(fault)(change(str(fault))) for fault in self.faults])
+
+    @property
+    def lines(self) -> list[str]:
+        """The message for a terminal: one line, or a heading and a line for each fault."""
+        if len(self.faults) < 2:
+            return [str(self)]
+        return [_heading(self.source, self.faults), *_listed(self.faults)]
 
 
 class InfeasibleError(InputError):
     """A scenario in which every flight breaks a constraint of the model; the message names the constraint."""
+
+
+def all_faults(source: str, faults: Sequence[InputError]) -> InputError:
+    """Return one error for everything that is wrong with ``source``: :class:`InfeasibleError` if all faults are."""
+    kind = InfeasibleError if all(isinstance(fault, InfeasibleError) for fault in faults) else InputError
+    if len(faults) == 1:
+        error = kind(f"{source}: {faults[0]}")
+    else:
+        numbered = (f"({number}) {text}" for number, text in enumerate(_listed(faults), 1))
+        error = kind(f"{_heading(source, faults)}: {' '.join(numbered)}")
+    error.source, error.faults = source, list(faults)
+    return error
+
+
+@contextmanager
+def collecting(faults: list[InputError]) -> Iterator[None]:
+    """Add what is wrong inside of the block to ``faults``, each with its source, and go on behind it."""
+    try:
+        yield
+    except InputError as error:
+        faults += [type(fault)(f"{error.source}: {fault}") for fault in error.faults] or [error]
+
+
+def _heading(source: str, faults: Sequence[InputError]) -> str:
+    return f"{source}: {len(faults)} faults"
+
+
+def _listed(faults: Sequence[InputError]) -> list[str]:
+    more = [f"and {len(faults) - _MOST_FAULTS} more"] if len(faults) > _MOST_FAULTS else []
+    return [*map(str, faults[:_MOST_FAULTS]), *more]
 
 
 def nearest(word: str, allowed: Iterable[str]) -> str:

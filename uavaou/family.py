@@ -16,8 +16,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, 
 from uavaou.arrays import Floats
 from uavaou.errors import InputError
 from uavaou.fields import FolderName, Length, NonNegative, Positive, PositiveWhole, validated
-from uavaou.scenario import Range, Scenario
-from uavaou.zoo import read_yaml_mapping, zoo_or_file
+from uavaou.scenario import Scenario
+from uavaou.scenario_fields import Range
+from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_or_file
 
 _STREAM = 4  # spawn key of the draws, apart from the layouts' (1), the planners' (2) and the policies' (3)
 _TRIED = 64  # draws that are made when a family is read
@@ -168,7 +169,7 @@ class Family(BaseModel):
         if isinstance(source, Family):
             return source
         path = zoo_or_file("families", source)
-        return cls.from_dict({"name": path.stem} | read_yaml_mapping(path), source=str(path))
+        return cls.from_dict({"name": name_of_file(path)} | read_yaml_mapping(path), source=str(path))
 
     @classmethod
     def from_dict(cls, fields: dict[str, Any], source: str = "family") -> Family:

@@ -1,4 +1,4 @@
-"""Types for the fields of configurations, and pydantic's errors in one line.
+"""Types for the fields of configurations, and pydantic's errors in words.
 
 All configuration files are pydantic models. Their number types refuse booleans and text.
 """
@@ -6,16 +6,25 @@ All configuration files are pydantic models. Their number types refuse booleans 
 import math
 import re
 import reprlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PlainSerializer, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PlainSerializer, ValidationError, create_model
 
-from uavaou.errors import InputError, nearest
+from uavaou.errors import InputError, all_faults, nearest
 
 DEVICE_COLUMNS = ("bandwidth_hz", "transmit_power_mw", "update_period_slots")  # a value, a range, or one a device
+
+
+_TYPED_NUMBER = re.compile(r"\s*([-+]?\d+(?:\.\d+|,\d\d?)?(?:[eE][-+]?\d+)?)\s*[^\d\s.,]*\s*")  # not 1,000
+
+
+def number_meant(text: str) -> str:
+    """A hint such as ``; write 1.5`` for text that is a number with a comma, quotes or a unit; empty for other text."""
+    found = _TYPED_NUMBER.fullmatch(text)
+    return "" if found is None else f"; write {found[1].replace(',', '.')}"
 
 
 def _plain_number(value: Any) -> Any:
@@ -23,7 +32,7 @@ def _plain_number(value: Any) -> Any:
     if isinstance(value, bool):
         raise ValueError("expected a number, not true or false")
     if isinstance(value, str):
-        raise ValueError("expected a number, not text")
+        raise ValueError(f"expected a number, not text{number_meant(value)}")
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError("must be a finite number")
     return value
@@ -88,55 +97,111 @@ _MOST_LISTED = 6  # a model with more fields does not list them in the error for
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
-def validated(kind: type[_Model], content: Any, source: str) -> _Model:
+def validated(
+    kind: type[_Model],
+    content: Any,
+    source: str,
+    misfits: Callable[[_Model, set[str]], Iterable[InputError]] | None = None,
+    also: Sequence[str] = (),
+) -> _Model:
     """Validate a mapping.
 
+    Args:
+        kind: the model.
+        content: the mapping.
+        source: of the content, for error messages.
+        misfits: finds what does not fit together in a model of which the named fields alone are sound. The validators
+            of a model do not run where a field is faulty.
+        also: names, beside those of the model, that the hint for an unknown field may give.
+
     Raises:
-        InputError: it names the field, its value and what is allowed. It has the class of the InputError that a
-            validator raised.
+        InputError: it lists all faults, each with the field, its value and what is allowed. It is an InfeasibleError
+            if all faults are.
     """
-    names = [field.alias or name for name, field in kind.model_fields.items()]
+    names = _names(kind)
     if not isinstance(content, dict):
         of = f" with {', '.join(names)}" if len(names) <= _MOST_LISTED else ""
         raise InputError(f"{source} = {short(content)}: expected a mapping{of}")
     try:
         return kind.model_validate(content)
     except ValidationError as error:
-        cause = error.errors(include_url=False)[0].get("ctx", {}).get("error")
-        refusal = type(cause) if isinstance(cause, InputError) else InputError
-        raise refusal(f"{source}: {explain_validation(error, names)}") from None
+        faults = explain_validation(error, [*names, *also])
+        faulty = {detail["loc"][0] for detail in error.errors(include_url=False) if detail["loc"]}
+        if misfits is not None and faulty:
+            sound = set(names) - faulty
+            faults += misfits(_sound_part(kind, content, sound), sound)
+        raise all_faults(source, faults) from None
 
 
-def explain_validation(error: ValidationError, fields: list[str]) -> str:
-    """Turn pydantic's report into one line on the first problem."""
-    details = error.errors(include_url=False)
-    # Report a misspelt field before a missing one: it is often the same field.
-    unknown = [str(d["loc"][0]) for d in details if d["type"] == "extra_forbidden" and len(d["loc"]) == 1]
-    if unknown:
-        known = "" if len(fields) > _MOST_LISTED else f" (known: {', '.join(fields)})"
-        return f"unknown field '{_shortened(unknown[0])}'{nearest(unknown[0], fields)}{known}"
-    # Of the branches of a union, the one that got furthest into the value gives the most specific error.
-    first = max(
-        details, key=lambda d: (d["loc"][:1] == details[0]["loc"][:1], len(d["loc"]), d["type"] == "value_error")
-    )
-    loc = [str(part) for part in first["loc"]]
-    kind, message = first["type"], _message(first)
-    if not loc:
-        return message
-    own = [d for d in details if d["loc"][0] == loc[0]]
-    misspelt = next((d for d in own if d["type"] == "extra_forbidden"), None)
-    if misspelt is not None and any(isinstance(d["input"], dict) for d in own):
+def _names(kind: type[BaseModel]) -> list[str]:
+    return [field.alias or name for name, field in kind.model_fields.items()]
+
+
+def _sound_part(kind: type[_Model], content: dict[str, Any], sound: set[str]) -> _Model:
+    """A model with the sound fields alone; to read another one raises AttributeError."""
+    fields: Any = {name: (field.annotation, field) for name, field in kind.model_fields.items() if name in sound}
+    read = create_model("SoundPart", **fields).model_validate({name: content[name] for name in sound & content.keys()})
+    return kind.model_construct(None, **{name: getattr(read, name) for name in sound})
+
+
+def explain_validation(error: ValidationError, fields: list[str]) -> list[InputError]:
+    """Turn pydantic's report into faults, misspelt fields first: a missing field is often one of them."""
+    groups: dict[Any, list[Any]] = {}
+    for detail in error.errors(include_url=False):
+        groups.setdefault(detail["loc"][0] if detail["loc"] else None, []).append(detail)
+    unknown, missing, wrong = [], [], []
+    for field, details in groups.items():
+        if field is None:  # of a validator of the model
+            cause = details[0].get("ctx", {}).get("error")
+            found = cause if isinstance(cause, InputError) else InputError(_message(details[0]))
+            wrong += found.faults or [found]
+        elif len(details[0]["loc"]) > 1 or details[0]["type"] not in ("missing", "extra_forbidden"):
+            wrong += map(InputError, _faults_of_field(details))
+        elif details[0]["type"] == "missing":
+            missing.append(str(field))
+        else:
+            unknown.append(InputError(_unknown_field(str(field), fields)))
+    hinted = " ".join(map(str, unknown))
+    if missing := [name for name in missing if f"'{name}'" not in hinted]:
+        words = "the field {} is missing" if len(missing) == 1 else "the fields {} are missing"
+        wrong.append(InputError(words.format(", ".join(missing))))
+    return [*unknown, *wrong]
+
+
+def _unknown_field(name: str, fields: list[str]) -> str:
+    known = "" if len(fields) > _MOST_LISTED else f" (known: {', '.join(fields)})"
+    return f"unknown field '{_shortened(name)}'{nearest(name, fields)}{known}"
+
+
+_BRANCHES = ("float", "int", "Range", "WholeRange", "constrained", "tuple", "function")  # of unions, in a place
+
+
+def _faults_of_field(details: list[Any]) -> list[str]:
+    """The faults in the value of one field: one, or one for each part of a list or mapping."""
+    branches = {part for detail in details for part in detail["loc"][1:2] if str(part).startswith(_BRANCHES)}
+    if not branches:
+        return [_fault(detail) for detail in details]
+    # Of the branches of a union, the one that got furthest into the value gives the most specific errors.
+    furthest = max(details, key=lambda detail: (len(detail["loc"]), detail["type"] == "value_error"))
+    field, branch, *within = furthest["loc"]
+    misspelt = next((detail for detail in details if detail["type"] == "extra_forbidden"), None)
+    if misspelt is not None and any(isinstance(detail["input"], dict) for detail in details):
         key = str(misspelt["loc"][-1])
-        return f"{loc[0]}: unknown key '{_shortened(key)}'{nearest(key, ('low', 'high'))} (known: low, high)"
-    branches = ("float", "int", "Range", "WholeRange", "constrained", "tuple", "function")
-    path = loc[0] + "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in loc[1:] if not p.startswith(branches))
-    if kind == "missing":
+        return [f"{field}: unknown key '{_shortened(key)}'{nearest(key, ('low', 'high'))} (known: low, high)"]
+    if within or isinstance(furthest["input"], int | float) or field not in DEVICE_COLUMNS or len(branches) == 1:
+        return [_fault(each) for each in details if each["loc"][1] == branch and len(each["loc"]) > len(within) + 1]
+    message = "expected a number, {low: ..., high: ...} or a list with one number a device"
+    return [_fault(furthest, next((_message(each) for each in details if each["type"] == "value_error"), message))]
+
+
+def _fault(detail: Any, message: str = "") -> str:
+    """One error of pydantic's in words: the place, the value, and what is allowed."""
+    first, *rest = (str(part) for part in detail["loc"])
+    path = first + "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in rest if not p.startswith(_BRANCHES))
+    if detail["type"] == "missing":
         return f"the field {path} is missing"
-    several_forms = loc[0] in DEVICE_COLUMNS and len({d["loc"][1:2] for d in details}) > 1
-    if several_forms and not isinstance(first["input"], int | float):
-        message = "expected a number, {low: ..., high: ...} or a list with one number a device"
-        message = next((_message(d) for d in own if d["type"] == "value_error"), message)
-    return f"{path} = {short(first['input'])}: {message[0].lower() + message[1:]}"
+    message = message or _message(detail)
+    return f"{path} = {short(detail['input'])}: {message[0].lower() + message[1:]}"
 
 
 def _message(detail: Any) -> str:
@@ -159,7 +224,7 @@ def _message(detail: Any) -> str:
         return f"expected at {'least' if least else 'most'} {count:,} {'value' if count == 1 else 'values'}"
     if kind == "string_too_short" and context["min_length"] == 1:
         return "must not be empty"
-    message = str(detail["msg"]).removeprefix("Value error, ")
+    message = str(detail["msg"]).removeprefix("Value error, ").replace("Input should be", "must be", 1)
     if kind == "literal_error" and isinstance(detail["input"], str):
         message += nearest(detail["input"], re.findall("'([^']*)'", context["expected"]))
     return message

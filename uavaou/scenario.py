@@ -7,61 +7,23 @@ and :class:`Layout` have the SI units that the simulator reads.
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from uavaou.arrays import Floats, Ints
-from uavaou.devices_csv import read_devices_csv
-from uavaou.errors import InfeasibleError, InputError, nearest
-from uavaou.fields import (
-    DEVICE_COLUMNS,
-    Decibels,
-    FolderName,
-    Length,
-    NonNegative,
-    Number,
-    Period,
-    Point,
-    Positive,
-    PositiveWhole,
-    Unbounded,
-    Whole,
-    validated,
-)
+from uavaou.devices_csv import read_devices_csv, refuse_map
+from uavaou.errors import InputError, all_faults, nearest
+from uavaou.fields import short, validated
 from uavaou.plain_yaml import to_yaml
-from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_or_file, zoo_path
+from uavaou.scenario_fields import Range, ScenarioFields, WholeRange
+from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_names, zoo_or_file, zoo_path
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
-ZETA_TOLERANCE_S = 1e-6  # slack in comparisons of flight times
-_GRID_TOLERANCE = 1e-9
-_MAX_CELLS = 4_000_000
-_MAX_PAIRS = 1_000_000  # for 64 missions, an array over the pairs takes half a gigabyte
-
-
-class Range(BaseModel):
-    """Values drawn uniformly between two ends, one for each device: ``{low: 0.2, high: 1}``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    low: NonNegative
-    high: Positive
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.low > self.high:
-            raise ValueError(f"low ({self.low:.10g}) must not exceed high ({self.high:.10g})")
-        return self
-
-
-class WholeRange(Range):
-    """Whole numbers drawn uniformly between two ends, both included: ``{low: 1, high: 5}``."""
-
-    low: Period
-    high: Period
 
 
 @dataclass(frozen=True)
@@ -74,41 +36,12 @@ class Layout:
     update_period: Ints  # (I,) slots, k_i
 
 
-class Scenario(BaseModel):
+class Scenario(ScenarioFields):
     """Area, fleet, devices, channel and mission.
 
     :meth:`load` reads a scenario, :meth:`replace` changes it. Both validate and raise
-    :class:`~uavaou.errors.InputError` with one readable line.
+    :class:`~uavaou.errors.InputError`, which lists all faults.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    name: FolderName = "custom"
-    description: str = ""
-    area_x_m: Length
-    area_y_m: Length
-    grid_step_m: Length  # delta
-    uavs: Annotated[PositiveWhole, Field(le=1000)]  # U
-    devices: Annotated[PositiveWhole, Field(le=100_000)]  # I
-    slots: Annotated[Whole, Field(ge=2, le=1_000_000)]  # K
-    slot_length_s: Positive  # tau
-    speed_m_s: Positive  # nu
-    altitudes_m: tuple[Length, ...]  # H_u
-    cds_m: tuple[Point, ...]  # CDS_u
-    flight_time_budget_s: Unbounded  # zeta_max
-    carrier_frequency_hz: Annotated[Number, Field(ge=1)] | None = None  # f_c; beta_0 follows from it
-    reference_gain_db: Decibels | None = None  # beta_0
-    rician_factor: NonNegative  # Phi, linear
-    fading: Literal["rician", "none"] = "rician"
-    noise_power_dbm: Decibels  # sigma^2
-    rate_min_bit_s: Positive  # R_min
-    bandwidth_hz: Positive | tuple[Positive, ...] | Range  # B_i
-    transmit_power_mw: Positive | tuple[Positive, ...] | Range  # P_i
-    update_period_slots: Period | tuple[Period, ...] | WholeRange  # k_i
-    devices_m: tuple[Point, ...] | None = None
-    layout: Literal["fixed", "resample"] = "fixed"
-    layout_seed: Annotated[Whole, Field(ge=0)] = 0
-    flight_time: Literal["enforce", "ignore"] = "enforce"
 
     # -- reading and writing -------------------------------------------------------------------------
 
@@ -126,21 +59,37 @@ class Scenario(BaseModel):
         if isinstance(source, Scenario):
             return source
         path = zoo_or_file("scenarios", source)
+        refuse_map(path)
         fields = read_yaml_mapping(path)
+        refuse_map(path, fields)
         if "schema" in fields and isinstance(fields.get("scenario"), dict):  # a run's config.yaml
             return cls.from_dict(fields["scenario"], source=f"{path}: scenario")
         stated_devices = fields.get("devices")
+        faults: list[InputError] = []
         if "base" in fields:
             base = fields.pop("base")
-            if base not in zoo_names("scenarios"):
-                raise InputError(f"{path}: base = {base!r}: not a preset{nearest(str(base), zoo_names('scenarios'))}")
+            presets = zoo_names("scenarios")
+            if base not in presets:
+                hint = nearest(str(base), presets)
+                faults.append(InputError(f"base = {short(base)}: not a preset{hint} (presets: {', '.join(presets)})"))
+                base = next((name for name in presets if f"'{name}'" in hint), None)
+            if base is None:
+                raise all_faults(str(path), faults)
             inherited = read_yaml_mapping(zoo_path("scenarios", base))
             _drop_superseded(inherited, fields)
             fields = inherited | fields
+        with_line: Callable[[str], str] = str
         if "devices_csv" in fields:
-            read_devices_csv(path, fields, stated_devices)
-        fields.setdefault("name", path.stem)
-        return cls.from_dict(fields, source=str(path))
+            with_line = read_devices_csv(path, fields, stated_devices, faults)
+            fields.setdefault("devices", 1)  # is not missing: a table that could be read would state it
+        fields.setdefault("name", name_of_file(path))
+        try:
+            scenario = cls.from_dict(fields, source=str(path))
+        except InputError as error:
+            faults += error.reworded(lambda fault: _advised(with_line(fault))).faults
+        if faults:
+            raise all_faults(str(path), faults)
+        return scenario
 
     @classmethod
     def from_dict(cls, fields: dict[str, Any], source: str = "scenario") -> Scenario:
@@ -150,7 +99,7 @@ class Scenario(BaseModel):
             InputError: it names the field, its value and what is allowed.
             InfeasibleError: each value is allowed, but every flight breaks a constraint.
         """
-        return validated(cls, fields, source)
+        return validated(cls, fields, source, cls.misfits, ("base", "devices_csv"))
 
     def replace(self, /, **changes: Any) -> Scenario:
         """Return a validated copy with some fields changed.
@@ -171,16 +120,6 @@ class Scenario(BaseModel):
         return to_yaml(self.to_dict())
 
     # -- derived, in SI units ------------------------------------------------------------------------
-
-    @property
-    def columns(self) -> int:
-        """Number of grid cells along x."""
-        return round(self.area_x_m / self.grid_step_m) + 1
-
-    @property
-    def rows(self) -> int:
-        """Number of grid cells along y."""
-        return round(self.area_y_m / self.grid_step_m) + 1
 
     @property
     def noise_power_w(self) -> float:
@@ -247,80 +186,25 @@ class Scenario(BaseModel):
             return spec.high - unit * (spec.high - spec.low)  # (low, high]: a power of 0 is never drawn
         return np.broadcast_to(np.asarray(spec, dtype=np.float64), (self.devices,)).copy()
 
-    # -- validation ----------------------------------------------------------------------------------
 
-    @model_validator(mode="after")
-    def _fits_together(self) -> Self:
-        if (self.carrier_frequency_hz is None) == (self.reference_gain_db is None):
-            raise ValueError("give carrier_frequency_hz or reference_gain_db, one of the two")
-        self._check_grid()
-        self._check_fleet()
-        self._check_devices()
-        return self
-
-    def _check_grid(self) -> None:
-        step = self.grid_step_m
-        for field, length in (("area_x_m", self.area_x_m), ("area_y_m", self.area_y_m)):
-            steps = length / step
-            if abs(steps - round(steps)) > _GRID_TOLERANCE * max(1.0, steps) or round(steps) < 1:
-                raise ValueError(f"grid_step_m = {step:g}: does not divide {field} = {length:g} into whole steps")
-        if self.columns * self.rows > _MAX_CELLS:
-            raise ValueError(
-                f"grid_step_m = {step:g}: gives {self.columns} x {self.rows} cells, "
-                f"at most {_MAX_CELLS:,} are supported"
-            )
-
-    def _check_fleet(self) -> None:
-        if self.uavs * self.devices > _MAX_PAIRS:
-            raise ValueError(
-                f"devices = {self.devices:,} with uavs = {self.uavs:,}: at most {_MAX_PAIRS:,} pairs of a UAV and a "
-                "device are supported"
-            )
-        for field, values in (("altitudes_m", self.altitudes_m), ("cds_m", self.cds_m)):
-            _check_length(field, values, self.uavs, "uavs")
-        if len(set(self.altitudes_m)) != self.uavs:
-            raise ValueError(f"altitudes_m = {list(self.altitudes_m)}: must all differ, so that UAVs cannot collide")
-        for u, (x, y) in enumerate(self.cds_m):
-            for axis, value, cells in (("x", x, self.columns), ("y", y, self.rows)):
-                steps = value / self.grid_step_m
-                on_grid = abs(steps - round(steps)) <= _GRID_TOLERANCE * max(1.0, abs(steps))
-                if not on_grid or not 0 <= round(steps) < cells:
-                    raise InfeasibleError(
-                        f"cds_m[{u}] = [{x:g}, {y:g}]: {axis} is not on the grid "
-                        f"(0 to {(cells - 1) * self.grid_step_m:g} m in steps of {self.grid_step_m:g} m), "
-                        "which breaks constraint (CDS)"
-                    )
-        if self.flight_time == "enforce":
-            needed = 2 * max(self.altitudes_m) / self.speed_m_s
-            if needed > self.flight_time_budget_s + ZETA_TOLERANCE_S:
-                raise InfeasibleError(
-                    f"flight_time_budget_s = {self.flight_time_budget_s:g}: take-off and landing alone need "
-                    f"2 H / speed = {needed:g} s, which breaks constraint (Time); raise it, or set flight_time: ignore"
-                )
-
-    def _check_devices(self) -> None:
-        for field in DEVICE_COLUMNS:
-            values = getattr(self, field)
-            if isinstance(values, tuple):
-                _check_length(field, values, self.devices, "devices")
-        if self.devices_m is None:
-            return
-        if len(self.devices_m) != self.devices:
-            raise ValueError(f"devices_m: has {len(self.devices_m)} positions, but devices = {self.devices}")
-        first_at: dict[Point, int] = {}
-        for i, (x, y) in enumerate(self.devices_m):
-            if not (0 <= x <= self.area_x_m and 0 <= y <= self.area_y_m):
-                raise ValueError(
-                    f"devices_m[{i}] = [{x:g}, {y:g}]: outside the area of {self.area_x_m:g} m x {self.area_y_m:g} m"
-                )
-            if (x, y) in first_at:
-                raise ValueError(f"devices_m[{i}] = [{x:g}, {y:g}]: the same position as device {first_at[x, y]}")
-            first_at[x, y] = i
+_NOT_HERE = {
+    "no_?fly|zone|fence|obstacle|building|terrain": "UAVs may fly over the whole area; zones are not in the model",
+    "lat|lon|crs|epsg|origin": "positions are metres from a corner of the area: convert them",
+    "battery|energy": "flight_time_budget_s limits a flight",
+}
 
 
-def _check_length(field: str, values: tuple[Any, ...], number: int, kind: str) -> None:
-    if len(values) != number:
-        raise ValueError(f"{field}: has {len(values)} entries, needs one for each of the {number} {kind}")
+def _advised(fault: str) -> str:
+    """A fault of a scenario file; an unknown field of what the model leaves out gets no hint on spelling."""
+    unknown = re.match("unknown field '([^']*)'", fault)
+    for words, advice in _NOT_HERE.items() if unknown else ():
+        if unknown and re.search(words, unknown[1], re.IGNORECASE):
+            return f"{unknown[0]}: {advice}"
+    return (
+        f"{fault}; base: paper would give what is left out"
+        if re.match("the fields? [\\w, ]+ missing$", fault)
+        else fault
+    )
 
 
 def _drop_superseded(fields: dict[str, Any], changes: dict[str, Any]) -> None:

@@ -29,6 +29,11 @@ def zoo_path(kind: str, name: str) -> Path:
     return zoo_folder(kind) / f"{name}.yaml"
 
 
+def name_of_file(path: Path) -> str:
+    """Return the name that a file gives to what it holds; bytes that are no text become question marks."""
+    return path.stem.encode(errors="replace").decode()
+
+
 def zoo_or_file(kind: str, source: str | Path) -> Path:
     """Return the path of a shipped configuration by name, or of a YAML file by path.
 
@@ -41,7 +46,7 @@ def zoo_or_file(kind: str, source: str | Path) -> Path:
     singular = kind.removesuffix(ending) + plurals[ending]
     if name in names:
         return zoo_path(kind, name)
-    looks_like_file = name.endswith((".yaml", ".yml")) or "/" in name
+    looks_like_file = "/" in name or Path(name).suffix != ""
     if isinstance(source, str) and (not looks_like_file or os.path.isdir(name)):
         known = f"{', '.join(names)}; or a path ending in .yaml"
         raise InputError(f"unknown {singular} '{name[:40]}'{nearest(name, names)} ({kind}: {known})")

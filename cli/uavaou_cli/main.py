@@ -3,6 +3,7 @@
 No heavy module is imported here or at the top of a command's module, so that ``uavaou --help`` answers at once.
 """
 
+import io
 import os
 import signal
 import sys
@@ -139,14 +140,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     terminated = signal.getsignal(signal.SIGTERM)
     interrupt_at_sigterm(signal.SIG_DFL)
+    os.environ["MPLBACKEND"] = "agg"  # that of a notebook, which a command inherits, may not be installed here
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names that the console has no letters for are escaped
+            stream.reconfigure(errors="backslashreplace")
     warnings.formatwarning = lambda message, *_, **__: f"uavaou: warning: {message}\n"
     try:
         code = _command()(arguments, prog_name="uavaou", standalone_mode=False, obj={"arguments": arguments})
         sys.stdout.flush()  # a reader that has gone away shows here, not in the interpreter's last moments
     except InputError as error:
-        return _complain(str(error), BAD_INPUT)
+        return _complain("\n  ".join(map(_cut, error.lines)), BAD_INPUT)
     except _USAGE_ERROR as error:
-        return _complain(_explain_usage(error), BAD_INPUT)
+        return _complain(_cut(_explain_usage(error)), BAD_INPUT)
     except (typer.Abort, KeyboardInterrupt) as error:
         return _complain("interrupted", exit_code(error))
     except SystemError as error:
@@ -162,10 +167,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code if isinstance(code, int) else 0
 
 
+def _cut(message: str) -> str:
+    """What was typed may be of any length: show how it begins, and what is allowed."""
+    half = LONGEST_COMPLAINT // 2
+    return message if len(message) <= LONGEST_COMPLAINT else f"{message[:half]} ... {message[-half:]}"
+
+
 def _complain(message: str, code: int) -> int:
-    if len(message) > LONGEST_COMPLAINT:  # what was typed may be of any length: show how it begins, and what is allowed
-        half = LONGEST_COMPLAINT // 2
-        message = f"{message[:half]} ... {message[-half:]}"
     print(f"uavaou: {message}", file=sys.stderr)
     return code
 

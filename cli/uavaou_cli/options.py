@@ -141,10 +141,12 @@ def needed_scenario(argument: str | None, option: str | None) -> str:
 
 
 def refuse_scenarios(runs: Iterable[str]) -> None:
-    """Refuse the scenario among the arguments of a command whose arguments are runs, and say how it is given."""
+    """Refuse the scenario or map among the arguments of a command whose arguments are runs; say how it is given."""
+    from uavaou.devices_csv import refuse_map
     from uavaou.zoo import zoo_names
 
     for name in runs:
+        refuse_map(Path(name))
         if (name in zoo_names("scenarios") and not (Path(name) / "config.yaml").exists()) or Path(name).suffix in (
             ".yaml",
             ".yml",

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from uavaou.errors import InputError, nearest
+from uavaou.errors import InputError, all_faults, nearest
 from uavaou_cli.options import given_path
 
 if TYPE_CHECKING:
@@ -32,13 +32,20 @@ class Overrides:
             return base
         fields = dict.fromkeys((*type(base).model_fields, "devices_csv")) | base.to_dict()
         changes = _changes("scenario", self.scenario, fields)
+        faults: list[InputError] = []
+        with_line: Callable[[str], str] = str
         if "devices_csv" in changes:
             from uavaou.devices_csv import read_devices
 
-            source = "--set scenario.devices_csv"
-            table = given_path(source, str(changes.pop("devices_csv")))
-            read_devices(table, source, changes, changes.get("devices"))
-        return base.replace(**changes)
+            table = given_path("--set scenario.devices_csv", str(changes.pop("devices_csv")))
+            with_line = read_devices(table, changes, changes.get("devices"), faults)
+        try:
+            changed = base.replace(**changes)
+        except InputError as error:
+            faults += error.reworded(with_line).faults
+        if faults:
+            raise all_faults(f"scenario '{base.name}'", faults)
+        return changed
 
     def of_algorithm(self, name: str, **usual: Any) -> AlgorithmConfig:
         """The published configuration of an algorithm with its overrides applied.

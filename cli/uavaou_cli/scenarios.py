@@ -2,7 +2,8 @@
 
 import typer
 
-from uavaou_cli.options import ScenarioName, ScenarioOption, needed_scenario
+from uavaou_cli.options import Changes, ScenarioName, ScenarioOption, needed_scenario
+from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.tables import aligned, show, wrapped
 
 FOUND_ERRORS = 1
@@ -23,7 +24,7 @@ def scenarios() -> None:
     show(["", "paper is the default; the path of a YAML file can stand for a name"])
 
 
-def audit(scenario: ScenarioName = None, scenario_option: ScenarioOption = None) -> None:
+def audit(scenario: ScenarioName = None, scenario_option: ScenarioOption = None, set_: Changes = None) -> None:
     """Check a scenario: the link budget of every device, and what does not fit together.
 
     The exit code is 1 where there are errors.
@@ -31,7 +32,9 @@ def audit(scenario: ScenarioName = None, scenario_option: ScenarioOption = None)
     from uavaou.reports import audit as report
     from uavaou.scenario import Scenario
 
-    found = report.audit(Scenario.load(needed_scenario(scenario, scenario_option)))
+    overrides = parse_overrides(set_ or [])
+    overrides.only_of_scenario("an audit trains nothing")
+    found = report.audit(overrides.of_scenario(Scenario.load(needed_scenario(scenario, scenario_option))))
     show(report.audit_lines(found))
     if found.of_level("error"):
         raise typer.Exit(FOUND_ERRORS)  # so that `uavaou audit x.yaml && uavaou train x.yaml` stops here

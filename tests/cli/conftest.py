@@ -18,7 +18,10 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("in the way")
     (tmp_path / "circle").symlink_to("circle")
-    (tmp_path / "twins.yaml").write_text("base: quickstart\ndevices: 2\ndevices_m: [[10, 10], [10, 10]]\n")
+    (tmp_path / "outside.yaml").write_text("base: quickstart\ndevices: 1\ndevices_m: [[900, 10]]\n")
+    (tmp_path / "map.csv").write_text("x_m,y_m\n900,10\n")
+    for name in ("map.geojson", "map.yaml"):
+        (tmp_path / name).write_text('{"type": "FeatureCollection", "features": []}')
     (tmp_path / "list.yaml").write_text("- paper\n")
     (tmp_path / "twins.json").write_text("{")
     return tmp_path

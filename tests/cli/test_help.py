@@ -27,7 +27,7 @@ COMMANDS = {
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --set --quiet",
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
     "gap": "SCENARIO RUN --scenario --time-limit --bound-limit --certificate --episodes --seed --set --quiet",
-    "audit": "SCENARIO --scenario",
+    "audit": "SCENARIO --scenario --set",
     "export": "RUN --out --format --scenario",
     "scenarios": "",
     "plot": "",
@@ -123,6 +123,7 @@ def test_audit_prints(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = call(capsys, "audit --scenario paper-table1")
     assert (code, err) == (1, "")
     assert "5 errors" in out
+    assert "3 devices" in call(capsys, "audit quickstart --set scenario.devices=3")[1]
 
 
 def test_a_reader_that_stops_early_is_no_error() -> None:

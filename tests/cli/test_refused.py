@@ -51,7 +51,7 @@ BAD_INPUTS = [
     ("train --algorithm mapo", "did you mean 'mappo'?"),
     ("train --scenario quikstart", "did you mean 'quickstart'?"),
     ("train --scenario nowhere.yaml", "nowhere.yaml"),
-    ("train --scenario twins.yaml", "same position"),
+    ("train --scenario outside.yaml", "outside the area"),
     ("train --scenario list.yaml", "list.yaml"),
     ("train --scenario .", "unknown scenario"),
     ("train --out file", "'file"),
@@ -102,7 +102,7 @@ BAD_INPUTS = [
     ("eval --policy random --json .", "it is a folder"),
     ("eval --policy random --json /dev/null", "not a regular file"),
     ("eval --policy random --scenario nothing", "unknown scenario"),
-    ("eval --policy random --scenario twins.yaml", "same position"),
+    ("eval --policy random --scenario outside.yaml", "outside the area"),
     ("eval --policy random --set scenario.slots=1", "slots = 1"),
     ("eval --policy random --set algorithm.gamma=0.9", "algorithm.gamma"),
     # a circle of symbolic links
@@ -162,11 +162,24 @@ BAD_INPUTS = [
     ("train .", "--from . begins with its weights"),
     ("tune papr --seconds 1", "did you mean 'paper'?"),
     ("tune tiny --scenario tiny --seconds 1", "give one of them"),
+    # a map of devices in place of a scenario
+    ("fly map.csv", "map.csv is a table of devices and no scenario"),
+    ("fly ./map.csv", "name it in a YAML file under devices_csv, or write --set scenario.devices_csv=map.csv"),
+    ("train --scenario map.csv", "no scenario"),
+    ("eval map.csv", "no scenario"),
+    ("replay greedy map.csv", "no scenario"),
+    ("audit map.geojson", "map.geojson is GeoJSON and no scenario: a scenario is a YAML file"),
+    ("plan map.yaml", "map.yaml is GeoJSON and no scenario"),
+    ("fly none.csv", "'none.csv' does not exist"),
+    ("audit tiny --set scenario.devices_csv=map.geojson", "map.geojson: is GeoJSON, expected a CSV table"),
+    ("audit tiny --set scenario.devices_csv=map.csv", "map.csv: line 2 = [900, 10]: outside the area"),
     # audit
     ("audit", "missing argument 'SCENARIO'"),
     ("audit papr", "did you mean 'paper'?"),
-    ("audit twins.yaml", "same position"),
+    ("audit outside.yaml", "outside the area"),
     ("audit paper tiny", "unexpected"),
+    ("audit tiny --set scenario.slots=1", "slots = 1"),
+    ("audit tiny --set algorithm.gamma=0.9", "only scenario.* can be set here"),
 ]
 BAD_INPUTS_WITH_A_RUN = [
     ("eval {run} --scenario paper", "which its network does not fit"),
@@ -190,8 +203,10 @@ def assert_refused(capsys: pytest.CaptureFixture[str], command: str, says: str, 
     code, out, err = call(capsys, command)
     assert code == 2, err
     assert out == ""
-    assert err.count("\n") == 1
-    assert err.startswith("uavaou: ")
+    first, *faults = err.splitlines()
+    assert first.startswith("uavaou: ")
+    assert all(line.startswith("  ") for line in faults)
+    assert not faults or first.endswith(f"{len(faults)} faults")
     assert says in err
     assert contents(place) == before
 
@@ -241,3 +256,16 @@ def test_other_errors_keep_their_traceback(monkeypatch: pytest.MonkeyPatch) -> N
 def test_the_process_reports_bad_input_as_main_does(workplace: Path) -> None:
     done = run_process("train", "--scenario", "quikstart")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+
+
+def test_all_faults_of_a_scenario_are_lines_of_one_message(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+    (workplace / "mine.yaml").write_text("base: paper\nslots: 1\nuavs: 2\nspeed: 3\n")
+    code, out, err = call(capsys, "fly mine.yaml")
+    assert (code, out) == (2, "")
+    assert err == (
+        "uavaou: mine.yaml: 4 faults\n"
+        "  unknown field 'speed'; did you mean 'speed_m_s'?\n"
+        "  slots = 1: must be greater than or equal to 2\n"
+        "  altitudes_m: has 3 entries, needs one for each of the 2 uavs; [80, 90] would fit\n"
+        "  cds_m: has 3 entries, needs one for each of the 2 uavs; [[0, 0], [1000, 0]] would fit\n"
+    )

@@ -22,7 +22,7 @@ from uavaou.algorithms.io import save_load
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
 from uavaou.algorithms.registry import load_config
 from uavaou.devices_csv import read_devices_csv
-from uavaou.errors import InputError
+from uavaou.errors import InputError, all_faults
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.family import Family
 from uavaou.onboard import runner
@@ -123,6 +123,12 @@ def _rows(path: Path) -> None:
         table(path, 1, "0" * 64).close()
 
 
+def _devices(path: Path) -> None:
+    read_devices_csv(path.with_name("s.yaml"), {"devices_csv": path.name}, None, faults := [])
+    if faults:
+        raise all_faults("devices", faults)
+
+
 def _overrides(path: Path) -> None:
     overrides = parse_overrides(path.read_bytes().decode("utf-8", "surrogateescape").split("\n"))
     overrides.of_scenario(config().scenario)
@@ -160,7 +166,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "learner.safetensors": lambda path: save_load.read_header(ArrayFile(path)),
     "scenario.yaml": Scenario.load,
     "config.yaml": lambda path: RunFolder(path.parent).read_config(),
-    "devices.csv": lambda path: read_devices_csv(path.with_name("s.yaml"), {"devices_csv": path.name}, None),
+    "devices.csv": _devices,
     "eval.json": read_evaluation,
     "run/episodes.csv": _episodes,
     "family.yaml": Family.load,

@@ -130,7 +130,7 @@ def test_weights_that_do_not_fit_are_refused_with_their_sizes(finished: RunFolde
     for changes, words in (
         ({"hidden": [9]}, "algorithm.hidden = [9] does not fit its weights, which were trained with [8] and fit no"),
         ({"network": "set", "hidden": [8]}, "algorithm.network = 'set' does not fit its weights"),
-        ({"observation": "prt"}, "--set algorithm.observation = 'prt': input should be 'location', 'part', 'local' or"),
+        ({"observation": "prt"}, "--set algorithm.observation = 'prt': must be 'location', 'part', 'local' or"),
         ({"missions": 9, "processes": 2}, "--set algorithm.processes = 2: must divide missions = 9"),
         ({"observation": "shared"}, "trained with 'local' and fit no other: leave out --set algorithm.observation"),
     ):
@@ -220,7 +220,7 @@ def test_budgets_that_cannot_be_used_are_refused(run: RunFolder) -> None:
         said = refusal(lambda slots=slots: continued(run, slots, resume=False))  # type: ignore[misc]
         assert "has finished its 192 slots: give a larger budget with --slots" in said
     said = refusal(lambda: continued(run, 10**13, resume=False))  # config.yaml could not hold it
-    assert f"slots = {10**13}: input should be less than or equal to {10**12}" in said
+    assert f"slots = {10**13}: must be less than or equal to {10**12}" in said
     assert continued(run, 192, resume=True) == run.read_config()  # nothing is left to do
     for wrong in ("[192]", "[100, 300]", "[192, 192]", "[192, many]"):
         text = small().to_yaml().replace("algorithm:", f"budgets: {wrong}\nalgorithm:", 1)

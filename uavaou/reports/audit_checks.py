@@ -12,7 +12,8 @@ import numpy as np
 
 from uavaou.arrays import Floats, Ints
 from uavaou.reports.link_budget import LinkBudget, there_and_back
-from uavaou.scenario import SPEED_OF_LIGHT_M_S, ZETA_TOLERANCE_S, Layout, Scenario
+from uavaou.scenario import SPEED_OF_LIGHT_M_S, Layout, Scenario
+from uavaou.scenario_fields import ZETA_TOLERANCE_S
 from uavaou.world.flight import Flight
 
 Level = Literal["error", "warning", "note"]
@@ -23,6 +24,7 @@ _AMPLE = 100.0  # R / R_min at the far corner from which on R_min is no constrai
 _WIDE_HZ = 1e8  # the widest carrier of 5G below 7 GHz
 _LOW_CARRIER_HZ = 3e8
 _RELATIVE = 1e-9
+_PLACES_SHOWN = 10
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ def findings(scenario: Scenario, layout: Layout, budget: LinkBudget) -> Iterator
     yield from _check_flight_time(scenario)
     yield from _check_round_trips(scenario, budget)
     yield from _check_devices(scenario, budget)
+    yield from _check_places(scenario, layout)
     if scenario.layout == "resample":
         seed = scenario.layout_seed
         message = f"layout: resample draws another layout each mission; this audits the one of layout_seed = {seed}."
@@ -237,6 +240,18 @@ def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
                 "fading, in range of another UAV."
             )
             yield Finding("note", "out of range", len(partly), message)
+
+
+def _check_places(scenario: Scenario, layout: Layout) -> Iterator[Finding]:
+    """Devices that stand at one place, and devices so near to each other that their positions may not be in metres."""
+    _, place, devices_at = np.unique(layout.positions, axis=0, return_inverse=True, return_counts=True)
+    for shared in np.flatnonzero(devices_at > 1)[:_PLACES_SHOWN]:
+        message = f"{_listed('device', np.flatnonzero(place.ravel() == shared))} stand at one place."
+        yield Finding("note", "places", int(devices_at[shared]), message)
+    span = float(np.ptp(layout.positions, axis=0).max())
+    if len(devices_at) > 1 and span < scenario.grid_step_m / 10:
+        message = f"all devices lie within {_metres(span)}, less than a tenth of a grid step."
+        yield Finding("warning", "places", span, message, "check that positions are in metres")
 
 
 # -- quantities as text -------------------------------------------------------------------------------

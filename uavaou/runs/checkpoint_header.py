@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictInt, ValidationError
 
 from uavaou.algorithms.io.tensor_file import CHECKSUM, ArrayFile
-from uavaou.errors import InputError
+from uavaou.errors import InputError, all_faults
 from uavaou.fields import NonNegative, Number, Whole, explain_validation
 from uavaou.runs.folder import RunConfig, RunFolder
 
@@ -122,5 +122,5 @@ def read_header(file: ArrayFile, oldest: int = 1) -> TrainingProgress:
     try:
         return TrainingProgress.model_validate(file.json("progress"))
     except ValidationError as error:
-        reason = explain_validation(error, list(TrainingProgress.model_fields))
-        raise InputError(f"{file.path}: not a checkpoint of this software (progress: {reason})") from None
+        reason = all_faults("progress", explain_validation(error, list(TrainingProgress.model_fields)))
+        raise InputError(f"{file.path}: not a checkpoint of this software ({reason})") from None

@@ -26,7 +26,7 @@ from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.studies.entries import expecting, resolve_scenarios, resolve_variant
 from uavaou.studies.folder import ANNEALED, BOUND, PartKey
-from uavaou.zoo import read_yaml_mapping, zoo_or_file
+from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_or_file
 
 SCHEMA = 1  # of study.yaml
 JUDGED = ("mappo", "vdn", "qmix")  # the variants that the paper's claims are about
@@ -126,7 +126,7 @@ class Study(StudySettings):
         }
         values: dict[str, Any] = {name: getattr(file, name) for name in StudySettings.model_fields}
         values |= {
-            "name": path.stem,
+            "name": name_of_file(path),
             "scenarios": scenarios,
             "variants": {name: one.algorithm for name, one in resolved.items()},
             "against": {name: one.against for name, one in resolved.items() if one.against is not None},

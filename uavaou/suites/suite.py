@@ -16,7 +16,7 @@ from uavaou.errors import InfeasibleError, InputError, nearest
 from uavaou.fields import Number, short, validated
 from uavaou.scenario import Scenario
 from uavaou.world.coverage import best_probability
-from uavaou.zoo import read_yaml_mapping, zoo_or_file
+from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_or_file
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Scale = Literal["linear", "log", "category"]
@@ -86,7 +86,7 @@ class Suite(BaseModel, frozen=True, extra="forbid"):
             InputError: there is none of that name, or a field cannot be used; the message names it.
         """
         path = zoo_or_file("suites", source)
-        return cls.from_dict(read_yaml_mapping(path), path.stem, str(path))
+        return cls.from_dict(read_yaml_mapping(path), name_of_file(path), str(path))
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any], name: str, source: str) -> Suite:

@@ -21,7 +21,7 @@ from uavaou.fields import FolderName, Positive, PositiveWhole, Whole, short, val
 from uavaou.scenario import Scenario
 from uavaou.tuning.search import REPORTS, Search, SearchFolder, TrialRecord, ranked
 from uavaou.tuning.search_space import SearchSpace
-from uavaou.zoo import read_yaml_mapping, zoo_or_file
+from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_or_file
 
 VALIDATION_S = 1.5  # CPU seconds of one evaluation of a trial on `paper`, for the estimate of the time
 
@@ -104,7 +104,7 @@ class Tournament:
                 raise InputError(f"{path}: stages[{number}]: top = {stage.top}: the stage before has {left} settings")
         arms = {name: _arm(name, content, f"{path}: arms.{short(name)}") for name, content in file.arms.items()}
         scenario = Scenario.load(file.scenario)
-        return cls(path.stem, file.description, scenario, file.seed, arms, tuple(stages))
+        return cls(name_of_file(path), file.description, scenario, file.seed, arms, tuple(stages))
 
     @property
     def trainings(self) -> int:

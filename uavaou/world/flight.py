@@ -8,7 +8,8 @@ allowed becomes a step towards the CDS.
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.scenario import ZETA_TOLERANCE_S, Scenario
+from uavaou.scenario import Scenario
+from uavaou.scenario_fields import ZETA_TOLERANCE_S
 from uavaou.world.compiled import compiled
 
 STAY, UP, DOWN, RIGHT, LEFT = range(5)

@@ -1,0 +1,263 @@
+"""The fields of a scenario with their units, and what does not fit together in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from uavaou.arrays import Floats
+from uavaou.errors import InfeasibleError, InputError, all_faults
+from uavaou.fields import (
+    DEVICE_COLUMNS,
+    Decibels,
+    FolderName,
+    Length,
+    NonNegative,
+    Number,
+    Period,
+    Point,
+    Positive,
+    PositiveWhole,
+    Unbounded,
+    Whole,
+)
+
+ZETA_TOLERANCE_S = 1e-6  # slack in comparisons of flight times
+_GRID_TOLERANCE = 1e-9
+_ROUNDING_STEPS = 1e-4  # by which people's stations lie beside the grid, in grid steps
+_ROUNDING_M = 1e-3  # by which their devices lie outside of the area
+_MAX_CELLS = 4_000_000
+_MAX_PAIRS = 1_000_000  # for 64 missions, an array over the pairs takes half a gigabyte
+_FAR = 10  # times the area, from which on positions have another origin rather than a larger area
+_APART_M = 10.0  # between two altitudes that an error proposes
+_MOST_SHOWN = 8  # entries of a list in an error
+_BREAKS = "which breaks constraint"
+
+
+class Range(BaseModel):
+    """Values drawn uniformly between two ends, one for each device: ``{low: 0.2, high: 1}``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    low: NonNegative
+    high: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.low > self.high:
+            raise ValueError(f"low ({self.low:.10g}) must not exceed high ({self.high:.10g})")
+        return self
+
+
+class WholeRange(Range):
+    """Whole numbers drawn uniformly between two ends, both included: ``{low: 1, high: 5}``."""
+
+    low: Period
+    high: Period
+
+
+class ScenarioFields(BaseModel):
+    """Area, fleet, devices, channel and mission."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: FolderName = "custom"
+    description: str = ""
+    area_x_m: Length
+    area_y_m: Length
+    grid_step_m: Length  # delta
+    uavs: Annotated[PositiveWhole, Field(le=1000)]  # U
+    devices: Annotated[PositiveWhole, Field(le=100_000)]  # I
+    slots: Annotated[Whole, Field(ge=2, le=1_000_000)]  # K
+    slot_length_s: Positive  # tau
+    speed_m_s: Positive  # nu
+    altitudes_m: tuple[Length, ...]  # H_u
+    cds_m: tuple[Point, ...]  # CDS_u
+    flight_time_budget_s: Unbounded  # zeta_max
+    carrier_frequency_hz: Annotated[Number, Field(ge=1)] | None = None  # f_c; beta_0 follows from it
+    reference_gain_db: Decibels | None = None  # beta_0
+    rician_factor: NonNegative  # Phi, linear
+    fading: Literal["rician", "none"] = "rician"
+    noise_power_dbm: Decibels  # sigma^2
+    rate_min_bit_s: Positive  # R_min
+    bandwidth_hz: Positive | tuple[Positive, ...] | Range  # B_i
+    transmit_power_mw: Positive | tuple[Positive, ...] | Range  # P_i
+    update_period_slots: Period | tuple[Period, ...] | WholeRange  # k_i
+    devices_m: tuple[Point, ...] | None = None
+    layout: Literal["fixed", "resample"] = "fixed"
+    layout_seed: Annotated[Whole, Field(ge=0)] = 0
+    flight_time: Literal["enforce", "ignore"] = "enforce"
+
+    @property
+    def columns(self) -> int:
+        """Number of grid cells along x."""
+        return round(self.area_x_m / self.grid_step_m) + 1
+
+    @property
+    def rows(self) -> int:
+        """Number of grid cells along y."""
+        return round(self.area_y_m / self.grid_step_m) + 1
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if faults := list(self.misfits(set(type(self).model_fields))):
+            raise all_faults("scenario", faults)
+        self._correct_rounding()
+        return self
+
+    def _correct_rounding(self) -> None:
+        """Move stations onto the grid and devices into the area, by what the misfits let pass."""
+        step = self.grid_step_m
+        stations: Floats = np.asarray(self.cds_m, dtype=np.float64) / step  # (U, 2) grid steps
+        if (abs(stations - np.rint(stations)) > _GRID_TOLERANCE * np.maximum(1.0, stations)).any():
+            object.__setattr__(self, "cds_m", tuple(map(tuple, (np.rint(stations) * step).tolist())))
+        devices: Floats = np.asarray(self.devices_m or [(0.0, 0.0)], dtype=np.float64)  # (I, 2) m
+        inside = devices.clip(0, [self.area_x_m, self.area_y_m])
+        if (inside != devices).any():
+            object.__setattr__(self, "devices_m", tuple(map(tuple, inside.tolist())))
+
+    def misfits(self, sound: set[str]) -> Iterator[InputError]:
+        """Find what does not fit together, as far as the ``sound`` fields alone tell; the others are not read.
+
+        Each error names a field, its value and a value that would fit.
+        """
+        area = "area_x_m area_y_m grid_step_m"
+        checks: tuple[tuple[str, Callable[[], Iterator[str]]], ...] = (
+            ("carrier_frequency_hz reference_gain_db", self._misfits_of_gain),
+            (area, self._misfits_of_grid),
+            ("uavs devices", self._misfits_of_size),
+            ("uavs altitudes_m", self._misfits_of_altitudes),
+            ("uavs cds_m", self._misfits_of_stations),
+            (f"cds_m {area}", self._misfits_of_places),
+            ("altitudes_m speed_m_s flight_time flight_time_budget_s", self._misfits_of_time),
+            *((f"devices {field}", partial(self._misfits_of_list, field)) for field in (*DEVICE_COLUMNS, "devices_m")),
+            (f"devices_m {area}", self._misfits_of_devices),
+        )
+        for fields, misfits in checks:
+            if sound.issuperset(fields.split()):
+                yield from map(_refused, misfits())
+
+    def _misfits_of_gain(self) -> Iterator[str]:
+        if (self.carrier_frequency_hz is None) == (self.reference_gain_db is None):
+            yield "give carrier_frequency_hz (such as 3.5e9) or reference_gain_db (such as -43.3), one of the two"
+
+    def _misfits_of_grid(self) -> Iterator[str]:
+        step = self.grid_step_m
+        for field, length in (("area_x_m", self.area_x_m), ("area_y_m", self.area_y_m)):
+            steps = length / step
+            if abs(steps - round(steps)) > _GRID_TOLERANCE * max(1.0, steps) or round(steps) < 1:
+                yield (
+                    f"grid_step_m = {_full(step)}: does not divide {field} = {_full(length)} into whole steps; "
+                    f"{field} = {_full(_steps_up(length, step) * step)} would fit"
+                )
+        if self.columns * self.rows > _MAX_CELLS:
+            least = math.sqrt(self.area_x_m * self.area_y_m / _MAX_CELLS)
+            yield (
+                f"grid_step_m = {_full(step)}: gives {self.columns} x {self.rows} cells, at most {_MAX_CELLS:,} are "
+                f"supported; more than {least:.3g} m would fit"
+            )
+
+    def _misfits_of_size(self) -> Iterator[str]:
+        if self.uavs * self.devices > _MAX_PAIRS:
+            yield (
+                f"devices = {self.devices:,} with uavs = {self.uavs:,}: at most {_MAX_PAIRS:,} pairs of a UAV and a "
+                f"device are supported; {_MAX_PAIRS // self.uavs:,} devices would fit"
+            )
+
+    def _misfits_of_altitudes(self) -> Iterator[str]:
+        given = list(self.altitudes_m)
+        highest = max(given, default=80.0)
+        fitting: list[float] = []
+        for altitude in (given + [highest] * self.uavs)[: self.uavs]:
+            highest += _APART_M * (altitude in fitting)
+            fitting.append(highest if altitude in fitting else altitude)
+        yield from _wrong_number("altitudes_m", given, self.uavs, "uavs", fitting)
+        if len(given) == self.uavs and given != fitting:
+            differ = "must all differ, so that UAVs cannot collide"
+            yield f"altitudes_m = {_full_list(given)}: {differ}; {_full_list(fitting)} would fit"
+
+    def _misfits_of_stations(self) -> Iterator[str]:
+        given = [list(place) for place in self.cds_m]
+        yield from _wrong_number("cds_m", given, self.uavs, "uavs", ((given or [[0.0, 0.0]]) * self.uavs)[: self.uavs])
+
+    def _misfits_of_places(self) -> Iterator[str]:
+        step = self.grid_step_m
+        last = [_steps_up(length, step) for length in (self.area_x_m, self.area_y_m)]
+        for u, place in enumerate(self.cds_m):
+            cells = [min(max(round(value / step), 0), most) for value, most in zip(place, last, strict=True)]
+            for axis, value, cell, most in zip("xy", place, cells, last, strict=True):
+                if abs(value / step - cell) > _ROUNDING_STEPS:
+                    yield (
+                        f"cds_m[{u}] = {_full_list(place)}: {axis} is not on the grid "
+                        f"(0 to {_full(most * step)} m in steps of {_full(step)} m), {_BREAKS} (CDS); "
+                        f"{_full_list([cell * step for cell in cells])} would fit"
+                    )
+                    break
+
+    def _misfits_of_time(self) -> Iterator[str]:
+        needed = 2 * max(self.altitudes_m, default=0.0) / self.speed_m_s
+        if self.flight_time == "enforce" and needed > self.flight_time_budget_s + ZETA_TOLERANCE_S:
+            yield (
+                f"flight_time_budget_s = {_full(self.flight_time_budget_s)}: take-off and landing alone need "
+                f"2 H / speed = {needed:g} s, {_BREAKS} (Time); "
+                f"{_full(math.ceil(needed * 1000) / 1000)} or more would fit, and so would flight_time: ignore"
+            )
+
+    def _misfits_of_list(self, field: str) -> Iterator[str]:
+        values = getattr(self, field)
+        if isinstance(values, tuple):
+            yield from _wrong_number(field, values, self.devices, "devices")
+
+    def _misfits_of_devices(self) -> Iterator[str]:
+        if not self.devices_m:
+            return
+        places: Floats = np.asarray(self.devices_m, dtype=np.float64)  # (I, 2) m
+        area = np.array([self.area_x_m, self.area_y_m])
+        outside = np.flatnonzero(((places < -_ROUNDING_M) | (places > area + _ROUNDING_M)).any(axis=1))
+        if not len(outside):
+            return
+        shown = ", ".join(f"devices_m[{i}] = {_full_list(places[i])}" for i in outside[:_MOST_SHOWN])
+        more = f" and {len(outside) - _MOST_SHOWN} more" if len(outside) > _MOST_SHOWN else ""
+        low, high = places.min(axis=0), places.max(axis=0)
+        shift = np.where((low < -_ROUNDING_M) | (high > _FAR * area), low, 0)  # (2,) m
+        needed = [_steps_up(length, self.grid_step_m) * self.grid_step_m for length in high - shift]
+        remedies = [f"area_{axis}_m = {_full(m)}" for axis, m, now in zip("xy", needed, area, strict=True) if m > now]
+        remedies += [f"{_full_list(shift)} subtracted from all positions"] if shift.any() else []
+        yield (
+            f"{shown}{more}: outside the area of {_full(area[0])} m x {_full(area[1])} m; "
+            f"{' and '.join(remedies)} would fit"
+        )
+
+
+def _refused(misfit: str) -> InputError:
+    return InfeasibleError(misfit) if _BREAKS in misfit else InputError(misfit)
+
+
+def _steps_up(length: float, step: float) -> int:
+    """The grid steps that reach a length, of which rounding noise is left out."""
+    return max(math.ceil(length / step - _ROUNDING_STEPS), 1)
+
+
+def _full(value: float) -> str:
+    """A number with all digits that a person wrote."""
+    return f"{value:.12g}"
+
+
+def _full_list(values: Sequence[Any] | Floats) -> str:
+    shown = [_full_list(each) if isinstance(each, list) else _full(each) for each in values[:_MOST_SHOWN]]
+    return f"[{', '.join(shown)}{', ...' if len(values) > _MOST_SHOWN else ''}]"
+
+
+def _wrong_number(
+    field: str, given: Sequence[Any], number: int, kind: str, fitting: Sequence[Any] = ()
+) -> Iterator[str]:
+    """Yield the refusal of a list that has not one entry for each of the UAVs or devices."""
+    if len(given) != number:
+        fits = f"{kind}: {len(given)} would fit" if given else "leave it out"
+        fits = f"{_full_list(fitting)} would fit" if 0 < len(fitting) <= _MOST_SHOWN else fits
+        yield f"{field}: has {len(given)} entries, needs one for each of the {number} {kind}; {fits}"
