@@ -121,12 +121,13 @@ def _make_planners(
 
 
 def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> list[str]:
-    """A table of policies: means, each with its 95 % interval below."""
+    """A table of policies: means, each with its 95 % interval below. What one should know first stands above."""
     scenario, episodes, seed = comparison.scenario, comparison.episodes, comparison.seed
     changed = " with " + ", ".join(f"{key}={value}" for key, value in sorted(overrides.items())) if overrides else ""
     seeds = f"seeds {seed} to {seed + episodes - 1}" if episodes > 1 else f"seed {seed}"
     missions = "missions" if episodes > 1 else "mission"
     lines = wrapped(f"{scenario.name}{changed}: {episodes:,} {missions}, {seeds}")
+    lines += _paragraphs(comparison.remarks())
     heads = [("action", "knows"), ("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("communi-", "cations")]
     heads += [("devices", f"of {scenario.devices}"), ("viola-", "tions")]
     rows = [(name, _cells(result, comparison.policies[name])) for name, result in comparison.results.items()]
