@@ -52,7 +52,13 @@ def evaluate(
     episodes: Episodes = 100,
     seed: Seed = EVALUATION_SEED,
     action: Annotated[
-        str | None, choice("Action of trained policies. [default: the better one in validation]", "greedy", "sample")
+        str | None,
+        choice(
+            "Action of trained policies. [default: the better one in validation]",
+            "likeliest",
+            "sampled",
+            values=("greedy", "sample"),
+        ),
     ] = None,
     suite: Annotated[str | None, option("Play every point of a suite; see docs/suites.md.")] = None,
     time_limit: Annotated[float | None, seconds("Time limit of planners that plan ahead, in seconds.")] = None,
@@ -141,13 +147,15 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
 
 
 def _cells(result: Evaluation, policy: Planner) -> list[tuple[str, str]]:
+    from uavaou.runs.checkpoint_header import ACTIONS
     from uavaou.statistics import interval_over_missions
     from uavaou.world.knowledge import knowledge
 
     aou = result.values("mean_aou_s")  # (N,) s
     columns = aou / result.slot_length_s, aou, result.values("communications"), result.values("devices_served")
     figures = [interval_figures(interval_over_missions(values)) for values in columns]
-    return [(getattr(policy, "action", "-"), knowledge(policy)), *figures, (f"{sum(result.violations.values()):,}", "")]
+    action = ACTIONS.get(getattr(policy, "action", ""), "-")
+    return [(action, knowledge(policy)), *figures, (f"{sum(result.violations.values()):,}", "")]
 
 
 def _evaluate_suite(
