@@ -66,6 +66,33 @@ def test_the_table_fits_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     assert "broke" not in out
 
 
+def test_what_one_should_know_first_stands_above_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    command = "eval --scenario tiny --policy stay --episodes 1 --quiet --set scenario.transmit_power_mw=0.001"
+    code, out, err = call(capsys, command)
+    assert (code, err) == (0, "")
+    title, remark, table, _ = out.split("\n\n")
+    assert title.startswith("tiny with transmit_power_mw=0.001")
+    assert remark == "No device can be collected from anywhere: uavaou audit SCENARIO says why."
+    assert "stay" in table
+
+
+def test_an_action_has_two_names_and_no_planner_either(
+    capsys: pytest.CaptureFixture[str], trained: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(trained)
+    shown = {}
+    for word in ("likeliest", "greedy", "sampled", "sample"):
+        command = f"eval {runs(trained)['run']} --scenario tiny --episodes 2 --quiet --action {word}"
+        code, shown[word], err = call(capsys, command)
+        assert (code, err) == (0, "")
+    assert (shown["greedy"], shown["sample"]) == (shown["likeliest"], shown["sampled"])
+    assert "likeliest" in shown["greedy"]
+    assert "greedy" not in shown["greedy"]
+    assert "sampled" in shown["sample"]
+    code, _, err = call(capsys, f"eval {runs(trained)['run']} --action likelyest")
+    assert (code, "did you mean 'likeliest'?" in err) == (2, True)
+
+
 # -- the whole way -------------------------------------------------------------------------------------
 
 
