@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from tests.cli.commands import TINY, TRAIN, call, contents, runs
+from uavaou import evaluate
 from uavaou.errors import InputError
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.runs.recorder import Recorder
 from uavaou_cli import plan, train
@@ -74,6 +74,8 @@ def test_what_one_should_know_first_stands_above_the_table(capsys: pytest.Captur
     assert title.startswith("tiny with transmit_power_mw=0.001")
     assert remark == "No device can be collected from anywhere: uavaou audit SCENARIO says why."
     assert "stay" in table
+    code, out, _ = call(capsys, "gap tiny --episodes 1 --time-limit 0.1 --quiet --set scenario.transmit_power_mw=0.001")
+    assert (code, out.split("\n\n")[1]) == (0, remark)
 
 
 def test_an_action_has_two_names_and_no_planner_either(
