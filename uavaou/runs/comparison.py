@@ -10,6 +10,7 @@ from urllib.parse import unquote
 from uavaou.errors import InputError, unknown
 from uavaou.evaluation.evaluate import Evaluation, play
 from uavaou.evaluation.seeds import EVALUATION_SEED
+from uavaou.family import Family, beyond
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.planners.base import Planner
 from uavaou.runs.folder import RunConfig, RunFolder
@@ -17,6 +18,12 @@ from uavaou.runs.released import released_names
 from uavaou.runs.results import EvaluationFile, PolicyResult, keep_evaluation, own_evaluation, write_evaluation
 from uavaou.scenario import Scenario
 from uavaou.world import World
+from uavaou.world.coverage import nothing_in_reach
+from uavaou.zoo import read_yaml_mapping
+
+_UNTRAINED = "local-greedy-parts"  # the best policy that learns nothing and needs no time before take-off
+_AUDIT = "uavaou audit SCENARIO says why"
+_NO_AGE = 0.01  # slots; a mean AoU below it leaves nothing to compare
 
 
 class Display(Protocol):
@@ -133,6 +140,15 @@ def recorded_as(name: str) -> tuple[str, int | None]:
     return unquote(path.parent.name) if named_by_us else config.algorithm.name, config.seed
 
 
+def trained_on(folder: RunFolder) -> list[Family]:
+    """The families that a policy has met in training; empty for one that was trained on a scenario."""
+    stages = folder.path / "families.yaml"  # of a released policy: those of all its stages
+    if stages.exists():
+        return [Family.load(name) for name in read_yaml_mapping(stages)["families"]]
+    family = folder.read_config().family
+    return [] if family is None else [family]
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Policies on the same missions, by name: that of a run is its folder."""
@@ -169,6 +185,28 @@ class Comparison:
             own = own_evaluation(config, contents[name], self.seed, others)
             notes.append(keep_evaluation(folder.evaluation(), own))
         return notes
+
+    def remarks(self) -> list[str]:
+        """What a person should know before believing the figures: a sentence or two on each."""
+        scenario, means = self.scenario, {name: result.mean_aou_s for name, result in self.results.items()}
+        found = []
+        for name in means:
+            families = [] if name in PLANNERS else trained_on(RunFolder.at(name))
+            if families and (outside := beyond(families, scenario)):
+                fresher = sorted((other for other in means if means[other] < means[name]), key=lambda one: means[one])
+                advice = f"fresher here: --policy {fresher[0]}" if fresher else f"compare it with --policy {_UNTRAINED}"
+                found.append(
+                    f"'{name}' flies beyond what it was trained on: {scenario.name} has {', '.join(outside)}. "
+                    f"What it reaches elsewhere says nothing of this map; {advice}."
+                )
+        unserving = [name for name, result in self.results.items() if not result.values("devices_served").any()]
+        if unserving and nothing_in_reach(scenario):
+            found.append(f"No device can be collected from anywhere: {_AUDIT}.")
+        elif unserving:
+            found.append(f"No device was served by {', '.join(unserving)}: {_AUDIT}.")
+        elif max(means.values(), default=1.0) < _NO_AGE * scenario.slot_length_s:
+            found.append(f"Every policy keeps the AoU near 0, so that there is nothing to compare: {_AUDIT}.")
+        return found
 
     def write(self, path: Path) -> None:
         """Write the figures of every policy and mission into one file.
