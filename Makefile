@@ -42,7 +42,6 @@ demo: install
 
 # Bytecode is cached even where the environment forbids it: tests start many processes, and each would compile the package.
 test: export PYTHONDONTWRITEBYTECODE =
-test: export OMP_NUM_THREADS = 1
 test: install
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m "not slow"
 	$(BIN)/python -m pytest -q -n 4 --dist worksteal -m slow  # many of them wait for other processes
@@ -79,7 +78,6 @@ fuzz: install
 	$(BIN)/python tests/fuzz/loaders.py .fuzz-corpus $(RUNS)
 
 # For some of them: make faults ONLY="tests/runs/test_faults.py -k qmix". To go on after a stop: add --tally FILE to ONLY.
-faults: export OMP_NUM_THREADS = 1
 faults: ONLY ?= tests/runs/test_faults.py tests/cli/test_faults.py tests/studies/test_study_faults.py tests/tuning/test_tune_faults.py
 faults: install
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal --exhaustive $(ONLY)

@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small sizes, once: to see that it runs")
     parser.add_argument("--out", type=Path, default=Path("results/benchmarks"), help="folder (default: %(default)s)")
     arguments = parser.parse_args()
-    machine = {**describe_machine(), "threads": torch.get_num_threads()}
+    machine = describe_machine()
     print(f"{machine['processor']}, {os.cpu_count()} cores, torch {torch.__version__}, {machine['threads']} threads")
     for name in arguments.part or PARTS:
         measured = (QUICK if arguments.quick else PARTS)[name]()

@@ -6,7 +6,6 @@ is stopped after SECONDS (240) of wall-clock.
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -15,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from uavaou import evaluate
 from uavaou.csv_tables import read_csv, write_csv
 from uavaou.envs.map import BLACK, BLUE, ORANGE
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.reports import style
 from uavaou.scenario import Scenario
 
@@ -31,10 +30,10 @@ def trained(collection: str, cores: int, seconds: float, place: Path) -> Path:
     """Train for some seconds; returns progress.csv."""
     settings = [f"algorithm.evaluate_every_slots={EVERY_SLOTS}", f"algorithm.collection={collection}"]
     command = [sys.executable, "-c", "import sys; from uavaou_cli.main import main; sys.exit(main())", "train"]
-    command += ["--scenario", SCENARIO, "--quiet", "--out", str(place)]
+    command += ["--scenario", SCENARIO, "--quiet", "--out", str(place), "--threads", str(cores)]
     for setting in settings:
         command += ["--set", setting]
-    process = subprocess.Popen(command, env=os.environ | {"OMP_NUM_THREADS": str(cores)})
+    process = subprocess.Popen(command)
     try:
         process.wait(seconds)
     except subprocess.TimeoutExpired:

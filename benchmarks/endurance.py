@@ -19,13 +19,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from uavaou import Family, Scenario
 from uavaou.algorithms.registry import load_config
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.recorder import TrainingStatus
 from uavaou.runs.train import train
+from uavaou.threads import use_threads
 from uavaou_cli.main import main as command_line
 
 PARTS = 40  # at the end of each of which is measured
@@ -74,7 +74,7 @@ class Endurance:
 
 def trained(slots: int, family: bool = False, parts: int = PARTS) -> Endurance:
     """Train MAPPO for ``slots`` with one thread and measure on the way."""
-    torch.set_num_threads(1)
+    use_threads(1)
     config = RunConfig(
         Scenario.load("quickstart"), load_config("mappo", {"slots": slots, "evaluate_every_slots": slots // parts})
     )
@@ -95,7 +95,7 @@ def trained(slots: int, family: bool = False, parts: int = PARTS) -> Endurance:
 
 def repeated(name: str, times: int) -> Endurance:
     """Give a command ``times`` times in this process, each time with another mission."""
-    torch.set_num_threads(1)
+    use_threads(1)
     measured = Endurance("missions")
     with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
         for mission in range(times):

@@ -11,8 +11,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from uavaou import evaluate
 from uavaou.csv_tables import read_csv, write_csv
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.files import write_json
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal

@@ -8,6 +8,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,28 +21,79 @@ from benchmarks.measure import Measurement, Stopwatch, exactly, seconds_of, side
 from uavaou import MAPPO, Scenario, flatten
 from uavaou.algorithms.config import AlgorithmConfig, MappoConfig
 from uavaou.algorithms.fast import loss
-from uavaou.algorithms.fast.update import ClippedAdam, GradientWorker
+from uavaou.algorithms.fast.update import ClippedAdam
 from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
 from uavaou.algorithms.nets.mlp import FullyConnected, Linear
 from uavaou.algorithms.registry import load_config, make_model
+from uavaou.threads import Tasks, available_threads, use_threads
 
 MISSIONS = 64
 # MAPPO's work of one update, the same in every measurement whatever settings are published.
 WORK = {"missions": MISSIONS, "rollout_slots": 60, "batch_rows": 750, "epochs": 5, "critic_input": "global"}
-ROLLOUTS = 12  # of ours in one measurement, so that the start of a worker process hardly counts
+ROLLOUTS = 12  # of ours in one measurement, so that one slow moment hardly counts
 ALGORITHMS = ("mappo", "vdn", "qmix")
 STOCK = "stock SB3 PPO on SuperSuit's stage"
 
 
 def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:
-    """Agent steps a second with updates, for one rollout, minibatch and number of epochs, at two network sizes."""
-    return [measured for hidden in ([128, 128], [256, 256]) for measured in _training(repeats, rollout_slots, hidden)]
+    """Agent steps a second with updates, for one rollout, minibatch and number of epochs, at two network sizes.
+
+    Then the same beside as many busy processes as there are cores, and what two cores could give at most.
+    """
+    sizes = ([128, 128], [256, 256])
+    free = [measured for hidden in sizes for measured in _training(repeats, rollout_slots, hidden)]
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(available_threads())]
+    try:
+        loaded = [measured for hidden in sizes for measured in _loaded(repeats, rollout_slots, hidden)]
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    return free + loaded + _cores(repeats)
+
+
+def _loaded(repeats: int, rollout_slots: int | None, hidden: list[int]) -> list[Measurement]:
+    scenario, config = Scenario.load("paper"), _mappo(rollout_slots, hidden=hidden)
+    rows = MISSIONS * scenario.uavs * config.rollout_slots
+    contestants = {
+        _label("mappo", threads): (_learner(_ours(scenario, config), ROLLOUTS * rows, threads), ROLLOUTS * rows)
+        for threads in sorted({1, available_threads()})
+    }
+    beside = f"beside {available_threads()} busy processes"
+    return side_by_side(f"training on paper {beside}, networks {hidden[0]}-{hidden[1]}", contestants, repeats)
+
+
+def _cores(repeats: int) -> list[Measurement]:
+    """The products of a layer in one thread, and in each of two at once: what a machine's cores share, nobody gains."""
+    rows, layer, products = th.randn(750, 128), Linear(128, 128), 4000
+
+    @th.no_grad()
+    def multiply() -> None:
+        for _ in range(products):
+            layer(rows)
+
+    def by(number: int) -> Callable[[], None]:
+        def work() -> None:
+            use_threads(number)
+            Tasks(*[multiply] * number).run()
+            use_threads(None)
+
+        return work
+
+    th.set_num_threads(1)
+    contestants = {f"{number} at once": (by(number), number * products) for number in (1, 2)}
+    table = "products of 750 x 128 x 128"
+    return [replace(m, unit="products/s") for m in side_by_side(table, contestants, repeats)]
+
+
+def _label(name: str, threads: int) -> str:
+    return f"uavaou {name}, {threads} thread{'s' if threads > 1 else ''}"
 
 
 def _training(repeats: int, rollout_slots: int | None, hidden: list[int]) -> list[Measurement]:
     scenario, config = Scenario.load("paper"), _mappo(rollout_slots, hidden=hidden)
     rows = MISSIONS * scenario.uavs * config.rollout_slots
-    cores = th.get_num_threads()
+    cores = available_threads()
     contestants = {
         f"{STOCK}, {processes} process{'es' if processes > 1 else ''}": (
             _learner(_stock(scenario, config, processes), rows, cores),
@@ -52,8 +104,7 @@ def _training(repeats: int, rollout_slots: int | None, hidden: list[int]) -> lis
     for name in ALGORITHMS:
         for threads in sorted({1, cores}):
             model = _ours(scenario, config if name == "mappo" else load_config(name, {"hidden": hidden}))
-            label = f"uavaou {name}, {threads} thread{'s' if threads > 1 else ''}"
-            contestants[label] = (_learner(model, ROLLOUTS * rows, threads), ROLLOUTS * rows)
+            contestants[_label(name, threads)] = (_learner(model, ROLLOUTS * rows, threads), ROLLOUTS * rows)
     return side_by_side(f"training on paper, 64 missions, networks {hidden[0]}-{hidden[1]}", contestants, repeats)
 
 
@@ -66,7 +117,7 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
     model = _ours(scenario, config)
     assert isinstance(model, MAPPO)
     rows = MISSIONS * scenario.uavs * config.rollout_slots
-    learn = _learner(model, ROLLOUTS * rows, th.get_num_threads())
+    learn = _learner(model, ROLLOUTS * rows, available_threads())
     learn()
     rollout = {
         "rollout: World, rewards, rows": (model.env, "step"),
@@ -82,7 +133,6 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
         "update: loss of the actor": (loss, "clipped_surrogate"),
         "update: loss of the critic": (loss, "squared_error"),
         "update: clipping and Adam": (ClippedAdam, "step"),
-        "update: waiting for other processes": (GradientWorker, "result"),
     }
     learning, seconds = _split(learn, rollout, repeats, rollouts=ROLLOUTS)
     updating, in_update = _split(model.train, update, repeats)
@@ -190,9 +240,9 @@ def _stock(scenario: Scenario, config: MappoConfig, processes: int) -> BaseAlgor
 
 def _learner(model: BaseAlgorithm, rows: int, threads: int) -> Callable[[], None]:
     def learn() -> None:
-        before = th.get_num_threads()
-        th.set_num_threads(threads)
+        use_threads(threads)
+        th.set_num_threads(threads)  # of SB3's own learner; ours computes with one and divides the work itself
         model.learn(rows, reset_num_timesteps=model.num_timesteps == 0)
-        th.set_num_threads(before)
+        use_threads(None)
 
     return learn

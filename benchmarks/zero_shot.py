@@ -22,6 +22,7 @@ from uavaou.runs.released import released_folder
 from uavaou.statistics import geometric_mean
 from uavaou.suites.play import RATIO_ABOVE, REFERENCE
 from uavaou.suites.suite import Suite
+from uavaou.threads import use_threads
 from uavaou_cli.main import main as uavaou
 
 SUITES = Path("results/suites")
@@ -59,18 +60,11 @@ def main() -> None:
     arguments = parser.parse_args()
     wanted = [] if arguments.no_table else [name for name in TABLES if name in (arguments.table or TABLES)]
     policy: str = arguments.policy
-    with ProcessPoolExecutor(arguments.jobs, get_context("spawn"), one_thread) as pool:
+    with ProcessPoolExecutor(arguments.jobs, get_context("spawn"), use_threads, (1,)) as pool:
         codes = list(pool.map(measure, [policy] * len(wanted), wanted))
     if any(codes) or uavaou(["plot", "suite"]):
         raise SystemExit(1)
     write_pages(policy, SUITES, released_folder() / policy / "README.md")
-
-
-def one_thread() -> None:
-    """Give each process one core."""
-    import torch
-
-    torch.set_num_threads(1)
 
 
 def measure(policy: str, name: str) -> int:

@@ -74,14 +74,3 @@ def _files_are_not_flushed_to_the_disk() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", os.fstat)
         yield
-
-
-@pytest.fixture
-def one_thread() -> Iterator[None]:
-    """Torch computes with one thread."""
-    import torch as th  # only where a test asks for it
-
-    before = th.get_num_threads()
-    th.set_num_threads(1)
-    yield
-    th.set_num_threads(before)

@@ -166,5 +166,5 @@ def test_frames_from_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_the_example_of_an_own_algorithm_is_the_file() -> None:
-    (code,) = blocks(DOCS / "own-algorithm.md", "python")
+    code, *_ = blocks(DOCS / "own-algorithm.md", "python")
     assert code in (ROOT / "examples" / "plain_ppo.py").read_text(encoding="utf-8")

@@ -73,9 +73,7 @@ def left(place: Path) -> dict[str, object]:
 
 
 @pytest.mark.slow
-def test_no_command_needs_a_network_a_home_or_a_locale(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one_thread: None
-) -> None:
+def test_no_command_needs_a_network_a_home_or_a_locale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Once where each connection is an error, and once in odd surroundings: the files are the same."""
 
     def refuse(*_: Any, **__: Any) -> None:

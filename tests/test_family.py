@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uavaou import Family, InputError, Scenario
-from uavaou.family import Draw, WholeDraw
+from uavaou.family import Draw, WholeDraw, beyond
 from uavaou.zoo import zoo_names
 
 DRAWS = range(300)
@@ -168,3 +168,31 @@ def test_extreme_values_are_refused_or_accepted_but_never_crash(fields: dict[str
     with suppress(InputError):
         family = Family.from_dict({"base": "tiny"} | fields)
         assert Family.from_dict(family.to_dict()) == family
+
+
+# -- beyond the draws -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", zoo_names("families"))
+def test_no_draw_of_a_family_is_beyond_it(name: str) -> None:
+    family = Family.load(name)
+    assert [n for n in range(2000) if beyond([family], family.draw(n))] == []
+
+
+def test_what_is_beyond_all_families_is_named_with_both_ends() -> None:
+    paper, any_, many = Scenario.load("paper"), Family.load("any"), Family.load("many")
+    wide = paper.replace(area_x_m=9000)
+    assert beyond([any_, many], wide) == ["sides 1,000 to 9,000 m (in training 500 to 3,000 m)"]
+    few = paper.replace(devices=10)
+    assert beyond([many], few) == ["devices 10 (in training 25 to 200)"]  # 25: the base
+    assert beyond([many, any_], few) == []
+    radio = paper.replace(transmit_power_mw=25, carrier_frequency_hz=868e6, rate_min_bit_s=5470)
+    assert [text.split(" (")[0] for text in beyond([any_], radio)] == [
+        "minimum rates 5,470 bit/s", "transmit powers 25 mW", "reference gains -31.22 dB",
+    ]  # fmt: skip
+
+
+def test_a_base_that_is_never_drawn_is_beyond() -> None:
+    family = Family.from_dict({"base": "paper", "devices": {"low": 40, "high": 60}})
+    assert beyond([family], Scenario.load("paper")) == ["devices 25 (in training 40 to 60)"]
+    assert beyond([Family.from_dict(family.to_dict() | {"base_share": 0.1})], Scenario.load("paper")) == []

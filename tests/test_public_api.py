@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import doctest
+import shutil
 from pathlib import Path
 
 import pytest
 
 import uavaou
 from uavaou import InputError, RunConfig, Scenario, evaluate, load_run, train
+from uavaou.runs.folder import RunFolder
+from uavaou.runs.released import released_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -30,6 +33,18 @@ def test_a_planner_is_evaluated_by_name_and_a_scenario_by_path(tmp_path: Path) -
     assert by_name.mean_aou_s == by_path.mean_aou_s == by_name.mean_aou_slots * scenario.slot_length_s
     with pytest.raises(InputError, match="did you mean 'greedy'"):
         evaluate("gredy", scenario)
+
+
+def test_every_name_of_a_policy_is_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(released_folder() / "any-map", tmp_path / "run")
+    monkeypatch.chdir(tmp_path)
+    wanted = evaluate(load_run("any-map"), "tiny", episodes=2).mean_aou_s
+    for name in ("any-map", "./run", "run", Path("run"), RunFolder(Path("run"))):
+        assert evaluate(name, "tiny", episodes=2).mean_aou_s == wanted, name
+    with pytest.raises(InputError, match="unknown policy 'any-mop'; did you mean 'any-map'"):
+        evaluate("any-mop", "tiny")
+    with pytest.raises(InputError, match="run folder 'runs/seed-0' does not exist"):
+        evaluate("runs/seed-0", "tiny")
 
 
 def test_published_settings_can_be_changed_by_name() -> None:

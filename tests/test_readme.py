@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from scipy.stats import mannwhitneyu
 
-from tests.committed import study
+from tests.committed import mean_of, study
 from tests.documents import ROOT, blocks, commands
 from tests.reports.strayed import frequencies_of_strays
+from uavaou.algorithms.registry import load_config
 from uavaou.planners import PLANNERS, planner_knowledge
 from uavaou.reports.claims import judge
 from uavaou.reports.markdown import rounded
@@ -19,7 +20,7 @@ from uavaou.reports.scores import study_scores
 from uavaou.statistics import Interval
 
 README = ROOT / "README.md"
-RULES = "local-greedy-tuned", "local-greedy-parts"
+RULE = re.compile(r"^`(.*?)`.*")  # of a row: its name before what it is
 COMMANDS = ("fly", "replay", "train", "eval", "gap", "plan", "plot", "study", "tune", "audit", "export", "scenarios")
 
 
@@ -61,31 +62,55 @@ def means() -> dict[str, Interval]:
     return {one.policy: one.mean for one in study_scores(study("paper"))["paper"]}
 
 
+TUNED = "MAPPO that goes on from `any-map-local`"
+
+
 def test_the_results_are_those_of_the_tables(means: dict[str, Interval]) -> None:
-    """Mean, interval and knowledge of every policy in the table, with as many digits as it shows."""
-    text = README.read_text(encoding="utf-8")
-    heads, values, levels = (
-        [cell.strip(" `") for cell in line.strip("|").split("|")][1:]
-        for line in re.findall(r"^\|(?: \| QMIX| mean \|| knows \|).*", text, re.M)
-    )
-    for head, value, level in zip(heads, values, levels, strict=True):
-        policy = {"bound": "lower bound"}.get(head, head.lower())
-        shown = [cell.replace(",", "") for cell in re.findall(r"[\d.,]+", value)]
-        assert shown == [rounded_like(number, cell) for number, cell in zip(means[policy], shown, strict=False)], head
-        assert len(shown) == (1 if head == "bound" else 3)
-        assert level == (planner_knowledge(policy) if policy in PLANNERS else "" if head == "bound" else "local")
-
-
-def rounded_like(value: float, shown: str) -> str:
-    """A number with the digits of the one that is shown."""
-    if "." not in shown and len(shown) > 3:
-        return rounded(value, 4).replace(",", "")
-    return f"{value:.{len(shown.partition('.')[2])}f}"
-
-
-def test_the_rule_with_searched_numbers_has_the_lowest_mean(means: dict[str, Interval]) -> None:
+    """Mean, interval, training and knowledge of every policy in the table, the lowest first."""
+    table = README.read_text(encoding="utf-8").partition("| who |")[2].partition("\n\n")[0].splitlines()[2:]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
+    assert 5 <= len(rows) <= 6
+    settings = study("paper").settings["variants"]
+    for who, mean, trained, level in rows:
+        policy = RULE.sub(r"\1", re.sub(r"\[(.*?)\]\(.*?\)", r"\1", who)).lower()
+        tuned = who == TUNED
+        assert mean == (mean_of("fine-tuning", "fine-tuned") if tuned else mean_of("paper", policy)), who
+        assert level == (planner_knowledge(policy) if policy in PLANNERS else "local"), who
+        budget = f"{settings[policy]['slots'] / 1e6:.0f}M slots" if policy in settings else None
+        assert budget in (None, trained), who
+    lowest = [float(mean.split()[0]) for _, mean, _, _ in rows]
+    assert lowest == sorted(lowest)
     found = {policy: mean.value for policy, mean in means.items() if policy != "lower bound"}
-    assert min(found, key=lambda policy: found[policy]) == RULES[0]
+    assert rows[0][0].startswith(f"`{min(found, key=lambda policy: found[policy])}`")
+    (tuned,) = study("fine-tuning").settings["variants"].values()
+    assert f"{tuned['slots']:,} slots, after 5.4M" in "".join(table)
+    assert study("paper").settings["planning_seconds"] == 600  # the minutes of search
+    assert load_config("mappo").candidates == settings["mappo, four candidates"]["candidates"] == 4
+
+
+def test_its_verdict_is_that_of_the_claims() -> None:
+    text = README.read_text(encoding="utf-8")
+    claims = judge(study("paper"))
+    for words, form in (
+        ("execution is lower than VDN's", "far below VDN (ratio {}, {} to {})"),
+        ("execution is lower than QMIX's", "no lead over QMIX is shown ({}, {} to {})"),
+        ("as much and learns nothing", "over `local-greedy-parts` ({}, {} to {})"),
+        ("searched for this layout", "tuned to the layout stays below MAPPO ({}, {} to {})"),
+    ):
+        (found,) = (one.estimate for one in claims if words in one.claim)
+        assert found is not None
+        assert form.format(*map(rounded, (found.value, found.low, found.high))) in text
+        assert (found.low < 1 < found.high) == ("shown" in form or "over `" in form)
+    assert f"one candidate, at {mean_of('paper', 'mappo').replace(' (', ' slots (')}" in text
+
+
+def test_it_says_which_setting_the_figures_are_of() -> None:
+    text = README.read_text(encoding="utf-8")
+    paper, tuned = (study(name).settings["variants"] for name in ("paper", "fine-tuning"))
+    own, (set_,) = paper["mappo"], tuned.values()
+    assert f"(`{own['network']}` of 128-128 units; MAPPO with `critic_input: {own['critic_input']}`, and" in text
+    assert f"(`{set_['network']}`; `critic_input: {set_['critic_input']}`)" in text
+    assert {(one["network"], *one["hidden"]) for one in paper.values()} == {("mlp", 128, 128)}
 
 
 def test_what_it_says_of_the_claims_is_what_they_say() -> None:
@@ -102,7 +127,7 @@ def test_what_it_says_of_the_claims_is_what_they_say() -> None:
         next(one.verdict for one in claims if one.claim == "MAPPO converges in fewer training slots than QMIX")
         == "supported"
     )
-    text = README.read_text(encoding="utf-8")
+    text = (ROOT / "results" / "README.md").read_text(encoding="utf-8")
     assert "All hold but one, which says that MAPPO serves more devices: both serve all 25 devices" in text
     assert "One claim on speed is partly supported, four are not supported, and the three" in text
     frequent = [one.verdict for one in claims if "generate more often" in one.claim]
@@ -117,7 +142,3 @@ def test_what_it_says_of_the_claims_is_what_they_say() -> None:
     of_qmix = next(one.estimate for one in claims if "is lower than QMIX's" in one.claim)
     assert of_qmix is not None
     assert f"less AoU (ratio {rounded(of_qmix.value)}, {rounded(of_qmix.low)} to {rounded(of_qmix.high)})" in text
-    for words in ("learns nothing", "searched for this layout"):
-        rule = next(one.estimate for one in claims if words in one.claim)
-        assert rule is not None
-        assert f"(ratio {rounded(rule.value)}, {rounded(rule.low)} to {rounded(rule.high)})" in text

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from uavaou.envs.flatten import flatten as flatten
     from uavaou.envs.vec_env import LocalRows as LocalRows
     from uavaou.errors import InputError as InputError
-    from uavaou.evaluation.evaluate import evaluate as evaluate
     from uavaou.family import Family as Family
+    from uavaou.runs.comparison import evaluate as evaluate
     from uavaou.runs.folder import RunConfig as RunConfig
     from uavaou.runs.policy import load_run as load_run
     from uavaou.runs.train import train as train
@@ -48,7 +48,7 @@ _HOMES = {
     "RunConfig": "uavaou.runs.folder",
     "train": "uavaou.runs.train",
     "load_run": "uavaou.runs.policy",
-    "evaluate": "uavaou.evaluation.evaluate",
+    "evaluate": "uavaou.runs.comparison",
     "read_study": "uavaou.studies.results",
 }
 __all__ = [*_HOMES, "uavaou_v0"]

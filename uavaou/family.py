@@ -7,6 +7,7 @@ stays that of its base. All draws have ``layout: resample``, so that each missio
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -216,6 +217,20 @@ class Family(BaseModel):
         except InputError as error:
             raise type(error)(f"family '{self.name}': draw {n} cannot be flown: {error}") from None
 
+    def ends(self, field: str, of_base: Sequence[float]) -> tuple[float, float]:
+        """Return the least and the largest value that draws have of a quantity.
+
+        Args:
+            field: of the family, which draws it; another name means a quantity that stays that of the base.
+            of_base: the values of the base.
+        """
+        drawn = getattr(self, field, None)
+        if drawn is None:
+            return min(of_base), max(of_base)
+        own = getattr(drawn, "among", None) or (drawn.low, drawn.high)
+        values = [*own, *(of_base if self.base_share or drawn.share < 1 else ())]
+        return min(values), max(values)
+
     def _changes(self, rng: np.random.Generator) -> dict[str, Any]:
         """Draw the fields that differ from the base's; a field more in a file does not shift the others."""
         base = self.base
@@ -274,3 +289,50 @@ def _chosen(weights: tuple[float, ...], unit: float) -> int:
     """The index that a uniform number chooses by the weights."""
     ends = np.cumsum(weights)
     return min(int(np.searchsorted(ends, unit * ends[-1], side="right")), len(weights) - 1)
+
+
+def _range(value: float | tuple[float, ...] | Range) -> tuple[float, ...]:
+    """The values of a quantity of the devices, or the ends of the range that they are drawn from."""
+    if isinstance(value, Range):
+        return value.low, value.high
+    return value if isinstance(value, tuple) else (value,)
+
+
+# Quantity, its unit, the field of a family that draws it (if any does), and its values in a scenario.
+_QUANTITIES: tuple[tuple[str, str, str, Callable[[Scenario], Sequence[float]]], ...] = (
+    ("sides", "m", "area_m", lambda one: (one.area_x_m, one.area_y_m)),
+    ("uavs", "", "uavs", lambda one: (one.uavs,)),
+    ("devices", "", "devices", lambda one: (one.devices,)),
+    ("slots", "", "slots", lambda one: (one.slots,)),
+    ("grid steps", "m", "grid_step_m", lambda one: (one.grid_step_m,)),
+    ("altitudes", "m", "altitudes_m", lambda one: one.altitudes_m),
+    ("longest update periods", "slots", "longest_update_period_slots", lambda one: (one.longest_update_period,)),
+    ("minimum rates", "bit/s", "rate_min_bit_s", lambda one: (one.rate_min_bit_s,)),
+    ("Rician factors", "", "rician_factor", lambda one: (one.rician_factor,)),
+    ("bandwidths", "Hz", "", lambda one: _range(one.bandwidth_hz)),
+    ("transmit powers", "mW", "", lambda one: _range(one.transmit_power_mw)),
+    ("noise powers", "dBm", "", lambda one: (one.noise_power_dbm,)),
+    ("reference gains", "dB", "", lambda one: (10 * math.log10(one.reference_gain),)),
+)
+_ROUNDING = 1e-9  # relative
+
+
+def beyond(families: Sequence[Family], scenario: Scenario) -> list[str]:
+    """Return what of ``scenario`` lies outside of all draws of the ``families``, in words; empty if nothing does.
+
+    Each quantity is compared by itself: a scenario within all bounds may still be an unusual draw.
+    """
+    found = []
+    for quantity, unit, field, values in _QUANTITIES:
+        ends = [family.ends(field, values(family.base)) for family in families]
+        low, high = min(low for low, _ in ends), max(high for _, high in ends)
+        drawn_to = scenario.grid_step_m / 2 if field == "area_m" else _ROUNDING * max(abs(low), abs(high))
+        own = values(scenario)
+        if min(own) < low - drawn_to or max(own) > high + drawn_to:
+            found.append(f"{quantity} {_span(min(own), max(own), unit)} (in training {_span(low, high, unit)})")
+    return found
+
+
+def _span(low: float, high: float, unit: str) -> str:
+    least, most = (f"{float(f'{value:.4g}'):,.10g}" for value in (low, high))
+    return f"{least if least == most else f'{least} to {most}'} {unit}".strip()

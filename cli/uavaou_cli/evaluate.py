@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -27,7 +27,7 @@ from uavaou_cli.options import (
 )
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import EvaluationDisplay
-from uavaou_cli.tables import aligned, figure, interval_figures, say, show, two_line_table, wrapped
+from uavaou_cli.tables import aligned, figure, interval_figures, paragraphs, say, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
     from uavaou.evaluation.evaluate import Evaluation
@@ -52,7 +52,13 @@ def evaluate(
     episodes: Episodes = 100,
     seed: Seed = EVALUATION_SEED,
     action: Annotated[
-        str | None, choice("Action of trained policies. [default: the better one in validation]", "greedy", "sample")
+        str | None,
+        choice(
+            "Action of trained policies. [default: the better one in validation]",
+            "likeliest",
+            "sampled",
+            values=("greedy", "sample"),
+        ),
     ] = None,
     suite: Annotated[str | None, option("Play every point of a suite; see docs/suites.md.")] = None,
     time_limit: Annotated[float | None, seconds("Time limit of planners that plan ahead, in seconds.")] = None,
@@ -121,12 +127,13 @@ def _make_planners(
 
 
 def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> list[str]:
-    """A table of policies: means, each with its 95 % interval below."""
+    """A table of policies: means, each with its 95 % interval below. What one should know first stands above."""
     scenario, episodes, seed = comparison.scenario, comparison.episodes, comparison.seed
     changed = " with " + ", ".join(f"{key}={value}" for key, value in sorted(overrides.items())) if overrides else ""
     seeds = f"seeds {seed} to {seed + episodes - 1}" if episodes > 1 else f"seed {seed}"
     missions = "missions" if episodes > 1 else "mission"
     lines = wrapped(f"{scenario.name}{changed}: {episodes:,} {missions}, {seeds}")
+    lines += paragraphs(comparison.remarks())
     heads = [("action", "knows"), ("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("communi-", "cations")]
     heads += [("devices", f"of {scenario.devices}"), ("viola-", "tions")]
     rows = [(name, _cells(result, comparison.policies[name])) for name, result in comparison.results.items()]
@@ -140,13 +147,15 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
 
 
 def _cells(result: Evaluation, policy: Planner) -> list[tuple[str, str]]:
+    from uavaou.runs.checkpoint_header import ACTIONS
     from uavaou.statistics import interval_over_missions
     from uavaou.world.knowledge import knowledge
 
     aou = result.values("mean_aou_s")  # (N,) s
     columns = aou / result.slot_length_s, aou, result.values("communications"), result.values("devices_served")
     figures = [interval_figures(interval_over_missions(values)) for values in columns]
-    return [(getattr(policy, "action", "-"), knowledge(policy)), *figures, (f"{sum(result.violations.values()):,}", "")]
+    action = ACTIONS.get(getattr(policy, "action", ""), "-")
+    return [(action, knowledge(policy)), *figures, (f"{sum(result.violations.values()):,}", "")]
 
 
 def _evaluate_suite(
@@ -291,7 +300,7 @@ def _reasons(points: Sequence[ResolvedPoint]) -> list[str]:
         if point.problem or point.remark:
             reason = f"infeasible: {point.problem}" if point.problem else point.remark
             labels.setdefault(reason, []).append(point.label)
-    return _paragraphs(f"{', '.join(found)}: {reason}" for reason, found in labels.items())
+    return paragraphs(f"{', '.join(found)}: {reason}" for reason, found in labels.items())
 
 
 def _unplayed(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
@@ -304,7 +313,7 @@ def _unplayed(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
     labels: dict[tuple[str, str], dict[str, None]] = {}
     for policy, point, reason in found:
         labels.setdefault((policy, reason.removeprefix(f"{policy}: ")), {})[point.label] = None
-    return _paragraphs(f"{policy} does not fly {', '.join(at)}: {reason}" for (policy, reason), at in labels.items())
+    return paragraphs(f"{policy} does not fly {', '.join(at)}: {reason}" for (policy, reason), at in labels.items())
 
 
 def _elsewhere(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
@@ -323,13 +332,13 @@ def _elsewhere(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
         parts = ", ".join(f"{k} = {there} (here {here})" for k, (there, here) in changed if k not in set_everywhere)
         if parts:
             texts.append(textwrap.shorten(f"{run.folder} was trained with {parts}", 400))
-    return _paragraphs(texts)
+    return paragraphs(texts)
 
 
 def _missing_lines(missing: Sequence[MissingTraining]) -> list[str]:
     lines: list[str] = []
     for one in missing:
-        lines += _paragraphs([f"no run of {one.policy} fits {', '.join(one.labels)}; this trains one:"])
+        lines += paragraphs([f"no run of {one.policy} fits {', '.join(one.labels)}; this trains one:"])
         lines.append("  " + command_line(one.command))
     return lines
 
@@ -337,7 +346,3 @@ def _missing_lines(missing: Sequence[MissingTraining]) -> list[str]:
 def _unused(plan: SuitePlan) -> list[str]:
     flown = {id(run) for assignment in plan.assignments for run in assignment.runs}
     return [f"not used: {run.folder}" for run in plan.runs if id(run) not in flown]
-
-
-def _paragraphs(texts: Iterable[str]) -> list[str]:
-    return [line for text in texts for line in ("", *wrapped(text))]

@@ -1,7 +1,7 @@
 """The options that several commands share, and the checks of values, paths and devices before anything is computed."""
 
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
 from decimal import Decimal
 from pathlib import Path
@@ -80,13 +80,20 @@ def shipped(kind: str) -> Callable[[str], list[str]]:
     return complete
 
 
-def choice(help: str, *allowed: str) -> Any:
-    """An option for one of the ``allowed`` words; another word gets the nearest one as a hint."""
+def choice(help: str, *allowed: str, values: Collection[str] = ()) -> Any:
+    """An option for one of the ``allowed`` words; another word gets the nearest one as a hint.
+
+    Args:
+        help: for people.
+        allowed: what is shown.
+        values: what the words mean, in their order, if that differs; each may be typed as well.
+    """
+    meaning = dict(zip(allowed, values or allowed, strict=True))
 
     def check(option: typer.CallbackParam, value: Any) -> Any:
-        if value is not None and value not in allowed:
+        if value is not None and value not in {*allowed, *values}:
             raise unknown(option.opts[0], value, allowed)
-        return value
+        return meaning.get(value, value)
 
     def complete(incomplete: str) -> list[str]:
         return [word for word in allowed if word.startswith(incomplete)]

@@ -30,7 +30,7 @@ from uavaou_cli.options import (
 )
 from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import BoundDisplay, EvaluationDisplay, PlanningDisplay
-from uavaou_cli.tables import duration, figure, show, two_line_table, wrapped
+from uavaou_cli.tables import duration, figure, paragraphs, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
     from uavaou.planners.bound import Bound
@@ -237,7 +237,7 @@ def _gap_lines(comparison: Comparison, bound: Bound) -> list[str]:
         "the expected mean AoU of every policy that does not foresee the channel is at least the bound; knows: what "
         "the policy reads in flight (docs/planners.md)"
     )
-    return [head, "", *two_line_table(heads, rows), "", *wrapped(note)]
+    return [head, *paragraphs(comparison.remarks()), "", *two_line_table(heads, rows), "", *wrapped(note)]
 
 
 def _ratio(value: float, base: float) -> str:

@@ -11,7 +11,7 @@ import typer
 
 from uavaou.errors import command_line
 from uavaou.runs.interrupt import exit_code
-from uavaou_cli.tables import duration
+from uavaou_cli.tables import duration, figure
 
 if TYPE_CHECKING:
     from uavaou.evaluation.recorded_mission import RecordedMission
@@ -262,7 +262,7 @@ class BoundDisplay(Display):
     def show(self, bound: Bound, share: float) -> None:
         """Show the bound after ``share`` of the work; for :class:`uavaou.planners.bound.BoundSearch`."""
         if self.due:
-            self.advance(share, f"{bound.mean_aou_s / self._tau_s:,.4g} slots ({bound.method})", "lower bound")
+            self.advance(share, f"{figure(bound.mean_aou_s / self._tau_s)} slots ({bound.method})", "lower bound")
 
 
 class TuningDisplay(Display):

@@ -20,6 +20,7 @@ from uavaou_cli.tables import WIDTH, aligned, duration, interval_figures, show, 
 if TYPE_CHECKING:
     from uavaou.reports.scores import PolicyScores
     from uavaou.studies.jobs import Engine
+    from uavaou.studies.runner import StudyState
     from uavaou.studies.status import PartStatus
     from uavaou.studies.study import Study
 
@@ -65,7 +66,8 @@ def run(
     if outcome.stopped_by is not None:
         kept = f" with {outcome.done} of {outcome.total} parts done"
         raise stopped(ctx.obj["arguments"], outcome.stopped_by, kept)
-    show([*_result_lines(folder), f"next:    {command_line(['uavaou', 'plot', 'figures', str(folder)])}"])
+    following = ["uavaou", "study", "report", study, *([] if out == Path("results") else ["--out", out])]
+    show([*_result_lines(folder), *_nothing_done(outcome, study, out), f"next:    {command_line(following)}"])
     if outcome.failed:
         raise typer.Exit(1)
 
@@ -90,7 +92,15 @@ def report(study: StudyName, out: Results = Path("results")) -> None:
     chosen, folder = _study(study, out)
     writable_folder(folder)
     report_study(chosen, out, lambda remark: print(f"uavaou: {remark}", file=sys.stderr))
-    show(_result_lines(folder))
+    show([*_result_lines(folder), f"next:    {command_line(['uavaou', 'plot', 'figures', folder])}"])
+
+
+def _nothing_done(state: StudyState, study: str, out: Path) -> list[str]:
+    """Say that everything was there before the command, as in a fresh clone, and how it is trained all the same."""
+    if state.before < state.total:
+        return []
+    again = command_line(["uavaou", "study", "run", study, "--out", f"{out}-again"])
+    return [f"nothing was trained: all {state.total} parts have results already. All of them again:", f"  {again}"]
 
 
 def _study(name: str, out: Path) -> tuple[Study, Path]:

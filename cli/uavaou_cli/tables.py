@@ -31,6 +31,11 @@ def wrapped(text: str, indent: str = "") -> list[str]:
     return textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
 
 
+def paragraphs(texts: Iterable[str]) -> list[str]:
+    """Texts in lines of 80 columns, an empty line above each."""
+    return [line for text in texts for line in ("", *wrapped(text))]
+
+
 def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
     """Columns of text: the first ``left`` and the last to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

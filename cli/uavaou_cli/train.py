@@ -12,6 +12,7 @@ import typer
 
 from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import LARGEST_SEED
+from uavaou.threads import use_threads
 from uavaou_cli.options import (
     Quiet,
     Results,
@@ -26,13 +27,17 @@ from uavaou_cli.options import (
 )
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import TrainingDisplay, stopped
-from uavaou_cli.tables import duration, figure, show, wrapped
+from uavaou_cli.tables import duration, figure, say, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.runs.folder import RunConfig, RunFolder
     from uavaou.runs.train import Outcome
 
 _FEWEST_ROUNDS = 3  # missions one after another that make a curve
+_MUCH_MORE = 0.1  # of the budget, that a training may go beyond it without a word
+_PLANNERS = ("best-first", "local-greedy-parts")  # that a policy is shown beside: the best that need no time to plan
+_MOST_WORK = 2e10  # of these planners: slots x UAVs^2 x devices x cells; more takes minutes
+_START = "any-map"
 _ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # for the help, which must not import the registry; tested
 
 
@@ -72,6 +77,10 @@ def train(
         number("Seconds between checkpoints; they never take more than 2.5 % of the time.", 1, 86_400, "SECONDS"),
     ] = 30.0,
     device: Annotated[str, choice("Where the networks run.", "auto", "cpu", "cuda")] = "auto",
+    threads: Annotated[
+        int | None,
+        number("Threads of the learner, which do not change the weights. [default: all cores]", 1, 1024),
+    ] = None,
     backend: Annotated[
         str, choice("How missions are stepped; both give the same rows, batched is faster.", "batched", "supersuit")
     ] = "batched",
@@ -113,9 +122,11 @@ def train(
         )
     writable_folder(folder.path)
     available_device(device)
+    use_threads(threads)
     resume = resume or continue_ is not None
     if resume and not folder.exists() and not quiet:
         print(f"no run in '{folder.path}' yet: starting one", file=sys.stderr)
+    _warn(plan)
     again = ctx.obj["arguments"]
     try:  # importing torch takes seconds: Ctrl-C may come there already
         from uavaou.runs.train import train as run_training
@@ -131,7 +142,8 @@ def train(
         slots = outcome.progress.slots
         kept = f" after {slots:,} slots, which are saved" if slots else ""
         raise stopped(_resuming(again, folder), outcome.stopped_by, kept)
-    show(_lines(outcome, plan, ctx.obj["plugins"]))
+    show(_lines(outcome, plan))
+    show([*_beside_planners(outcome, plan), _next(outcome, ctx.obj["plugins"])])
 
 
 def _refuse_other_names(scenario: str | None) -> None:
@@ -233,29 +245,80 @@ def _resuming(arguments: list[str], folder: RunFolder) -> list[str]:
     return arguments if "--resume" in arguments or not folder.exists() else [*arguments, "--resume"]
 
 
-def _lines(outcome: Outcome, config: RunConfig, plugins: Sequence[str]) -> list[str]:
-    """The result of a training, and the command to type next, with the same ``plugins``."""
+def _warn(config: RunConfig) -> None:
+    """Say before a training that nothing can come of it."""
+    from uavaou.world.coverage import nothing_in_reach
+
+    if config.family is None and nothing_in_reach(config.scenario):
+        say(["uavaou: warning: no device can be collected from anywhere; uavaou audit SCENARIO says why"])
+
+
+def _lines(outcome: Outcome, config: RunConfig) -> list[str]:
+    """The result of a training."""
+    from uavaou.runs.checkpoint_header import ACTIONS
+
     progress, folder = outcome.progress, outcome.folder.path
     trained_on = f"family {config.family.name}" if config.family else config.scenario.name
-    mean = "geometric mean AoU" if config.family else "mean AoU"
     lines = [
         f"trained {config.algorithm.name} on {trained_on}: "
         f"{progress.slots:,} slots, {outcome.agent_steps:,} agent steps, {duration(progress.wall_s)}",
-        f"run folder:      {folder}",
     ]
+    missions = config.algorithm.missions
+    if progress.slots - config.slots > config.slots * _MUCH_MORE:
+        lines += wrapped(
+            f"more than the {config.slots:,} slots asked for: {config.algorithm.name} learns from whole rollouts, here "
+            f"{outcome.update_slots:,} slots of {missions} missions together"
+        )
+    lines.append(f"run folder:      {folder}")
     if progress.best_score is not None:
         in_slots = progress.best_score / config.scenario.slot_length_s
         lines.append(
-            f"best validation: {mean} {figure(in_slots)} slots ({figure(progress.best_score)} s), "
-            f"{progress.best_action} actions"
+            f"best validation: {_mean(config)} {figure(in_slots)} slots ({figure(progress.best_score)} s), "
+            f"{ACTIONS[progress.best_action]} actions"
         )
-    missions = config.algorithm.missions
     together = missions * config.scenario.slots  # training slots until the missions end
     if config.family is None and progress.slots < _FEWEST_ROUNDS * together:
         lines += wrapped(
             f"short training: {missions} missions end together, every {together:,} slots; below "
             f"{_FEWEST_ROUNDS * together:,}, figures 3 to 6 show the validation missions instead"
         )
+    return lines
+
+
+def _mean(config: RunConfig) -> str:
+    return "geometric mean AoU" if config.family else "mean AoU"
+
+
+def _beside_planners(outcome: Outcome, config: RunConfig) -> list[str]:
+    """What planners reach on the validation missions, and what to try where the policy is above them."""
+    from uavaou.runs.validation import planner_score
+
+    own, scenario, algorithm = outcome.progress.best_score, config.scenario, config.algorithm
+    cells = scenario.columns * scenario.rows
+    steps = algorithm.evaluation_missions * scenario.slots * scenario.uavs
+    if own is None or steps * scenario.uavs * scenario.devices * cells > _MOST_WORK:
+        return []
+    scores = {name: planner_score(name, config) for name in _PLANNERS}
+    shown = ", ".join(f"{name} {figure(score / scenario.slot_length_s)}" for name, score in scores.items())
+    lines = wrapped(f"planners:        {shown} slots, on the same {algorithm.evaluation_missions} missions")
+    above = [name for name, score in scores.items() if score < own]
+    return lines + (wrapped(f"above {' and '.join(above)}: {_advice(config)}") if above else [])
+
+
+def _advice(config: RunConfig) -> str:
+    """What may help a training that ends above planners."""
+    from uavaou.algorithms.registry import load_config
+    from uavaou.runs.released import released_names
+
+    algorithm = config.algorithm
+    published = load_config(algorithm.name).slots
+    longer = f"train longer (--slots {published}, as published)" if config.slots < published else "try another --seed"
+    started = config.family or config.start or _START not in released_names()
+    return longer + ("" if started else f", or begin with a policy for any map (--from {_START})")
+
+
+def _next(outcome: Outcome, plugins: Sequence[str]) -> str:
+    """The command to type next, with the same ``plugins``."""
     named = [word for place in plugins for word in ("--plugin", place)]
-    command = ["uavaou", *named, "eval", str(folder), "--policy", "random", "--policy", "greedy"]
-    return [*lines, f"next:            {command_line(command)}"]
+    command = ["uavaou", *named, "eval", str(outcome.folder.path), "--policy", "random", "--policy", "greedy"]
+    return f"next:            {command_line(command)}"

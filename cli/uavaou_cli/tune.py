@@ -203,6 +203,7 @@ def _lines(
     folder: SearchFolder, search: Search, records: Sequence[TrialRecord], scenario: str, plugins: Sequence[str]
 ) -> list[str]:
     """The best trials of a search, what they changed, and the command that trains with the best."""
+    from uavaou.runs.checkpoint_header import ACTIONS
     from uavaou.runs.folder import train_command
     from uavaou.tuning.search import ranked
 
@@ -220,7 +221,12 @@ def _lines(
     rows = [("trial", "mean AoU (slots)", "action", "slots", "CPU (s)")]
     for record in best[:_BEST_TRIALS]:
         assert record.score is not None
-        figures = figure(record.score / tau), str(record.action), f"{record.slots:,}", f"{record.cpu_s:,.1f}"
+        figures = (
+            figure(record.score / tau),
+            ACTIONS.get(record.action or "", "-"),
+            f"{record.slots:,}",
+            f"{record.cpu_s:,.1f}",
+        )
         rows.append((str(record.number), *figures))
     table = aligned(rows)
     lines += ["", table[0]]

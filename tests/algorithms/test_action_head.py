@@ -7,8 +7,6 @@ import torch as th
 
 from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 
 def head(batch: int = 1, seed: int = 0) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
     generator = th.Generator().manual_seed(seed)

@@ -1,15 +1,13 @@
-"""Clipping and Adam in one: the same numbers as by torch, bit for bit; tensors in one piece of shared memory."""
+"""Clipping and Adam in one: the same numbers as by torch, bit for bit."""
 
 from __future__ import annotations
 
 import pytest
 import torch as th
 
-from uavaou.algorithms.fast.update import ClippedAdam, share_parameters, shared_tensors
+from uavaou.algorithms.fast.update import ClippedAdam
 
 SHAPES = [[(24, 37), (24,), (31, 24), (31,)], [(16, 5), (16,), (1, 16), (1,)]]  # two groups, some of odd sizes
-
-pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def parameters_and_adam() -> tuple[list[th.nn.Parameter], th.optim.Adam]:
@@ -32,10 +30,9 @@ def torch_step(optimizer: th.optim.Adam, gradients: list[th.Tensor]) -> None:
 def test_steps_are_torchs_bit_for_bit_whoever_takes_them() -> None:
     expected, torchs = parameters_and_adam()
     parameters, optimizer = parameters_and_adam()
-    share_parameters(parameters)
     generator = th.Generator().manual_seed(1)
     for first in (True, False):  # that begins, and that goes on from torch's step below
-        gradients = shared_tensors(parameters)
+        gradients = [th.zeros_like(parameter) for parameter in parameters]
         for parameter, gradient in zip(parameters, gradients, strict=True):
             parameter.grad = gradient
         adam = ClippedAdam(optimizer, 5.0)
@@ -52,13 +49,6 @@ def test_steps_are_torchs_bit_for_bit_whoever_takes_them() -> None:
         assert {name: value.tolist() for name, value in ours.items()} == {
             name: value.tolist() for name, value in theirs.items()
         }
-
-
-def test_shared_tensors_begin_at_cache_lines() -> None:
-    tensors = shared_tensors([th.zeros(3, 5), th.zeros(()), th.zeros(16)])
-    assert [tensor.shape for tensor in tensors] == [(3, 5), (), (16,)]
-    assert all(tensor.data_ptr() % 64 == 0 for tensor in tensors)
-    assert not any(tensor.any() for tensor in tensors)
 
 
 @pytest.mark.parametrize(

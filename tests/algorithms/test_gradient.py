@@ -21,8 +21,6 @@ from uavaou.algorithms.fast.update import FastUpdate
 from uavaou.algorithms.mappo import CentralizedValuePolicy
 from uavaou.algorithms.mappo.mappo import LossStatistics
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 
 def both_gradients(
     model: MAPPO, indices: NDArray[np.int64], clip_range: float = 0.2, mean: float = 0.0, std: float = 1.0
@@ -268,7 +266,6 @@ class Hidden(importlib.abc.MetaPathFinder):
 sys.meta_path.insert(0, Hidden())
 import torch as th
 from uavaou import IPPO, MAPPO, Scenario, flatten
-th.set_num_threads(1)
 weights = []
 for learner in (MAPPO, IPPO):
     env = flatten(Scenario.load("quickstart").replace(slots=12), missions=4)

@@ -18,8 +18,6 @@ from uavaou.algorithms.qlearning.mixers import MIXERS, MonotonicMixer, NoMixer, 
 from uavaou.algorithms.qlearning.replay import JointReplay
 from uavaou.world.views import Columns, RowLayout
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 LEARNERS = [VDN, QMIX, IQL]
 
 

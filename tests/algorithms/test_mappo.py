@@ -13,8 +13,7 @@ import torch as th
 
 from tests.algorithms.small_mappo import small_model
 from uavaou import IPPO, MAPPO, InputError, Scenario, algorithms, flatten
-
-pytestmark = pytest.mark.usefixtures("one_thread")
+from uavaou.threads import use_threads
 
 
 @pytest.mark.parametrize("collection", ["select", "auto"])
@@ -162,12 +161,13 @@ def test_a_rollout_and_its_update_pass_through_eight_files_at_most(threads: int)
     def look(frame: FrameType, _event: str, _argument: object) -> None:
         names.add(frame.f_code.co_filename)
 
-    th.set_num_threads(threads)
+    use_threads(threads)
     sys.setprofile(look)
     try:
         model.learn(2 * 75 * 8)
     finally:
         sys.setprofile(None)
+        use_threads(None)
     files = {path.relative_to(folder) for path in map(Path, names) if path.is_relative_to(folder)}
     assert Path("mappo/mappo.py") in files
     assert len(files) <= 8, sorted(map(str, files))

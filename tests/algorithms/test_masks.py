@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,9 @@ import numpy as np
 import pytest
 import torch as th
 import yaml
+from stable_baselines3.common.vec_env import VecCheckNan, VecFrameStack, VecNormalize
 
+from uavaou import IPPO, MAPPO, QMIX, VDN, LocalRows
 from uavaou.algorithms.registry import load_config, make_model
 from uavaou.envs.flatten import flatten
 from uavaou.errors import InputError
@@ -111,3 +114,22 @@ def test_published_settings_state_it_and_old_runs_load() -> None:
 def test_masks_are_true_or_false() -> None:
     with pytest.raises(InputError, match="masks = 'no'"):
         load_config("mappo", {"masks": "no"})
+
+
+@pytest.mark.parametrize("learner", [MAPPO, IPPO, VDN, QMIX])
+@pytest.mark.parametrize(
+    ("wrap", "refusal"),
+    [
+        (VecNormalize, "env: VecNormalize(norm_obs=True) changes the masks"),
+        (lambda env: VecCheckNan(VecNormalize(env)), "env: VecNormalize(norm_obs=True) changes the masks"),
+        (LocalRows, "env: its rows have the shape (33,), and [local | global] has (50,)"),
+        (lambda env: VecFrameStack(env, 2), "env: its rows have the shape (100,), and [local | global] has (50,)"),
+    ],
+)
+def test_rows_that_a_wrapper_changes_are_refused(learner: Any, wrap: Any, refusal: str) -> None:
+    policy = next(iter(learner.policy_aliases))
+    with pytest.raises(InputError, match=re.escape(refusal)):
+        learner(policy, wrap(flatten("tiny", missions=2)), device="cpu")
+    model = learner(policy, VecNormalize(flatten("tiny", missions=2), norm_obs=False), device="cpu")
+    with pytest.raises(InputError, match=re.escape(refusal)):
+        model.set_env(wrap(flatten("tiny", missions=2)))

@@ -10,8 +10,6 @@ import torch as th
 from uavaou.algorithms.nets.mlp import Linear, fully_connected, mlp
 from uavaou.algorithms.nets.value_norm import PopArt
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 
 @pytest.mark.parametrize("batch", [(1,), (7,), (300,), (40, 3), ()], ids=str)
 def test_the_linear_layer_is_torchs(batch: tuple[int, ...]) -> None:

@@ -16,9 +16,8 @@ from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 from tests.runs.stopped_runs import assert_ends_as, stopped_at
-from uavaou import AlgorithmConfig, InputError, LocalRows, Scenario, flatten, register_algorithm
+from uavaou import AlgorithmConfig, InputError, LocalRows, Scenario, evaluate, flatten, register_algorithm
 from uavaou.algorithms import registry
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.policy import load_run
 from uavaou.runs.train import train
@@ -256,7 +255,7 @@ def test_drawn_actions_have_the_policys_probabilities(collection: str) -> None:
     local = th.from_numpy(model.env.reset())[:1]
     devices = env.row_layout.devices if collection == "select" else 0
     uniforms = th.rand((20_000, 5 + devices), generator=th.Generator().manual_seed(0))
-    drawn = _act(model, local.expand(20_000, -1), uniforms).reshape(20_000, -1)
+    drawn = _act(model, local.expand(20_000, -1), uniforms, env.row_layout).reshape(20_000, -1)
     parts = model.policy.get_distribution(local).distribution
     for k, part in enumerate(parts if isinstance(parts, list) else [parts]):
         shares = th.bincount(drawn[:, k], minlength=part.probs.shape[1]) / 20_000

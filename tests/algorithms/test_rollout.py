@@ -16,8 +16,6 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 from tests.algorithms.small_mappo import small_model
 from uavaou import IPPO, MAPPO
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 
 def test_advantages_and_returns_are_those_of_sb3s_buffer() -> None:
     model = small_model(n_steps=30)  # across two mission ends

@@ -24,7 +24,7 @@ from uavaou.runs.folder import config_folder, train_command
 from uavaou.world.entities import make_views
 from uavaou.world.views import RowLayout
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
+pytestmark = pytest.mark.slow
 MOST = (4, 14)  # of padded rows
 JOINT: dict[str, Any] = {"learning_starts": 8, "batch_size": 8, "buffer_size": 400, "seed": 0, "device": "cpu"}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,10 +11,12 @@ from typing import Any
 
 import pytest
 
-from tests.cli.commands import TRAIN, call, contents, runs
+from tests.cli.commands import TINY, TRAIN, call, contents, runs
+from uavaou import evaluate
 from uavaou.errors import InputError
+from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.runs.recorder import Recorder
-from uavaou_cli import plan
+from uavaou_cli import plan, train
 from uavaou_cli.tables import WIDTH
 
 # -- evaluation ----------------------------------------------------------------------------------------
@@ -61,6 +64,35 @@ def test_the_table_fits_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(len(line) <= WIDTH for line in out.splitlines())
     assert "violations" not in out
     assert "broke" not in out
+
+
+def test_what_one_should_know_first_stands_above_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    command = "eval --scenario tiny --policy stay --episodes 1 --quiet --set scenario.transmit_power_mw=0.001"
+    code, out, err = call(capsys, command)
+    assert (code, err) == (0, "")
+    title, remark, table, _ = out.split("\n\n")
+    assert title.startswith("tiny with transmit_power_mw=0.001")
+    assert remark == "No device can be collected from anywhere: uavaou audit SCENARIO says why."
+    assert "stay" in table
+    code, out, _ = call(capsys, "gap tiny --episodes 1 --time-limit 0.1 --quiet --set scenario.transmit_power_mw=0.001")
+    assert (code, out.split("\n\n")[1]) == (0, remark)
+
+
+def test_an_action_has_two_names_and_no_planner_either(
+    capsys: pytest.CaptureFixture[str], trained: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(trained)
+    shown = {}
+    for word in ("likeliest", "greedy", "sampled", "sample"):
+        command = f"eval {runs(trained)['run']} --scenario tiny --episodes 2 --quiet --action {word}"
+        code, shown[word], err = call(capsys, command)
+        assert (code, err) == (0, "")
+    assert (shown["greedy"], shown["sample"]) == (shown["likeliest"], shown["sampled"])
+    assert "likeliest" in shown["greedy"]
+    assert "greedy" not in shown["greedy"]
+    assert "sampled" in shown["sample"]
+    code, _, err = call(capsys, f"eval {runs(trained)['run']} --action likelyest")
+    assert (code, "did you mean 'likeliest'?" in err) == (2, True)
 
 
 # -- the whole way -------------------------------------------------------------------------------------
@@ -169,6 +201,50 @@ def rewards(folder: Path) -> list[str]:
     """Mission, slots and reward of each training mission; wall-clock times differ."""
     rows = [line.split(",") for line in (folder / "episodes.csv").read_text().splitlines()]
     return [",".join((row[0], row[1], row[3])) for row in rows]
+
+
+def test_a_training_is_shown_beside_planners_on_its_validation_missions(
+    capsys: pytest.CaptureFixture[str], workplace: Path
+) -> None:
+    code, out, err = call(capsys, f"{TINY.replace('--slots 96', '--slots 10')} --out short")
+    assert (code, err) == (0, "")
+    words = " ".join(out.split())
+    assert "more than the 10 slots asked for: mappo learns from whole rollouts, here 96 slots of 8 missions" in words
+    names = "best-first", "local-greedy-parts"
+    reached = [f"{name} {evaluate(name, 'tiny', 4, VALIDATION_SEED).mean_aou_slots:.2f}" for name in names]
+    assert f"planners: {reached[0]}, {reached[1]} slots, on the same 4 missions" in words
+    assert "above best-first and local-greedy-parts: train longer (--slots 3000000, as published), or begin" in words
+    assert "(--from any-map)" in words
+    assert all(len(line) <= WIDTH for line in out.splitlines() if not line.startswith(("next:", "run folder:")))
+
+
+def test_a_training_that_is_below_planners_gets_no_advice(
+    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavaou.runs.validation.planner_score", lambda name, config: 1e9)
+    _, out, _ = call(capsys, f"{TINY} --out below")
+    assert "planners:" in out
+    assert "above" not in out
+    assert "asked for" not in out
+    monkeypatch.setattr(train, "_MOST_WORK", 1)  # planners that would take minutes are left out
+    _, out, _ = call(capsys, f"{TINY} --out large")
+    assert "planners:" not in out
+
+
+def test_a_validation_says_how_little_a_policy_has_learnt(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+    options = "--slots 1000 --set algorithm.missions=4 --set algorithm.evaluate_every_slots=128"
+    options += " --set algorithm.evaluation_missions=2 --set algorithm.learning_starts=200"
+    code, _, err = call(capsys, f"train tiny --algorithm vdn {options}")
+    shown = [line.split(":")[0] for line in err.splitlines() if "validation missions" in line]
+    assert (code, shown[0]) == (0, "128 slots (the untrained policy)")
+    assert re.fullmatch(r"1,0\d\d slots", shown[-1])
+    assert "likeliest actions" in err
+
+
+def test_a_training_that_can_collect_nothing_says_so_first(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+    code, _, err = call(capsys, f"{TINY} --set scenario.transmit_power_mw=0.001")
+    assert code == 0
+    assert err.startswith("uavaou: warning: no device can be collected from anywhere; uavaou audit")
 
 
 @pytest.mark.slow

@@ -57,7 +57,6 @@ def fresh(trained: Path, place: Path, patch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("one_thread")
 @pytest.mark.parametrize(
     "command",
     [pytest.param(words, marks=() if in_ci else pytest.mark.exhaustive) for words, in_ci in COMMANDS.items()],

@@ -20,6 +20,7 @@ from uavaou import MAPPO, InputError, Scenario, flatten, uavaou_v0
 from uavaou.envs import batched
 from uavaou.envs.batched import BatchedMissions
 from uavaou.envs.rewards import training_reward
+from uavaou.envs.spaces import split_actions
 from uavaou.envs.uavaou_v0 import UavAouEnv
 from uavaou.world import Views, World
 
@@ -53,6 +54,44 @@ def played(scenario: Scenario, missions: int = 4, slots: int = 20, **way: Any) -
             seen.append(np.array([info["mission"]["mean_aou_s"] for info in infos]))
     env.close()
     return seen
+
+
+@pytest.mark.parametrize("rows", ["flat", "entities"])
+@pytest.mark.parametrize("collection", ["select", "auto"])
+@pytest.mark.parametrize("way", [{}, *WAYS], ids=str)
+def test_each_row_has_its_own_action_masks(way: dict[str, Any], collection: str, rows: str) -> None:
+    env, world = flatten(small(), missions=4, seed=7, collection=collection, rows=rows, **way), World(small(), 4, 7)
+    rng = np.random.default_rng(0)
+
+    def check() -> None:
+        masks = world.allowed_moves.reshape(env.num_envs, 5)
+        if collection == "select":
+            select = world.in_range.reshape(env.num_envs, -1)
+            devices = np.stack([np.ones_like(select), select], axis=2).reshape(env.num_envs, -1)
+            masks = np.concatenate([masks, devices], axis=1)
+        np.testing.assert_array_equal(np.stack(env.env_method("action_masks")), masks)
+        np.testing.assert_array_equal(env.env_method("action_masks", indices=[3, 1]), masks[[3, 1]])
+        np.testing.assert_array_equal(env.action_masks(), masks)
+
+    env.reset()
+    check()
+    for _ in range(5):
+        actions = random_actions(rng, env.num_envs, env)
+        env.step(actions)
+        world.step(*split_actions(actions, 4, 2, collection == "select"))
+        check()
+    state = env.missions_state()
+    env.step(actions)
+    env.load_missions_state(state)
+    check()
+    env.close()
+
+
+def test_an_observation_without_masks_has_none() -> None:
+    env = flatten("tiny", missions=2, observation="location")
+    env.reset()
+    with pytest.raises(InputError, match="observation = 'location': has no masks"):
+        env.env_method("action_masks")
 
 
 @pytest.mark.parametrize("way", WAYS, ids=str)

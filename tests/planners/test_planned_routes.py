@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from tests.planners.test_bound import most_prices
+from uavaou import evaluate
 from uavaou.errors import InputError
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal, best_first_routes
 from uavaou.planners.bound import LagrangianRelaxation, lower_bound

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.strategies import scenarios
-from uavaou.evaluation.evaluate import evaluate
+from uavaou import evaluate
 from uavaou.planners.local_greedy import estimated_age
 from uavaou.planners.plan import PlanningStatus
 from uavaou.planners.rule import make_chart, score

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,6 +110,32 @@ def test_a_uav_that_need_not_fly_is_an_error() -> None:
     result = audit(BASE.replace(devices=1, devices_m=[[1, 0]], transmit_power_mw=0.3))
     assert finding(result, "rate").level == "error"
     assert "not flying at all" in finding(result, "rate").message
+
+
+LORA = {"bandwidth_hz": 125e3, "transmit_power_mw": 25, "carrier_frequency_hz": 868e6, "noise_power_dbm": -137}
+FAR = {"grid_step_m": 1000, "area_x_m": 20_000, "area_y_m": 20_000, "cds_m": [[0, 0], [20_000, 0], [0, 20_000]]}
+
+
+@pytest.mark.parametrize("changes", [{}, FAR, FAR | {"rician_factor": 0}])
+def test_a_radio_that_reaches_everything_from_everywhere_is_an_error(changes: dict[str, Any]) -> None:
+    scenario = Scenario.load("paper").replace(**LORA, rate_min_bit_s=300, **changes)
+    result = audit(scenario)
+    assert result.budget.radius.min() > 500_000  # m, in free space
+    assert finding(result, "rate").level == "error"
+    assert "from every cell to every device" in finding(result, "rate").message
+
+
+def test_a_radio_that_fades_alone_limit_is_a_warning() -> None:
+    result = audit(BASE.replace(transmit_power_mw=[2.0] * 3, fading="rician", rician_factor=0))
+    found = finding(result, "rate")
+    assert (found.level, found.number) == ("warning", 9)  # of the cells
+    assert result.budget.lowest.min() < 0.9
+    assert "fades alone decide" in found.message
+
+
+def test_no_device_in_reach_is_an_error() -> None:
+    result = audit(BASE.replace(transmit_power_mw=[0.05] * 3))
+    assert finding(result, "never served").level == "error"
 
 
 def test_time_that_does_not_fit_together() -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.text import Text
 
 from uavaou.envs.map import FRAME_SHAPE, draw_ground, render_frame
 from uavaou.evaluation.recorded_mission import RecordedMission, Recording
@@ -48,6 +51,18 @@ def test_missions_side_by_side_name_the_layout_and_the_mission() -> None:
     with style.house_style():
         figures = mission_figures([mission, mission], {})
     assert {figure.get_suptitle() for figure in figures.values()} == {"quickstart, layout seed 3: mission 10000"}
+
+
+def test_a_wide_mean_has_no_exponent() -> None:
+    scenario = Scenario.load("quickstart")
+    recording = patrol(scenario)[1]
+    late = replace(recording, age_sum=recording.age_sum + 17_188.0 * scenario.slot_length_s)
+    with style.house_style():
+        figures = mission_figures([RecordedMission(scenario, "greedy", None, 10000, late)] * 2, {})
+        shown = [text.get_text() for figure in figures.values() for text in figure.findobj(Text)]
+    titles = [text for text in shown if "AoU" in text and re.search(r"\d slots", text)]
+    assert titles
+    assert all(re.search(r"AoU 13\d,\d{3} slots", text) for text in titles), titles
 
 
 def test_each_cds_has_the_numbers_of_its_uavs() -> None:

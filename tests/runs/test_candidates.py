@@ -26,8 +26,6 @@ from uavaou.runs.recorder import Recorder
 from uavaou.runs.start import Start, continued, forked
 from uavaou.runs.train import train
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 
 class Scored:
     """Lets each candidate end with a score of one's own, in turn; the last score stands for all later ones."""

@@ -9,9 +9,11 @@ import pytest
 
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
-from uavaou.planners import make_planner
-from uavaou.runs.comparison import common_scenario, compare, read_runs
-from uavaou.runs.folder import RunConfig
+from uavaou.family import Family
+from uavaou.planners import PLANNERS, make_planner
+from uavaou.runs.comparison import common_scenario, compare, read_runs, trained_on
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.world import World
 
@@ -68,3 +70,44 @@ def test_a_run_that_was_trained_on_another_scenario_keeps_no_evaluation_of_this_
     notes = compare(planners, Scenario.load("tiny"), 2, 5, Told()).keep(read_runs(folders))
     assert [(Path(folder) / "eval" / "default.json").exists() for folder in folders] == [True, False]
     assert [note.split()[0] for note in notes] == ["wrote", "left"]
+
+
+# -- what one should know first ---------------------------------------------------------------------------
+
+
+def remarks(scenario: Scenario, *names: str, policy: str = "stay") -> str:
+    """The remarks on policies of these names, each of which acts as the planner ``policy`` or as that of its name."""
+    planners = {name: make_planner(name if name in PLANNERS else policy) for name in names}
+    return " ".join(compare(planners, scenario, 1, 5, Told()).remarks())
+
+
+def test_a_policy_that_flies_beyond_its_draws_is_told_with_the_fresher_one() -> None:
+    big = Scenario.load("paper").replace(area_x_m=9000, area_y_m=9000, slots=150, flight_time_budget_s=1000)
+    told = remarks(big, "any-map", "best-first")
+    assert "'any-map' flies beyond what it was trained on: paper has sides 9,000 m (in training 500 to 3,000 m)" in told
+    assert "fresher here: --policy best-first." in told
+    assert "compare it with --policy local-greedy-parts" in remarks(big, "any-map")
+    assert remarks(Scenario.load("paper"), "any-map", "best-first") == ""
+
+
+def test_a_released_policy_was_trained_on_the_families_of_all_its_stages(tmp_path: Path) -> None:
+    families = {name: [one.name for one in trained_on(RunFolder.at(name))] for name in released_names()}
+    assert families == {"any-map": ["any", "many"], "any-map-local": ["any"]}
+    for name, met in families.items():
+        card = (RunFolder.at(name).path / "README.md").read_text()
+        assert all(f"`{family}`" in card for family in met)
+    assert trained_on(RunFolder(Path(write_run(tmp_path / "one", "tiny")))) == []
+    config = RunConfig(Scenario.load("paper"), load_config("mappo"), family=Family.load("layouts"))
+    (tmp_path / "one" / "config.yaml").write_text(config.to_yaml())
+    assert trained_on(RunFolder(tmp_path / "one")) == [Family.load("layouts")]
+
+
+def test_figures_that_say_nothing_are_told() -> None:
+    tiny = Scenario.load("tiny")
+    assert remarks(tiny, "greedy") == ""
+    assert remarks(tiny.replace(transmit_power_mw=1e-3), "greedy", "stay").startswith(
+        "No device can be collected from anywhere: uavaou audit"
+    )
+    far = tiny.replace(devices=1, devices_m=[[200, 200]])
+    assert remarks(far, "stay", "greedy").startswith("No device was served by stay: uavaou audit")
+    assert "near 0" in remarks(tiny.replace(transmit_power_mw=100), "greedy", "stay")

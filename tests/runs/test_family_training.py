@@ -11,16 +11,15 @@ import pytest
 
 from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from tests.scenario_files import refusal
-from uavaou import Family, Scenario, flatten, load_run
+from uavaou import Family, Scenario, evaluate, flatten, load_run
 from uavaou.algorithms.registry import load_config
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.evaluation.seeds import VALIDATION_DRAWS, VALIDATION_SEED
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
 from uavaou.runs.start import Start, continued
 from uavaou.runs.train import train
 from uavaou.runs.validation import family_score
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
+pytestmark = pytest.mark.slow
 
 SMALL = {
     "slots": 192, "missions": 4, "worlds": 2, "rollout_slots": 12, "batch_rows": 48, "evaluate_every_slots": 96,

@@ -20,7 +20,7 @@ from uavaou.family import Family
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.start import Start, continued
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
+pytestmark = pytest.mark.slow
 
 FAMILY = Family.from_dict({"name": "sizes", "base": "tiny", "uavs": {"low": 1, "high": 3}})
 TOKENS = {"network": "set", "worlds": 2}

@@ -15,8 +15,6 @@ from uavaou.runs.folder import RunFolder, config_folder
 from uavaou.runs.start import forked
 from uavaou.studies.study import Study
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 
 def validations(folder: RunFolder) -> list[tuple[str, str]]:
     """Slots and score of each evaluation."""

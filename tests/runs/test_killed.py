@@ -6,7 +6,6 @@ import json
 import os
 import random
 import signal
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -17,12 +16,12 @@ from safetensors.numpy import load_file
 
 from tests.command_line import forked, start_command
 from tests.runs.stopped_runs import assert_ends_as
-from uavaou import Scenario
+from uavaou import Scenario, evaluate
 from uavaou.algorithms.registry import load_config
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.policy import load_run
 from uavaou.runs.train import train
+from uavaou.threads import use_threads
 
 KILLS = 8  # at random; tests/runs/test_faults.py kills at every write
 ON_POLICY = {"rollout_slots": 25, "batch_rows": 100}
@@ -38,16 +37,14 @@ def configuration(algorithm: str, slots: int = 1500, **changes: Any) -> RunConfi
     return RunConfig(Scenario.load("quickstart").replace(slots=40), settings, seed=0)
 
 
-def play(config: RunConfig, path: Path) -> None:
+def play(config: RunConfig, path: Path, threads: int | None = None) -> None:
     """Train, or go on, with a checkpoint after every update: as many moments as possible to be killed in one."""
-    import torch as th
-
-    th.set_num_threads(1)
+    use_threads(threads)
     train(config, RunFolder(path), resume=True, checkpoint_every_s=0)
 
 
-def start(config: RunConfig, path: Path) -> Any:
-    process = forked.Process(target=play, args=(config, path))
+def start(config: RunConfig, path: Path, threads: int | None = None) -> Any:
+    process = forked.Process(target=play, args=(config, path, threads))
     process.start()
     return process
 
@@ -126,39 +123,21 @@ def ended(process: Any) -> int | None:
     return code
 
 
-def play_with_two_threads(config: RunConfig, path: Path) -> None:
-    import torch as th
-
-    th.set_num_threads(2)
-    train(config, RunFolder(path), resume=True, checkpoint_every_s=0)
-
-
 @pytest.mark.slow
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs forked processes")
-def test_a_killed_training_leaves_no_process_behind_and_resumes_with_as_many(tmp_path: Path) -> None:
-    config = configuration("mappo", slots=40_000, rollout_slots=150, batch_rows=600, evaluate_every_slots=40_000)
-
-    def started(path: Path) -> Any:
-        process = forked.Process(target=play_with_two_threads, args=(config, path))
-        process.start()
-        return process
-
-    whole = started(tmp_path / "whole")
-    assert ended(whole) == 0
-    broken = started(tmp_path / "broken")
-    run = RunFolder(tmp_path / "broken")
+@pytest.mark.parametrize("algorithm", ["mappo", "qmix"])
+def test_a_training_killed_with_two_threads_goes_on_with_one_as_if_nothing_had_happened(
+    algorithm: str, tmp_path: Path
+) -> None:
+    config = configuration(algorithm)
+    assert ended(start(config, tmp_path / "whole", threads=4)) == 0
+    broken, run = start(config, tmp_path / "broken", threads=2), RunFolder(tmp_path / "broken")
     deadline = time.monotonic() + 120
-    children: list[str] = []  # the first checkpoint is written before the gradient worker starts
-    while not (run.last.is_file() and children) and time.monotonic() < deadline:
-        time.sleep(0.01)
-        children = Path(f"/proc/{broken.pid}/task/{broken.pid}/children").read_text().split()
+    while not run.previous.is_file() and time.monotonic() < deadline:
+        time.sleep(0.005)
     broken.kill()
     assert ended(broken) == -signal.SIGKILL
-    assert len(children) == 1
-    while Path(f"/proc/{children[0]}").exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not Path(f"/proc/{children[0]}").exists()
-    assert ended(started(tmp_path / "broken")) == 0
+    assert not run.finished
+    assert ended(start(config, tmp_path / "broken", threads=1)) == 0
     assert_the_same(RunFolder(tmp_path / "whole"), run)
 
 

@@ -15,18 +15,15 @@ import torch as th
 from safetensors.torch import load_file
 
 from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
-from uavaou import InputError, Scenario
+from uavaou import InputError, Scenario, evaluate
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import command_line
 from uavaou.evaluation.checker import CONSTRAINTS
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.planners import make_planner
 from uavaou.runs.folder import RunConfig, RunFolder, flight_folder, run_folder
 from uavaou.runs.policy import load_run
 from uavaou.runs.train import train
-
-pytestmark = pytest.mark.usefixtures("one_thread")
 
 SMALL = {
     "slots": 600, "missions": 4, "rollout_slots": 25, "batch_rows": 100, "evaluate_every_slots": 200,

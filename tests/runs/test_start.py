@@ -19,7 +19,7 @@ from uavaou.runs.folder import RunConfig, RunFolder, config_folder, read_config
 from uavaou.runs.start import Start, continued
 from uavaou.runs.train import train
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
+pytestmark = pytest.mark.slow
 
 SMALL = {"slots": 192, "missions": 4, "evaluate_every_slots": 96, "evaluation_missions": 2, "hidden": [8]}
 ON_POLICY = {"rollout_slots": 12, "batch_rows": 48}

@@ -75,6 +75,21 @@ def test_seeds_that_can_change_no_verdict_are_left_out(copied: tuple[Study, Path
     assert "Not finished" not in page
 
 
+def test_a_finished_study_says_that_nothing_was_trained_and_how_to_train_again(
+    copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, out = copied
+    file = out.parent / "mine.yaml"
+    assert main(["study", "run", str(file), "--out", str(out), "--quiet"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    again = f"uavaou study run {file} --out {out}-again"
+    assert f"nothing was trained: all 7 parts have results already. All of them again: {again} next:" in said
+    assert said.endswith(f"next: uavaou study report {file} --out {out}")
+    (out / "studies" / "mine" / "bounds.csv").unlink()  # now one part is done
+    assert main(["study", "run", str(file), "--out", str(out), "--quiet"]) == 0
+    assert "nothing was trained" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

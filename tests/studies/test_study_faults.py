@@ -56,7 +56,6 @@ def timeless(out: Path) -> dict[str, object]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("one_thread")
 def test_wherever_it_is_stopped_a_study_ends_with_the_same_tables(
     tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

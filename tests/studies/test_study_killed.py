@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import pickle
 import shlex
 import signal
 import subprocess
@@ -142,7 +143,7 @@ def test_a_job_finishes_silently_when_the_study_process_is_gone(
         job = Training(run.key, run.config, tmp_path / "run", 2, None)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(job, theirs, []))
+    process = context.Process(target=_work, args=(job.key, pickle.dumps(job), theirs, []))
     process.start()
     ours.close()  # before it can have said anything
     theirs.close()
@@ -156,10 +157,10 @@ def test_a_job_finishes_silently_when_the_study_process_is_gone(
 
 
 @pytest.mark.slow
-def test_jobs_have_one_thread_whenever_torch_is_loaded() -> None:
+def test_jobs_have_one_thread() -> None:
     code = (
-        "from uavaou.studies.processes import prepare; prepare([]); import torch; print(torch.get_num_threads());"
-        "torch.set_num_threads(2); prepare([]); print(torch.get_num_threads())"
+        "from uavaou.studies.processes import prepare; prepare([]); from uavaou import flatten, threads; import torch;"
+        "torch.set_num_threads(2); flatten('tiny'); print(threads.threads(), torch.get_num_threads())"
     )
     surroundings = os.environ | {"OMP_NUM_THREADS": "2", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     run = subprocess.run([sys.executable, "-c", code], env=surroundings, capture_output=True, text=True, check=True)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch as th
 
 from tests.tuning.small_search import SMALL, SPACE, a_search
 from uavaou import InputError, Scenario
@@ -58,8 +57,6 @@ def test_a_rollout_longer_than_the_budget_is_no_trial() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["mappo", "vdn"])
 def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
-    before = th.get_num_threads()
-    th.set_num_threads(1)
     own = {"mappo": SMALL, "vdn": {"missions": 4, "slots_per_update": 8, "learning_starts": 200, "replay_slots": 2000}}
     config = load_config(algorithm, own[algorithm] | {"hidden": [16], "evaluation_missions": 2, "gamma": 0.9})
     space = SearchSpace.from_dict({"gamma": SPACE["gamma"]}, "space")
@@ -71,7 +68,6 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
     seen: list[TrainingStatus] = []
     played = search.settings({"gamma": 0.9}, slots)
     train(RunConfig(search.scenario, played, 0), RunFolder(tmp_path), after_update=seen.append)
-    th.set_num_threads(before)
     assert seen[-1].slots == slots  # to the slot: schedules end with the budget
     assert 0.5 < seen[-1].cpu_s < 2.0
     assert sum(status.evaluated for status in seen) == 10

@@ -24,6 +24,7 @@ from uavaou.envs.vec_env import Block, MissionVecEnv, WorkerProcesses
 from uavaou.errors import InputError, unknown
 from uavaou.family import Family
 from uavaou.scenario import Scenario
+from uavaou.threads import compute_with_one_thread
 from uavaou.world.entities import make_views
 
 BACKENDS = ("batched", "supersuit")
@@ -47,6 +48,7 @@ def flatten(
     Rows are mission-major, then UAV. Mission j is seeded with ``seed + j`` for any number of processes and backend.
     With a family, World g of G plays draws ``seed + g``, ``seed + g + G``, ..., N / G missions of each; U is the most
     UAVs of a draw, and those that a draw lacks are rows of padding (:attr:`RowLayout.present_column`).
+    From then on torch computes with one thread (:mod:`uavaou.threads`).
 
     Args:
         scenario: a preset's name, a YAML path, a :class:`~uavaou.Scenario`, or a :class:`~uavaou.Family`.
@@ -65,6 +67,7 @@ def flatten(
         InputError: an argument has none of these values, or does not divide another that it must divide; or flat rows
             are asked for a family whose draws differ in size.
     """
+    compute_with_one_thread()
     family = scenario if isinstance(scenario, Family) else None
     base = family.base if family else Scenario.load(scenario)  # type: ignore[arg-type]
     check_render_mode(render_mode)

@@ -177,7 +177,7 @@ def render_frame(
     ages = np.asarray(snapshot["age_sum"]) / scenario.slot_length_s  # (I,) slots
     draw_devices(axes, layout, ages, age_scale(scenario, layout))
     _draw_uavs(axes, scenario, positions)
-    axes.set_title(f"slot {snapshot['slot']} of {scenario.slots}     AoU {ages.sum():,.4g} slots", fontsize=11)
+    axes.set_title(f"slot {snapshot['slot']} of {scenario.slots}     AoU {ages.sum():,.0f} slots", fontsize=11)
     return _pixels(figure)[..., :3].copy()
 
 

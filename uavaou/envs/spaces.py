@@ -6,7 +6,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from uavaou.world.views import MOVES, RowLayout
+from uavaou.world.views import MOVES, RowLayout, Rows
 
 
 def vector_space(size: int) -> spaces.Box:
@@ -22,6 +22,27 @@ def row_space(layout: RowLayout) -> spaces.Box:
 def action_space(layout: RowLayout) -> spaces.MultiDiscrete | spaces.Discrete:
     """``MultiDiscrete([5] + [2] * I)`` for ``select``, the move first; ``Discrete(5)`` for ``auto``."""
     return spaces.MultiDiscrete([MOVES] + [2] * layout.devices) if layout.selects else spaces.Discrete(MOVES)
+
+
+def action_masks(rows: Rows, layout: RowLayout) -> NDArray[np.bool_] | None:
+    """Which values of each part of an action are allowed: the five moves, then leave and select for each device.
+
+    Args:
+        rows: of observations, (B, local) or (B, local + global).
+        layout: names their columns.
+
+    Returns:
+        (B, 5 + 2 I), in ``auto`` collection (B, 5); None where the observation lacks the masks.
+    """
+    allowed, in_range = layout.local_columns("allowed_moves"), layout.in_range_columns
+    if allowed is None or in_range is None:
+        return None
+    masks: NDArray[np.bool_] = rows[:, allowed] > 0
+    if layout.selects:
+        select = rows[:, in_range] > 0  # (B, I)
+        devices = np.stack([np.ones_like(select), select], axis=2)  # (B, I, 2)
+        masks = np.concatenate([masks, devices.reshape(len(rows), -1)], axis=1)
+    return masks
 
 
 def split_actions(

@@ -27,7 +27,8 @@ from supersuit.vector.sb3_vector_wrapper import SB3VecEnvWrapper
 
 from uavaou.envs.batched import BatchedDraws
 from uavaou.envs.missions_state import State, check, joined, numbered, split, split_numbered
-from uavaou.envs.spaces import action_space, row_space, vector_space
+from uavaou.envs.spaces import action_masks, action_space, row_space, vector_space
+from uavaou.errors import InputError
 from uavaou.world.views import Rows, RowViews
 
 
@@ -125,12 +126,27 @@ class MissionVecEnv(SB3VecEnvWrapper):
             rows: Rows = super().reset()
         else:
             rows, self.reset_infos = self.venv.reset(seed=seed)
+        self._last_rows = rows
         return rows
 
     def step_wait(self) -> tuple[Rows, Rows, NDArray[np.bool_], list[dict[str, Any]]]:
         """Play one slot of every mission."""
         rows, rewards, dones, infos = super().step_wait()
+        self._last_rows = rows
         return rows, rewards, dones.astype(bool, copy=False), infos
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Which values of each part of the next action are allowed; see :func:`uavaou.envs.spaces.action_masks`.
+
+        sb3-contrib's ``MaskablePPO`` asks for them.
+
+        Raises:
+            InputError: the observation lacks them.
+        """
+        masks = action_masks(self._last_rows, self.row_layout)
+        if masks is None:
+            raise InputError(f"observation = '{self.views.observation}': has no masks: choose local or shared")
+        return masks
 
     def missions_state(self) -> State:
         """The state of all missions, for :meth:`load_missions_state`; of a family also the numbers of the draws."""
@@ -153,7 +169,9 @@ class MissionVecEnv(SB3VecEnvWrapper):
             for number, part in enumerate(states):
                 self._draws.start_draw(part["draw"])
                 check(part, _state(self._draws), self._draws.scenario, f"missions of World {number}")
-        return self._workers.load_states(states) if self._workers else _load_states(self._environments(), states)
+        rows = self._workers.load_states(states) if self._workers else _load_states(self._environments(), states)
+        self._last_rows = rows
+        return rows
 
     @property
     def _workers(self) -> WorkerProcesses | None:
@@ -197,7 +215,13 @@ class MissionVecEnv(SB3VecEnvWrapper):
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of each environment behind some rows, once; its result stands for all its rows."""
+        """Call a method of each environment behind some rows, once; its result stands for all its rows.
+
+        Each row has its own :meth:`action_masks`.
+        """
+        if method_name == "action_masks":
+            masks = self.action_masks()
+            return [masks[row] for row in self._get_indices(indices)]
         targets = self._targets(indices)
         distinct = {id(target): target for target in targets}
         results = {key: getattr(env, method_name)(*method_args, **method_kwargs) for key, env in distinct.items()}

@@ -1,16 +1,16 @@
-"""Evaluation: every policy plays the same missions, and an independent checker counts constraint violations."""
+"""Evaluation: every policy plays the same missions, and an independent checker counts constraint violations.
+
+Policies are objects here; :func:`uavaou.runs.comparison.evaluate` takes names, too.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.evaluation.checker import ViolationCounter, total
-from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou.planners import make_planner
 from uavaou.planners.base import Planner
 from uavaou.scenario import Scenario
 from uavaou.world import MissionMetrics, World
@@ -42,31 +42,14 @@ class Evaluation:
         return self.mean_aou_s / self.slot_length_s
 
 
-def evaluate(
-    policy: Planner | str,
-    scenario: Scenario | str | Path,
-    episodes: int = 100,
-    seed: int = EVALUATION_SEED,
-    after_slot: Callable[[int, World], None] | None = None,
+def play(
+    policy: Planner, scenario: Scenario, episodes: int, seed: int, after_slot: Callable[[int, World], None] | None
 ) -> Evaluation:
-    """Play ``episodes`` missions; mission j is seeded with ``seed + j``, and its result depends on no other mission.
-
-    Args:
-        policy: a planner or a trained policy (:func:`uavaou.load_run`), or a planner's name.
-        scenario: what is played, or the name of a preset or the path of a YAML file.
-        episodes: number of missions.
-        seed: of mission 0.
-        after_slot: called with the slots done of all missions together, and the World, after each slot.
+    """Play ``episodes`` missions with a policy, as :func:`uavaou.runs.comparison.evaluate` says.
 
     Raises:
-        InputError: no planner or scenario has the name, or the planner refuses the scenario.
-
-    >>> from uavaou import evaluate
-    >>> evaluate("greedy", "quickstart", episodes=2).violations["association"]
-    0
+        InputError: the policy refuses the scenario.
     """
-    scenario = Scenario.load(scenario)
-    policy = make_planner(policy) if isinstance(policy, str) else policy
     batches, ages, violations = [], [], []
     for first in range(0, episodes, MISSIONS_TOGETHER):
         missions = min(MISSIONS_TOGETHER, episodes - first)

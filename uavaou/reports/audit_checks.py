@@ -19,7 +19,7 @@ from uavaou.world.flight import Flight
 Level = Literal["error", "warning", "note"]
 
 THERMAL_NOISE_W_HZ = 1.380649e-23 * 290  # k_B T at the customary 290 K
-_CERTAIN = 1 - 1e-6  # a probability that leaves nothing to learn
+_CERTAIN = 0.99  # a probability in each slot that leaves nothing to learn: one update in a hundred waits a slot
 _AMPLE = 100.0  # R / R_min at the far corner from which on R_min is no constraint
 _WIDE_HZ = 1e8  # the widest carrier of 5G below 7 GHz
 _LOW_CARRIER_HZ = 3e8
@@ -66,15 +66,21 @@ def _check_rate(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     if lowest > _CERTAIN:
         message = (
             f"{r_min} is met with probability {_probability(lowest)} or more from every cell to every device: it never "
-            "binds, collecting everything from the CDS keeps every age at 0, and there is nothing to learn."
+            "binds, collecting everything from the CDS keeps every age near 0, and there is nothing to learn."
         )
         yield Finding("error", "rate", lowest, message, change)
     elif at_cds > _CERTAIN:
         message = (
             f"every device meets {r_min} with probability {_probability(at_cds)} or more from some UAV's CDS: "
-            "not flying at all keeps every age at 0, and there is nothing to learn."
+            "not flying at all keeps every age near 0, and there is nothing to learn."
         )
         yield Finding("error", "rate", at_cds, message, f"{change}, or enlarge the area")
+    elif (everywhere := int(budget.cells.min())) == scenario.columns * scenario.rows:
+        message = (
+            f"from every cell some UAV has every device in range without fading: {r_min} never binds, fades alone "
+            "decide what is collected, and flying changes little."
+        )
+        yield Finding("warning", "rate", everywhere, message, change)
     else:
         share = float(budget.mean.mean())
         message = f"R_min binds: from a cell taken at random, a UAV has a device in range with probability {share:.3f}."
@@ -225,7 +231,8 @@ def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
             "range without fading, and with it R_min is met with probability "
             f"{best[hopeless].max():.2g} a slot at best."
         )
-        yield Finding("warning", "never served", int(hopeless.sum()), message, change)
+        level: Level = "error" if hopeless.all() else "warning"
+        yield Finding(level, "never served", int(hopeless.sum()), message, change)
     if lucky.any():
         message = (
             f"{_listed('device', np.flatnonzero(lucky))}: from every cell out of every UAV's range without fading; a "

@@ -18,6 +18,7 @@ from uavaou.arrays import Floats, Ints
 from uavaou.envs import map as maps
 from uavaou.evaluation.recorded_mission import RecordedMission, Recording
 from uavaou.reports import style
+from uavaou.reports.markdown import rounded
 from uavaou.scenario import Scenario
 
 _DEVICE_AREA = (12.0, 75.0)  # square points, of the least and the most collected device
@@ -164,7 +165,7 @@ def _ages(scenario: Scenario, recording: Recording) -> Figure:
     upper.plot(slots, total, color=maps.BLACK, linewidth=0.8)
     upper.axhline(float(total.mean()), color=style.GREY, linewidth=0.8, linestyle=(0, (4, 1.5)))
     style.log_scale_if_wide(upper, total)
-    note = f"mean {total.mean():,.4g} slots"
+    note = f"mean {rounded(float(total.mean()), 4)} slots"
     upper.annotate(note, (1, 1), (0, 1), "axes fraction", "offset points", ha="right", va="bottom", fontsize=7)
     upper.set_ylabel("AoU (slots)")
     upper.set_xlim(0.5, len(slots) + 0.5)
@@ -241,7 +242,7 @@ def _flown(mission: RecordedMission) -> str:
 
 def _title(mission: RecordedMission, labels: Mapping[str, str], between: str) -> str:
     seed = "" if mission.training_seed is None else f", seed {mission.training_seed}"
-    return f"{labels[mission.policy]}{seed}{between}AoU {mission.mean_aou_slots:,.4g} slots"
+    return f"{labels[mission.policy]}{seed}{between}AoU {rounded(mission.mean_aou_slots, 4)} slots"
 
 
 def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Figure:

@@ -9,6 +9,7 @@ from scipy.special import stdtrit
 
 from uavaou.arrays import Floats
 from uavaou.planners import PLANNERS, planner_knowledge
+from uavaou.reports.markdown import rounded
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.released import released_names
 from uavaou.statistics import Interval, interquartile_mean, interval_over_missions, interval_over_trainings
@@ -131,8 +132,8 @@ def below_bound(study: StudyResults) -> list[str]:
             below = [float(missions.mean()) for missions in trainings if _at_most(missions) < bound * (1 - _ROUNDED)]
             if below:
                 lines.append(
-                    f"'{name}' on '{scenario}' has a mean AoU of {min(below):.4g} slots, which is below the "
-                    f"certified bound of {bound:.4g}: the bound or the simulation is wrong"
+                    f"'{name}' on '{scenario}' has a mean AoU of {rounded(min(below), 4)} slots, which is below the "
+                    f"certified bound of {rounded(bound, 4)}: the bound or the simulation is wrong"
                 )
     return lines
 

@@ -17,6 +17,9 @@ ROWS_AN_EVALUATION = 50  # of progress.csv at most; learners that update every f
 
 Count = Annotated[Whole, Field(ge=0, le=10**15)]
 
+# What people read: `greedy` is the name of a planner too.
+ACTIONS = {"greedy": "likeliest", "sample": "sampled"}
+
 
 class TrainingProgress(BaseModel):
     """Where a training stands."""

@@ -1,6 +1,6 @@
-"""A comparison: trained runs and planners play the same missions of one scenario."""
+"""From names to policies, and a comparison: trained runs and planners play the same missions of one scenario."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
@@ -8,7 +8,9 @@ from typing import Protocol
 from urllib.parse import unquote
 
 from uavaou.errors import InputError, unknown
-from uavaou.evaluation.evaluate import Evaluation, evaluate
+from uavaou.evaluation.evaluate import Evaluation, play
+from uavaou.evaluation.seeds import EVALUATION_SEED
+from uavaou.family import Family, beyond
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.planners.base import Planner
 from uavaou.runs.folder import RunConfig, RunFolder
@@ -16,6 +18,12 @@ from uavaou.runs.released import released_names
 from uavaou.runs.results import EvaluationFile, PolicyResult, keep_evaluation, own_evaluation, write_evaluation
 from uavaou.scenario import Scenario
 from uavaou.world import World
+from uavaou.world.coverage import nothing_in_reach
+from uavaou.zoo import read_yaml_mapping
+
+_UNTRAINED = "local-greedy-parts"  # the best policy that learns nothing and needs no time before take-off
+_AUDIT = "uavaou audit SCENARIO says why"
+_NO_AGE = 0.01  # slots; a mean AoU below it leaves nothing to compare
 
 
 class Display(Protocol):
@@ -62,7 +70,7 @@ def load_runs(folders: Iterable[str], scenario: Scenario, action: str | None = N
     return {name: load_run(name, scenario, action) for name in folders}
 
 
-def make_policy(name: str, scenario: Scenario, time_limit_s: float | None = None) -> Planner:
+def make_policy(name: RunFolder | Path | str, scenario: Scenario, time_limit_s: float | None = None) -> Planner:
     """The planner, released policy or run of that name, to act in ``scenario``.
 
     Args:
@@ -73,9 +81,11 @@ def make_policy(name: str, scenario: Scenario, time_limit_s: float | None = None
     Raises:
         InputError: there is none of that name, or the policy does not fit the scenario.
     """
-    if is_planner(name):
+    if isinstance(name, str) and is_planner(name):
         return make_planner(name, time_limit_s)
-    return load_runs([name], scenario)[name]
+    from uavaou.runs.policy import load_run  # imports torch, which planners do without
+
+    return load_run(name, scenario)
 
 
 def is_planner(name: str) -> bool:
@@ -91,6 +101,35 @@ def is_planner(name: str) -> bool:
     return False
 
 
+def evaluate(
+    policy: Planner | RunFolder | Path | str,
+    scenario: Scenario | Path | str,
+    episodes: int = 100,
+    seed: int = EVALUATION_SEED,
+    after_slot: Callable[[int, World], None] | None = None,
+) -> Evaluation:
+    """Play ``episodes`` missions; mission j is seeded with ``seed + j``, and its result depends on no other mission.
+
+    Args:
+        policy: the name of a planner or of a released policy, the folder of a run, or a policy itself
+            (:func:`uavaou.load_run`, or one of your own with ``reset`` and ``act``).
+        scenario: what is played, or the name of a preset or the path of a YAML file.
+        episodes: number of missions.
+        seed: of mission 0.
+        after_slot: called with the slots done of all missions together, and the World, after each slot.
+
+    Raises:
+        InputError: no policy or scenario has the name, or the policy refuses the scenario.
+
+    >>> from uavaou import evaluate
+    >>> evaluate("greedy", "quickstart", episodes=2).violations["association"]
+    0
+    """
+    scenario = Scenario.load(scenario)
+    flown = make_policy(policy, scenario) if isinstance(policy, RunFolder | Path | str) else policy
+    return play(flown, scenario, episodes, seed, after_slot)
+
+
 def recorded_as(name: str) -> tuple[str, int | None]:
     """How a recorded mission calls the policy of that name: a run by its variant and its training seed."""
     folder = RunFolder.at(name)
@@ -99,6 +138,15 @@ def recorded_as(name: str) -> tuple[str, int | None]:
     config, path = folder.read_config(), folder.path.resolve()
     named_by_us = path.name == f"seed-{config.seed}"
     return unquote(path.parent.name) if named_by_us else config.algorithm.name, config.seed
+
+
+def trained_on(folder: RunFolder) -> list[Family]:
+    """The families that a policy has met in training; empty for one that was trained on a scenario."""
+    stages = folder.path / "families.yaml"  # of a released policy: those of all its stages
+    if stages.exists():
+        return [Family.load(name) for name in read_yaml_mapping(stages)["families"]]
+    family = folder.read_config().family
+    return [] if family is None else [family]
 
 
 @dataclass(frozen=True)
@@ -138,6 +186,28 @@ class Comparison:
             notes.append(keep_evaluation(folder.evaluation(), own))
         return notes
 
+    def remarks(self) -> list[str]:
+        """What a person should know before believing the figures: a sentence or two on each."""
+        scenario, means = self.scenario, {name: result.mean_aou_s for name, result in self.results.items()}
+        found = []
+        for name in means:
+            families = [] if name in PLANNERS else trained_on(RunFolder.at(name))
+            if families and (outside := beyond(families, scenario)):
+                fresher = sorted((other for other in means if means[other] < means[name]), key=lambda one: means[one])
+                advice = f"fresher here: --policy {fresher[0]}" if fresher else f"compare it with --policy {_UNTRAINED}"
+                found.append(
+                    f"'{name}' flies beyond what it was trained on: {scenario.name} has {', '.join(outside)}. "
+                    f"What it reaches elsewhere says nothing of this map; {advice}."
+                )
+        unserving = [name for name, result in self.results.items() if not result.values("devices_served").any()]
+        if unserving and nothing_in_reach(scenario):
+            found.append(f"No device can be collected from anywhere: {_AUDIT}.")
+        elif unserving:
+            found.append(f"No device was served by {', '.join(unserving)}: {_AUDIT}.")
+        elif max(means.values(), default=1.0) < _NO_AGE * scenario.slot_length_s:
+            found.append(f"Every policy keeps the AoU near 0, so that there is nothing to compare: {_AUDIT}.")
+        return found
+
     def write(self, path: Path) -> None:
         """Write the figures of every policy and mission into one file.
 
@@ -156,5 +226,5 @@ def compare(
     results = {}
     for name, policy in policies.items():
         display.start(name)
-        results[name] = evaluate(policy, scenario, episodes, seed, display.after_slot)
+        results[name] = play(policy, scenario, episodes, seed, display.after_slot)
     return Comparison(scenario, episodes, seed, policies, results)

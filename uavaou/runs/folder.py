@@ -131,6 +131,7 @@ class RunMeta(BaseModel):
     system: str | None = None
     processor: str | None = None
     cores: Whole | None = None
+    threads: Whole | None = None  # of the learner
     slots: Whole
     agent_steps: Whole
     slots_budget: Whole | None = None

@@ -8,6 +8,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from uavaou.threads import threads
+
 _PACKAGES = ("uavaou", "torch", "stable-baselines3", "supersuit", "pettingzoo", "gymnasium", "numpy")
 _NUMBERS = {"family": "cpu family", "model": "model"}  # of a processor: its field in /proc/cpuinfo
 
@@ -21,6 +23,7 @@ def describe_machine() -> dict[str, Any]:
         "system": platform.platform(),
         "processor": _processor(),
         "cores": os.cpu_count(),
+        "threads": threads(),
     }
 
 

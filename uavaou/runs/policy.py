@@ -1,7 +1,9 @@
 """The policy of a run, with the interface of planners; it reads local observations alone."""
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -10,33 +12,34 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.policies import ActorCriticPolicy
 
 from uavaou.algorithms.io.save_load import load_policy_arrays
-from uavaou.algorithms.io.tensor_file import POLICY
+from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
 from uavaou.algorithms.registry import make_model
 from uavaou.envs.flatten import flatten
-from uavaou.envs.spaces import split_actions
+from uavaou.envs.spaces import action_masks, split_actions
 from uavaou.errors import InputError
 from uavaou.runs.checkpoint_header import open_policy
-from uavaou.runs.folder import RunFolder
+from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.knowledge import Knowledge, observed
-from uavaou.world.views import MOVES, Rows, RowViews
+from uavaou.world.views import MOVES, RowLayout, Rows, RowViews
 
 Actions = tuple[NDArray[np.int64], NDArray[np.bool_] | None]
+Fit = Callable[[Scenario], tuple[BaseAlgorithm, RowViews]]
 _STREAM = 3  # spawn key of the policies' random streams, apart from the layouts' (1) and the planners' (2)
 
 
 @dataclass
 class TrainedPolicy:
-    """A learner's policy in the planners' interface."""
+    """A learner's policy in the planners' interface; it flies every scenario that its weights fit."""
 
     model: BaseAlgorithm
-    views: RowViews  # what its UAVs see
+    views: RowViews  # what its UAVs see, of the scenario flown
     action: str = "greedy"  # the likeliest; or "sample"
     digest: str = ""  # SHA-256 of the weights in the checkpoint that they were loaded from; empty where none was
+    fit: Fit | None = None  # the same weights for another scenario; None: for that of ``views`` alone
     _rngs: list[np.random.Generator] = field(default_factory=list)
 
     @property
@@ -45,7 +48,14 @@ class TrainedPolicy:
         return observed(self.views.observation)
 
     def reset(self, world: World, seed: int) -> None:
-        """Start missions; mission j samples from a stream seeded with ``seed + j``."""
+        """Start missions; mission j samples from a stream seeded with ``seed + j``.
+
+        Raises:
+            InputError: the policy does not fit the scenario of ``world``.
+        """
+        if world.scenario != self.views.scenario:
+            assert self.fit is not None
+            self.model, self.views = self.fit(world.scenario)
         lanes = range(world.missions)
         self._rngs = [np.random.default_rng(np.random.SeedSequence(seed + j, spawn_key=(_STREAM,))) for j in lanes]
 
@@ -79,27 +89,31 @@ def act_together(policies: Sequence[TrainedPolicy], worlds: Sequence[World]) -> 
     local = np.concatenate([policy.local_rows(world) for policy, world in flights])
     drawn = None if greedy else np.concatenate([policy.uniforms(world) for policy, world in flights])
     uniforms = None if drawn is None else th.from_numpy(drawn).to(model.device)
-    chosen = _act(model, th.from_numpy(local).to(model.device), uniforms).cpu().numpy()
+    layout = policies[0].views.layout
+    chosen = _act(model, th.from_numpy(local).to(model.device), uniforms, layout).cpu().numpy()
     ends = np.cumsum([world.missions * world.scenario.uavs for world in worlds])
     parts = np.split(chosen, ends[:-1])
     return [policy.actions(part, world) for part, (policy, world) in zip(parts, flights, strict=True)]
 
 
 @th.no_grad()
-def _act(model: BaseAlgorithm, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
+def _act(model: BaseAlgorithm, local: th.Tensor, uniforms: th.Tensor | None, layout: RowLayout) -> th.Tensor:
     """Actions (B, 1 + I) or (B,) of a learner for ``local`` (B, local): the likeliest, or drawn from ``uniforms``.
 
-    ``policy.act`` where there is one. Any other SB3 policy reads ``local`` as its observation; one without a
-    distribution (DQN) has its greedy action alone.
+    ``policy.act`` where there is one. Any other SB3 policy reads ``local`` as its observation, with the masks in it
+    where it takes them (MaskablePPO); one without a distribution (DQN) has its greedy action alone.
     """
     policy: Any = model.policy
     if hasattr(policy, "act"):
         chosen: th.Tensor = policy.act(local, uniforms)
         return chosen
-    if uniforms is None or not isinstance(policy, ActorCriticPolicy):
-        return th.from_numpy(model.predict(local.cpu().numpy(), deterministic=True)[0])
-    categories: Any = policy.get_distribution(local).distribution
-    if not isinstance(categories, list):  # Discrete(5): the move alone
+    rows, masked = local.cpu().numpy(), "action_masks" in inspect.signature(model.predict).parameters
+    masks: dict[str, Any] = {"action_masks": action_masks(rows, layout)} if masked else {}
+    if uniforms is None or not hasattr(policy, "get_distribution"):
+        return th.from_numpy(model.predict(rows, deterministic=True, **masks)[0])
+    drawn_from = policy.get_distribution(local, **masks)
+    categories: Any = drawn_from.distributions if masked and layout.selects else drawn_from.distribution
+    if not layout.selects:
         return _draw(categories.probs, uniforms[:, 0])
     columns = [0, *range(MOVES, uniforms.shape[1])]  # one uniform for the move, one for each device
     drawn = [_draw(part.probs, uniforms[:, k]) for part, k in zip(categories, columns, strict=True)]
@@ -115,12 +129,12 @@ def _draw(probabilities: th.Tensor, uniforms: th.Tensor) -> th.Tensor:
 def load_run(
     path: RunFolder | Path | str, scenario: Scenario | Path | str | None = None, action: str | None = None
 ) -> TrainedPolicy:
-    """Load the best policy of a run.
+    """Load the best policy of a run. It flies every scenario that it fits, and refuses others at ``reset``.
 
     Args:
         path: the run's folder, or the name of a released policy.
-        scenario: to act in, which the policy must fit: a name, the path of a YAML file, or the scenario itself; None
-            for the one trained on.
+        scenario: to be fitted to at once, so that a misfit is refused here: a name, the path of a YAML file, or the
+            scenario itself; None for the one trained on.
         action: ``greedy`` or ``sample``; None for the one that the best checkpoint was chosen by.
 
     Raises:
@@ -133,9 +147,17 @@ def load_run(
     """
     folder = RunFolder.at(path)
     config = folder.read_config()
-    scenario = config.scenario if scenario is None else Scenario.load(scenario)
-    config.check_fits(scenario, str(folder))
     checkpoint, progress = open_policy(folder)  # opened once: a training at work may put another in its place
+    fit = partial(_fit, folder, config, checkpoint)
+    model, views = fit(config.scenario if scenario is None else Scenario.load(scenario))
+    return TrainedPolicy(model, views, action or progress.best_action, checkpoint.digest(POLICY), fit)
+
+
+def _fit(
+    folder: RunFolder, config: RunConfig, checkpoint: ArrayFile, scenario: Scenario
+) -> tuple[BaseAlgorithm, RowViews]:
+    """The learner of a run for ``scenario``, with the weights of the checkpoint, and what its UAVs see there."""
+    config.check_fits(scenario, str(folder))
     algorithm = config.algorithm
     seen = {name: getattr(algorithm, name) for name in ("observation", "collection", "rows")}
     env = flatten(scenario, missions=1, **seen)
@@ -150,4 +172,4 @@ def load_run(
         raise InputError(f"{folder.config}: states a learner that does not fit the memory") from error
     load_policy_arrays(checkpoint, model)
     model.policy.set_training_mode(False)
-    return TrainedPolicy(model, env.views, action or progress.best_action, checkpoint.digest(POLICY))
+    return model, env.views

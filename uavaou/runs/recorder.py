@@ -18,7 +18,7 @@ from uavaou.errors import InputError
 from uavaou.files import write_json
 from uavaou.runs.candidates import CandidateEnded, candidate_ends
 from uavaou.runs.checkpoint import Arrays, copy_last, open_candidate, save_candidate, save_policy, save_training
-from uavaou.runs.checkpoint_header import ROWS_AN_EVALUATION, TrainingProgress
+from uavaou.runs.checkpoint_header import ACTIONS, ROWS_AN_EVALUATION, TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
 from uavaou.runs.fork import part
 from uavaou.runs.interrupt import Interrupted, Interrupts
@@ -102,6 +102,7 @@ class Recorder(BaseCallback):
         self._next_checkpoint = self._began + checkpoint_every_s
         self._started = self._began - progress.wall_s
         self._callback = after_update
+        self._served = False  # whether any device was, in the last validation
         self._parted = config.fork is None or progress.slots >= config.fork.slots
         self._cpu_before = time.process_time()  # start of this process's CPU time of playing and learning
         self._cpu_s = 0.0  # of this process at the last update
@@ -168,7 +169,8 @@ class Recorder(BaseCallback):
         scores: dict[str, float] = {}
         ended = candidate_ends(self._config, self.progress, self._slots)
         if finished or ended or self._slots >= self.progress.next_evaluation:
-            scores = {action: self._validate(action) for action in ("greedy", "sample")}
+            self._served = False
+            scores = {action: self._validate(action) for action in ACTIONS}
         self._log(bool(scores))
         if scores:
             self._note(scores)
@@ -236,12 +238,19 @@ class Recorder(BaseCallback):
             save_policy(self._folder.best, self.model, self._present())
         if self._display is not None:
             tau, missions = self._config.scenario.slot_length_s, self._config.algorithm.evaluation_missions
-            means = f"{scores['greedy'] / tau:,.2f} greedy, {scores['sample'] / tau:,.2f} sampled"
+            means = ", ".join(f"{ACTIONS[action]} actions {score / tau:,.2f}" for action, score in scores.items())
             best = " (best so far)" if improved else ""
             mean = "geometric mean AoU on" if self._config.family else "mean AoU on"
             self._display.message(
-                f"{self._slots:,} slots: {mean} {missions} validation missions, in slots: {means}{best}"
+                f"{self._slots:,} slots{self._how_trained()}: {mean} {missions} validation missions, in slots: "
+                f"{means}{best}{'' if self._served else '; no device was served: uavaou audit SCENARIO may say why'}"
             )
+
+    def _how_trained(self) -> str:
+        """Words for a policy that has hardly learnt: its validation says nothing yet."""
+        if not getattr(self.model, "_n_updates", 1):
+            return " (the untrained policy)"
+        return "" if self.progress.missions else " (before the first training mission has ended)"
 
     def _validate(self, action: str) -> float:
         """Play the validation missions and log their means; the mean AoU, s."""
@@ -251,6 +260,7 @@ class Recorder(BaseCallback):
             means = mission_means(self.model, self._config, self._env.views, action)
         for name, mean in means.items():
             self._record(f"evaluation/{MEANS[name].format(action=action)}", mean)
+        self._served |= means.get("devices_served", 1.0) > 0
         return means["mean_aou_s"]
 
     def _present(self) -> TrainingProgress:

@@ -39,6 +39,7 @@ class Outcome:
     progress: TrainingProgress
     agent_steps: int
     stopped_by: signal.Signals | None = None  # asked to stop before the end
+    update_slots: int = 0  # from one update to the next, of all missions together
 
 
 def train(
@@ -215,13 +216,13 @@ def _learn(
     checkpoint_every_s: float, display: Display | None, after_update: AfterUpdate | None,
 ) -> Outcome:  # fmt: skip
     rows = env.row_layout.uavs  # of a mission
-    remaining = config.slots - progress.slots
+    remaining, update_slots = config.slots - progress.slots, longest_rollout(model) * config.algorithm.missions
     if remaining <= 0:  # resumed, but finished before
         with writing(folder.path):
             copy_last(folder)
         if not folder.finished:  # killed between its last checkpoint and its meta.json
             write_meta(folder, config, progress, describe_machine(), str(model.device), {})
-        return Outcome(folder, progress, agent_steps(progress, config))
+        return Outcome(folder, progress, agent_steps(progress, config), update_slots=update_slots)
     _follow_schedules(model, config, progress, rows)
     if folder.finished:  # with a smaller budget
         write_meta(folder, config, progress, describe_machine(), str(model.device), {})
@@ -245,7 +246,7 @@ def _learn(
             for end in (recorder.episodes_csv.close, model.logger.close, recorder.write_meta):
                 with suppress(OSError, InputError):  # of a full disk, which has been reported above
                     end()
-    return Outcome(folder, recorder.progress, recorder.agent_steps, recorder.stopped_by)
+    return Outcome(folder, recorder.progress, recorder.agent_steps, recorder.stopped_by, update_slots)
 
 
 def _mean_uavs(config: RunConfig) -> float:

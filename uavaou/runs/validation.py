@@ -1,12 +1,14 @@
 """The validation of a training: its policy plays missions, or draws of a family, that no training plays."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from uavaou.evaluation.evaluate import MISSIONS_TOGETHER
+from uavaou.evaluation.evaluate import MISSIONS_TOGETHER, play
 from uavaou.evaluation.seeds import VALIDATION_DRAWS, VALIDATION_SEED
+from uavaou.family import Family
+from uavaou.planners import make_planner
 from uavaou.runs.folder import RunConfig
 from uavaou.runs.policy import TrainedPolicy, act_together
 from uavaou.scenario import Scenario
@@ -59,13 +61,35 @@ def family_score(model: BaseAlgorithm, config: RunConfig, action: str) -> float:
     assert family is not None
     most = family.most if algorithm.rows == "entities" else None
     flights: list[Flight] = []
-    for mission in range(algorithm.evaluation_missions):
-        scenario = family.draw(VALIDATION_DRAWS[mission % len(VALIDATION_DRAWS)])
+    for mission, scenario in enumerate(_draws(family, algorithm.evaluation_missions)):
         views = make_views(scenario, algorithm.observation, algorithm.collection, algorithm.rows, most)
         flights.append(_flight(TrainedPolicy(model, views, action), scenario, 1, VALIDATION_SEED + mission))
     tau = [world.scenario.slot_length_s for _, world in flights]  # s
     ages = [float(played.mean_aou_s[0]) / tau[number] for number, played in enumerate(_play(flights))]  # slots
-    return float(np.exp(np.log(np.maximum(ages, _LEAST_SLOTS)).mean())) * config.scenario.slot_length_s
+    return _geometric_mean(ages) * config.scenario.slot_length_s
+
+
+def planner_score(name: str, config: RunConfig) -> float:
+    """What the planner of that name reaches on the validation missions of a training: its mean AoU, s.
+
+    On a family it is the geometric mean that :func:`family_score` has.
+    """
+    family, missions, planner = config.family, config.algorithm.evaluation_missions, make_planner(name)
+    if family is None:
+        return play(planner, config.scenario, missions, VALIDATION_SEED, None).mean_aou_s
+    draws = enumerate(_draws(family, missions))
+    ages = [play(planner, scenario, 1, VALIDATION_SEED + mission, None).mean_aou_slots for mission, scenario in draws]
+    return _geometric_mean(ages) * config.scenario.slot_length_s
+
+
+def _draws(family: Family, missions: int) -> Iterator[Scenario]:
+    """The scenario of each validation mission."""
+    return (family.draw(VALIDATION_DRAWS[mission % len(VALIDATION_DRAWS)]) for mission in range(missions))
+
+
+def _geometric_mean(ages: Sequence[float]) -> float:
+    """Of mean AoU in slots, of which one below a slot counts as one."""
+    return float(np.exp(np.log(np.maximum(ages, _LEAST_SLOTS)).mean()))
 
 
 def _flight(policy: TrainedPolicy, scenario: Scenario, missions: int, seed: int) -> Flight:

@@ -99,7 +99,7 @@ AoU is in units of the slot length, summed over devices and averaged over slots.
 
 ```
 uavaou eval . --policy greedy
-OMP_NUM_THREADS=1 uavaou train --config config.yaml --out again
+uavaou train --config config.yaml --out again
 ```
 
 The second command trains it anew.

@@ -6,6 +6,7 @@ When a worker dies, Ray starts its job again elsewhere, from the last checkpoint
 """
 
 import os
+import pickle
 import signal
 import sys
 import tempfile
@@ -23,7 +24,7 @@ from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import one_writer
 from uavaou.studies.folder import PartKey
 from uavaou.studies.jobs import Advanced, Ended, Event, Events, Job, TakeJob, Training, TrainingReport
-from uavaou.studies.processes import outcome, prepare
+from uavaou.studies.processes import outcome, unpacked
 
 try:
     import ray
@@ -93,7 +94,7 @@ class Cluster:
                             yield Ended(job.key, None, problem)
                             continue
                         sent = replace(job, path=Path())  # the worker chooses a folder of its own
-                    running[perform.remote(sent, self._keeper, self._plugins)] = job
+                    running[perform.remote(pickle.dumps(sent), self._keeper, self._plugins)] = job
                 if not running:
                     return
                 done, _ = ray.wait(list(running), timeout=_LOOK_EVERY_S)
@@ -226,9 +227,9 @@ def _changed_files(folder: Path, known: dict[str, tuple[int, int]]) -> Files:
     return files
 
 
-def _perform(job: Job, keeper: Any, plugins: Sequence[str]) -> Ended:
-    """The main function of a worker."""
-    prepare(plugins)
+def _perform(packed: bytes, keeper: Any, plugins: Sequence[str]) -> Ended:
+    """The main function of a worker, for a pickled job."""
+    job = unpacked(packed, plugins)
     if not isinstance(job, Training):
         return outcome(job, lambda report: None)
     with tempfile.TemporaryDirectory(prefix="uavaou-") as place:

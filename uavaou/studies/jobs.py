@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners.anneal import Anneal
 from uavaou.planners.plan import RoutePlan
 from uavaou.planners.rolling import Rolling
-from uavaou.runs.comparison import make_policy
+from uavaou.runs.comparison import evaluate, make_policy
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.results import PolicyResult, find_evaluation, write_own_evaluation
 from uavaou.scenario import Scenario

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -14,7 +15,9 @@ from typing import Any
 
 from uavaou.errors import InputError
 from uavaou.runs.interrupt import children_ignore_ctrl_c, ignore_repeats, interrupt_at_sigterm, was_interrupt
+from uavaou.studies.folder import PartKey
 from uavaou.studies.jobs import Advanced, Ended, Event, Events, Job, StoppedEarlyError, TakeJob, Tell, TrainingReport
+from uavaou.threads import use_threads
 
 _LOOK_EVERY_S = 0.5
 
@@ -72,7 +75,7 @@ class Processes:
     def _start(self, job: Job) -> _Worker:
         ours, theirs = self._context.Pipe(duplex=False)
         # Not a daemon: a training may have processes of its own, for its missions.
-        process = self._context.Process(target=_work, args=(job, theirs, self._plugins))
+        process = self._context.Process(target=_work, args=(job.key, pickle.dumps(job), theirs, self._plugins))
         with children_ignore_ctrl_c():
             process.start()
         theirs.close()
@@ -108,8 +111,8 @@ def _ended(worker: _Worker) -> Ended:
     return Ended(worker.job.key, None, f"its process ended with code {code}")
 
 
-def _work(job: Job, pipe: Connection, plugins: Sequence[str]) -> None:
-    """The main function of a child process."""
+def _work(key: PartKey, job: bytes, pipe: Connection, plugins: Sequence[str]) -> None:
+    """The main function of a child process, for the pickled job of that key."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     interrupt_at_sigterm()
     threading.Thread(target=_follow_parent, daemon=True).start()
@@ -119,10 +122,9 @@ def _work(job: Job, pipe: Connection, plugins: Sequence[str]) -> None:
             pipe.send(event)
 
     try:
-        prepare(plugins)
-        send(outcome(job, send))
+        send(outcome(unpacked(job, plugins), send))
     except KeyboardInterrupt:
-        send(Ended(job.key, None))
+        send(Ended(key, None))
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # nothing is left to stop
         pipe.close()
@@ -136,12 +138,17 @@ def _follow_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
+def unpacked(job: bytes, plugins: Sequence[str]) -> Job:
+    """The pickled job, in a process that is ready for it: a plugin's classes are found once it is loaded."""
+    prepare(plugins)
+    unpickled: Job = pickle.loads(job)
+    return unpickled
+
+
 def prepare(plugins: Sequence[str]) -> None:
-    """Make this process ready for jobs, with one thread, so that sums do not depend on what runs beside it."""
+    """Make this process ready for jobs, with one thread: each has a core."""
     ignore_repeats()
-    os.environ["OMP_NUM_THREADS"] = "1"  # of torch, which takes seconds to load: planners and bounds never do
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(1)
+    use_threads(1)
     if plugins:
         from uavaou.algorithms.registry import load_plugin
 

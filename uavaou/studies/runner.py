@@ -30,6 +30,7 @@ class StudyState:
 
     total: int  # trainings, planners and bounds
     done: int  # those that have results
+    before: int = 0  # those that had them when the command began
     failed: dict[PartKey, str] = field(default_factory=dict)  # and why
     running: dict[PartKey, jobs.TrainingReport | None] = field(default_factory=dict)  # the last report of a training
     slots: int = 0  # trained by this command
@@ -104,7 +105,8 @@ class _Work:
         self._todo = todo = [key for key in order if key not in self._results.parts]
         folders = {key: study.folder(out, self._runs[key]) for key in todo if key in self._runs}
         self._trained = {key: trained_so_far(folder)[0] for key, folder in folders.items()}
-        self.state = StudyState(len(order), len(order) - len(todo), left=sum(map(self._slots_left, self._trained)))
+        found = len(order) - len(todo)
+        self.state = StudyState(len(order), found, found, left=sum(map(self._slots_left, self._trained)))
         self._leave_out()
         self._results.folder.write_failures({})
         self._note_working()  # none yet: a note that is there is of a killed command

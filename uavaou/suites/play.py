@@ -15,9 +15,8 @@ from typing import Any, NamedTuple
 from uavaou.arrays import Floats
 from uavaou.csv_tables import write_csv
 from uavaou.errors import InputError
-from uavaou.evaluation.evaluate import evaluate
 from uavaou.planners.base import Planner
-from uavaou.runs.comparison import Display
+from uavaou.runs.comparison import Display, evaluate
 from uavaou.runs.folder import RunConfig, RunFolder, name_with
 from uavaou.runs.results import PolicyResult, SuiteEvaluationFile, SuitePoint, keep_evaluation, write_evaluation
 from uavaou.scenario import Scenario

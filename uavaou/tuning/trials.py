@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch as th
 
 from uavaou.algorithms.registry import load_plugin
 from uavaou.errors import InputError
@@ -29,6 +28,7 @@ from uavaou.runs.interrupt import children_ignore_ctrl_c, interrupt_at_sigterm
 from uavaou.runs.recorder import AfterUpdate, TrainingStatus
 from uavaou.runs.train import train
 from uavaou.statistics import geometric_mean
+from uavaou.threads import use_threads
 from uavaou.tuning.search import (
     REPORTS,
     Search,
@@ -143,7 +143,7 @@ def run_search(
 def _worker(path: Path, trials: int, plugins: Sequence[str], refusals: Any) -> None:
     """What a worker process runs; asked to end, it gives back what it was playing."""
     interrupt_at_sigterm()
-    th.set_num_threads(1)
+    use_threads(1)
     try:
         for place in plugins:
             load_plugin(place)

@@ -69,12 +69,24 @@ def best_probability(scenario: Scenario, layout: Layout) -> Floats:
     return np.concatenate(parts)
 
 
+def nothing_in_reach(scenario: Scenario) -> bool:
+    """Whether no device would be expected to be served once by a UAV that hovers right above it for a whole mission."""
+    layout = scenario.draw_layout()
+    snr = mean_snr(scenario, replace(layout, positions=np.zeros_like(layout.positions)), np.zeros(2))  # (U, I)
+    probability = _exceedance(scenario, layout, snr)
+    return bool(probability.max() * scenario.slots < 1)
+
+
 def coverage_probability(scenario: Scenario, layout: Layout) -> Floats:
     """Return P(R_iu >= R_min) in a slot, for each UAV, grid cell and device, (U, X, Y, I).
 
     With ``fading: none`` it is 0 or 1. The result takes 8 U X Y I bytes.
     """
-    snr = mean_snr(scenario, layout, grid_positions(scenario))  # (U, X, Y, I)
+    return _exceedance(scenario, layout, mean_snr(scenario, layout, grid_positions(scenario)))
+
+
+def _exceedance(scenario: Scenario, layout: Layout, snr: Floats) -> Floats:
+    """Return P(R_iu >= R_min) in a slot at a mean ``snr`` (..., I) of each device, in the same shape."""
     snr_min = minimum_snr(layout.bandwidth, scenario.rate_min_bit_s)  # (I,)
     if scenario.fading == "none":
         return (snr >= snr_min).astype(np.float64)

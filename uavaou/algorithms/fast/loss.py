@@ -11,10 +11,13 @@ from typing import NamedTuple
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
+from torch import nn
+from torch.nn.modules.batchnorm import _NormBase
+from torch.nn.modules.dropout import _DropoutNd
 
 from uavaou.algorithms.mappo.buffer import SlotRolloutBuffer
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
-from uavaou.algorithms.nets.mlp import FullyConnected, fully_connected, is_exactly
+from uavaou.algorithms.nets.mlp import FullyConnected, Later, fully_connected, has_hooks, is_exactly
 from uavaou.algorithms.nets.value_norm import PopArt
 from uavaou.world.compiled import compiled
 from uavaou.world.views import MOVES
@@ -22,6 +25,10 @@ from uavaou.world.views import MOVES
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Gradient = tuple[list[th.Tensor], Doubles]  # by a network's parameters, and the loss statistics
+
+ROWS = 1024  # of a shard, about: a shard's products cost as much as 50 rows before the first row
+AUTOGRAD_ROWS = 256  # the same of networks whose products are not tasks of their own
 
 _MOVES = MOVES  # Numba takes a global of this file as a constant
 
@@ -39,7 +46,7 @@ class LossCoefficients(NamedTuple):
 
 
 class GradientShard:
-    """The gradient of a minibatch's loss, as far as it comes from some of the minibatch's slots.
+    """The gradient of a minibatch's loss, as far as it comes from some of the minibatch's rows.
 
     The arrays of ``buffer`` are read anew for each minibatch.
     """
@@ -48,12 +55,14 @@ class GradientShard:
         masks = (policy.allowed_columns, policy.in_range_columns)
         self._moves_column, range_column = (-1 if columns is None else columns.start for columns in masks)
         self._range = (range_column, getattr(policy.in_range_columns, "step", None) or 1)
+        known_policy = inherits(policy, CentralizedValuePolicy, "logits", "normalised_values")
         known = inherits(policy, CentralizedValuePolicy, "logits")
         actor = fully_connected(policy.actor_body, policy.action_net) if known else None
         self._actor = _network(actor, policy.logits, policy.actor_parameters())
         known = inherits(policy, CentralizedValuePolicy, "normalised_values") and is_exactly(policy.value_net, PopArt)
         critic = fully_connected(policy.critic_body, policy.value_net.linear) if known else None
         self._critic = _network(critic, lambda r: policy.normalised_values(r)[:, None], policy.critic_parameters())
+        self._networks = (self._actor, self._critic)
         arrays = (buffer.actions, buffer.log_probs, buffer.advantages, buffer.returns)
         self._actions, self._log_probs, self._advantages, self._returns = map(_by_slot, arrays)
         present = buffer.row_layout.present_column
@@ -61,11 +70,26 @@ class GradientShard:
         self._local = _by_row(buffer.local)  # (slots * U, local)
         self._critic_rows = _by_row(buffer.critic_rows)  # (slots * V, global or local)
         self._shared_critic = buffer.shared_critic
+        self._modules_keep_no_state = known_policy and all(map(_keeps_no_state, policy.modules()))
 
     @property
     def uses_autograd(self) -> bool:
         """Whether autograd differentiates one of the networks."""
-        return not (isinstance(self._actor, FullyConnected) and isinstance(self._critic, FullyConnected))
+        return not all(isinstance(network, FullyConnected) for network in self._networks)
+
+    @property
+    def divisible(self) -> bool:
+        """Whether several threads may take rows through the networks at once.
+
+        The written gradients keep no state. Autograd's networks do not where their modules are of known packages, and
+        neither mix rows nor draw random numbers.
+        """
+        return not self.uses_autograd or self._modules_keep_no_state
+
+    def pieces(self, rows: int, critic_rows: int) -> tuple[int, int]:
+        """Into how many shards a minibatch's rows are divided for the actor's loss, and for the critic's."""
+        least = (ROWS if isinstance(network, FullyConnected) else AUTOGRAD_ROWS for network in self._networks)
+        return max(rows // next(least), 1), max(critic_rows // next(least), 1)
 
     def rows(self, indices: Indices) -> Indices:
         """Return the rows, counted from that of the rollout's first slot, of UAVs that are there in slots (B,)."""
@@ -84,46 +108,48 @@ class GradientShard:
         return advantage_moments(self._advantages, self.rows(indices), self._actions.shape[1])
 
     @th.no_grad()
-    def gradient(
-        self, actor_indices: Indices, critic_indices: Indices, rows_in_batch: tuple[int, int],
-        coefficients: LossCoefficients,
-    ) -> tuple[list[th.Tensor], Doubles]:  # fmt: skip
-        """The gradient by the actor's and the critic's parameters, in order, and the loss statistics.
+    def actor_gradient(self, at: Indices, part: float, coefficients: LossCoefficients, later: Later) -> Gradient:
+        """The gradient by the actor's parameters, in order, as far as it comes from some of a minibatch's rows.
 
-        Gradients and statistics of a minibatch's shards add up to those of the minibatch.
+        Gradients and statistics of a minibatch's shards, actor's and critic's, add up to those of the minibatch.
 
         Args:
-            actor_indices: (B,) of this shard's slots in the rollout, for the actor's loss.
-            critic_indices: the same for the critic's loss; where empty, the critic's gradient is left out.
-            rows_in_batch: the actor's and the critic's, of all shards together.
+            at: (R,) of :meth:`rows`.
+            part: share of these rows in the minibatch.
             coefficients: of the loss.
+            later: is given tasks that complete the gradients.
 
         Returns:
             The gradients, and (6,) the statistics in the order of
             :class:`~uavaou.algorithms.mappo.mappo.LossStatistics`.
         """
-        at = self.rows(actor_indices)
-        rows = self._local.index_select(0, th.from_numpy(at))  # (B * U, local)
+        rows = self._local.index_select(0, th.from_numpy(at))  # (R, local)
         activations = self._actor.forward(rows)
-        logits = activations[-1]  # (B * U, 5 + I)
+        logits = activations[-1]  # (R, 5 + I)
         grad_logits = th.empty_like(logits)
         objective, entropy, kl, clipped = clipped_surrogate(
             logits.numpy(), rows.numpy(), self._moves_column, self._range, at, self._actions, self._log_probs,
-            self._advantages, *coefficients[:4], len(at) / rows_in_batch[0], grad_logits.numpy(),
+            self._advantages, *coefficients[:4], part, grad_logits.numpy(),
         )  # fmt: skip
-        gradients, value_loss = self._actor.backward(activations, grad_logits), 0.0
-        if len(critic_indices):
-            at = self.critic_rows(critic_indices)
-            rows = self._critic_rows.index_select(0, th.from_numpy(at))  # (B * V, global or local)
-            activations = self._critic.forward(rows)
-            values = activations[-1]  # (B * V, 1)
-            grad_values = th.empty_like(values)
-            value_loss = squared_error(
-                values.numpy(), at, self._returns, *coefficients[4:], len(at) / rows_in_batch[1], grad_values.numpy()
-            )  # fmt: skip
-            gradients += self._critic.backward(activations, grad_values)
-        loss = -objective - coefficients.entropy_coef * entropy + coefficients.value_coef * value_loss
-        return gradients, np.array([-objective, value_loss, entropy, loss, kl, clipped])
+        loss = -objective - coefficients.entropy_coef * entropy
+        statistics = np.array([-objective, 0.0, entropy, loss, kl, clipped])
+        return self._actor.backward(activations, grad_logits, later=later), statistics
+
+    @th.no_grad()
+    def critic_gradient(self, at: Indices, part: float, coefficients: LossCoefficients, later: Later) -> Gradient:
+        """The gradient by the critic's parameters, from some of :meth:`critic_rows`; see :meth:`actor_gradient`."""
+        rows = self._critic_rows.index_select(0, th.from_numpy(at))  # (R, global, local or both)
+        activations = self._critic.forward(rows)
+        values = activations[-1]  # (R, 1)
+        grad_values = th.empty_like(values)
+        value_loss = squared_error(values.numpy(), at, self._returns, *coefficients[4:], part, grad_values.numpy())
+        statistics = np.array([0.0, value_loss, 0.0, coefficients.value_coef * value_loss, 0.0, 0.0])
+        return self._critic.backward(activations, grad_values, later=later), statistics
+
+
+def _keeps_no_state(module: nn.Module) -> bool:
+    known = type(module).__module__.split(".")[0] in ("torch", "stable_baselines3", "uavaou")
+    return known and not isinstance(module, _NormBase | _DropoutNd) and not has_hooks(module)
 
 
 def _by_slot(array: Floats) -> Floats:
@@ -147,7 +173,7 @@ class _AutogradNetwork:
             outputs = self._network(rows)
         return [outputs, outputs.detach().contiguous()]
 
-    def backward(self, activations: list[th.Tensor], grad: th.Tensor) -> list[th.Tensor]:
+    def backward(self, activations: list[th.Tensor], grad: th.Tensor, later: Later) -> list[th.Tensor]:
         return list(th.autograd.grad(activations[0], self._parameters, grad, materialize_grads=True))
 
 

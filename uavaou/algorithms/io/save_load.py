@@ -15,6 +15,7 @@ import torch as th
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, StrictInt, model_validator
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 
 from uavaou.algorithms.io.tensor_file import CHECKSUM, POLICY, ArrayFile, write_arrays
 from uavaou.envs.spaces import action_space, row_space
@@ -127,6 +128,29 @@ class SafeSaveLoad(BaseAlgorithm):
         if env is not None and env.row_layout.rows == "entities":
             told["averages_views"] = getattr(env, "maps_vary", True)
         return told | defaults | (given or {})
+
+    @staticmethod
+    def _wrap_env(env: Any, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
+        """As SB3's, for every environment to learn on; refuses one whose rows are not ``[local | global]`` as they are.
+
+        Raises:
+            InputError: a wrapper normalises them, and so the masks in them, or gives them another size.
+        """
+        wrapped = wrapper = BaseAlgorithm._wrap_env(env, verbose, monitor_wrapper)
+        while isinstance(wrapper, VecEnvWrapper):
+            if isinstance(wrapper, VecNormalize) and wrapper.norm_obs:
+                raise InputError(
+                    "env: VecNormalize(norm_obs=True) changes the masks, which are columns of a row: leave it out, or "
+                    "choose norm_obs=False"
+                )
+            wrapper = wrapper.venv
+        layout: Any = getattr(wrapped, "row_layout", None)
+        if layout is not None and wrapped.observation_space.shape != row_space(layout).shape:
+            raise InputError(
+                f"env: its rows have the shape {wrapped.observation_space.shape}, and [local | global] has "
+                f"{row_space(layout).shape}: give what uavaou.flatten returns, without a wrapper that changes rows"
+            )
+        return wrapped
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Record the arguments of the constructor."""

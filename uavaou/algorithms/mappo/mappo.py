@@ -1,8 +1,7 @@
 """MAPPO-AoU: SB3's PPO with a centralised critic, whole slots in a minibatch, and value normalisation."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
-from typing import Any, ClassVar, NamedTuple, Self
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch as th
@@ -20,6 +19,7 @@ from uavaou.algorithms.mappo.buffer import SlotBatch, SlotRolloutBuffer
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
 from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
 from uavaou.errors import InputError, unknown
+from uavaou.threads import compute_with_one_thread
 
 try:
     from uavaou.algorithms.fast.loss import LossCoefficients
@@ -44,21 +44,6 @@ class LossStatistics(NamedTuple):
     loss: th.Tensor  # the sum whose gradient is taken
     approx_kl: th.Tensor  # estimated divergence from the policy of the rollout
     clip_fraction: th.Tensor  # of rows
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let torch compute with one thread in the block.
-
-    A slot's rows are too few to divide: a second thread costs as much as it gains, and on a busy machine the threads
-    wait for each other in every operation, which takes ten times as long.
-    """
-    before = th.get_num_threads()
-    th.set_num_threads(1)
-    try:
-        yield
-    finally:
-        th.set_num_threads(before)
 
 
 class MAPPO(SafeSaveLoad, PPO):
@@ -122,35 +107,22 @@ class MAPPO(SafeSaveLoad, PPO):
         )  # fmt: skip
         self.batch_size = batch_size
         self._ent_coef_schedule = FloatSchedule(ent_coef)
-        self._fast: FastUpdate | None = None  # for the duration of learn()
-
-    def learn(self, *args: Any, **kwargs: Any) -> Self:
-        """As SB3's; as many processes as torch has threads share each update."""
-        try:
-            return super().learn(*args, **kwargs)
-        finally:
-            self._close_fast()
-
-    def _close_fast(self) -> None:
-        if self._fast is not None:
-            self._fast.close()
-        self._fast = None
 
     def collect_rollouts(
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
     ) -> bool:
-        """As SB3's, with one thread, and with values and log-probabilities computed once, when the rollout is complete.
+        """As SB3's, with values and log-probabilities computed once, when the rollout is complete.
 
         SB3's loop computes them in every slot, some hundred rows at a time; a whole rollout costs a fraction of that.
         Callbacks find in ``locals`` what SB3's loop offers (``infos``, ``dones``, ``rewards``, ``actions``, ...).
         SB3's loop runs for a policy that overrides one of the methods that it would call.
         """
         known = ("forward", "get_distribution", "action_distribution", "distribution_of", "predict_values")
-        with one_thread():
-            if not inherits(self.policy, CentralizedValuePolicy, *known):
-                return super().collect_rollouts(env, callback, rollout_buffer, n_rollout_steps)
-            assert isinstance(rollout_buffer, SlotRolloutBuffer)
-            return self._collect(env, callback, rollout_buffer, n_rollout_steps)
+        compute_with_one_thread()
+        if not inherits(self.policy, CentralizedValuePolicy, *known):
+            return super().collect_rollouts(env, callback, rollout_buffer, n_rollout_steps)
+        assert isinstance(rollout_buffer, SlotRolloutBuffer)
+        return self._collect(env, callback, rollout_buffer, n_rollout_steps)
 
     @th.no_grad()
     def _collect(self, env: VecEnv, callback: BaseCallback, buffer: SlotRolloutBuffer, slots: int) -> bool:
@@ -218,6 +190,7 @@ class MAPPO(SafeSaveLoad, PPO):
 
     def train(self) -> None:
         """Update actor and critic from the rollout just collected."""
+        compute_with_one_thread()
         self.policy.set_training_mode(True)
         rate = self.lr_schedule(self._current_progress_remaining)
         self.logger.record("train/learning_rate", rate)
@@ -237,8 +210,7 @@ class MAPPO(SafeSaveLoad, PPO):
             advantages = buffer.of_uavs(buffer.advantages)
             mean, std = float(advantages.mean()), float(advantages.std()) + 1e-8
         gradient, step = self._gradient_and_step(clip_range, mean, std)
-        with one_thread() if self._fast and self._fast.workers else nullcontext():  # each process with one thread
-            statistics = self._run_epochs(gradient, step)
+        statistics = self._run_epochs(gradient, step)
         means = LossStatistics(*th.stack([th.stack(minibatch) for minibatch in statistics]).mean(dim=0))
         for name, value in means._asdict().items():
             self.logger.record(f"train/{'policy_gradient_loss' if name == 'policy_loss' else name}", float(value))
@@ -282,20 +254,17 @@ class MAPPO(SafeSaveLoad, PPO):
     ) -> tuple[Callable[[NDArray[np.int64]], LossStatistics], Callable[[], None]]:
         """Two functions: set the parameters' gradient of the loss on some slots; clip the gradient and step."""
         if not self.uses_fast:
-            self._close_fast()
 
             def gradient(indices: NDArray[np.int64]) -> LossStatistics:
                 return self.backward(self.loss(self.rollout_buffer.batch(indices), clip_range, mean, std))
 
             return gradient, self.step
-        if self._fast is None or not self._fast.is_current:
-            self._close_fast()
-            self._fast = FastUpdate(self.policy, self.rollout_buffer, self.batch_size)
-        fast, value_net = self._fast, self.policy.value_net
+        value_net = self.policy.value_net
         coefficients = LossCoefficients(
             mean, 1 / std, clip_range, self.ent_coef, self.vf_coef, float(value_net.mean), float(value_net.std)
         )
-        fast.begin_rollout(coefficients, self.advantage_normalization == "batch", self.max_grad_norm)
+        normalises_batches = self.advantage_normalization == "batch"
+        fast = FastUpdate(self.policy, self.rollout_buffer, coefficients, normalises_batches, self.max_grad_norm)
         step = fast.adam.step if fast.adam and inherits(self, MAPPO, "step") else self.step
         return lambda indices: LossStatistics(*th.tensor(fast.gradient(indices).tolist())), step
 

@@ -1,12 +1,16 @@
 """Fully connected networks, shared by all algorithms."""
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch as th
 from torch import nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
+
+from uavaou.threads import Task
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 _NAMES = {module: name for name, module in ACTIVATIONS.items()}
@@ -62,6 +66,13 @@ def rescale_linear(layer: nn.Linear, ratio: th.Tensor, shift: th.Tensor | float 
     layer.bias.mul_(ratio).add_(shift)
 
 
+Later = Callable[[Task], object]
+
+
+def _now(task: Task) -> None:
+    task()
+
+
 class Layer(NamedTuple):
     """``activation(x W^T + b)``."""
 
@@ -101,15 +112,23 @@ class FullyConnected:
             activations.append(product if activation == "none" else getattr(th, f"{activation}_")(product))
         return activations
 
-    def backward(self, activations: list[th.Tensor], grad: th.Tensor, to_rows: bool = False) -> list[th.Tensor]:
+    def backward(
+        self, activations: list[th.Tensor], grad: th.Tensor, to_rows: bool = False, later: Later = _now
+    ) -> list[th.Tensor]:
         """The gradient by weight and bias of each layer, in order.
 
         Args:
             activations: what :meth:`forward` returned.
             grad: by the last layer's output, (B, outputs).
             to_rows: also return, as the first, the gradient by the rows.
+            later: is given the tasks that write a layer's gradient into the list; other threads may run them.
         """
-        gradients: list[th.Tensor] = []  # the last layer first
+        gradients = [grad] * (2 * len(self.layers) + to_rows)
+
+        def by_layer(number: int, grad: th.Tensor, inputs: th.Tensor, onednn: bool) -> None:
+            gradients[2 * number + to_rows] = _product(grad.t(), inputs.t()) if onednn else grad.t() @ inputs
+            gradients[2 * number + to_rows + 1] = grad.sum(dim=0)
+
         for number in reversed(range(len(self.layers))):
             weight, _, activation, onednn = self.layers[number]
             inputs, outputs = activations[number : number + 2]
@@ -121,16 +140,22 @@ class FullyConnected:
                 else:
                     th.ops.aten.tanh_backward.grad_input(grad, outputs, grad_input=to)
                 grad = to
-            gradients += [grad.sum(dim=0), _product(grad.t(), inputs.t()) if onednn else grad.t() @ inputs]
+            later(partial(by_layer, number, grad, inputs, onednn))
             if number or to_rows:
                 grad = _product(grad, weight.t()) if onednn else grad @ weight
-        return [grad, *reversed(gradients)] if to_rows else gradients[::-1]
+        if to_rows:
+            gradients[0] = grad
+        return gradients
+
+
+def has_hooks(module: nn.Module) -> bool:
+    """Whether the module calls anything before or after its forward and backward passes."""
+    return any(vars(module)[hooks] for hooks in _HOOKS)
 
 
 def is_exactly(module: nn.Module, *types: type[nn.Module]) -> bool:
     """Whether the module computes what its type says: one of ``types``, no subclass, without hooks or a new forward."""
-    own = vars(module)
-    return type(module) in types and "forward" not in own and not any(own[hooks] for hooks in _HOOKS)
+    return type(module) in types and "forward" not in vars(module) and not has_hooks(module)
 
 
 def fully_connected(*modules: nn.Module) -> FullyConnected | None:

@@ -1,0 +1,151 @@
+"""How many threads a learner uses, and what they do: one place decides for all algorithms.
+
+torch's own threads divide each product among them and wait for each other in every operation. The rows of a slot or a
+minibatch are too few for that: two threads gain a third on free cores, and lose ten times that on busy ones. So torch
+computes with one thread, and a learner divides its work into larger tasks, whose number depends on the work alone.
+Threads only take tasks. So the results do not depend on how many threads there are.
+"""
+
+import os
+from collections import deque
+from collections.abc import Callable
+from queue import SimpleQueue
+from threading import Condition, Thread
+
+from uavaou.errors import InputError
+
+Task = Callable[[], object]
+
+_chosen: int | None = None
+
+
+def available_threads() -> int:
+    """The number of cores that this process may use, or fewer where ``OMP_NUM_THREADS`` says so."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
+    return min(cores, int(asked)) if asked.isdigit() and int(asked) else cores
+
+
+def threads() -> int:
+    """The number of threads of a learner."""
+    return available_threads() if _chosen is None else _chosen
+
+
+def use_threads(number: int | None) -> None:
+    """Choose the number of threads of each learner in this process; None: :func:`available_threads`.
+
+    Raises:
+        InputError: the number is not a whole number from 1 on.
+    """
+    global _chosen
+    if number is not None and (isinstance(number, bool) or not isinstance(number, int) or number < 1):
+        raise InputError(f"threads = {number!r}: expected a whole number from 1 on")
+    _chosen = number
+
+
+def compute_with_one_thread() -> None:
+    """Let torch compute each operation with one thread, from now on."""
+    import torch as th  # takes seconds, and planners do without
+
+    if th.get_num_threads() != 1:
+        th.set_num_threads(1)
+
+
+class Tasks:
+    """Tasks that this thread and helping threads take in turn; a task may add others.
+
+    A thread that has to wait for its core holds up one task at most.
+
+    Args:
+        tasks: the first.
+        alone: whether this thread runs all of them.
+    """
+
+    def __init__(self, *tasks: Task, alone: bool = False) -> None:
+        self._waiting: deque[Task] = deque()
+        self._helpers = 0  # asked for
+        self._most_helpers = 0 if alone else threads() - 1
+        self._helping = 0  # in a task
+        self._ended = False
+        self._error: BaseException | None = None
+        self._changed = Condition()
+        for task in tasks:
+            self.add(task)
+
+    def add(self, task: Task) -> None:
+        """Append a task, which is begun after those appended before it."""
+        with self._changed:
+            self._waiting.append(task)
+            self._changed.notify()
+            asks = self._helpers < min(len(self._waiting) - 1, self._most_helpers)
+            self._helpers += asks
+        if asks:
+            _helpers.ask(self)
+
+    def run(self) -> None:
+        """Run the tasks, and those that they add; after an exception in one, those not yet begun are left out."""
+        try:
+            while (task := self._next()) is not None:
+                task()
+        finally:
+            with self._changed:
+                self._ended = True
+                self._changed.notify_all()
+                while self._helping:  # they may still read what the tasks share
+                    self._changed.wait()
+        if self._error is not None:
+            raise self._error
+
+    def _next(self) -> Task | None:
+        with self._changed:
+            while self._helping and not self._waiting:
+                self._changed.wait()
+            return self._waiting.popleft() if self._waiting and self._error is None else None
+
+    def help(self) -> None:
+        """Run tasks in another thread until :meth:`run` ends."""
+        while True:
+            with self._changed:
+                while not self._waiting and not self._ended:
+                    self._changed.wait()
+                if self._ended:
+                    return
+                task = self._waiting.popleft()
+                self._helping += 1
+            try:
+                task()
+            except BaseException as error:
+                self._error = error
+            with self._changed:
+                self._helping -= 1
+                self._changed.notify_all()
+
+
+class _Helpers:
+    """Threads of this process that wait for tasks; they are started when they are needed, and end with the process."""
+
+    def __init__(self) -> None:
+        self._asked: SimpleQueue[Tasks] = SimpleQueue()
+        self._threads = 0
+
+    def ask(self, tasks: Tasks) -> None:
+        self._asked.put(tasks)
+        if self._threads < threads() - 1:
+            self._threads += 1
+            Thread(target=self._help, name=f"uavaou-{self._threads}", daemon=True).start()
+
+    def _help(self) -> None:
+        while True:
+            self._asked.get().help()
+
+
+_helpers = _Helpers()
+
+
+def _forget_helpers() -> None:
+    global _helpers
+    _helpers = _Helpers()  # a forked process has none of its parent's threads
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_helpers)
