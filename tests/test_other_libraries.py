@@ -19,10 +19,10 @@ PAGE = ROOT / "docs" / "own-algorithm.md"
 
 
 def program(library: str, needs: str = "") -> str:
-    """The page's program that imports from ``library``; skips where that is not installed, or what it ``needs``."""
+    """The page's program whose first import is ``library``; skips where it, or what it ``needs``, is not installed."""
     if find_spec(needs or library) is None:
         pytest.skip(f"{needs or library} is not installed")
-    (code,) = [code for code in blocks(PAGE, "python") if f"from {library}" in code]
+    (code,) = [code for code in blocks(PAGE, "python") if code.startswith(f"from {library}")]
     return code
 
 
@@ -46,7 +46,9 @@ def test_maskable_ppo_flies_with_the_masks_that_it_learned_with(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("library", "needs"), [("torchrl", ""), ("ray.rllib", "tree")])  # ray alone lacks dm-tree
+@pytest.mark.parametrize(
+    ("library", "needs"), [("tensordict", "torchrl"), ("ray.rllib", "tree"), ("benchmarl", "")]
+)  # ray alone lacks dm-tree
 def test_a_program_for_another_library_ends_with_the_return_of_missions(
     library: str, needs: str, tmp_path: Path
 ) -> None:
