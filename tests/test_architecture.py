@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = (
     "arrays",
     "errors",
+    "threads",
     "files",
     "plain_yaml",
     "zoo",

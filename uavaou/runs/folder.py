@@ -120,10 +120,8 @@ class RunConfig:
         return to_yaml(content | {"algorithm": algorithm, "scenario": scenario})
 
 
-class RunMeta(BaseModel):
+class RunMeta(BaseModel, frozen=True, extra="ignore"):
     """The content of ``meta.json``; what follows ``checkpoints`` is a training's progress at its last checkpoint."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
     versions: dict[str, str | None] = {}
     commit: str | None = None  # of the repository that the package ran from
