@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -85,6 +86,18 @@ def test_each_row_has_its_own_action_masks(way: dict[str, Any], collection: str,
     env.load_missions_state(state)
     check()
     env.close()
+
+
+@pytest.mark.parametrize("end", ["SIGKILL", "SIGTERM"])
+def test_worker_processes_end_without_a_word_when_the_main_process_is_gone(end: str) -> None:
+    code = (
+        "import os, signal; from uavaou import flatten; env = flatten('tiny', missions=2, processes=2); env.reset(); "
+        f"os.kill(os.getpid(), signal.{end})"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120
+    )  # to the last worker
+    assert (ran.returncode, ran.stdout, ran.stderr) == (-getattr(signal, end), "", "")
 
 
 def test_an_observation_without_masks_has_none() -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import signal
 import weakref
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from functools import partial
 from typing import Any
@@ -21,8 +22,9 @@ from gymnasium.vector.utils import concatenate, create_empty_array, iterate
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+from supersuit.vector import multiproc_vec
 from supersuit.vector.concat_vec_env import ConcatVecEnv
-from supersuit.vector.multiproc_vec import ProcConcatVec, decompress_info
+from supersuit.vector.multiproc_vec import ProcConcatVec, async_loop, decompress_info
 from supersuit.vector.sb3_vector_wrapper import SB3VecEnvWrapper
 
 from uavaou.envs.batched import BatchedDraws
@@ -263,6 +265,15 @@ class LocalRows(VecEnvWrapper):
 
     def _local(self, rows: Any) -> Rows:
         return np.ascontiguousarray(rows[..., : self._size])
+
+
+def _work(*arguments: Any) -> None:
+    """SuperSuit's loop of a worker process, without the traceback that it prints where the main process is gone."""
+    with suppress(OSError):  # it reports the end of its pipe through that pipe
+        async_loop(*arguments)
+
+
+multiproc_vec.async_loop = _work  # ProcConcatVec takes it from its module, and no argument
 
 
 class WorkerProcesses(ProcConcatVec):
