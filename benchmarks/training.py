@@ -102,7 +102,7 @@ def _training(repeats: int, rollout_slots: int | None, hidden: list[int]) -> lis
         for processes in (1, 2)
     }
     for name in ALGORITHMS:
-        for threads in sorted({1, cores}):
+        for threads in sorted({1, cores} if name == "mappo" else {1}):
             model = _ours(scenario, config if name == "mappo" else load_config(name, {"hidden": hidden}))
             contestants[_label(name, threads)] = (_learner(model, ROLLOUTS * rows, threads), ROLLOUTS * rows)
     return side_by_side(f"training on paper, 64 missions, networks {hidden[0]}-{hidden[1]}", contestants, repeats)

@@ -1,12 +1,17 @@
-"""How many threads a learner uses, and what they do: one place decides for all algorithms.
+"""How learners use the machine: one place decides how many threads they have, for all algorithms.
 
 torch's own threads divide each product among them and wait for each other in every operation. The rows of a slot or a
 minibatch are too few for that: two threads gain a third on free cores, and lose ten times that on busy ones. So torch
-computes with one thread, and a learner divides its work into larger tasks, whose number depends on the work alone.
-Threads only take tasks. So the results do not depend on how many threads there are.
+computes with one thread, and MAPPO and IPPO divide an update into larger tasks, whose number depends on the work
+alone. Threads only take tasks. So the results do not depend on how many threads there are.
+
+VDN, QMIX and IQL have one thread. Their gradient step is hundreds of small operations: two halves of a batch cost one
+thread a fifth more than the whole, and gave two threads a tenth.
 """
 
+import ctypes
 import os
+import sys
 from collections import deque
 from collections.abc import Callable
 from queue import SimpleQueue
@@ -49,6 +54,18 @@ def compute_with_one_thread() -> None:
 
     if th.get_num_threads() != 1:
         th.set_num_threads(1)
+
+
+def keep_freed_memory() -> None:
+    """Let glibc keep up to 512 MiB of freed memory for the next tensor, instead of returning it to the kernel.
+
+    A minibatch's activations are some MB each. Pages that return to the kernel are faulted in and cleared for every
+    minibatch, which costs as much as the arithmetic on them. Does nothing with another C library.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform.startswith("linux") else None
+    if mallopt is not None:  # musl has none
+        mallopt(-3, 32 << 20)  # M_MMAP_THRESHOLD, bytes: the most that glibc allows
+        mallopt(-1, 512 << 20)  # M_TRIM_THRESHOLD, bytes
 
 
 class Tasks:

@@ -79,7 +79,7 @@ def train(
     device: Annotated[str, choice("Where the networks run.", "auto", "cpu", "cuda")] = "auto",
     threads: Annotated[
         int | None,
-        number("Threads of the learner, which do not change the weights. [default: all cores]", 1, 1024),
+        number("Threads of MAPPO and IPPO; they do not change the weights. [default: all cores]", 1, 1024),
     ] = None,
     backend: Annotated[
         str, choice("How missions are stepped; both give the same rows, batched is faster.", "batched", "supersuit")

@@ -6,8 +6,6 @@ number of threads gives the same bits.
 
 from __future__ import annotations
 
-import ctypes
-import sys
 from collections.abc import Sequence
 from functools import partial
 from itertools import chain
@@ -20,7 +18,7 @@ from uavaou.algorithms.fast.loss import Doubles, Gradient, GradientShard, Indice
 from uavaou.algorithms.mappo.buffer import SlotRolloutBuffer
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
 from uavaou.algorithms.nets.value_norm import PopArt, ReturnStatistics
-from uavaou.threads import Tasks
+from uavaou.threads import Tasks, keep_freed_memory
 
 
 class FastUpdate:
@@ -145,15 +143,3 @@ class ClippedAdam:
                 parameters, gradients, averages, average_squares, [], steps, amsgrad=False, beta1=beta1, beta2=beta2,
                 lr=group["lr"], weight_decay=0.0, eps=group["eps"], maximize=False,
             )  # fmt: skip
-
-
-def keep_freed_memory() -> None:
-    """Let glibc keep up to 512 MiB of freed memory for the next tensor, instead of returning it to the kernel.
-
-    A minibatch's activations are some MB each. Pages that return to the kernel are faulted in and cleared for every
-    minibatch, which costs as much as the arithmetic on them. Does nothing with another C library.
-    """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform.startswith("linux") else None
-    if mallopt is not None:  # musl has none
-        mallopt(-3, 32 << 20)  # M_MMAP_THRESHOLD, bytes: the most that glibc allows
-        mallopt(-1, 512 << 20)  # M_TRIM_THRESHOLD, bytes

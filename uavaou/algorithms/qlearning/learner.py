@@ -14,7 +14,7 @@ from uavaou.algorithms.io.save_load import SafeSaveLoad
 from uavaou.algorithms.qlearning.policy import JointQPolicy
 from uavaou.algorithms.qlearning.replay import JointBatch, JointReplay
 from uavaou.arrays import Bools
-from uavaou.threads import compute_with_one_thread
+from uavaou.threads import compute_with_one_thread, keep_freed_memory
 from uavaou.world.views import Rows
 
 _STATISTICS_INTERVAL = 20  # gradient steps between updates of the targets' statistics
@@ -107,6 +107,7 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
     def train(self, gradient_steps: int, batch_size: int) -> None:
         """Take gradient steps on joint transitions from the replay."""
         compute_with_one_thread()
+        keep_freed_memory()
         if not self.replay_buffer.can_sample():
             return
         self.policy.set_training_mode(True)
