@@ -1,0 +1,117 @@
+"""Every learner learns: trained by the command, with all threads, it is as fresh as a planner on the same missions.
+
+A mutation breaks learning in a way that no exception tells of. Each turns some of these trainings red:
+``pytest tests/test_learning.py --exhaustive``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from uavaou.algorithms.fast.loss import GradientShard
+from uavaou.algorithms.mappo.buffer import SlotRolloutBuffer
+from uavaou.algorithms.qlearning.policy import JointQPolicy
+from uavaou.algorithms.qlearning.replay import JointReplay
+from uavaou.runs.folder import RunFolder
+from uavaou.runs.validation import planner_score
+from uavaou.threads import available_threads
+from uavaou_cli.main import main
+
+pytestmark = pytest.mark.slow
+
+PLANNER = "best-first"
+
+
+class Gate(NamedTuple):
+    """A training of ``quickstart``."""
+
+    slots: int
+    most: float  # mean AoU of the best validation, over the planner's
+    settings: dict[str, Any]
+
+
+SMALL = {"missions": 8, "rollout_slots": 125, "batch_rows": 500}  # many updates in few slots
+Q = {"missions": 16, "slots_per_update": 32, "batch_slots": 128, "learning_starts": 2000, "learning_rate": 0.001}
+GATES = {
+    "mappo": Gate(64_000, 1.0, {}),
+    "ippo": Gate(48_000, 1.0, {}),
+    "vdn": Gate(24_000, 1.6, Q | {"hidden": "[64, 64]"}),
+    "qmix": Gate(24_000, 1.6, Q | {"hidden": "[64, 64]"}),
+    "mappo set": Gate(32_000, 3.0, SMALL),
+    "ippo set": Gate(32_000, 3.0, SMALL),
+    "vdn set": Gate(12_000, 3.0, Q | {"state_value_width": 64}),
+    "qmix set": Gate(8_000, 3.0, Q),
+}
+
+
+def trained(name: str, out: Path) -> float:
+    """The mean AoU of a gate's training in its best validation, over the planner's on the same missions."""
+    gate, (algorithm, *network) = GATES[name], name.split()
+    settings = gate.settings | {"network": network[0] if network else "mlp"}
+    words = [word for key, value in settings.items() for word in ("--set", f"algorithm.{key}={value}")]
+    words += ["--algorithm", algorithm, "--slots", str(gate.slots), "--out", str(out), "--quiet"]
+    assert main(["train", "quickstart", *words]) == 0
+    folder = RunFolder(next(out.glob("*/*/seed-0")))
+    meta = folder.read_meta()
+    assert meta.threads == available_threads()
+    assert meta.best_score is not None
+    return meta.best_score / planner_score(PLANNER, folder.read_config())
+
+
+@pytest.mark.parametrize("name", list(GATES))
+def test_a_short_training_is_as_fresh_as_a_planner(name: str, tmp_path: Path) -> None:
+    assert trained(name, tmp_path) < GATES[name].most
+
+
+def stale_critic_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The critic learns on the rows of the first rollout for ever, as it once did with two threads."""
+    first: dict[int, Any] = {}
+    init = GradientShard.__init__
+
+    def keep_first(shard: Any, policy: Any, buffer: Any) -> None:
+        init(shard, policy, buffer)
+        shard._critic_rows = first.setdefault(id(buffer), shard._critic_rows.clone())
+
+    monkeypatch.setattr(GradientShard, "__init__", keep_first)
+
+
+def flipped_advantages(monkeypatch: pytest.MonkeyPatch) -> None:
+    compute = SlotRolloutBuffer.compute_returns_and_advantage
+
+    def flip(buffer: Any, *arguments: Any, **named: Any) -> None:
+        compute(buffer, *arguments, **named)
+        buffer.advantages *= -1
+
+    monkeypatch.setattr(SlotRolloutBuffer, "compute_returns_and_advantage", flip)
+
+
+def frozen_target(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(JointQPolicy, "update_target", lambda policy, fraction: None)
+
+
+def flipped_rewards(monkeypatch: pytest.MonkeyPatch) -> None:
+    add = JointReplay.add
+    monkeypatch.setattr(
+        JointReplay, "add", lambda replay, rows, actions, rewards, dones: add(replay, rows, actions, -rewards, dones)
+    )
+
+
+MUTATIONS: dict[Callable[[pytest.MonkeyPatch], None], tuple[str, ...]] = {
+    stale_critic_rows: ("mappo",),
+    flipped_advantages: ("mappo", "ippo", "mappo set", "ippo set"),
+    frozen_target: ("vdn",),
+    flipped_rewards: ("vdn", "qmix", "vdn set", "qmix set"),
+}
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("mutate", "name"), [(mutate, name) for mutate, names in MUTATIONS.items() for name in names])
+def test_a_mutation_is_seen(
+    mutate: Callable[[pytest.MonkeyPatch], None], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mutate(monkeypatch)
+    assert trained(name, tmp_path) >= GATES[name].most
