@@ -174,7 +174,8 @@ class _AutogradNetwork:
         return [outputs, outputs.detach().contiguous()]
 
     def backward(self, activations: list[th.Tensor], grad: th.Tensor, later: Later) -> list[th.Tensor]:
-        return list(th.autograd.grad(activations[0], self._parameters, grad, materialize_grads=True))
+        gradients = th.autograd.grad(activations[0], self._parameters, grad, materialize_grads=True)
+        return [gradient.clone() for gradient in gradients]  # two parameters may have been given one tensor
 
 
 def _network(

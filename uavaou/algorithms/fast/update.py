@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -42,11 +41,8 @@ class FastUpdate:
         keep_freed_memory()
         self._coefficients, self._normalises_batches = coefficients, normalises_batches
         self._shard = GradientShard(policy, buffer)
-        networks = policy.actor_parameters(), policy.critic_parameters()
-        self._gradients = [[th.zeros_like(parameter) for parameter in parameters] for parameters in networks]
-        self._parameters = [parameter for parameters in networks for parameter in parameters]
-        self._set_grad()
-        supported = ClippedAdam.supports(policy.optimizer, self._parameters)
+        self._networks = policy.actor_parameters(), policy.critic_parameters()
+        supported = ClippedAdam.supports(policy.optimizer, policy.actor_and_critic_parameters())
         self.adam = ClippedAdam(policy.optimizer, max_grad_norm) if supported else None
 
     @staticmethod
@@ -61,10 +57,6 @@ class FastUpdate:
             and inherits(buffer, SlotRolloutBuffer, "batch")
             and all(parameter.requires_grad for parameter in policy.actor_and_critic_parameters())
         )
-
-    def _set_grad(self) -> None:
-        for parameter, gradient in zip(self._parameters, chain(*self._gradients), strict=True):
-            parameter.grad = gradient
 
     @th.no_grad()
     def gradient(self, indices: Indices) -> Doubles:
@@ -86,11 +78,12 @@ class FastUpdate:
             for piece, at in enumerate(np.array_split(rows[network], pieces[network])):
                 tasks.add(partial(compute, network, piece, at))
         tasks.run()
-        for gradients, shards in zip(self._gradients, computed, strict=True):
-            th._foreach_copy_(gradients, shards[0][0])
+        for parameters, shards in zip(self._networks, computed, strict=True):
+            gradients = shards[0][0]
             for piece in range(1, len(shards)):
                 th._foreach_add_(gradients, shards[piece][0])
-        self._set_grad()  # anew: a step of one's own may have called zero_grad
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter.grad = gradient
         statistics: Doubles = np.sum([shards[piece][1] for shards in computed for piece in range(len(shards))], axis=0)
         return statistics
 
@@ -116,7 +109,7 @@ class ClippedAdam:
                     state["step"] = th.zeros(())
                     state["exp_avg"], state["exp_avg_sq"] = th.zeros_like(parameter), th.zeros_like(parameter)
             lists = [[state[name] for state in states] for name in ("step", "exp_avg", "exp_avg_sq")]
-            self._groups.append((group, [parameters, [parameter.grad for parameter in parameters], *lists]))
+            self._groups.append((group, [parameters, *lists]))
 
     @staticmethod
     def supports(optimizer: th.optim.Optimizer, parameters: Sequence[th.Tensor]) -> bool:
@@ -131,8 +124,9 @@ class ClippedAdam:
 
     @th.no_grad()
     def step(self) -> None:
-        """Clip the gradients, which must be the tensors of the time of construction, and step."""
-        for group, (parameters, gradients, steps, averages, average_squares) in self._groups:
+        """Clip the gradients, and step."""
+        for group, (parameters, steps, averages, average_squares) in self._groups:
+            gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
             # torch.nn.utils.clip_grad_norm_: the norm of the tensors' norms
             norm = th.linalg.vector_norm(th.stack(th._foreach_norm(gradients)))
             th._foreach_mul_(gradients, (self._max_norm / (norm + 1e-6)).clamp_(max=1.0))

@@ -123,11 +123,10 @@ class FullyConnected:
             to_rows: also return, as the first, the gradient by the rows.
             later: is given the tasks that write a layer's gradient into the list; other threads may run them.
         """
-        gradients = [grad] * (2 * len(self.layers) + to_rows)
+        gradients = [grad] * (2 * len(self.layers))
 
-        def by_layer(number: int, grad: th.Tensor, inputs: th.Tensor, onednn: bool) -> None:
-            gradients[2 * number + to_rows] = _product(grad.t(), inputs.t()) if onednn else grad.t() @ inputs
-            gradients[2 * number + to_rows + 1] = grad.sum(dim=0)
+        def by_weight(into: th.Tensor, grad: th.Tensor, inputs: th.Tensor, onednn: bool) -> None:
+            into.copy_(_product(grad.t(), inputs.t()) if onednn else grad.t() @ inputs)
 
         for number in reversed(range(len(self.layers))):
             weight, _, activation, onednn = self.layers[number]
@@ -140,12 +139,14 @@ class FullyConnected:
                 else:
                     th.ops.aten.tanh_backward.grad_input(grad, outputs, grad_input=to)
                 grad = to
-            later(partial(by_layer, number, grad, inputs, onednn))
+            gradients[2 * number : 2 * number + 2] = th.empty_like(weight), grad.sum(dim=0)
+            # Nothing else is left to do beside the first layer's, which is the largest: two threads take a half each.
+            pieces = 1 if number or later is _now else 2
+            for into, part in zip(gradients[2 * number].chunk(pieces), grad.chunk(pieces, dim=1), strict=True):
+                later(partial(by_weight, into, part, inputs, onednn))
             if number or to_rows:
                 grad = _product(grad, weight.t()) if onednn else grad @ weight
-        if to_rows:
-            gradients[0] = grad
-        return gradients
+        return [grad, *gradients] if to_rows else gradients
 
 
 def has_hooks(module: nn.Module) -> bool:
