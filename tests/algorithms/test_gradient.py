@@ -226,6 +226,16 @@ def test_a_step_that_clears_the_gradient_still_trains() -> None:
 
 
 @pytest.mark.parametrize("fast", [True, False])
+def test_the_gradient_of_each_network_is_clipped(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FastUpdate, "supports", staticmethod(lambda *_: fast))
+    model = small_model(max_grad_norm=1e-15)  # far below Adam's epsilon: steps of nothing
+    bodies = model.policy.actor_body[0].weight, model.policy.critic_body[0].weight
+    before = [weight.detach().clone() for weight in bodies]
+    model.learn(6 * 8)
+    th.testing.assert_close(list(bodies), before)
+
+
+@pytest.mark.parametrize("fast", [True, False])
 def test_target_kl_stops_before_the_step_of_a_minibatch_as_in_sb3(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FastUpdate, "supports", staticmethod(lambda *_: fast and True))
     target = 0.01

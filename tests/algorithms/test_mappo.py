@@ -100,7 +100,7 @@ def test_the_same_seed_gives_the_same_weights() -> None:
 @pytest.mark.parametrize("name", ["ent_coef", "clip_range"])
 def test_a_coefficient_may_fall(name: str) -> None:
     weights = []
-    for value in (0.5, lambda remaining: 0.5, lambda remaining: remaining):
+    for value in (0.5, lambda remaining: 0.5, lambda remaining: 0.5 * remaining):
         model = small_model(**{name: value})
         model.learn(2 * model.n_steps * model.n_envs)
         weights.append(th.nn.utils.parameters_to_vector(model.policy.parameters()))

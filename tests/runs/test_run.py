@@ -17,10 +17,12 @@ from safetensors.torch import load_file
 from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from uavaou import InputError, Scenario, evaluate
 from uavaou.algorithms.registry import load_config
+from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import command_line
 from uavaou.evaluation.checker import CONSTRAINTS
-from uavaou.evaluation.seeds import VALIDATION_SEED
+from uavaou.evaluation.seeds import VALIDATION_SEED, training_seeds
 from uavaou.planners import make_planner
+from uavaou.runs import train as train_module
 from uavaou.runs.folder import RunConfig, RunFolder, flight_folder, run_folder
 from uavaou.runs.policy import load_run
 from uavaou.runs.train import train
@@ -87,6 +89,24 @@ def test_the_same_config_gives_the_same_run_and_another_seed_another(tmp_path: P
     assert th.equal(weights["a"][key], weights["b"][key])
     assert not th.equal(weights["a"][key], weights["c"][key])
     assert without_wall(tmp_path / "a" / "episodes.csv") == without_wall(tmp_path / "b" / "episodes.csv")
+
+
+def test_missions_have_the_settings_and_the_seed_of_the_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Any] = []
+    make_learner = train_module._make_learner
+
+    def noting(config: RunConfig, env: MissionVecEnv, device: str) -> Any:
+        model = make_learner(config, env, device)
+        (batch,) = env._environments()
+        made.append((env._next_seed, env.missions, env.views.observation, env.row_layout.selects, batch.reward))
+        return model
+
+    monkeypatch.setattr(train_module, "_make_learner", noting)
+    settings = {"missions": 2, "observation": "shared", "collection": "auto", "reward": "aou"}
+    train(small(seed=3, slots=50, **settings), tmp_path / "run")
+    assert made == [(training_seeds(3).start, 2, "shared", False, "aou")]
 
 
 def test_what_a_run_writes(tmp_path: Path) -> None:
