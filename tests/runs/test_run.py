@@ -16,6 +16,7 @@ from safetensors.torch import load_file
 
 from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from uavaou import InputError, Scenario, evaluate
+from uavaou.algorithms.io.tensor_file import ArrayFile
 from uavaou.algorithms.registry import load_config
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import command_line
@@ -23,8 +24,10 @@ from uavaou.evaluation.checker import CONSTRAINTS
 from uavaou.evaluation.seeds import VALIDATION_SEED, training_seeds
 from uavaou.planners import make_planner
 from uavaou.runs import train as train_module
+from uavaou.runs.checkpoint_header import read_header
 from uavaou.runs.folder import RunConfig, RunFolder, flight_folder, run_folder
 from uavaou.runs.policy import load_run
+from uavaou.runs.recorder import Recorder
 from uavaou.runs.train import train
 
 SMALL = {
@@ -134,6 +137,29 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
         for name, metric in ((f"reward_{action}_s", "reward"), (f"communications_{action}", "communications")):
             assert float(row[f"evaluation/{name}"]) == played.values(metric).mean()
         assert float(row[f"evaluation/mean_aou_{action}_s"]) == played.mean_aou_s
+
+
+def test_the_best_policy_is_that_of_the_lowest_validation_by_the_action_that_reached_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scores = [9.0, 8.0, 7.0, 5.0, 6.0, 9.0]  # by the likeliest and by sampled actions, at 200, 400 and, last, 500 slots
+    weights, validated = [], []
+
+    def validate(recorder: Recorder, action: str) -> float:
+        validated.append((recorder._slots, action))
+        weights.append(recorder.model.policy.state_dict()["actor_body.0.weight"].clone())
+        return scores[len(validated) - 1]
+
+    monkeypatch.setattr(Recorder, "_validate", validate)
+    outcome = train(small(slots=450), tmp_path / "run")
+    assert validated == [(slots, action) for slots in (200, 400, 500) for action in ("greedy", "sample")]
+    progress, best = outcome.progress, ArrayFile(outcome.folder.best)
+    assert (progress.best_score, progress.best_action) == (5.0, "sample")
+    assert read_header(best).slots == 400
+    np.testing.assert_array_equal(best.read("policy.actor_body.0.weight"), weights[2])
+    policy = load_run(outcome.folder)
+    assert policy.action == "sample"
+    assert th.equal(policy.model.policy.state_dict()["actor_body.0.weight"], weights[2])
 
 
 @pytest.mark.slow
