@@ -16,6 +16,7 @@ from torch import nn
 
 from tests.algorithms.small_mappo import small_model
 from uavaou import IPPO, MAPPO, Scenario, flatten
+from uavaou.algorithms.fast import loss
 from uavaou.algorithms.fast.loss import GradientShard
 from uavaou.algorithms.fast.update import FastUpdate
 from uavaou.algorithms.mappo import CentralizedValuePolicy
@@ -66,6 +67,17 @@ def test_the_fast_gradient_is_that_of_the_loss(
     pair = both_gradients(model, rng.permutation(24)[:9], 0.05, 0.3, 1.7)
     assert 0.2 < float(pair[0][0].clip_fraction) < 1
     assert_close(pair)
+
+
+@pytest.mark.parametrize("critic_input", ["global", "both"])
+def test_the_gradients_of_shards_add_up_to_that_of_the_loss(critic_input: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loss, "ROWS", 4)
+    model = small_model(policy_kwargs={"critic_input": critic_input})
+    model.learn(6 * 8)
+    shard = GradientShard(model.policy, model.rollout_buffer)
+    pieces = shard.pieces(18, len(shard.critic_rows(np.arange(9))))
+    assert pieces == ((4, 2) if critic_input == "global" else (4, 4))  # of unequal sizes
+    assert_close(both_gradients(model, np.arange(9)))
 
 
 @pytest.mark.parametrize("critic_input", ["global", "both"])
@@ -211,6 +223,16 @@ def test_a_step_that_clears_the_gradient_still_trains() -> None:
         assert model.uses_fast
         weights.append([parameter.detach() for parameter in model.policy.parameters()])
     th.testing.assert_close(*weights, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_the_gradient_of_each_network_is_clipped(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FastUpdate, "supports", staticmethod(lambda *_: fast))
+    model = small_model(max_grad_norm=1e-15)  # far below Adam's epsilon: steps of nothing
+    bodies = model.policy.actor_body[0].weight, model.policy.critic_body[0].weight
+    before = [weight.detach().clone() for weight in bodies]
+    model.learn(6 * 8)
+    th.testing.assert_close(list(bodies), before)
 
 
 @pytest.mark.parametrize("fast", [True, False])

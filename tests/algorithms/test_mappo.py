@@ -97,15 +97,32 @@ def test_the_same_seed_gives_the_same_weights() -> None:
     assert not th.equal(weights[0], weights[2])
 
 
-def test_the_entropy_bonus_may_fall() -> None:
+@pytest.mark.parametrize("name", ["ent_coef", "clip_range"])
+def test_a_coefficient_may_fall(name: str) -> None:
     weights = []
-    for ent_coef in (0.5, lambda remaining: 0.5, lambda remaining: remaining):
-        model = small_model(ent_coef=ent_coef)
+    for value in (0.5, lambda remaining: 0.5, lambda remaining: 0.5 * remaining):
+        model = small_model(**{name: value})
         model.learn(2 * model.n_steps * model.n_envs)
         weights.append(th.nn.utils.parameters_to_vector(model.policy.parameters()))
-    assert model.ent_coef == 0
+    assert name != "ent_coef" or model.ent_coef == 0
     assert th.equal(weights[0], weights[1])
     assert not th.equal(weights[1], weights[2])
+
+
+def test_the_critic_learns_at_its_own_rate() -> None:
+    model = small_model(critic_learning_rate=1e-9)
+    bodies = model.policy.actor_body[0].weight, model.policy.critic_body[0].weight
+    actor, critic = (weight.detach().clone() for weight in bodies)
+    model.learn(6 * 8)
+    assert not th.allclose(bodies[0], actor)
+    th.testing.assert_close(bodies[1], critic)
+
+
+def test_values_are_normalised_by_the_returns_of_the_rollout() -> None:
+    model = small_model().learn(6 * 8)
+    returns = th.from_numpy(model.rollout_buffer.returns)
+    th.testing.assert_close(model.policy.value_net.mean, returns.mean())
+    th.testing.assert_close(model.policy.value_net.std, returns.std(correction=0))
 
 
 @pytest.mark.parametrize("advantage_normalization", ["none", "rollout", "batch"])

@@ -292,6 +292,24 @@ def test_fields_keep_the_order_of_the_committed_configurations(name: str) -> Non
     assert [field for field in fields if field in committed] == list(committed)  # newer ones have defaults
 
 
+@pytest.mark.parametrize("name", ["mappo", "ippo", "vdn", "qmix", "iql"])
+def test_each_setting_is_an_argument_of_the_learner(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = "mappo" if name in ("mappo", "ippo") else "qlearning"
+    monkeypatch.setattr(f"uavaou.algorithms.{package}.{name.upper()}", dict)  # "builds" its arguments
+
+    def arguments(config: Any) -> dict[str, Any]:
+        given: dict[str, Any] = config.build(None, 0, "cpu")
+        given |= given.pop("policy_kwargs")
+        return {name: [one(left) for left in (1, 0.5, 0)] if callable(one) else one for name, one in given.items()}
+
+    published = registry.load_config(name)
+    for field in type(published).model_fields.keys() - AlgorithmConfig.model_fields:
+        value = getattr(published, field)
+        other = (*value, 8) if isinstance(value, tuple) else "another" if isinstance(value, str) else 2 * value + 1
+        before, after = arguments(published), arguments(published.model_copy(update={field: other}))
+        assert len([key for key in before if before[key] != after[key]]) == 1, field
+
+
 def test_validations_follow_a_smaller_budget() -> None:
     from uavaou.algorithms.registry import load_config
 

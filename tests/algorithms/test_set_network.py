@@ -210,6 +210,36 @@ def test_a_family_is_trained_on(name: str) -> None:
     assert scale.weights.any()
 
 
+def test_a_rollout_is_scaled_by_the_sizes_of_its_scenarios() -> None:
+    model = mappo(env=flatten(Family.load("any"), missions=4, worlds=2, rows="entities", collection="auto"))
+    _, callback = model._setup_learn(6 * model.n_envs, None)
+    buffer, policy = model.rollout_buffer, model.policy
+    for power in (0, 1):  # without a scale, and with that of the first rollout
+        model.collect_rollouts(model.env, callback, buffer, 6)
+        scale = policy.value_scale(th.from_numpy(buffer.critic_rows).flatten(0, 1)).reshape(6, 4, 1)
+        before = {name: getattr(buffer, name).copy() for name in ("values", "returns", "advantages")}
+        assert (scale == 1).all() == (not power)
+        with th.no_grad():
+            plain = policy.value_net.denormalise(policy.normalised_values(th.from_numpy(buffer.state[0])))
+        np.testing.assert_allclose(before["values"][0, :, 0], plain * scale[0, :, 0], rtol=1e-4)
+        model._scale_rollout()
+        scale = policy.value_scale(th.from_numpy(buffer.critic_rows).flatten(0, 1)).reshape(6, 4, 1)
+        assert len(scale.unique()) == 2  # one a World
+        for name, array in before.items():
+            np.testing.assert_allclose(getattr(buffer, name), array / scale.numpy(), rtol=1e-5)
+
+
+def test_minibatches_have_as_many_uavs_as_asked_for_whatever_is_padding() -> None:
+    model = mappo(env=flatten(Family.load("any"), missions=4, worlds=2, rows="entities", collection="auto"))
+    model.learn(6 * model.n_envs)
+    buffer, optimizer = model.rollout_buffer, model.policy.optimizer
+    assert buffer.present is not None
+    slots = int(30 * 6 * 4 / buffer.present.sum())  # of a minibatch of 30 rows
+    assert slots > 30 // buffer.row_layout.uavs
+    steps = optimizer.state[optimizer.param_groups[0]["params"][0]]["step"]
+    assert steps == model.n_epochs * -(-6 * 4 // slots)
+
+
 def test_the_scale_of_values_is_a_regression_on_the_sizes() -> None:
     scale, rng = ValueScale([1, 2, 3]), np.random.default_rng(0)
     truth = th.tensor([0.5, -1.0, 0.3, 0.2])

@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.cli.commands import TINY, call, contents, runs
+from uavaou import evaluate
 from uavaou.evaluation.recorded_mission import read_mission
+from uavaou.reports import mission_figures
 from uavaou.runs.folder import scenario_folder
 from uavaou.runs.released import released_folder, released_names
 from uavaou.scenario import Scenario
@@ -129,7 +133,12 @@ def test_a_misspelt_name_gets_the_nearest(command: str, capsys: pytest.CaptureFi
 
 
 @pytest.mark.slow
-def test_fly_shows_a_mission_and_says_where_its_files_are(capsys: pytest.CaptureFixture[str], released: Path) -> None:
+def test_fly_shows_a_mission_and_says_where_its_files_are(
+    capsys: pytest.CaptureFixture[str], released: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+    draw = mission_figures.plot_trajectories
+    monkeypatch.setattr(mission_figures, "plot_trajectories", lambda *given: [drawn.append(given[1]), draw(*given)][1])
     (released / "mine.yaml").write_text("base: tiny\nlayout_seed: 3\n")
     code, out, err = call(capsys, "fly mine.yaml --seed 7 --quiet")
     assert (code, err) == (0, "")
@@ -144,7 +153,10 @@ def test_fly_shows_a_mission_and_says_where_its_files_are(capsys: pytest.Capture
     assert all(f'"name":"{name}"' in written[0].read_text() for name in ("any-map", "best-first"))
     mission = read_mission(written[1])
     assert (mission.policy, mission.mission_seed, mission.scenario.layout_seed) == ("any-map", 7, 3)
-    assert f"{mission.mean_aou_slots:.2f}" in table  # the mission drawn is the one in the table
+    assert f"{mission.mean_aou_slots:.2f}" in table
+    assert mission.mean_aou_slots == pytest.approx(evaluate("any-map", "mine.yaml", 1, seed=7).mean_aou_slots)
+    (recording,) = drawn
+    np.testing.assert_allclose(recording.age_sum, mission.recording.age_sum)
 
 
 @pytest.mark.slow

@@ -28,14 +28,18 @@ from uavaou.runs.train import train
 
 
 class Scored:
-    """Lets each candidate end with a score of one's own, in turn; the last score stands for all later ones."""
+    """Lets each candidate end with a score of one's own, in turn; the last score stands for all later ones.
+
+    It is reached by sampling; the likeliest actions reach a worse one.
+    """
 
     def __init__(self, *scores: float) -> None:
         self.left = list(scores)
 
     def __call__(self, recorder: Recorder, action: str) -> float:
-        greedy = action == "greedy"
-        return self.left.pop(0) if greedy and len(self.left) > 1 else self.left[0] + (not greedy)
+        if action == "greedy":
+            self.score = self.left.pop(0) if len(self.left) > 1 else self.left[0]
+        return self.score + (action == "greedy")
 
 
 def scored(*scores: float) -> Any:

@@ -16,13 +16,18 @@ from safetensors.torch import load_file
 
 from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from uavaou import InputError, Scenario, evaluate
+from uavaou.algorithms.io.tensor_file import ArrayFile
 from uavaou.algorithms.registry import load_config
+from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import command_line
 from uavaou.evaluation.checker import CONSTRAINTS
-from uavaou.evaluation.seeds import VALIDATION_SEED
+from uavaou.evaluation.seeds import VALIDATION_SEED, training_seeds
 from uavaou.planners import make_planner
+from uavaou.runs import train as train_module
+from uavaou.runs.checkpoint_header import read_header
 from uavaou.runs.folder import RunConfig, RunFolder, flight_folder, run_folder
 from uavaou.runs.policy import load_run
+from uavaou.runs.recorder import Recorder
 from uavaou.runs.train import train
 
 SMALL = {
@@ -89,6 +94,24 @@ def test_the_same_config_gives_the_same_run_and_another_seed_another(tmp_path: P
     assert without_wall(tmp_path / "a" / "episodes.csv") == without_wall(tmp_path / "b" / "episodes.csv")
 
 
+def test_missions_have_the_settings_and_the_seed_of_the_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Any] = []
+    make_learner = train_module._make_learner
+
+    def noting(config: RunConfig, env: MissionVecEnv, device: str) -> Any:
+        model = make_learner(config, env, device)
+        (batch,) = env._environments()
+        made.append((env._next_seed, env.missions, env.views.observation, env.row_layout.selects, batch.reward))
+        return model
+
+    monkeypatch.setattr(train_module, "_make_learner", noting)
+    settings = {"missions": 2, "observation": "shared", "collection": "auto", "reward": "aou"}
+    train(small(seed=3, slots=50, **settings), tmp_path / "run")
+    assert made == [(training_seeds(3).start, 2, "shared", False, "aou")]
+
+
 def test_what_a_run_writes(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
     config = small()
@@ -114,6 +137,29 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
         for name, metric in ((f"reward_{action}_s", "reward"), (f"communications_{action}", "communications")):
             assert float(row[f"evaluation/{name}"]) == played.values(metric).mean()
         assert float(row[f"evaluation/mean_aou_{action}_s"]) == played.mean_aou_s
+
+
+def test_the_best_policy_is_that_of_the_lowest_validation_by_the_action_that_reached_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scores = [9.0, 8.0, 7.0, 5.0, 6.0, 9.0]  # by the likeliest and by sampled actions, at 200, 400 and, last, 500 slots
+    weights, validated = [], []
+
+    def validate(recorder: Recorder, action: str) -> float:
+        validated.append((recorder._slots, action))
+        weights.append(recorder.model.policy.state_dict()["actor_body.0.weight"].clone())
+        return scores[len(validated) - 1]
+
+    monkeypatch.setattr(Recorder, "_validate", validate)
+    outcome = train(small(slots=450), tmp_path / "run")
+    assert validated == [(slots, action) for slots in (200, 400, 500) for action in ("greedy", "sample")]
+    progress, best = outcome.progress, ArrayFile(outcome.folder.best)
+    assert (progress.best_score, progress.best_action) == (5.0, "sample")
+    assert read_header(best).slots == 400
+    np.testing.assert_array_equal(best.read("policy.actor_body.0.weight"), weights[2])
+    policy = load_run(outcome.folder)
+    assert policy.action == "sample"
+    assert th.equal(policy.model.policy.state_dict()["actor_body.0.weight"], weights[2])
 
 
 @pytest.mark.slow

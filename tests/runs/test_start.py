@@ -74,10 +74,11 @@ def test_a_training_begins_with_the_weights_of_another(finished: RunFolder, tmp_
     assert outcome.folder.read_config() == read_config(outcome.folder.config) == config
 
 
-def test_its_settings_are_those_of_the_run_and_its_budget_is_the_published_one(finished: RunFolder) -> None:
-    config = Start.at(finished).training(Scenario.load("tiny"), {}, seed=0)
-    own = finished.read_config().algorithm
-    assert config.algorithm == own.model_copy(update={"slots": load_config("mappo").slots})
+def test_its_settings_are_those_of_the_run_but_for_a_published_budget_and_one_candidate(run: RunFolder) -> None:
+    own = small(candidates=3).algorithm
+    run.config.write_text(small(candidates=3).to_yaml())
+    config = Start.at(run).training(Scenario.load("tiny"), {}, seed=0)
+    assert config.algorithm == own.model_copy(update={"slots": load_config("mappo").slots, "candidates": 1})
 
 
 def test_validations_follow_the_budget(finished: RunFolder) -> None:
