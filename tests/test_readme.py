@@ -5,13 +5,17 @@ from __future__ import annotations
 import re
 from collections import Counter
 from pathlib import Path
+from statistics import fmean
+from typing import Any
 
+import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
 from tests.committed import mean_of, study
 from tests.documents import ROOT, blocks, commands
 from tests.reports.strayed import frequencies_of_strays
+from uavaou import evaluate
 from uavaou.algorithms.registry import load_config
 from uavaou.planners import PLANNERS, planner_knowledge
 from uavaou.reports.claims import judge
@@ -41,7 +45,11 @@ def test_a_training_and_an_evaluation_from_python(workplace: Path, capsys: pytes
     assert "slots=200_000" in code
     exec(code.replace("slots=200_000", "slots=2_000").replace("episodes=100", "episodes=2"), {})
     lines = capsys.readouterr().out.splitlines()
-    assert all(float(value) > 0 for value in lines[0].split())
+    own, greedy = map(float, lines[0].split())
+    assert own > 0
+    assert greedy == evaluate("greedy", "quickstart").mean_aou_slots
+    trainings = [float(value) for value in "".join(lines[1:]).strip("[]").split()]
+    assert (len(trainings), f"{fmean(trainings):.1f}") == (10, mean_of("paper", "mappo").split()[0])
     assert (workplace / "my-run" / "config.yaml").is_file()
 
 
@@ -49,7 +57,16 @@ def test_the_environment_and_a_learner_from_python() -> None:
     code = blocks(README, "python")[1]
     assert "missions=64" in code
     assert "learn(1_000_000)" in code
-    exec(code.replace("missions=64", "missions=2").replace("learn(1_000_000)", "learn(100)"), {})
+    names: dict[str, Any] = {}
+    exec(code.replace("missions=64", "missions=2").replace("learn(1_000_000)", "learn(100)"), names)
+    env, model, layout = names["env"], names["model"], names["model"].env.row_layout
+    masks = [mask for info in names["infos"].values() for mask in info["action_mask"]]
+    assert all(set(np.unique(mask)) <= {0, 1} and mask.any() for mask in masks)
+    local = [rows.size for rows in names["observations"].values()]
+    assert {*local} == {layout.local_size}
+    assert env.state().shape == (layout.global_size,)
+    assert model.observation_space.shape == (layout.local_size + layout.global_size,)
+    assert model.num_timesteps == model.n_steps * 2 * env.world.scenario.uavs >= 100  # agent steps of one rollout
 
 
 def test_it_shows_every_command() -> None:
