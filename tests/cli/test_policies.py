@@ -181,7 +181,9 @@ def test_without_a_released_policy_fly_says_which_planner_flies(
     monkeypatch.setattr("uavaou.runs.released.zoo_folder", lambda kind: workplace)
     code, out, err = call(capsys, "fly tiny --set scenario.layout_seed=2")
     assert (code, err.splitlines()[-1]) == (0, "flown by best-first: no policy 'any-map' comes with this version")
-    assert "results/tiny+layout_seed=2/fly/best-first/mission-10000-map.png" in out
+    mission = "results/tiny+layout_seed=2/fly/best-first/mission-10000"
+    assert f"{mission}-map.png" in out
+    assert read_mission(Path(f"{mission}.json")).scenario.layout_seed == 2
 
 
 # -- trainings that follow on another ----------------------------------------------------------------------
