@@ -229,6 +229,23 @@ def test_a_rollout_is_scaled_by_the_sizes_of_its_scenarios() -> None:
             np.testing.assert_allclose(getattr(buffer, name), array / scale.numpy(), rtol=1e-5)
 
 
+@pytest.mark.parametrize("collection", ["select", "auto"])
+def test_each_uav_that_is_there_decides_by_its_own_row(collection: str) -> None:
+    sizes = {"uavs": {"low": 1, "high": 3}, "devices": {"low": 2, "high": 5}, "slots": {"low": 8, "high": 20}}
+    env = flatten(Family.from_dict({"base": "tiny"} | sizes), 4, worlds=2, rows="entities", collection=collection)
+    model = mappo(env=env, n_steps=40)
+    _, callback = model._setup_learn(40 * env.num_envs, None)
+    buffer, column = model.rollout_buffer, env.row_layout.present_column
+    model.collect_rollouts(env, callback, buffer, 40)
+    present = buffer.local[..., column] > 0.5  # (T, N, U)
+    assert len(np.unique(present.sum(axis=2), axis=0)) > 2  # draws of other sizes follow
+    np.testing.assert_array_equal(buffer.present, present)
+    rows, actions = (th.from_numpy(array[present]) for array in (buffer.local, buffer.actions))
+    with th.no_grad():
+        log_probs = model.policy.action_distribution(rows).log_prob(actions)
+    np.testing.assert_allclose(buffer.log_probs[present], log_probs, rtol=1e-4, atol=1e-5)
+
+
 def test_minibatches_have_as_many_uavs_as_asked_for_whatever_is_padding() -> None:
     model = mappo(env=flatten(Family.load("any"), missions=4, worlds=2, rows="entities", collection="auto"))
     model.learn(6 * model.n_envs)

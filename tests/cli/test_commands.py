@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.cli.commands import TINY, TRAIN, call, contents, runs
-from uavaou import evaluate
+from uavaou import Scenario, evaluate
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou.runs.recorder import Recorder
@@ -25,14 +25,16 @@ from uavaou_cli.tables import WIDTH
 def test_planners_meet_the_same_missions_whatever_stands_beside_them(
     capsys: pytest.CaptureFixture[str], workplace: Path
 ) -> None:
-    base = "eval --scenario quickstart --set scenario.layout_seed=3 --episodes 5 --json"
+    base = "eval --scenario quickstart --set scenario.layout_seed=3 --episodes 5 --seed 7 --json"
     for command in (f"{base} both.json --policy stay --policy random", f"{base} deep/one.json --policy random"):
         code, _, err = call(capsys, command)
         assert (code, err.startswith("wrote ")) == (0, True)
     both, one = (json.loads((workplace / name).read_text()) for name in ("both.json", "deep/one.json"))
     assert both["policies"]["random"] == one["policies"]["random"]
-    assert (both["scenario"], both["episodes"], both["seed"]) == ("quickstart", 5, 10_000)
+    assert (both["scenario"], both["episodes"], both["seed"]) == ("quickstart", 5, 7)
     assert list(both["policies"]) == ["stay", "random"]
+    played = evaluate("random", Scenario.load("quickstart").replace(layout_seed=3), 5, seed=7)
+    assert both["policies"]["random"]["mean_aou_s"] == played.values("mean_aou_s").tolist()
 
 
 def test_the_default_scenario_is_the_papers(capsys: pytest.CaptureFixture[str]) -> None:
