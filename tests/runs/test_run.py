@@ -130,6 +130,8 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
     for name in ("rollout/mean_aou", "evaluation/mean_aou_greedy", "evaluation/mean_aou_sample"):  # ages in both units
         ages = [(float(row[f"{name}_s"]), tau * float(row[f"{name}_slots"])) for row in progress if row[f"{name}_s"]]
         assert ages == [pytest.approx((age, age)) for age, _ in ages] != []
+    shown = [float(row["rollout/mean_aou_s"]) for row in progress if row["rollout/mean_aou_s"]]
+    assert shown[-1] == pytest.approx(np.mean([float(row["mean_aou_s"]) for row in episodes[-4:]]), rel=1e-5)
     best = f"evaluation/mean_aou_{outcome.progress.best_action}_s"
     row = next(row for row in progress if row[best] == str(outcome.progress.best_score))
     for action in ("greedy", "sample"):
