@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from click import MissingParameter
+import typer
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
@@ -54,7 +54,9 @@ def parse(command: Any, arguments: list[str]) -> None:
     """
     try:
         context = command.make_context("uavaou", list(arguments))
-    except MissingParameter:  # the prose names a command without all it needs
+    except typer.BadParameter as error:
+        if type(error).__name__ != "MissingParameter":  # the prose names a command without all it needs
+            raise
         return
     left = [*context._protected_args, *context.args]
     if left and hasattr(command, "commands"):

@@ -29,6 +29,7 @@ ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that r
     "uavaou study run suite-": "tests/studies",
     "uavaou study run ours.yaml": "the test below",
     "uavaou eval results/paper*/": "tests/suites",
+    "uavaou train --continue RUN --resume": "tests/runs/test_start.py",
     "uavaou replay RUN --out mission.gif": "tests/reports/test_replay.py",
     "uavaou study run paper --engine ray": "tests/studies/test_study_killed.py",
     "uavaou plot figures  ": "tests/reports/test_figures.py",
