@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import typer
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "results/README.md")),
@@ -31,22 +33,31 @@ def code_spans(page: Path) -> list[str]:
     return re.findall(r"`([^`\n]+)`", prose(page))
 
 
-def commands(page: Path) -> Iterator[list[str]]:
-    """Every ``uavaou`` command of a page, as arguments."""
+def console(page: Path) -> list[str]:
+    """The ``uavaou`` commands of a page's code blocks, with their comments."""
     lines = [line for block in blocks(page, "") for line in block.replace("\\\n", " ").splitlines()]
-    for text in [*lines, *code_spans(page)]:
+    return [line for text in lines for line in text.split(" && ") if line.startswith("uavaou ")]
+
+
+def commands(page: Path) -> Iterator[list[str]]:
+    """Every ``uavaou`` command of a page, also of its inline code, as arguments."""
+    for text in [*console(page), *code_spans(page)]:
         if text.startswith("uavaou "):
             yield shlex.split(text, comments=True)[1:]
 
 
-def unknown_options(command: Any, arguments: list[str]) -> set[str]:
-    """The options among ``arguments`` that neither the ``command`` nor the one below it that they name has."""
-    known, left = {"--help"}, list(arguments)
-    while True:
-        known |= {option for parameter in command.params for option in parameter.opts}
-        while left and left[0].startswith("--"):  # such as --plugin FILE.py, before the command's name
-            del left[: 1 if left[0] in ("--version", "--help") else 2]
-        below = getattr(command, "commands", {})
-        if not left or left[0] not in below:
-            return {word for word in arguments if word.startswith("--")} - known
-        command = below[left.pop(0)]
+def parse(command: Any, arguments: list[str]) -> None:
+    """Parse all names and values of ``arguments``, as the command does before it begins.
+
+    Raises:
+        UsageError, InputError: as for a user, but not for an argument that is left out.
+    """
+    try:
+        context = command.make_context("uavaou", list(arguments))
+    except typer.BadParameter as error:
+        if type(error).__name__ != "MissingParameter":  # the prose names a command without all it needs
+            raise
+        return
+    left = [*context._protected_args, *context.args]
+    if left and hasattr(command, "commands"):
+        parse(command.commands[left[0]], left[1:])

@@ -16,7 +16,7 @@ import typer.main
 from PIL import Image
 from stable_baselines3 import PPO
 
-from tests.documents import PAGES, ROOT, blocks, code_spans, commands, unknown_options
+from tests.documents import PAGES, ROOT, blocks, code_spans, commands, parse
 from uavaou import Family, Scenario, flatten
 from uavaou.algorithms.registry import ENTRY_POINTS
 from uavaou_cli.main import app
@@ -81,10 +81,11 @@ def test_uavaou_exports_what_it_imports(page: Path) -> None:
 
 
 @pages
-def test_commands_have_these_options(page: Path) -> None:
+def test_commands_can_be_parsed(page: Path) -> None:
     root = typer.main.get_command(app)
     for arguments in commands(page):
-        assert not unknown_options(root, arguments), arguments
+        if arguments[0] not in ("COMMAND", "--version", "--help", "--install-completion"):  # these would be run
+            parse(root, ["7" if word in ("N", "S") else word for word in arguments])
 
 
 @pages

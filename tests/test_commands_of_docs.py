@@ -1,0 +1,121 @@
+"""The commands of the pages' code blocks run one after the other, trainings with a small budget; what a comment names
+is there afterwards."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from glob import glob
+from pathlib import Path
+
+import pytest
+
+import uavaou.runs.train
+from tests.documents import ROOT, blocks, console
+from uavaou.runs.folder import RunConfig
+from uavaou_cli.main import main
+
+pytestmark = pytest.mark.slow
+
+as_asked = uavaou.runs.train.train
+RUN = "results/paper/mappo/seed-0"
+LESS = {"eval": ["--episodes", "2"], "rolling": ["--time-limit", "1"]}  # work than the page asks for
+ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that runs its like
+    "uavaou tune": "tests/tuning",
+    "uavaou study run smoke": "tests/studies",
+    "uavaou study run suite-": "tests/studies",
+    "uavaou study run ours.yaml": "the test below",
+    "uavaou eval results/paper*/": "tests/suites",
+    "uavaou train --continue RUN --resume": "tests/runs/test_start.py",
+    "uavaou replay RUN --out mission.gif": "tests/reports/test_replay.py",
+    "uavaou study run paper --engine ray": "tests/studies/test_study_killed.py",
+    "uavaou plot figures  ": "tests/reports/test_figures.py",
+    "uavaou plot figures results/studies/": "tests/reports/test_figures.py",
+    "uavaou replay results/studies/": "tests/reports/test_committed_pages.py",
+    "uavaou --plugin": "tests/algorithms/test_registry.py",
+}
+PAGES = ("README", "docs/composite-actions", "docs/figures", "docs/model", "docs/on-board", "docs/policies",
+         "docs/replay", "docs/speed", "docs/studies", "docs/suites")  # fmt: skip
+
+
+def few(slots: int) -> int:
+    return slots if slots < 20_000 else slots // 1_000  # again for a run that goes on
+
+
+def small(config: RunConfig) -> RunConfig:
+    """The same training with a small budget."""
+    algorithm = config.algorithm
+    quick = {
+        "slots": few(algorithm.slots), "missions": 1, "worlds": 1, "rollout_slots": 50, "batch_rows": 50, "epochs": 1,
+        "evaluation_missions": 1, "candidates": 1, "learning_starts": 20, "batch_slots": 8, "replay_slots": 100,
+        "slots_per_update": 50,
+    }  # fmt: skip
+    changes = {name: value for name, value in quick.items() if name in type(algorithm).model_fields}
+    budgets = tuple(map(few, config.budgets))
+    return replace(config, algorithm=algorithm.model_copy(update=changes), budgets=budgets)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The results of a training of ``paper``; from then on, every training is small."""
+    place = tmp_path_factory.mktemp("trained")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(uavaou.runs.train, "train", lambda config, *rest, **more: as_asked(small(config), *rest, **more))
+        assert main(["train", "paper", "--quiet", "--out", str(place)]) == 0
+        yield place
+
+
+@pytest.fixture
+def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with that training, committed results, and the scenario of docs/model.md."""
+    monkeypatch.chdir(tmp_path)
+    model = ROOT / "docs" / "model.md"
+    (tmp_path / "valley.yaml").write_text(blocks(model, "yaml")[0], encoding="utf-8")
+    (tmp_path / "valley.csv").write_text(blocks(model, "csv")[0], encoding="utf-8")
+    (tmp_path / "docs" / "gallery").mkdir(parents=True)
+    shutil.copy(ROOT / "docs" / "gallery" / "hundred-devices.yaml", tmp_path / "docs" / "gallery")
+    shutil.copytree(trained, "results")
+    for name in ("studies/paper", "suites"):
+        shutil.copytree(ROOT / "results" / name, tmp_path / "results" / name)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_the_commands_of_a_page(name: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ran = 0
+    for line in console(ROOT / f"{name}.md"):
+        if line.startswith(tuple(ELSEWHERE)):
+            continue
+        command, _, comment = line.partition("#")
+        written = shlex.split(command.replace("[RUN ...]", "").replace("RUN", RUN))[1:]
+        words = [found for word in written for found in sorted(glob(word)) or [word]]  # as a shell does
+        code = main([*words, *(more for word in LESS if word in words for more in LESS[word])])
+        err = capsys.readouterr().err
+        assert code == 0, f"{line}: {err}"
+        assert "Traceback" not in err
+        for path in re.findall(r"results/[^\s,;:]+", re.sub(r"<.*?>|\.\.\.", "*", comment)):
+            assert list(place.glob(path)), line
+        ran += 1
+    assert ran
+
+
+def test_a_study_writes_the_card_of_a_training_that_it_takes_over(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(uavaou.runs.train, "train", as_asked)
+    page = ROOT / "docs" / "policies.md"
+    (study,) = blocks(page, "yaml")
+    assert "slots: 300000" in study
+    assert "`uavaou train --scenario valley.yaml --slots 300000`" in page.read_text(encoding="utf-8")
+    Path("ours.yaml").write_text(study.replace("300000", "16000"), encoding="utf-8")
+    assert main(["train", "--scenario", "valley.yaml", "--slots", "16000", "--quiet"]) == 0
+    (meta,) = place.glob("results/valley*/mappo*/seed-0/meta.json")
+    before = meta.read_bytes()
+    (line,) = (line for line in console(page) if "ours.yaml" in line)
+    command, _, card = line.partition("# the card: ")
+    assert main([*shlex.split(command)[1:], "--quiet"]) == 0, capsys.readouterr().err
+    assert Path(card).read_text(encoding="utf-8").startswith("# ")
+    assert meta.read_bytes() == before  # trained nothing again
