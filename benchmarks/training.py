@@ -30,7 +30,7 @@ from uavaou.threads import Tasks, available_threads, use_threads
 MISSIONS = 64
 # MAPPO's work of one update, the same in every measurement whatever settings are published.
 WORK = {"missions": MISSIONS, "rollout_slots": 60, "batch_rows": 750, "epochs": 5, "critic_input": "global"}
-ROLLOUTS = 12  # of ours in one measurement, so that one slow moment hardly counts
+ROLLOUTS = 4  # of ours in one measurement, so that one slow moment hardly counts
 ALGORITHMS = ("mappo", "vdn", "qmix")
 STOCK = "stock SB3 PPO on SuperSuit's stage"
 
