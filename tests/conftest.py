@@ -11,6 +11,8 @@ import pytest
 from filelock import FileLock
 from hypothesis import HealthCheck, settings
 
+from uavaou.threads import use_threads
+
 # The same examples on every machine and every run: a red test is red for everybody.
 settings.register_profile(
     "uavaou",
@@ -74,3 +76,10 @@ def _files_are_not_flushed_to_the_disk() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", os.fstat)
         yield
+
+
+@pytest.fixture(autouse=True)
+def _threads_are_those_of_the_machine() -> Iterator[None]:
+    """A test that chooses threads, or plays the job of a study in this process, chooses for no other."""
+    yield
+    use_threads(None)

@@ -6,7 +6,6 @@ import multiprocessing
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -14,12 +13,6 @@ import pytest
 
 from uavaou.errors import InputError
 from uavaou.threads import Tasks, available_threads, threads, use_threads
-
-
-@pytest.fixture(autouse=True)
-def _chosen_threads_are_restored() -> Iterator[None]:
-    yield
-    use_threads(None)
 
 
 def test_the_number_is_chosen_or_that_of_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:

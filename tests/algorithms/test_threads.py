@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from typing import Any
@@ -21,12 +21,6 @@ from uavaou.algorithms.fast.loss import GradientShard
 from uavaou.algorithms.mappo.mappo import LossStatistics
 from uavaou.algorithms.registry import load_config, make_model
 from uavaou.threads import Tasks, use_threads
-
-
-@pytest.fixture(autouse=True)
-def _chosen_threads_are_restored() -> Iterator[None]:
-    yield
-    use_threads(None)
 
 
 def weights(model: BaseAlgorithm) -> th.Tensor:

@@ -114,7 +114,7 @@ def test_a_bound_that_is_broken_is_told(tmp_path: Path) -> None:
     (folder / "missions.csv").write_text("".join(low))
     remarks = write_report(folder, tmp_path / "README.md")
     assert remarks[0].startswith(
-        "'vdn' on 'paper' has a mean AoU of 30 slots, which is below the certified bound of 37.8"
+        "'vdn' on 'paper' has a mean AoU of 30.00 slots, which is below the certified bound of 37.80"
     )
     assert [remark.split("'")[1] for remark in remarks] == ["vdn", "greedy"]
     for remark in remarks:

@@ -182,7 +182,7 @@ def test_the_report_warns_of_results_below_the_bound(
     assert main(["study", "report", str(out.parent / "mine.yaml"), "--out", str(out)]) == 0
     said = capsys.readouterr().err
     assert "uavaou: 'mappo' on 'tiny' has a mean AoU of " in said
-    assert "below the certified bound of 1e+05" in said
+    assert "below the certified bound of 100,000" in said
 
 
 def test_a_running_study_is_reported_from_its_tables(

@@ -265,7 +265,7 @@ def test_a_failed_run_stops_no_other_and_is_tried_again(
     engine = Inline(answer=lambda job: None if job.key.seed == 0 else Ended(job.key, None, "no wind today"))
     ended = run_inline(study, tmp_path / "out", engine)
     assert ended.done == 1
-    assert "the field algorithm is missing" in ended.failed[PartKey("mappo", "tiny", 0)]
+    assert "the fields algorithm, scenario are missing" in ended.failed[PartKey("mappo", "tiny", 0)]
     assert ended.failed[PartKey("anneal", "tiny")] == "no plan: no wind today"
     assert ended.failed[PartKey("own critic", "tiny", 1)] == "no wind today"
     assert main(["study", "status", str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "out")]) == 0
