@@ -37,7 +37,7 @@ ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that r
     "uavaou replay results/studies/": "tests/reports/test_committed_pages.py",
     "uavaou --plugin": "tests/algorithms/test_registry.py",
 }
-PAGES = ("README", "docs/composite-actions", "docs/figures", "docs/model", "docs/on-board", "docs/policies",
+PAGES = ("README", "docs/composite-actions", "docs/figures", "docs/model", "docs/on-board",
          "docs/replay", "docs/speed", "docs/studies", "docs/suites")  # fmt: skip
 
 
