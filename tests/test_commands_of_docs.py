@@ -37,8 +37,17 @@ ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that r
     "uavaou replay results/studies/": "tests/reports/test_committed_pages.py",
     "uavaou --plugin": "tests/algorithms/test_registry.py",
 }
-PAGES = ("README", "docs/composite-actions", "docs/figures", "docs/model", "docs/on-board",
-         "docs/replay", "docs/speed", "docs/studies", "docs/suites")  # fmt: skip
+PAGES = (
+    "README",
+    "docs/composite-actions",
+    "docs/figures",
+    "docs/model",
+    "docs/on-board",
+    "docs/replay",
+    "docs/speed",
+    "docs/studies",
+    "docs/suites",
+)
 
 
 def few(slots: int) -> int:
@@ -49,10 +58,19 @@ def small(config: RunConfig) -> RunConfig:
     """The same training with a small budget."""
     algorithm = config.algorithm
     quick = {
-        "slots": few(algorithm.slots), "missions": 1, "worlds": 1, "rollout_slots": 50, "batch_rows": 50, "epochs": 1,
-        "evaluation_missions": 1, "candidates": 1, "learning_starts": 20, "batch_slots": 8, "replay_slots": 100,
+        "slots": few(algorithm.slots),
+        "missions": 1,
+        "worlds": 1,
+        "rollout_slots": 50,
+        "batch_rows": 50,
+        "epochs": 1,
+        "evaluation_missions": 1,
+        "candidates": 1,
+        "learning_starts": 20,
+        "batch_slots": 8,
+        "replay_slots": 100,
         "slots_per_update": 50,
-    }  # fmt: skip
+    }
     changes = {name: value for name, value in quick.items() if name in type(algorithm).model_fields}
     budgets = tuple(map(few, config.budgets))
     return replace(config, algorithm=algorithm.model_copy(update=changes), budgets=budgets)

@@ -188,8 +188,10 @@ def test_what_is_beyond_all_families_is_named_with_both_ends() -> None:
     assert beyond([many, any_], few) == []
     radio = paper.replace(transmit_power_mw=25, carrier_frequency_hz=868e6, rate_min_bit_s=5470)
     assert [text.split(" (")[0] for text in beyond([any_], radio)] == [
-        "minimum rates 5,470 bit/s", "transmit powers 25 mW", "reference gains -31.22 dB",
-    ]  # fmt: skip
+        "minimum rates 5,470 bit/s",
+        "transmit powers 25 mW",
+        "reference gains -31.22 dB",
+    ]
 
 
 def test_a_base_that_is_never_drawn_is_beyond() -> None:

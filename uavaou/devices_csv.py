@@ -30,9 +30,16 @@ _WORDS = {
     **dict.fromkeys(("y", "north", "northing"), "y_m"),
 }
 _FORMATS = {
-    ".geojson": "GeoJSON", ".json": "JSON", ".kml": "KML", ".kmz": "KML", ".gpx": "GPX", ".shp": "a shapefile",
-    ".xlsx": "a workbook", ".xls": "a workbook", ".ods": "a workbook",
-}  # fmt: skip
+    ".geojson": "GeoJSON",
+    ".json": "JSON",
+    ".kml": "KML",
+    ".kmz": "KML",
+    ".gpx": "GPX",
+    ".shp": "a shapefile",
+    ".xlsx": "a workbook",
+    ".xls": "a workbook",
+    ".ods": "a workbook",
+}
 _FIRST_LETTERS = {"{": "JSON", "[": "JSON", "<": "XML"}
 
 

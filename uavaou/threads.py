@@ -14,6 +14,7 @@ import os
 import sys
 from collections import deque
 from collections.abc import Callable
+from functools import cache
 from queue import SimpleQueue
 from threading import Condition, Thread
 
@@ -56,6 +57,7 @@ def compute_with_one_thread() -> None:
         th.set_num_threads(1)
 
 
+@cache
 def keep_freed_memory() -> None:
     """Let glibc keep up to 512 MiB of freed memory for the next tensor, instead of returning it to the kernel.
 

@@ -78,7 +78,7 @@ def test_two_trainings_in_threads_of_one_process_end_and_do_not_disturb_each_oth
 
 
 class Bodies(BaseCallback):
-    """Puts a module behind both bodies before the first update."""
+    """Puts a module behind both bodies before the training."""
 
     def __init__(self, module: nn.Module) -> None:
         super().__init__()
@@ -87,11 +87,9 @@ class Bodies(BaseCallback):
     def _on_step(self) -> bool:
         return True
 
-    def _on_rollout_end(self) -> None:
-        policy = self.model.policy
-        if self.num_timesteps == self.model.n_steps * self.training_env.num_envs:  # type: ignore[attr-defined]
-            for body in (policy.actor_body, policy.critic_body):
-                body.append(deepcopy(self._module))
+    def _on_training_start(self) -> None:
+        for body in (self.model.policy.actor_body, self.model.policy.critic_body):
+            body.append(deepcopy(self._module))
 
 
 @pytest.mark.parametrize(
@@ -137,7 +135,9 @@ def test_a_module_that_is_replaced_between_updates_is_used() -> None:
 
 
 @pytest.mark.parametrize("critic_input", ["global", "local", "both"])
-def test_the_gradient_with_two_threads_is_that_of_the_rollout_just_collected(critic_input: str) -> None:
+def test_the_gradient_with_two_threads_is_that_of_the_rollout_just_collected(
+    critic_input: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each gradient of a training is compared with autograd's of the loss on the buffer, as it then is."""
     use_threads(2)
     model = small_model(n_steps=30, batch_size=120, n_epochs=1, policy_kwargs={"critic_input": critic_input})
@@ -158,6 +158,6 @@ def test_the_gradient_with_two_threads_is_that_of_the_rollout_just_collected(cri
 
         return both, step
 
-    model._gradient_and_step = compared  # type: ignore[method-assign]
+    monkeypatch.setattr(model, "_gradient_and_step", compared)
     model.learn(4 * 30 * 8)
     assert len(compared_batches) == 4 * 2

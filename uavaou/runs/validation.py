@@ -12,6 +12,7 @@ from uavaou.planners import make_planner
 from uavaou.runs.folder import RunConfig
 from uavaou.runs.policy import TrainedPolicy, act_together
 from uavaou.scenario import Scenario
+from uavaou.statistics import geometric_mean
 from uavaou.world import MissionMetrics, World
 from uavaou.world.entities import make_views
 from uavaou.world.views import RowViews
@@ -66,7 +67,7 @@ def family_score(model: BaseAlgorithm, config: RunConfig, action: str) -> float:
         flights.append(_flight(TrainedPolicy(model, views, action), scenario, 1, VALIDATION_SEED + mission))
     tau = [world.scenario.slot_length_s for _, world in flights]  # s
     ages = [float(played.mean_aou_s[0]) / tau[number] for number, played in enumerate(_play(flights))]  # slots
-    return _geometric_mean(ages) * config.scenario.slot_length_s
+    return _mean_age(ages) * config.scenario.slot_length_s
 
 
 def planner_score(name: str, config: RunConfig) -> float:
@@ -79,7 +80,7 @@ def planner_score(name: str, config: RunConfig) -> float:
         return play(planner, config.scenario, missions, VALIDATION_SEED, None).mean_aou_s
     draws = enumerate(_draws(family, missions))
     ages = [play(planner, scenario, 1, VALIDATION_SEED + mission, None).mean_aou_slots for mission, scenario in draws]
-    return _geometric_mean(ages) * config.scenario.slot_length_s
+    return _mean_age(ages) * config.scenario.slot_length_s
 
 
 def _draws(family: Family, missions: int) -> Iterator[Scenario]:
@@ -87,9 +88,9 @@ def _draws(family: Family, missions: int) -> Iterator[Scenario]:
     return (family.draw(VALIDATION_DRAWS[mission % len(VALIDATION_DRAWS)]) for mission in range(missions))
 
 
-def _geometric_mean(ages: Sequence[float]) -> float:
-    """Of mean AoU in slots, of which one below a slot counts as one."""
-    return float(np.exp(np.log(np.maximum(ages, _LEAST_SLOTS)).mean()))
+def _mean_age(ages: Sequence[float]) -> float:
+    """The geometric mean of mean AoU in slots, of which one below a slot counts as one."""
+    return geometric_mean([max(age, _LEAST_SLOTS) for age in ages])
 
 
 def _flight(policy: TrainedPolicy, scenario: Scenario, missions: int, seed: int) -> Flight:

@@ -55,12 +55,11 @@ class GradientShard:
         masks = (policy.allowed_columns, policy.in_range_columns)
         self._moves_column, range_column = (-1 if columns is None else columns.start for columns in masks)
         self._range = (range_column, getattr(policy.in_range_columns, "step", None) or 1)
-        known_policy = inherits(policy, CentralizedValuePolicy, "logits", "normalised_values")
-        known = inherits(policy, CentralizedValuePolicy, "logits")
+        known, known_critic = (inherits(policy, CentralizedValuePolicy, of) for of in ("logits", "normalised_values"))
         actor = fully_connected(policy.actor_body, policy.action_net) if known else None
         self._actor = _network(actor, policy.logits, policy.actor_parameters())
-        known = inherits(policy, CentralizedValuePolicy, "normalised_values") and is_exactly(policy.value_net, PopArt)
-        critic = fully_connected(policy.critic_body, policy.value_net.linear) if known else None
+        linear_critic = known_critic and is_exactly(policy.value_net, PopArt)
+        critic = fully_connected(policy.critic_body, policy.value_net.linear) if linear_critic else None
         self._critic = _network(critic, lambda r: policy.normalised_values(r)[:, None], policy.critic_parameters())
         self._networks = (self._actor, self._critic)
         arrays = (buffer.actions, buffer.log_probs, buffer.advantages, buffer.returns)
@@ -70,7 +69,7 @@ class GradientShard:
         self._local = _by_row(buffer.local)  # (slots * U, local)
         self._critic_rows = _by_row(buffer.critic_rows)  # (slots * V, global or local)
         self._shared_critic = buffer.shared_critic
-        self._modules_keep_no_state = known_policy and all(map(_keeps_no_state, policy.modules()))
+        self._modules_keep_no_state = known and known_critic and all(map(_keeps_no_state, policy.modules()))
 
     @property
     def uses_autograd(self) -> bool:
@@ -88,8 +87,8 @@ class GradientShard:
 
     def pieces(self, rows: int, critic_rows: int) -> tuple[int, int]:
         """Into how many shards a minibatch's rows are divided for the actor's loss, and for the critic's."""
-        least = (ROWS if isinstance(network, FullyConnected) else AUTOGRAD_ROWS for network in self._networks)
-        return max(rows // next(least), 1), max(critic_rows // next(least), 1)
+        actor, critic = (ROWS if isinstance(network, FullyConnected) else AUTOGRAD_ROWS for network in self._networks)
+        return max(rows // actor, 1), max(critic_rows // critic, 1)
 
     def rows(self, indices: Indices) -> Indices:
         """Return the rows, counted from that of the rollout's first slot, of UAVs that are there in slots (B,)."""

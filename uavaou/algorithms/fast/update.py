@@ -1,7 +1,7 @@
-"""MAPPO's update on a CPU: the gradient of each minibatch computed in shards by threads, then clipping and Adam's step.
+"""MAPPO's update on a CPU: the gradient of each minibatch as tasks that threads take, then clipping and Adam's step.
 
-How a minibatch is divided, and the order in which the shards' gradients are added, depend on the minibatch alone: any
-number of threads gives the same bits.
+How a minibatch is divided, and the order of sums, depend on the minibatch alone: any number of threads gives the same
+bits.
 """
 
 from __future__ import annotations

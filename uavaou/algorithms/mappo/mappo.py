@@ -190,7 +190,6 @@ class MAPPO(SafeSaveLoad, PPO):
 
     def train(self) -> None:
         """Update actor and critic from the rollout just collected."""
-        compute_with_one_thread()
         self.policy.set_training_mode(True)
         rate = self.lr_schedule(self._current_progress_remaining)
         self.logger.record("train/learning_rate", rate)
