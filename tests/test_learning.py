@@ -34,17 +34,20 @@ class Gate(NamedTuple):
     settings: dict[str, Any]
 
 
-SMALL = {"missions": 8, "rollout_slots": 125, "batch_rows": 500}  # many updates in few slots
-Q = {"missions": 16, "slots_per_update": 32, "batch_slots": 128, "learning_starts": 2000, "learning_rate": 0.001}
+# Many updates in few slots. Of three or four seeds, the worst training has at most 0.65 of what its gate allows.
+Q = {"missions": 16, "slots_per_update": 32, "batch_slots": 128, "learning_starts": 2000, "collection": "auto"}
+Q |= {"gamma": 0.95, "target_fraction": 0.02}
+SET = {"missions": 8, "rollout_slots": 100, "batch_rows": 400, "learning_rate": 0.002, "gamma": 0.98}
+SET |= {"entropy": 0.005, "final_entropy": 0.1}
 GATES = {
-    "mappo": Gate(64_000, 1.0, {}),
-    "ippo": Gate(48_000, 1.0, {}),
-    "vdn": Gate(24_000, 1.6, Q | {"hidden": "[64, 64]"}),
-    "qmix": Gate(24_000, 1.6, Q | {"hidden": "[64, 64]"}),
-    "mappo set": Gate(32_000, 3.0, SMALL),
-    "ippo set": Gate(32_000, 3.0, SMALL),
-    "vdn set": Gate(12_000, 3.0, Q | {"state_value_width": 64}),
-    "qmix set": Gate(8_000, 3.0, Q),
+    "mappo": Gate(64_000, 1.4, {}),
+    "ippo": Gate(48_000, 1.4, {}),
+    "vdn": Gate(24_000, 1.4, Q | {"hidden": "[64, 64]", "learning_rate": 0.002, "n_step": 1}),
+    "qmix": Gate(24_000, 1.4, Q | {"hidden": "[64, 64]", "learning_rate": 0.001}),
+    "mappo set": Gate(32_000, 1.6, SET),
+    "ippo set": Gate(32_000, 1.6, SET),
+    "vdn set": Gate(16_000, 8.0, Q | {"learning_rate": 0.002}),
+    "qmix set": Gate(12_000, 3.0, Q | {"learning_rate": 0.002, "n_step": 1}),
 }
 
 

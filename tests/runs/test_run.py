@@ -268,13 +268,3 @@ def test_an_evaluation_by_hand() -> None:
     assert result.values("flight_time_s").shape == (3, 2)
     np.testing.assert_allclose(result.values("flight_time_s"), [[160 / 15, 180 / 15]] * 3)
     assert result.violations == dict.fromkeys(CONSTRAINTS, 0)
-
-
-@pytest.mark.slow
-def test_mappo_learns_quickstart(tmp_path: Path) -> None:
-    scenario = Scenario.load("quickstart")
-    folder = RunFolder(tmp_path / "run")
-    config = load_config("mappo", {"slots": 60_000, "missions": 16, "rollout_slots": 60, "batch_rows": 960})
-    train(RunConfig(scenario, config, 0), folder)
-    learned = evaluate(load_run(folder), scenario, 50).mean_aou_s
-    assert learned < 0.2 * evaluate("random", scenario, 50).mean_aou_s
