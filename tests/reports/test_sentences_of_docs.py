@@ -74,9 +74,9 @@ def speeds(table: str) -> dict[str, float]:
 
 
 def small_networks() -> dict[str, float]:
-    """The rates of trainings at 128-128, in agent steps a second."""
-    found = speeds("training").items()
-    return {name.partition("128-128: ")[2]: rate for name, rate in found if "128-128: " in name}
+    """The rates of trainings at 128-128 on free cores, in agent steps a second."""
+    table = "training on paper, 64 missions, networks 128-128: "
+    return {name.removeprefix(table): rate for name, rate in speeds("training").items() if name.startswith(table)}
 
 
 def stepped(text: str) -> bool:
