@@ -107,10 +107,11 @@ def test_the_networks_see_sets(learner: type[MAPPO], network: str) -> None:
         one.encoder.rescale_logits(th.tensor(1e3))
     mates, uavs, devices = th.randperm(3), th.randperm(4), th.randperm(12)
     before = policy.logits(rows)
-    after = policy.logits(shuffled(shuffled(rows, layout.local[2], mates), layout.local[3], devices))
+    other = shuffled(shuffled(rows, layout.local[2], mates), layout.local[3], devices)
+    after = policy.logits(shuffled(other, layout.local[4], devices))
     th.testing.assert_close(after[:, :5], before[:, :5], rtol=1e-4, atol=1e-5)
     th.testing.assert_close(after[:, 5:], before[:, 5:][:, devices], rtol=1e-4, atol=1e-5)
-    critic = (states, layout.state, uavs) if learner is MAPPO else (rows, layout.local, mates)
+    critic = (states, layout.state, uavs) if learner is MAPPO else (rows, layout.local[:4], mates)
     given, columns, order = critic
     other = shuffled(shuffled(given, columns[-2], order), columns[-1], devices)
     th.testing.assert_close(policy.normalised_values(other), policy.normalised_values(given), rtol=1e-4, atol=1e-5)

@@ -44,7 +44,7 @@ def fly(trained: TrainedPolicy, pilots: list[Pilot]) -> list[list[int]]:
         at, local = world.positions[0], trained.local_rows(world)
         others = [np.delete(at, pilot.uav, axis=0) if pilot.shared else () for pilot in pilots]
         decided = [pilot.decide(at[pilot.uav], world.in_range[0, pilot.uav], others[pilot.uav]) for pilot in pilots]
-        for name, rows in inputs_of(local, trained.views.layout).items():
+        for name, rows in inputs_of(local, trained.views.layout, trained.model.policy.pull).items():
             np.testing.assert_allclose([pilot.session.rows[name][0] for pilot in pilots], rows, atol=1e-6, rtol=1e-6)
         moves, selections = trained.act(world)
         wanted = world.flight.resolve(moves, world.cells, world.allowed_moves, world._on_grid)[0]
@@ -93,6 +93,9 @@ def test_it_flies_as_the_policy(network: str, observation: str, collection: str,
         {"observation": "location", "collection": "auto"},  # without masks in the row
         {"masks": False},
         {"algorithm": "vdn", "network": "set", "observation": "shared"},
+        {"network": "set", "pull": True, "observation": "local"},
+        {"network": "set", "pull": True, "observation": "shared", "collection": "auto"},
+        {"network": "set", "pull": True, "observation": "part"},
     ],
 )
 def test_it_flies_as_other_policies(settings: dict[str, Any], tmp_path: Path) -> None:
@@ -161,7 +164,7 @@ def test_the_json_describes_every_column(rows: str, observation: str) -> None:
     from uavaou.world.entities import make_views
 
     layout = make_views(QUICK, observation, "auto", rows).layout
-    inputs = describe_inputs(layout, observation)
+    inputs = describe_inputs(layout, observation, pulled=True)
     assert json.loads(json.dumps(inputs)) == inputs
     assert list(inputs) == (["local"] if rows == "flat" else [columns.name for columns in layout.local])
     for described in inputs.values():

@@ -10,11 +10,11 @@ import pytest
 from scipy import stats
 
 from uavaou.planners import PLANNERS, make_planner
-from uavaou.planners.local_greedy import estimated_age, steps_to
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.entities import make_views
 from uavaou.world.knowledge import knowledge
+from uavaou.world.pull import estimated_age, steps_to
 
 QUICK = Scenario.load("quickstart").replace(slots=20)
 STEPS = [(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)]

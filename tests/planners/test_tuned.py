@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from tests.strategies import scenarios
 from uavaou import evaluate
-from uavaou.planners.local_greedy import estimated_age
 from uavaou.planners.plan import PlanningStatus
 from uavaou.planners.rule import make_chart, score
 from uavaou.planners.tuned import LocalGreedyTuned, RulePlan, _Search
 from uavaou.scenario import Scenario
+from uavaou.world.pull import estimated_age
 
 pytestmark = pytest.mark.slow
 

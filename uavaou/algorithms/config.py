@@ -105,6 +105,7 @@ class LearnerConfig(AlgorithmConfig):
     network: Literal["mlp", "set"] = "mlp"  # set: any number of UAVs and devices, in rows of entities
     hidden: HiddenSizes  # units of each hidden layer; MAPPO: of actor and critic alike
     activation: Literal["relu", "tanh"]
+    pull: StrictBool = False  # of network: set alone: devices pull, moves follow; a rule at first, then learned
     masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
     selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit or advantage of selecting a device in range
 
@@ -117,6 +118,12 @@ class LearnerConfig(AlgorithmConfig):
     def rows(self) -> str:
         """The format of the rows that the policy reads."""
         return "flat" if self.network == "mlp" else "entities"
+
+    @model_validator(mode="after")
+    def _pulls_are_of_sets(self) -> Self:
+        if self.pull and self.network == "mlp":
+            raise ValueError("pull = true: needs network = set")
+        return self
 
     def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
         """The learner on ``env``."""
@@ -135,6 +142,7 @@ class LearnerConfig(AlgorithmConfig):
             "net_arch": list(self.hidden),
             "activation": self.activation,
             "masks": self.masks,
+            "pull": self.pull,
             "selection_bias": self.selection_bias,
             "optimizer_kwargs": self.adam,
         }
@@ -152,6 +160,7 @@ class IppoConfig(LearnerConfig):
     learning_rate: Positive
     final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
     critic_learning_rate: Positive  # as a multiple of learning_rate
+    critic_rollouts: Whole = 0  # the first of a training, in which the critic alone learns
     gamma: Fraction
     gae_lambda: Fraction
     clip_range: Positive
@@ -175,6 +184,7 @@ class IppoConfig(LearnerConfig):
             "vf_coef": self.value_loss,
             "advantage_normalization": self.advantage_normalization,
             "critic_learning_rate": self.critic_learning_rate,
+            "critic_rollouts": self.critic_rollouts,
         }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from uavaou.world.views import DEVICE, MOVES, OWN, TEAMMATE, RowLayout
+from uavaou.world.views import DEVICE, MOVES, OWN, PULL, TEAMMATE, RowLayout
 
 NOTATION = (
     "t: the slot to decide, 1 to K; U, I: numbers of UAVs and devices; step: a grid step; s(n) = n / (n + 20), n in "
@@ -69,6 +69,11 @@ _DEVICE_TOKEN = {
     "age_over_steps": ("slots, steps", "age / (1 + r(this UAV)), age as scaled above", _RADIO),
     "own_part": ("1", "1 where the device is in this UAV's part of the map", _MAP),
 }  # fmt: skip
+_STEPS_LEFT = "steps from where the move leads to the nearest cell within this UAV's collection radius, at most 500"
+_PULL_TOKEN = {
+    "age": ("slots", "age sum at the end of slot t, 0 where in_range", _RADIO),
+    **dict.fromkeys(PULL[1:], ("steps", _STEPS_LEFT, _OWN)),
+}
 # What takes the place of the radio link where the observation is local.
 _WITHOUT_RADIO = {
     "x": ("1", "0: not known", _MAP),
@@ -80,6 +85,9 @@ _WITHOUT_RADIO = {
     "lead_of_nearest_other": ("steps", "clip(r(this UAV) - b, -10, 10) / 5", _OWN),
     "age_over_steps": ("slots, steps", "age / (1 + r(this UAV)), age as scaled above", _OWN),
 }  # fmt: skip
+_PULL_WITHOUT_RADIO = {
+    "age": ("slots", "age sum at the end of slot t if this UAV alone collected, 0 where in_range", _OWN)
+}
 # What the UAV sees of its own part of the map, where the observation is that alone.
 _ALONE = {
     "own": {
@@ -92,32 +100,41 @@ _ALONE = {
         "steps_of_nearest_other": ("steps", "4: as if far away", _MAP),
         "lead_of_nearest_other": ("steps", "clip(r(this UAV) - 20, -10, 10) / 5", _OWN),
     },
+    "pulls": {},
 }
 
 
-def describe_inputs(layout: RowLayout, observation: str) -> dict[str, Any]:
+def describe_inputs(layout: RowLayout, observation: str, pulled: bool) -> dict[str, Any]:
     """Describe the inputs of an exported policy: shape, and each column's size, unit, scaling and source.
 
     Args:
         layout: of the rows that the policy reads.
         observation: ``location``, ``part``, ``local`` or ``shared``.
+        pulled: whether the policy reads the pulls of entities.
     """
     if layout.rows == "flat":
         sizes = {columns.name: columns.stop - columns.start for columns in layout.local}
         return {"local": _described(["rows", layout.local_size], sizes, _FLAT)}
     radio = observation == "shared"
-    tokens = {"own": (OWN, _OWN_TOKEN), "teammates": (TEAMMATE, _TEAMMATE_TOKEN), "devices": (DEVICE, _DEVICE_TOKEN)}
+    tokens = {
+        "own": (OWN, _OWN_TOKEN), "teammates": (TEAMMATE, _TEAMMATE_TOKEN), "devices": (DEVICE, _DEVICE_TOKEN),
+        "pulls": (PULL, _PULL_TOKEN),
+    }  # fmt: skip
     inputs = {}
     for columns in layout.local:
+        if columns.name == "pulls" and not pulled:
+            continue
         if columns.name == "allowed_moves":
             inputs[columns.name] = _described(["rows", MOVES], {columns.name: MOVES}, _FLAT)
             continue
         names, texts = tokens[columns.name]
         if not radio:
-            texts = {name: _WITHOUT_RADIO[name] if text[2] == _RADIO else text for name, text in texts.items()}
+            without = _PULL_WITHOUT_RADIO if columns.name == "pulls" else _WITHOUT_RADIO
+            texts = {name: without[name] if text[2] == _RADIO else text for name, text in texts.items()}
         if observation == "part":
             texts = texts | _ALONE[columns.name]
-        shape = ["rows", *([] if columns.name == "own" else [columns.name]), len(names)]
+        axis = {"own": [], "pulls": ["devices"]}.get(columns.name, [columns.name])
+        shape = ["rows", *axis, len(names)]
         inputs[columns.name] = _described(shape, dict.fromkeys(names, 1), texts)
     return inputs
 

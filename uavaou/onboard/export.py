@@ -16,6 +16,8 @@ import torch as th
 from numpy.typing import NDArray
 
 from uavaou import __version__
+from uavaou.algorithms.nets.set_encoder import without_pulls
+from uavaou.arrays import Floats
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.files import replacing, write_text, writing
@@ -26,6 +28,8 @@ from uavaou.runs.policy import TrainedPolicy, load_run
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.entities import coverage_and_parts
+from uavaou.world.flight import grid_cells
+from uavaou.world.pull import steps_left
 from uavaou.world.views import RowLayout, Rows
 
 SCHEMA = 1
@@ -92,12 +96,12 @@ def write_policy(trained: TrainedPolicy, name: str, folder: Path) -> Exported:
     return Exported([folder / file_name for file_name in FILES], rows, same)
 
 
-def inputs_of(local: Rows, layout: RowLayout) -> dict[str, Rows]:
-    """The inputs of a graph for rows ``local`` (B, local)."""
+def inputs_of(local: Rows, layout: RowLayout, pulled: bool = False) -> dict[str, Rows]:
+    """The inputs of a graph for rows ``local`` (B, local); ``pulled``: of a policy that devices pull."""
     if layout.rows == "flat":
         return {"local": local}
     parts = {}
-    for columns in layout.local:
+    for columns in layout.local if pulled else without_pulls(layout.local):
         part = local[:, columns.slice]
         parts[columns.name] = part.reshape(len(local), -1, columns.width) if columns.width > 1 else part
     return parts | {"own": parts["own"][:, 0]}
@@ -130,7 +134,7 @@ def compare(graph: bytes, trained: TrainedPolicy) -> tuple[int, int]:
     while not world.done and world.slot <= _SLOTS:
         local = trained.local_rows(world)
         wanted = policy.act(th.from_numpy(local), None).numpy().reshape(len(local), -1)
-        got = actions_of(session.run(None, inputs_of(local, views.layout)))
+        got = actions_of(session.run(None, inputs_of(local, views.layout, getattr(policy, "pull", False))))
         rows, same = rows + len(local), same + int((got == wanted).all(axis=1).sum())
         world.step(*trained.actions(wanted if views.layout.selects else wanted[:, 0], world))
     return rows, same
@@ -156,8 +160,17 @@ def describe_mission(scenario: Scenario) -> dict[str, Any]:
         "update_period_slots": world.update_period[0].tolist(),
         "longest_update_period_slots": scenario.longest_update_period,
         "coverage_radius_m": (radius[0] * scenario.grid_step_m).tolist(),
+        "collection_radius_m": _collection_radius(world).tolist(),
         "part": part[0].tolist(),
     }
+
+
+def _collection_radius(world: World) -> Floats:
+    """Distance in m of the farthest cell from which each UAV collects each device well, (U, I); -1 without one."""
+    cells = grid_cells(world.scenario) * world.scenario.grid_step_m  # (C, 2) m
+    away = np.linalg.norm(cells[:, None] - world.device_positions[0], axis=-1)  # (C, I)
+    radius: Floats = np.where(steps_left(world)[0] == 0.0, away, -1.0).max(axis=1)
+    return radius
 
 
 def _describe(name: str, trained: TrainedPolicy) -> dict[str, Any]:
@@ -189,7 +202,7 @@ def _describe(name: str, trained: TrainedPolicy) -> dict[str, Any]:
         "epsilon": None if epsilon is None else float(epsilon),
         "notation": NOTATION,
         "from": SOURCES,
-        "inputs": describe_inputs(layout, views.observation),
+        "inputs": describe_inputs(layout, views.observation, getattr(policy, "pull", False)),
         "outputs": outputs,
     }
 

@@ -4,8 +4,9 @@ The graph is written by hand, operator by operator. torch's exporter fixes the b
 takes seconds. :mod:`uavaou.onboard.export` compares each graph with the policy that it was made of.
 
 A flat row is one input, ``local`` (B, local). Rows of entities are four: ``own`` (B, 8), ``allowed_moves`` (B, 5),
-``teammates`` (B, V, 7) and ``devices`` (B, I, 15), for any B, V and I. Such a graph evaluates the network on the eight
-views of the map and gives the mean, as :class:`~uavaou.algorithms.nets.symmetries.SquareSymmetries` does.
+``teammates`` (B, V, 7) and ``devices`` (B, I, 15), for any B, V and I; where devices pull, also ``pulls`` (B, I, 6).
+Such a graph evaluates the network on the eight views of the map and gives the mean, as
+:class:`~uavaou.algorithms.nets.symmetries.SquareSymmetries` does.
 
 Outputs are ``move_logits`` (B, 5) and, where a UAV selects devices, ``device_logits`` (B, I). The mask is in them: what
 is not allowed, or not in range, has -1e9. The likeliest action is the move with the largest logit, and the devices with
@@ -25,13 +26,15 @@ from torch import nn
 from uavaou.algorithms.mappo import CentralizedValuePolicy
 from uavaou.algorithms.nets.action_head import FORBIDDEN, MoveAndDeviceLogits
 from uavaou.algorithms.nets.mlp import ACTIVATIONS, Linear, Mlp, is_exactly
-from uavaou.algorithms.nets.set_encoder import DualSetNetwork, SetEncoder, SetNetwork
+from uavaou.algorithms.nets.pull import CHANGES, Pull
+from uavaou.algorithms.nets.set_encoder import DualSetNetwork, SetEncoder, SetNetwork, without_pulls
 from uavaou.algorithms.nets.symmetries import SquareSymmetries
 from uavaou.algorithms.qlearning.branches import SetUtilityNetwork, UtilityNetwork
 from uavaou.algorithms.qlearning.policy import JointQPolicy
 from uavaou.errors import InputError
 from uavaou.world.entities import ALONE, LEAD, PAPER_DEVICES, PAPER_UAVS, local_columns
-from uavaou.world.views import DEVICE, MOVES, OWN, RowLayout
+from uavaou.world.pull import BACKGROUND, LEAST_AGE, SCORE_RANGE
+from uavaou.world.views import DEVICE, MOVES, OWN, PULL, RowLayout
 
 try:
     import onnx
@@ -99,11 +102,13 @@ def make_graph(policy: Any) -> bytes:
         inputs: dict[str, Sizes] = {"local": [BATCH, layout.local_size]}
         moves, devices, allowed, in_range = _of_flat_rows(graph, policy)
     else:
-        own, _, mates, tokens = local_columns(2, 1)
+        own, _, mates, tokens, pulls = local_columns(2, 1)
         inputs = {
             "own": [BATCH, own.width], "allowed_moves": [BATCH, MOVES], "teammates": [BATCH, MATES, mates.width],
             "devices": [BATCH, DEVICES, tokens.width],
         }  # fmt: skip
+        if policy.pull:
+            inputs["pulls"] = [BATCH, DEVICES, pulls.width]
         moves, devices, allowed, in_range = _of_entities(graph, policy)
     if allowed is not None and policy.masks:
         moves = graph.allowed_or_forbidden(moves, allowed)
@@ -150,10 +155,13 @@ def _of_flat_rows(graph: _Graph, policy: Any) -> Decision:
     return moves, graph.linear(features, *of_devices) if layout.selects else None, allowed, in_range
 
 
-def _values_of_moves(graph: _Graph, features: str, network: UtilityNetwork, allowed: str | None) -> str:
+def _values_of_moves(
+    graph: _Graph, features: str, network: UtilityNetwork, allowed: str | None, pulls: str | None = None
+) -> str:
     """The state value and the advantages of the moves (..., 5), centred over the allowed ones."""
     weight, bias = _parameters(network.advantage)
     advantages = graph.linear(features, weight[:MOVES], bias[:MOVES])
+    advantages = advantages if pulls is None else graph("Add", advantages, pulls)
     axis = np.array([-1])
     if allowed is None:
         mean = graph("ReduceMean", advantages, axis, keepdims=1)
@@ -167,34 +175,35 @@ def _of_entities(graph: _Graph, policy: Any) -> Decision:
     """The mean over the eight views of the map, or the row's own view; tensors have the shape (B, 8 or 1, ...)."""
     of_mappo, selects = isinstance(policy, CentralizedValuePolicy), policy.row_layout.selects
     body: SetNetwork | DualSetNetwork = policy.actor_body if of_mappo else policy.utilities.body
-    views, moves_of_view = _views(graph, 1 if policy.symmetries is None else 8)
-    features, devices = _features(graph, views, body)
+    views, moves_of_view = _views(graph, 1 if policy.symmetries is None else 8, policy.pull)
+    features, devices, pulls = _features(graph, views, body)
     if of_mappo:
-        head = policy.action_net.moves if selects else policy.action_net
+        head = policy.action_net.moves if selects or policy.pull else policy.action_net
         moves = graph.linear(features, *_parameters(head))
+        moves = moves if pulls is None else graph("Add", moves, pulls)
     else:
-        moves = _values_of_moves(graph, features, policy.utilities, views["allowed_moves"] if policy.masks else None)
+        allowed = views["allowed_moves"] if policy.masks else None
+        moves = _values_of_moves(graph, features, policy.utilities, allowed, pulls)
     flat = graph("Reshape", moves, np.array([0, moves_of_view.size]))  # (B, 8 * 5)
     moves = graph("ReduceMean", graph("Gather", flat, moves_of_view, axis=1), np.array([1]), keepdims=0)
     if not selects:
         return moves, None, "allowed_moves", None
     bias = (policy.action_net if of_mappo else policy.utilities).selection_bias
     selecting = graph("Add", graph("ReduceMean", devices, np.array([1]), keepdims=0), bias.detach().numpy()[None])
-    column = RowLayout(2, 1, "select", local_columns(2, 1), (), "entities").token_feature("devices", "in_range")
-    own = column.start - local_columns(2, 1)[-1].start
+    own = DEVICE.index("in_range")
     return moves, selecting, "allowed_moves", graph("Gather", "devices", np.array(own), axis=2)
 
 
-def _views(graph: _Graph, count: int) -> tuple[dict[str, str], NDArray[np.int64]]:
+def _views(graph: _Graph, count: int, pulled: bool) -> tuple[dict[str, str], NDArray[np.int64]]:
     """Each input as the first views see it, and where the moves of the row are among those of the views, (count, 5)."""
     columns = local_columns(2, 1)
     symmetries = SquareSymmetries(RowLayout(2, 1, "auto", columns, (), "entities"))
     views = {}
-    for part in columns:
+    for part in columns if pulled else without_pulls(columns):
         width = MOVES if part.name == "allowed_moves" else part.width
         run = slice(part.start, part.start + width)
         source, sign = (array[:count, run].numpy() for array in (symmetries.source, symmetries.sign))  # (count, width)
-        tokens = part.name in ("teammates", "devices")
+        tokens = part.name in ("teammates", "devices", "pulls")
         seen = graph(
             "Gather", part.name, source - part.start, axis=2 if tokens else 1
         )  # (B, 8, width) or (B, tokens, 8, width)
@@ -204,14 +213,38 @@ def _views(graph: _Graph, count: int) -> tuple[dict[str, str], NDArray[np.int64]
     return views, symmetries.move[:count].numpy() + MOVES * np.arange(count)[:, None]
 
 
-def _features(graph: _Graph, views: dict[str, str], body: SetNetwork | DualSetNetwork) -> tuple[str, str]:
-    """Features (B, 8, size) and the devices' logits (B, 8, I) of a body."""
+def _features(graph: _Graph, views: dict[str, str], body: SetNetwork | DualSetNetwork) -> tuple[str, str, str | None]:
+    """Features (B, 8, size), the devices' logits (B, 8, I) and the moves' pulls (B, 8, 5) of a body."""
     if isinstance(body, DualSetNetwork):
-        whole, of_whole = _features(graph, views, body.whole)
-        part, of_part = _features(graph, _own_part(graph, views), body.part)
-        return graph("Concat", whole, part, axis=2), graph("Add", of_whole, of_part)
-    features, devices = _encode(graph, views, body.encoder)
-    return graph.layers(features, body.layers), devices
+        whole, of_whole, _ = _features(graph, views, body.whole)
+        part, of_part, _ = _features(graph, _own_part(graph, views), body.part)
+        return graph("Concat", whole, part, axis=2), graph("Add", of_whole, of_part), None
+    features, scores = _encode(graph, views, body.encoder)
+    heads = body.encoder.heads
+    devices = graph("Gather", scores, np.array(heads if body.selects else 0), axis=2)
+    pulls = None if body.pull is None else _pull(graph, views, body.pull, scores, heads + body.selects)
+    return graph.layers(features, body.layers), devices, pulls
+
+
+def _pull(graph: _Graph, views: dict[str, str], pull: Pull, scores: str, first: int) -> str:
+    """The pull of each move (B, 8, 5) of :meth:`Pull.define`; ``first`` of the scores changes a device's score."""
+    sharpness, reach, part = (float(number) for number in pull.numbers.detach().exp())
+
+    def feature(tokens: str, index: int) -> str:  # (B, 8, I)
+        return graph("Gather", views[tokens], np.array(index), axis=3)
+
+    changes = [graph("Tanh", graph("Gather", scores, np.array(first + kind), axis=2)) for kind in range(CHANGES)]
+    age = graph("Log", graph("Max", feature("pulls", PULL.index("age")), LEAST_AGE))
+    of_others = graph("Mul", graph("Sub", feature("devices", DEVICE.index("own_part")), 1.0), part)
+    score = graph("Add", graph("Add", age, of_others), graph("Mul", changes[0], SCORE_RANGE))
+    last = np.array([-1])
+    rate = graph("Unsqueeze", graph("Div", graph("Exp", graph("Neg", changes[1])), reach), last)  # (B, 8, I, 1)
+    steps = graph("Gather", views["pulls"], np.arange(1, len(PULL)), axis=3)  # (B, 8, I, 5)
+    felt = graph("Sub", graph("Unsqueeze", score, last), graph("Mul", steps, rate))
+    there = graph("Gather", views["devices"], np.array([DEVICE.index("present")]), axis=3)
+    total = graph("ReduceSum", graph("Exp", graph.allowed_or_forbidden(felt, there)), np.array([2]), keepdims=0)
+    total = graph("Log", graph("Add", total, BACKGROUND))  # (B, 8, 5)
+    return graph("Mul", graph("Sub", total, graph("ReduceMax", total, np.array([2]), keepdims=1)), sharpness)
 
 
 def _own_part(graph: _Graph, views: dict[str, str]) -> dict[str, str]:
@@ -248,7 +281,7 @@ def _own_part(graph: _Graph, views: dict[str, str]) -> dict[str, str]:
 
 
 def _encode(graph: _Graph, views: dict[str, str], encoder: SetEncoder) -> tuple[str, str]:
-    """Features (B, 8, size) and the devices' logits (B, 8, I) of :meth:`SetEncoder.define`."""
+    """Features (B, 8, size) and all scores of the devices (B, 8, queries, I) of :meth:`SetEncoder.define`."""
     width, heads = encoder.width, encoder.heads
 
     def hidden(tokens: str, *layers: nn.Module) -> str:
@@ -274,7 +307,7 @@ def _encode(graph: _Graph, views: dict[str, str], encoder: SetEncoder) -> tuple[
     count = graph("Max", graph("ReduceSum", there, axis, keepdims=0), 1.0)
     mean = graph("Div", graph("ReduceSum", tokens, axis, keepdims=0), count)
     parts = context, graph("Reshape", pooled, np.array([0, 0, -1])), mean, graph("ReduceMax", tokens, axis, keepdims=0)
-    return graph("Concat", *parts, axis=2), graph("Gather", scores, np.array(heads if encoder.selects else 0), axis=2)
+    return graph("Concat", *parts, axis=2), scores
 
 
 def _parameters(layer: Any) -> tuple[Weights, Weights]:
@@ -294,6 +327,7 @@ def _check(policy: Any) -> None:
         for network in networks:
             parts = [network.encoder, network.layers] if isinstance(network, SetNetwork) else [network]
             known = known and all(is_exactly(part, SetEncoder, Mlp) for part in parts)
+            known = known and (getattr(network, "pull", None) is None or is_exactly(network.pull, Pull))
     if not known:
         raise InputError(
             f"--format onnx: a {type(policy).__name__} has networks of its own: this format is for MAPPO, IPPO, VDN, "

@@ -33,6 +33,7 @@ MISSION = {  # name: shape for U UAVs and I devices, least, whole numbers
     "update_period_slots": (("I",), 1, True),
     "longest_update_period_slots": ((), 1, True),
     "coverage_radius_m": (("U", "I"), 0, False),
+    "collection_radius_m": (("U", "I"), -1, False),
     "part": (("I",), -1, True),
 }  # fmt: skip
 CHOICES = {
@@ -41,7 +42,8 @@ CHOICES = {
     "observation": ("location", "part", "local", "shared"),
     "action": ("greedy", "sample"),
 }
-TOKENS = ["own", "allowed_moves", "teammates", "devices"]
+TOKENS = ["own", "allowed_moves", "teammates", "devices", "pulls"]  # the last where devices pull
+MOST_STEPS = 500  # of a device that this UAV never collects
 COLUMNS = ("position", "uav_id", "to_cds", "allowed_moves", "slots_left", "budget_left", "to_device_x", "to_device_y",
            "update_period", "in_range", "since_own_collection", "other_positions", "age_sum")  # fmt: skip
 
@@ -91,7 +93,7 @@ def read_policy(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: epsilon: expected null or a number from 0 to 1")
     inputs = policy.get("inputs")
     known = list(inputs) if isinstance(inputs, dict) else []
-    fits = known == TOKENS
+    fits = known in (TOKENS[:4], TOKENS)
     if policy["rows"] == "flat":
         local = inputs["local"] if isinstance(inputs, dict) and known == ["local"] else None
         columns = local.get("columns") if isinstance(local, dict) else None
@@ -129,6 +131,8 @@ class Pilot:
         self.devices = np.array(mission["devices_m"])  # (I, 2) m
         self.period = np.array(mission["update_period_slots"])  # (I,) slots, k_i
         self.radius = np.array(mission["coverage_radius_m"]) / self.step  # (U, I) grid steps
+        self.pulled = "pulls" in self.policy["inputs"]
+        self.steps = self.steps_left(np.array(mission["collection_radius_m"])[uav]) if self.pulled else np.empty(0)
         self.last_own = np.zeros(len(self.period), dtype=int)  # (I,) slot of this UAV's last collection, 0: none yet
         self.last = self.last_own.copy()  # (I,) the same of any UAV
 
@@ -209,9 +213,26 @@ class Pilot:
 
     def ages(self, last: Any) -> Any:
         """Age sums (I,) in slots before this slot, of devices collected in the slots ``last`` (I,); eq. (1)."""
-        first, newest = last // self.period, (self.slot - 1) // self.period  # numbers of updates
+        return self.ages_before(self.slot, last)
+
+    def ages_before(self, slot: int, last: Any) -> Any:
+        """The same before any ``slot``."""
+        first, newest = last // self.period, (slot - 1) // self.period  # numbers of updates
         waiting = newest * (newest + 1) - first * (first + 1)
-        return (newest - first) * self.slot - self.period * waiting // 2 + np.where(last == 0, self.slot - 1, 0)
+        return (newest - first) * slot - self.period * waiting // 2 + np.where(last == 0, slot - 1, 0)
+
+    def steps_left(self, radius: Any) -> Any:
+        """Grid steps from each cell (X, Y) to the nearest within the ``radius`` (I,) in m of each device, (X, Y, I)."""
+        columns, rows = (np.floor(self.area / self.step + 0.5) + 1).astype(int)
+        cells = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), axis=-1)  # (X, Y, 2)
+        away = np.linalg.norm(cells[:, :, None] * self.step - self.devices, axis=-1)  # (X, Y, I) m
+        steps = np.where(away <= radius + 1e-6, 0.0, MOST_STEPS)
+        for line in (steps, steps.swapaxes(0, 1)):
+            for there in range(1, len(line)):
+                np.minimum(line[there], line[there - 1] + 1, out=line[there])
+            for there in range(len(line) - 2, -1, -1):
+                np.minimum(line[there], line[there + 1] + 1, out=line[there])
+        return steps
 
     def waiting(self, last: Any) -> Any:
         """The scaled slots since the slots ``last``: 0 for none, towards 1."""
@@ -268,4 +289,11 @@ class Pilot:
         ])  # fmt: skip
         if self.alone:
             mates[:], devices[~mine] = 0, 0
-        return [own, allowed, mates, devices]
+        tokens = [own, allowed, mates, devices]
+        if self.pulled:
+            moved = np.where(self.on_grid(cell)[:, None], cell + STEPS, cell)  # (5, 2)
+            age = np.where(in_range, 0, self.ages_before(self.slot + 1, last))
+            pulls = np.column_stack([age, self.steps[moved[:, 0], moved[:, 1]].T])
+            pulls[~mine & self.alone] = 0
+            tokens.append(pulls)
+        return tokens

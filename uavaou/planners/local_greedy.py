@@ -4,14 +4,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from uavaou.arrays import Bools, Floats, Ints
+from uavaou.arrays import Bools, Ints
 from uavaou.world import World
-from uavaou.world.coverage import cell_coverage
 from uavaou.world.entities import coverage_and_parts
 from uavaou.world.flight import neighbours
 from uavaou.world.knowledge import Knowledge
+from uavaou.world.pull import estimated_age, steps_left
 
-_SHARE = 0.5  # of a UAV's best coverage probability for a device, from which a cell is good enough to collect it
 _REACH = 1.0  # lambda, grid steps: the pull of a device falls by 1/e with each
 
 
@@ -33,14 +32,9 @@ class LocalGreedy:
 
     def reset(self, world: World, seed: int) -> None:
         """Compute the pull of each device on each cell, for each layout; draw nothing from ``seed``."""
-        scenario = world.scenario
-        layouts = [world.layout(mission) for mission in range(len(world.device_positions))]  # L
-        probability = np.stack([cell_coverage(scenario, layout) for layout in layouts])  # (L, U, C, I)
-        best = probability.max(axis=2, keepdims=True)  # (L, U, 1, I)
-        good = (probability >= _SHARE * best) & (best > 0.0)
-        grid = (*good.shape[:2], scenario.columns, scenario.rows, scenario.devices)
-        steps = steps_to(good.reshape(grid)).reshape(good.shape)
-        owner = self.owners(world, best[:, :, 0] > 0.0)  # (L, I)
+        scenario, steps = world.scenario, steps_left(world).astype(np.float64)  # (L, U, C, I)
+        reaches = np.asarray((steps < np.inf).any(axis=2))  # (L, U, I)
+        owner = self.owners(world, reaches)  # (L, I)
         own = owner[:, None] == np.arange(scenario.uavs)[:, None]  # (L, U, I)
         self._pull = own[:, :, None] * np.exp(-steps / _REACH)  # (L, U, C, I)
         self._target = neighbours(scenario)[0]  # (C, 5)
@@ -78,32 +72,3 @@ class LocalGreedyParts(LocalGreedy):
     def owners(self, world: World, reaches: Bools) -> Ints:
         """Return the UAV whose part each device is in, (L, I)."""
         return coverage_and_parts(world)[1]
-
-
-def estimated_age(slot: int, last: Ints, period: Ints) -> Ints:
-    """Return the age sum in slots at the end of ``slot`` of a device that was last collected in slot ``last``.
-
-    Update n is generated in slot n k, at whose end it has an age of one slot (eq. 1); update 0 begins with none.
-
-    Args:
-        slot: t.
-        last: slot of the last collection, 0 for never.
-        period: k, slots.
-    """
-    newest, delivered = slot // period, last // period
-    waiting = newest - delivered
-    ages: Ints = waiting * (slot + 1) - period * (newest * (newest + 1) - delivered * (delivered + 1)) // 2
-    ages += slot * (last == 0)
-    return ages
-
-
-def steps_to(good: Bools) -> Floats:
-    """Return the grid steps from each cell to the nearest that is ``good``, (..., X, Y, I); infinite without one."""
-    steps: Floats = np.where(good, 0.0, np.inf)
-    for axis in (-3, -2):
-        line = np.moveaxis(steps, axis, 0)  # a view
-        for there in range(1, len(line)):
-            np.minimum(line[there], line[there - 1] + 1, out=line[there])
-        for there in range(len(line) - 2, -1, -1):
-            np.minimum(line[there], line[there + 1] + 1, out=line[there])
-    return steps

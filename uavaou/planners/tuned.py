@@ -10,13 +10,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.planners.local_greedy import LocalGreedy, LocalGreedyParts, steps_to
+from uavaou.planners.local_greedy import LocalGreedy, LocalGreedyParts
 from uavaou.planners.plan import AheadPlanner, OnProgress, Plan, PlanningStatus
 from uavaou.planners.rule import make_chart, score
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import neighbours
+from uavaou.world.pull import steps_to
 
 PROPOSALS = 4000  # without a time limit
 _SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the best coverage probability, from which a cell is good enough

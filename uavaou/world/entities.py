@@ -15,12 +15,14 @@ from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError, unknown
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
-from uavaou.world.flight import STAY
+from uavaou.world.flight import STAY, neighbours
 from uavaou.world.partition import partition
+from uavaou.world.pull import MOST_STEPS, steps_left, write_pulls
 from uavaou.world.views import (
     DEVICE,
     MOVES,
     OWN,
+    PULL,
     RECENT_SLOTS,
     ROW_FORMATS,
     TEAMMATE,
@@ -42,7 +44,7 @@ STATE_DEVICE = (
     "steps_of_nearest", "steps_of_second_nearest", "in_range", "age_over_steps",
 )  # fmt: skip
 
-_TEAMMATE, _DEVICE, _STATE_UAV, _STATE_DEVICE = len(TEAMMATE), len(DEVICE), len(STATE_UAV), len(STATE_DEVICE)
+_TEAMMATE, _DEVICE, _PULL, _STATE_UAV, _STATE_DEVICE = map(len, (TEAMMATE, DEVICE, PULL, STATE_UAV, STATE_DEVICE))
 PAPER_DEVICES, PAPER_UAVS = 25, 3  # the logarithms of these sizes are 0
 _STEPS = 5.0  # grid steps that become 1
 _FAR = 20.0  # grid steps from which another UAV is as good as absent
@@ -82,7 +84,7 @@ def local_columns(uavs: int, devices: int) -> tuple[Columns, ...]:
     """Return the columns of the local observation of entities, for that many UAVs and devices."""
     return consecutive(
         ("own", 1, len(OWN)), ("allowed_moves", MOVES, 1), ("teammates", uavs - 1, _TEAMMATE),
-        ("devices", devices, _DEVICE),
+        ("devices", devices, _DEVICE), ("pulls", devices, _PULL),
     )  # fmt: skip
 
 
@@ -140,6 +142,8 @@ class EntityViews(RowViews):
         self._devices: Floats = np.empty(0)  # (L, I, 2) grid steps
         self._middle: Floats = np.empty(0)  # (L, 2) of the devices, grid steps
         self._radius: Floats = np.empty(0)  # (L, U, I) grid steps
+        self._steps: Floats = np.empty(0)  # (L, U, C, I) grid steps to where a UAV collects a device well
+        self._target = neighbours(scenario)[0]  # (C, 5)
         self._part: Ints = np.empty(0, dtype=np.int64)  # (L, I) the UAV whose part of the map a device belongs to
 
     def local(self, world: World, out: Rows | None = None) -> Rows:
@@ -164,6 +168,11 @@ class EntityViews(RowViews):
             self._devices, world.cells, cds, self._radius, self._part, world.in_range, world.update_period, world.slot,
             world.last_collection_by, world.last_collection, world.ages.age_slots, self._waiting, shared,
             alone, at["devices"],
+        )  # fmt: skip
+        write_pulls(
+            self._steps, self._target, world.cells @ np.array([self.scenario.rows, 1]), self._part, world.in_range,
+            world.update_period, world.slot, world.last_collection_by, world.pending, world.ages.age_slots, shared,
+            alone, at["pulls"],
         )  # fmt: skip
         return out
 
@@ -202,6 +211,7 @@ class EntityViews(RowViews):
         self._devices = world.device_positions / self.scenario.grid_step_m
         self._middle = self._devices.mean(axis=1)
         self._radius, self._part = coverage_and_parts(world)
+        self._steps = np.minimum(steps_left(world), MOST_STEPS)
 
 
 @compiled

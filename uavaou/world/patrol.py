@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled_fast
-from uavaou.world.coverage import rician_exceedance
 from uavaou.world.flight import neighbours
+from uavaou.world.pull import SHARE, exceedance
 
 _MISSIONS, _FLOWN_DEVICES = 4, 400  # flown for each part, fewer where there are many devices
 _WORSE = 0.02  # in one mission, from which a change is not flown in more
 _LANES = 32  # columns are a multiple of it: whole vectors of the processor
-_SHARE = 0.5  # of the best probability to collect a device, from which the rule is near enough
-_MOST_GAIN = 36.0  # a power gain that fading does not exceed: the probability is below 1e-15
+_POINTS = 600  # of the law of fading
 
 Singles = NDArray[np.float32]
 
@@ -49,7 +48,7 @@ def patrol_area(scenario: Scenario, cds: Ints, positions: Floats, headroom: Floa
     cells = np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T.astype(np.float64)  # (C, 2) grid steps
     distance = np.linalg.norm(cells[:, None] - positions, axis=-1)  # (C, I) grid steps
     altitude = scenario.altitudes[:, None] / scenario.grid_step_m  # (U, 1) grid steps
-    gain, exceeded = _exceedance(scenario.fading, scenario.rician_factor)
+    gain, exceeded = exceedance(scenario.fading, scenario.rician_factor, _POINTS)
     missions = min(max(_FLOWN_DEVICES // len(period), 1), _MISSIONS)
     with np.errstate(divide="ignore"):
         least = 1.0 / headroom  # (U, I) the power gain that a UAV right above needs
@@ -57,7 +56,7 @@ def patrol_area(scenario: Scenario, cds: Ints, positions: Floats, headroom: Floa
     probability, possible = np.zeros(needed.shape), needed < gain[-1]
     probability[possible] = np.interp(needed[possible], gain, exceeded)
     best = np.interp(least, gain, exceeded)  # (U, I)
-    enough = np.interp(-_SHARE * best, -exceeded, gain)  # (U, I) the gain that is exceeded so much more seldom
+    enough = np.interp(-SHARE * best, -exceeded, gain)  # (U, I) the gain that is exceeded so much more seldom
     near = altitude * np.sqrt(np.maximum(enough / least - 1.0, 0.0))  # (U, I) grid steps
     pull = np.exp(-np.maximum(distance - near[:, None], 0.0)) * (best > 0)[:, None]  # (U, C, I)
     return PatrolArea(
@@ -66,15 +65,6 @@ def patrol_area(scenario: Scenario, cds: Ints, positions: Floats, headroom: Floa
         _padded(np.arange(1, scenario.slots + 1)[:, None] % period == 0),
         _draws(scenario.slots, missions, len(period)),
     )  # fmt: skip
-
-
-@lru_cache(maxsize=16)
-def _exceedance(fading: str, rician_factor: float) -> tuple[Floats, Floats]:
-    """Power gains that rise, (G,), and how probable it is that fading exceeds each, (G,)."""
-    if fading == "none":
-        return np.array([0.0, 1.0, 1.0 + 1e-9]), np.array([1.0, 1.0, 0.0])
-    gain = np.linspace(0.0, _MOST_GAIN**0.5, 600) ** 2
-    return gain, rician_exceedance(gain, rician_factor)
 
 
 @lru_cache(maxsize=4)

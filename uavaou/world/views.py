@@ -45,7 +45,10 @@ DEVICE = (
     "since_own_collection", "age", "since_collection", "steps_of_nearest_other", "lead_of_nearest_other",
     "age_over_steps", "own_part",
 )  # fmt: skip
-_LOCAL_TOKENS = {"own": OWN, "teammates": TEAMMATE, "devices": DEVICE}
+# What the pull of a device is made of, not scaled: the age sum in slots at the end of this slot, and the grid steps to
+# where the UAV collects the device well that each move leaves (:mod:`uavaou.world.pull`).
+PULL = ("age", "steps_stay", "steps_up", "steps_down", "steps_right", "steps_left")
+_LOCAL_TOKENS = {"own": OWN, "teammates": TEAMMATE, "devices": DEVICE, "pulls": PULL}
 
 
 @dataclass(frozen=True)

@@ -198,12 +198,12 @@ def _attend(scores: Rows, ends: Whole, scale: float, weights: Rows, powers: Whol
 
 
 @compiled_fast
-def _read(rows: Rows, uavs: int, room: Activations) -> tuple[int, int, int]:
+def _read(rows: Rows, stop: int, uavs: int, room: Activations) -> tuple[int, int, int]:
     """Copy the first rows, as many as there is room for; return how many, and their tokens of UAVs and devices."""
     size, n, flying, placed = room.own.shape[1], 0, 0, 0
     first = size + uavs * room.uavs.shape[1]
     while n < min(len(room.own), len(rows)):
-        there = _gather(rows[n], first, rows.shape[1], room.devices, placed)
+        there = _gather(rows[n], first, stop, room.devices, placed)
         if there < 0:
             break
         placed, flying = there, _gather(rows[n], size, first, room.uavs, flying)
@@ -232,31 +232,36 @@ def _activate(layers: Layers, block: Activations, powers: Whole) -> None:
 
 
 @compiled_fast
-def _select(rows: Rows, width: int, scale: float, scores: Rows, logits: Rows, size: int, gradient: bool) -> None:
-    """Write each device's last score, scaled, to its place in ``logits`` from column ``size`` on; or the gradient."""
-    last, token, factor = scores.shape[1] - 1, 0, np.float32(scale)
-    first = rows.shape[1] - (logits.shape[1] - size) * width
+def _number(
+    rows: Rows, stop: int, tokens: int, width: int, heads: int, scores: Rows, numbers: Rows, size: int, gradient: bool
+) -> None:
+    """Write each device's scores behind the heads', scaled, to ``numbers`` from column ``size`` on; or the gradient."""
+    kinds, token, factor = scores.shape[1] - heads, 0, np.float32(1 / math.sqrt(width))
+    places = (numbers.shape[1] - size) // kinds
+    first = stop - places * tokens
     for b in range(len(rows)):
-        for place in range(logits.shape[1] - size):
-            if rows[b, first + place * width] > 0.5:
-                if gradient:
-                    scores[token, last] = logits[b, size + place] * factor
-                else:
-                    logits[b, size + place] = scores[token, last] * factor
+        for place in range(places):
+            if rows[b, first + place * tokens] > 0.5:
+                for kind in range(kinds):
+                    if gradient:
+                        scores[token, heads + kind] = numbers[b, size + kind * places + place] * factor
+                    else:
+                        numbers[b, size + kind * places + place] = scores[token, heads + kind] * factor
                 token += 1
 
 
 @compiled_fast
 def write_encoded(
-    rows: Rows, uavs: int, layers: Layers, memory: Activations, most: int, keep: bool, blocks: Whole, encoded: Rows
-) -> None:
-    """Write the features and selection logits (B, size + I) of rows (B, columns), and each block's numbers."""
+    rows: Rows, stop: int, uavs: int, layers: Layers, memory: Activations, most: int, keep: bool, blocks: Whole,
+    encoded: Rows,
+) -> None:  # fmt: skip
+    """Write the features and devices' numbers (B, size + n I) of rows (B, columns), and each block's numbers."""
     w, context, heads = len(layers.own_b), len(layers.query_w), memory.weights.shape[1] - 1
     size, start, number, at = context + (heads + 2) * w, 0, 0, (0, 0, 0)
     pooled, powers = np.empty((ROWS, heads + 1, w), np.float32), np.empty(most * (heads + 1), np.int32)
     while start < len(rows):
         room = _block(memory, at, (at[0] + ROWS, at[1] + ROWS * uavs, at[2] + most))
-        n, flying, placed = _read(rows[start:], uavs, room)
+        n, flying, placed = _read(rows[start:], stop, uavs, room)
         block = _block(room, (0, 0, 0), (n, flying, placed))
         _activate(layers, block, powers)
         out = encoded[start : start + n]
@@ -265,7 +270,7 @@ def write_encoded(
         _put(pooled[:n].reshape(n, (heads + 1) * w), out, context)
         _put(block.most, out, size - w)
         if out.shape[1] > size:
-            _select(rows[start : start + n], len(layers.device_w), 1 / math.sqrt(w), block.scores, out, size, False)
+            _number(rows[start : start + n], stop, len(layers.device_w), w, heads, block.scores, out, size, False)
         blocks[number, 0], blocks[number, 1], blocks[number, 2] = n, flying, placed
         start, number = start + n, number + 1
         if keep:
@@ -305,9 +310,10 @@ def _score_gradient(weights: Rows, products: Rows, ends: Whole, scale: float, by
 
 @compiled_fast
 def add_gradient(
-    rows: Rows, layers: Layers, memory: Activations, blocks: Whole, uavs: int, grads: Rows, gradients: Layers
-) -> None:
-    """Add to ``gradients`` that by each layer, by way of ``grads`` (B, size + I)."""
+    rows: Rows, stop: int, layers: Layers, memory: Activations, blocks: Whole, uavs: int, grads: Rows,
+    gradients: Layers,
+) -> None:  # fmt: skip
+    """Add to ``gradients`` that by each layer, by way of ``grads`` (B, size + n I)."""
     w, heads, at = len(layers.own_b), memory.weights.shape[1] - 1, (0, 0, 0)
     size, scale = len(layers.query_w) + (heads + 2) * w, 1 / math.sqrt(w)
     for number in range(len(blocks)):
@@ -317,7 +323,7 @@ def add_gradient(
         to = (at[0] + n, at[1] + flying, at[2] + placed)
         block, grad, by_scores = _block(memory, at, to), grads[at[0] : to[0]], np.empty_like(memory.scores[:placed])
         if grad.shape[1] > size:
-            _select(rows[at[0] : to[0]], len(layers.device_w), scale, by_scores, grad, size, True)
+            _number(rows[at[0] : to[0]], stop, len(layers.device_w), w, heads, by_scores, grad, size, True)
         by_query = _device_gradient(layers, block, grad, size, scale, by_scores, gradients)
         _context_gradient(layers, block, grad, by_query, gradients)
         at = to

@@ -16,27 +16,29 @@ from torch.autograd.function import once_differentiable
 from uavaou.algorithms.fast.token_layers import ROWS, TOKENS, Activations, Layers, Whole, add_gradient, write_encoded
 
 
-def encode(rows: th.Tensor, uavs: int, heads: int, *parameters: th.Tensor) -> th.Tensor:
-    """Return features and selection logits (B, size + I) of rows with ``uavs`` tokens of UAVs.
+def encode(rows: th.Tensor, stop: int, uavs: int, heads: int, *parameters: th.Tensor) -> th.Tensor:
+    """Return features and devices' numbers (B, size + n I) of rows with ``uavs`` tokens of UAVs.
 
     Args:
         rows: (B, columns).
+        stop: behind the column where the tokens end.
         uavs: tokens of UAVs in a row, there or not.
         heads: of the attention.
         parameters: weight and bias of each layer, in order.
     """
     if th.is_grad_enabled():
-        encoded: th.Tensor = _Encode.apply(rows, uavs, heads, *parameters)  # type: ignore[no-untyped-call]
+        encoded: th.Tensor = _Encode.apply(rows, stop, uavs, heads, *parameters)  # type: ignore[no-untyped-call]
         return encoded
-    return _encoded(rows, uavs, heads, _layers(parameters), False)[0]
+    return _encoded(rows, stop, uavs, heads, _layers(parameters), False)[0]
 
 
 class _Encode(th.autograd.Function):
     """:func:`encode` with a gradient, by the parameters alone."""
 
     @staticmethod
-    def forward(ctx: Any, rows: th.Tensor, uavs: int, heads: int, *parameters: th.Tensor) -> th.Tensor:
-        encoded, *ctx.kept = _encoded(rows, uavs, heads, _layers(parameters), True)
+    def forward(ctx: Any, rows: th.Tensor, stop: int, uavs: int, heads: int, *parameters: th.Tensor) -> th.Tensor:
+        encoded, *ctx.kept = _encoded(rows, stop, uavs, heads, _layers(parameters), True)
+        ctx.stop = stop
         ctx.save_for_backward(rows, *parameters)
         return encoded
 
@@ -48,8 +50,8 @@ class _Encode(th.autograd.Function):
         gradients = Layers(*(np.zeros_like(layer) for layer in layers))
         memory, blocks, uavs = ctx.kept
         array = rows.detach().contiguous().numpy()
-        add_gradient(array, layers, memory, blocks, uavs, grad.contiguous().numpy(), gradients)
-        return None, None, None, *(th.from_numpy(gradient.T) for gradient in gradients)
+        add_gradient(array, ctx.stop, layers, memory, blocks, uavs, grad.contiguous().numpy(), gradients)
+        return None, None, None, None, *(th.from_numpy(gradient.T) for gradient in gradients)
 
 
 def supports(rows: th.Tensor) -> bool:
@@ -63,18 +65,18 @@ def _layers(parameters: Any) -> Layers:
 
 
 def _encoded(
-    rows: th.Tensor, uavs: int, heads: int, layers: Layers, keep: bool
+    rows: th.Tensor, stop: int, uavs: int, heads: int, layers: Layers, keep: bool
 ) -> tuple[th.Tensor, Activations, Whole, int]:
     """Encode rows; also returns the activations, and how many rows and tokens each block has."""
     array, width = rows.detach().contiguous().numpy(), len(layers.own_b)
     own, queries = len(layers.own_w) + uavs * len(layers.uav_w), len(layers.query_b) // width
-    places = (array.shape[1] - own) // len(layers.device_w)  # for devices
+    places = (stop - own) // len(layers.device_w)  # for devices
     most = max(places, TOKENS * 32 * 32 // (width * max(width, len(layers.device_w))))  # tokens in a block
     n, tokens = (len(rows), len(rows) * places) if keep else (min(len(rows), ROWS), most)
     size = len(layers.query_w) + (heads + 2) * width
-    encoded = th.zeros(len(rows), size + (places if queries > heads else 0))
+    encoded = th.zeros(len(rows), size + (queries - heads) * places)
     memory, blocks = _memory(n, uavs, tokens, heads, layers), np.zeros((len(rows), 3), np.int32)
-    write_encoded(array, uavs, layers, memory, most, keep, blocks, encoded.numpy())
+    write_encoded(array, stop, uavs, layers, memory, most, keep, blocks, encoded.numpy())
     return encoded, memory, blocks, uavs
 
 

@@ -28,6 +28,7 @@ class FastUpdate:
         coefficients: of the loss.
         normalises_batches: whether advantages are normalised in each minibatch, without ``coefficients``' moments.
         max_grad_norm: of the actor's gradient, and of the critic's.
+        critic_alone: whether the actor has no gradient, and does not change.
     """
 
     def __init__(
@@ -37,11 +38,13 @@ class FastUpdate:
         coefficients: LossCoefficients,
         normalises_batches: bool,
         max_grad_norm: float,
+        critic_alone: bool = False,
     ) -> None:
         keep_freed_memory()
         self._coefficients, self._normalises_batches = coefficients, normalises_batches
         self._shard = GradientShard(policy, buffer)
         self._networks = policy.actor_parameters(), policy.critic_parameters()
+        self._learning = (1,) if critic_alone else (0, 1)
         supported = ClippedAdam.supports(policy.optimizer, policy.actor_and_critic_parameters())
         self.adam = ClippedAdam(policy.optimizer, max_grad_norm) if supported else None
 
@@ -74,12 +77,12 @@ class FastUpdate:
             gradient = (shard.actor_gradient, shard.critic_gradient)[network]
             computed[network][piece] = gradient(at, len(at) / len(rows[network]), coefficients, tasks.add)
 
-        for network in range(2):
+        for network in self._learning:
             for piece, at in enumerate(np.array_split(rows[network], pieces[network])):
                 tasks.add(partial(compute, network, piece, at))
         tasks.run()
         for parameters, shards in zip(self._networks, computed, strict=True):
-            gradients = shards[0][0]
+            gradients: list[Any] = shards[0][0] if shards else [None] * len(parameters)
             for piece in range(1, len(shards)):
                 th._foreach_add_(gradients, shards[piece][0])
             for parameter, gradient in zip(parameters, gradients, strict=True):
@@ -127,6 +130,8 @@ class ClippedAdam:
         """Clip the gradients, and step."""
         for group, (parameters, steps, averages, average_squares) in self._groups:
             gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+            if not gradients:
+                continue
             # torch.nn.utils.clip_grad_norm_: the norm of the tensors' norms
             norm = th.linalg.vector_norm(th.stack(th._foreach_norm(gradients)))
             th._foreach_mul_(gradients, (self._max_norm / (norm + 1e-6)).clamp_(max=1.0))

@@ -59,6 +59,8 @@ class MAPPO(SafeSaveLoad, PPO):
         batch_size: rows (agent steps) in a minibatch; whole slots, all UAVs of a slot together.
         advantage_normalization: over the ``batch``, over the whole ``rollout``, or ``none``.
         critic_learning_rate: as a multiple of ``learning_rate``.
+        critic_rollouts: the first of a training, in which the critic learns and the actor does not change. A policy
+            that is good at first would be ruined by the advantages of a critic that knows nothing.
         ent_coef: a number, or a schedule as ``learning_rate`` and ``clip_range`` may be.
     """
 
@@ -83,6 +85,7 @@ class MAPPO(SafeSaveLoad, PPO):
         max_grad_norm: float = 5.0,
         advantage_normalization: str = "batch",
         critic_learning_rate: float = 1.0,
+        critic_rollouts: int = 0,
         policy_kwargs: dict[str, Any] | None = None,
         **kwargs: Any,
     ) -> None:
@@ -92,7 +95,7 @@ class MAPPO(SafeSaveLoad, PPO):
             if kwargs.get(name) is not None:
                 raise InputError(f"{name}: not an argument of {type(self).__name__} (see advantage_normalization)")
         self.advantage_normalization = advantage_normalization
-        self.critic_learning_rate = critic_learning_rate
+        self.critic_learning_rate, self.critic_rollouts = critic_learning_rate, critic_rollouts
         policy_kwargs = self._policy_arguments(env, policy_kwargs, critic_input=self.critic_input)
         buffer_kwargs = {"row_layout": policy_kwargs.get("row_layout"), "critic_input": policy_kwargs["critic_input"]}
         kwargs.setdefault("rollout_buffer_class", SlotRolloutBuffer)
@@ -252,10 +255,14 @@ class MAPPO(SafeSaveLoad, PPO):
         self, clip_range: float, mean: float, std: float
     ) -> tuple[Callable[[NDArray[np.int64]], LossStatistics], Callable[[], None]]:
         """Two functions: set the parameters' gradient of the loss on some slots; clip the gradient and step."""
+        critic_alone = 0 < self.num_timesteps <= self.critic_rollouts * self.n_steps * self.n_envs
         if not self.uses_fast:
 
             def gradient(indices: NDArray[np.int64]) -> LossStatistics:
-                return self.backward(self.loss(self.rollout_buffer.batch(indices), clip_range, mean, std))
+                statistics = self.backward(self.loss(self.rollout_buffer.batch(indices), clip_range, mean, std))
+                for parameter in self.policy.actor_parameters() if critic_alone else ():
+                    parameter.grad = None
+                return statistics
 
             return gradient, self.step
         value_net = self.policy.value_net
@@ -263,7 +270,9 @@ class MAPPO(SafeSaveLoad, PPO):
             mean, 1 / std, clip_range, self.ent_coef, self.vf_coef, float(value_net.mean), float(value_net.std)
         )
         normalises_batches = self.advantage_normalization == "batch"
-        fast = FastUpdate(self.policy, self.rollout_buffer, coefficients, normalises_batches, self.max_grad_norm)
+        fast = FastUpdate(
+            self.policy, self.rollout_buffer, coefficients, normalises_batches, self.max_grad_norm, critic_alone
+        )
         step = fast.adam.step if fast.adam and inherits(self, MAPPO, "step") else self.step
         return lambda indices: LossStatistics(*th.tensor(fast.gradient(indices).tolist())), step
 

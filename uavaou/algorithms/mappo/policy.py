@@ -11,6 +11,7 @@ from torch import nn
 from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.action_head import MoveAndDeviceLogits, MoveSelectionDistribution
 from uavaou.algorithms.nets.mlp import ACTIVATIONS, mlp
+from uavaou.algorithms.nets.pull import Pull
 from uavaou.algorithms.nets.set_encoder import ACTORS, check_network, make_body
 from uavaou.algorithms.nets.value_norm import PopArt, ValueScale
 from uavaou.errors import InputError, unknown
@@ -41,6 +42,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         net_arch: hidden layer sizes of actor and critic; of a ``set``, after its encoder.
         activation: ``relu`` or ``tanh``.
         selection_bias: initial logit of selecting a device in range; collecting costs nothing in this model.
+        pull: whether devices pull the actor of a ``set`` towards them (:mod:`uavaou.algorithms.nets.pull`).
         masks: whether forbidden moves and devices out of range have probability 0, in training and in flight.
             Without masks the policy may choose them, and the World rejects them; the observation is the same.
     """
@@ -60,6 +62,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         activation: str = "tanh",
         selection_bias: float = 2.0,
         masks: bool = True,
+        pull: bool = False,
         **kwargs: Any,
     ) -> None:
         if critic_input not in CRITIC_INPUTS:
@@ -73,7 +76,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         self.network = network
         self.critic_input = critic_input
         self.selection_bias = selection_bias
-        self.masks = masks
+        self.masks, self.pull = masks, pull and network == "set"
         self._hidden = list(net_arch or [128, 128])
         self._activation = activation
         self.allowed_columns = row_layout.local_columns("allowed_moves") if masks else None
@@ -88,17 +91,20 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         devices = layout.devices if layout.selects else 0
         by_token = self.network != "mlp" and layout.selects
         self.action_dist = MoveSelectionDistribution(devices)
-        self.actor_body = make_body(layout.local, *network, selects=by_token)
+        pull = Pull(layout) if self.pull else None
+        self.actor_body = make_body(layout.local, *network, selects=by_token, pull=pull)
         head: nn.Linear = self.action_dist.proba_distribution_net(self.actor_body.size, 0 if by_token else devices)
         of_slot = self.critic_input == "global"
         self.critic_body = self._make_critic_body()
         self.value_net = PopArt(self._hidden[-1])
-        for module, gain in ((head, 0.01), (self.value_net.linear, 1.0)):
+        # With pulls, the moves' logits are these alone at first, also where some are equal.
+        for module, gain in ((head, 0.0 if self.pull else 0.01), (self.value_net.linear, 1.0)):
             nn.init.orthogonal_(module.weight, gain=gain)
             nn.init.zeros_(module.bias)
         if devices and not by_token:
             nn.init.constant_(head.bias[-devices:], self.selection_bias)
-        self.action_net = MoveAndDeviceLogits(head, self.selection_bias) if by_token else head
+        selecting = self.selection_bias if by_token else None
+        self.action_net = MoveAndDeviceLogits(head, selecting, self.pull) if by_token or self.pull else head
         self.scale = ValueScale(layout.size_columns(of_slot)) if self.network != "mlp" else None
         self.optimizer = self.optimizer_class(  # type: ignore[call-arg]
             [{"params": self.actor_parameters()}, {"params": self.critic_parameters()}],

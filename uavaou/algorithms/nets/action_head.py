@@ -17,22 +17,28 @@ FORBIDDEN = -1e9  # a logit that leaves no probability in float32
 
 
 class MoveAndDeviceLogits(nn.Module):
-    """Logits (B, 5 + I) of features that end with a number for each device, (B, features + I).
+    """Logits (B, 5 (+ I)) of features that end with the moves' pulls and a number for each device, where there are.
 
     Args:
         moves: the layer from features to the moves' logits.
-        selection_bias: initial logit of selecting a device, before its own number.
+        selection_bias: initial logit of selecting a device, before its own number; None where none is selected.
+        pulled: whether the moves have pulls.
     """
 
-    def __init__(self, moves: nn.Linear, selection_bias: float) -> None:
+    def __init__(self, moves: nn.Linear, selection_bias: float | None, pulled: bool) -> None:
         super().__init__()
-        self.moves = moves
-        self.selection_bias = nn.Parameter(th.tensor(selection_bias))
+        self.moves, self.pulled = moves, pulled
+        self.selection_bias = None if selection_bias is None else nn.Parameter(th.tensor(selection_bias))
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """Return the logits, the moves' first."""
         size = self.moves.in_features
-        return th.cat([self.moves(features[:, :size]), features[:, size:] + self.selection_bias], dim=1)
+        moves: th.Tensor = self.moves(features[:, :size])
+        if self.pulled:
+            moves, size = moves + features[:, size : size + MOVES], size + MOVES
+        if self.selection_bias is None:
+            return moves
+        return th.cat([moves, features[:, size:] + self.selection_bias], dim=1)
 
 
 class MoveSelectionDistribution(MultiCategoricalDistribution):

@@ -18,6 +18,7 @@ from torch import nn
 
 from uavaou.algorithms.nets.action_head import FORBIDDEN
 from uavaou.algorithms.nets.mlp import Linear, Mlp, mlp
+from uavaou.algorithms.nets.pull import CHANGES, Pull
 from uavaou.errors import InputError, unknown
 from uavaou.world.entities import ALONE, LEAD, PAPER_DEVICES, PAPER_UAVS
 from uavaou.world.views import DEVICE, OWN, Columns, RowLayout
@@ -27,12 +28,12 @@ ACTORS = (*NETWORKS, "dual-set")  # of MAPPO and IPPO
 
 
 class SetEncoder(nn.Module):
-    """Features of rows (B, columns) of tokens, and a logit for each device.
+    """Features of rows (B, columns) of tokens, and numbers for each device.
 
     Args:
-        columns: the row's runs of columns; the last two are the tokens of UAVs and of devices, the others are read as
-            they stand. The first feature of a token is 1, and 0 in padding.
-        selects: whether there are logits.
+        columns: the row's runs of columns. Those of pulls are left out; then the last two are the tokens of UAVs and of
+            devices, the others are read as they stand. The first feature of a token is 1, and 0 in padding.
+        numbers: for each device.
         width: of a device's token.
         heads: of the attention over devices.
 
@@ -40,26 +41,26 @@ class SetEncoder(nn.Module):
         size: number of features.
     """
 
-    def __init__(self, columns: Sequence[Columns], selects: bool = False, width: int = 32, heads: int = 4) -> None:
+    def __init__(self, columns: Sequence[Columns], numbers: int = 0, width: int = 32, heads: int = 4) -> None:
         super().__init__()
-        self.columns, self.selects, self.width, self.heads = tuple(columns), selects, width, heads
+        self.columns, self.numbers, self.width, self.heads = without_pulls(columns), numbers, width, heads
         *own, uavs, devices = self.columns
         self.uavs = (uavs.stop - uavs.start) // uavs.width
         self.own = _layer(own[-1].stop, width)
         self.uav = _layer(uavs.width, width // 2)
         self.device = _layer(devices.width, width)
         self.device_2 = _layer(width, width)
-        self.query = _layer(width + width // 2, (heads + selects) * width)
+        self.query = _layer(width + width // 2, (heads + numbers) * width)
         nn.init.orthogonal_(self.query.weight)
         with th.no_grad():
             self.query.weight[heads * width :] *= 0.01  # as the action head: at first nothing is preferred
         self.size = self.query.in_features + (heads + 2) * width
 
     def forward(self, rows: th.Tensor) -> th.Tensor:
-        """Return features of ``rows`` (B, columns), and behind them the logits, (B, size) or (B, size + I)."""
+        """Return features of ``rows`` (B, columns), and behind them the devices' numbers, (B, size + n I)."""
         fast = _compiled()
         if fast is not None and fast.supports(rows):
-            encoded: th.Tensor = fast.encode(rows, self.uavs, self.heads, *self.parameters())
+            encoded: th.Tensor = fast.encode(rows, self.columns[-1].stop, self.uavs, self.heads, *self.parameters())
             return encoded
         return self.define(rows)
 
@@ -83,40 +84,61 @@ class SetEncoder(nn.Module):
         pooled = (attention @ hidden).flatten(1)  # (B, heads * w)
         mean = hidden.sum(dim=1) / there.sum(dim=1).clamp_min(1)
         features = [context, pooled, mean, hidden.amax(dim=1)]
-        return th.cat([*features, scores[:, -1]] if self.selects else features, dim=1)
+        return th.cat([*features, scores[:, self.heads :].flatten(1)], dim=1)
+
+    @th.no_grad()
+    def zero_numbers(self, first: int) -> None:
+        """Let the numbers of each device be 0, from the ``first`` on."""
+        for tensor in (self.query.weight, self.query.bias):
+            tensor[(self.heads + first) * self.width :] = 0.0
 
     @th.no_grad()
     def rescale_logits(self, ratio: th.Tensor) -> None:
-        """Multiply the logits by ``ratio``."""
+        """Multiply the first number of each device, a logit, by ``ratio``."""
         for tensor in (self.query.weight, self.query.bias):
-            tensor[self.heads * self.width :] *= ratio
+            tensor[self.heads * self.width : (self.heads + 1) * self.width] *= ratio
 
 
 class SetNetwork(nn.Module):
     """A :class:`SetEncoder` and fully connected layers after it.
 
     Args:
-        columns, selects: of the encoder.
+        columns: of the encoder.
         hidden: sizes of the layers.
         activation: after each of them.
+        selects: whether each device has a logit.
+        pull: of the devices on each move; None without.
 
     Attributes:
         size: number of features.
     """
 
-    def __init__(self, columns: Sequence[Columns], hidden: list[int], activation: str, selects: bool = False) -> None:
+    def __init__(
+        self,
+        columns: Sequence[Columns],
+        hidden: list[int],
+        activation: str,
+        selects: bool = False,
+        pull: Pull | None = None,
+    ) -> None:
         super().__init__()
-        self.encoder, self.size = SetEncoder(columns, selects), hidden[-1]
+        self.encoder, self.size = SetEncoder(columns, selects + (CHANGES if pull else 0)), hidden[-1]
         self.layers: Mlp = mlp(self.encoder.size, hidden, activation)
+        self.selects, self.pull = selects, pull
+        if pull is not None:
+            self.encoder.zero_numbers(selects)
 
     def forward(self, rows: th.Tensor) -> th.Tensor:
-        """Return features of ``rows`` (B, columns), and behind them the logits, (B, hidden) or (B, hidden + I)."""
+        """Return features of ``rows`` (B, columns), and behind them pulls and logits, (B, hidden (+ 5) (+ I))."""
         encoded = self.encoder(rows)
-        if not self.encoder.selects:
-            features: th.Tensor = self.layers(encoded)
-            return features
         size = self.encoder.size
-        return th.cat([self.layers(encoded[:, :size]), encoded[:, size:]], dim=1)
+        parts = [self.layers(encoded[:, :size])]
+        logits = (encoded.shape[1] - size) // max(self.encoder.numbers, 1) if self.selects else 0  # I or 0
+        if self.pull is not None:
+            parts.append(self.pull(rows, encoded[:, size + logits :]))
+        if logits:
+            parts.append(encoded[:, size : size + logits])
+        return th.cat(parts, dim=1)
 
 
 class DualSetNetwork(nn.Module):
@@ -135,7 +157,7 @@ class DualSetNetwork(nn.Module):
 
     def __init__(self, columns: Sequence[Columns], hidden: list[int], activation: str, selects: bool = False) -> None:
         super().__init__()
-        self.columns = tuple(columns)
+        self.columns = without_pulls(columns)
         self.whole = SetNetwork(columns, hidden, activation, selects)
         self.part = SetNetwork(columns, hidden, activation, selects)
         self.size = self.whole.size + self.part.size
@@ -144,7 +166,7 @@ class DualSetNetwork(nn.Module):
         """Return features of ``rows`` (B, columns), and behind them the logits, (B, size) or (B, size + I)."""
         whole, part, end = self.whole(rows), self.part(own_part(rows, self.columns)), self.whole.size
         features = [whole[:, :end], part[:, :end]]
-        return th.cat([*features, whole[:, end:] + part[:, end:]] if self.whole.encoder.selects else features, dim=1)
+        return th.cat([*features, whole[:, end:] + part[:, end:]] if self.whole.selects else features, dim=1)
 
 
 def own_part(rows: th.Tensor, columns: Sequence[Columns]) -> th.Tensor:
@@ -152,7 +174,7 @@ def own_part(rows: th.Tensor, columns: Sequence[Columns]) -> th.Tensor:
 
     It is the observation ``part``, but for ages and waiting times, which stay as ``rows`` has them.
     """
-    own, allowed, mates, devices = (rows[:, part.slice] for part in columns)
+    own, allowed, mates, devices = (rows[:, part.slice] for part in without_pulls(columns))
     feature = dict(zip(DEVICE, devices.reshape(len(rows), -1, len(DEVICE)).unbind(dim=2), strict=True))  # (B, I) each
     mine = feature["own_part"]
     feature["steps_of_nearest_other"] = th.full_like(mine, ALONE)
@@ -166,13 +188,24 @@ def own_part(rows: th.Tensor, columns: Sequence[Columns]) -> th.Tensor:
 
 
 def make_body(
-    columns: Sequence[Columns], network: str, hidden: list[int], activation: str, selects: bool = False
+    columns: Sequence[Columns],
+    network: str,
+    hidden: list[int],
+    activation: str,
+    selects: bool = False,
+    pull: Pull | None = None,
 ) -> Mlp | SetNetwork | DualSetNetwork:
     """Make the layers between rows and heads: an ``mlp``, or a set whose devices have logits if it ``selects``."""
     if network == "mlp":
         return mlp(columns[-1].stop, hidden, activation)
-    kind = DualSetNetwork if network == "dual-set" else SetNetwork
-    return kind(columns, hidden, activation, selects)
+    if network == "dual-set":
+        return DualSetNetwork(columns, hidden, activation, selects)
+    return SetNetwork(columns, hidden, activation, selects, pull)
+
+
+def without_pulls(columns: Sequence[Columns]) -> tuple[Columns, ...]:
+    """Return the columns that an encoder reads."""
+    return tuple(part for part in columns if part.name != "pulls")
 
 
 def check_network(network: str, layout: RowLayout, known: Sequence[str] = NETWORKS) -> None:

@@ -29,8 +29,8 @@ class SquareSymmetries:
     """
 
     def __init__(self, layout: RowLayout) -> None:
-        moves = layout.local_columns("allowed_moves")
-        assert moves is not None
+        moves, pulls = (next(part for part in layout.local if part.name == name) for name in ("allowed_moves", "pulls"))
+        of_move = [moves.start] + [at + 1 for at in range(pulls.start, pulls.stop, pulls.width)]  # the first of five
         columns = th.arange(layout.local_size)
         x, y = (
             th.cat([columns[layout.token_feature(tokens, f"{of}_{axis}".lstrip("_"))] for tokens, of in _PAIRS])
@@ -45,7 +45,8 @@ class SquareSymmetries:
             # Move k seen from here is the move of the row whose step becomes the step of k.
             seen = [(sign_x * step[swap], sign_y * step[not swap]) for step in steps]
             move = th.tensor([seen.index((dx, dy)) for dx, dy in steps])  # (5,)
-            source[moves] = moves.start + move
+            for first in of_move:
+                source[first : first + MOVES] = first + move
             views.append((source, sign, move.argsort()))
         self.source, self.sign, self.move = (th.stack(part) for part in zip(*views, strict=True))
 

@@ -21,9 +21,12 @@ from gymnasium import spaces
 from torch import nn
 
 from uavaou.algorithms.nets.mlp import Linear, mlp, rescale_linear
+from uavaou.algorithms.nets.pull import Pull
 from uavaou.algorithms.nets.set_encoder import SetNetwork
 from uavaou.errors import InputError
-from uavaou.world.views import RowLayout
+from uavaou.world.views import MOVES, RowLayout
+
+SHARPNESS = 0.1  # of the pull at first, in units of normalised values
 
 
 @dataclass(frozen=True)
@@ -166,25 +169,35 @@ class SetUtilityNetwork(UtilityNetwork):
         layout: of the rows.
         hidden, activation, branches: as :class:`UtilityNetwork`'s.
         selection_bias: initial advantage of selecting a device.
+        pull: whether devices pull the UAV, a term of the moves' advantages.
     """
 
     body: SetNetwork  # type: ignore[assignment]
 
     def __init__(
-        self, layout: RowLayout, hidden: list[int], activation: str, branches: Branches, selection_bias: float
+        self,
+        layout: RowLayout,
+        hidden: list[int],
+        activation: str,
+        branches: Branches,
+        selection_bias: float,
+        pull: bool = False,
     ) -> None:
         nn.Module.__init__(self)
         self.branches = branches
-        self.body = SetNetwork(layout.local, hidden, activation, layout.selects)
+        pulls = Pull(layout, SHARPNESS) if pull else None
+        self.body = SetNetwork(layout.local, hidden, activation, layout.selects, pulls)
         self.selection_bias = nn.Parameter(th.tensor(selection_bias))
         self._make_heads(hidden[-1], branches.sizes[0])
 
     def forward(self, local: th.Tensor, allowed: th.Tensor | None) -> th.Tensor:
         """Branch values (B, sum(n_b)) of ``local`` (B, local), for the options ``allowed`` (B, sum(n_b))."""
-        features, by_device = self.body(local).split([self.value.in_features, self.branches.count - 1], dim=1)
+        sizes = [self.value.in_features, 0 if self.body.pull is None else MOVES, self.branches.count - 1]
+        features, pulls, by_device = self.body(local).split(sizes, dim=1)
         selecting = by_device + self.selection_bias  # (B, I)
         bits = th.stack([th.zeros_like(selecting), selecting], dim=2).flatten(1)  # (B, 2 I)
-        advantages = th.cat([self.advantage(features), bits], dim=1)
+        moves = self.advantage(features)
+        advantages = th.cat([moves if self.body.pull is None else moves + pulls, bits], dim=1)
         values: th.Tensor = self.value(features) + self.branches.centre(advantages, allowed)
         return values
 
@@ -194,3 +207,5 @@ class SetUtilityNetwork(UtilityNetwork):
         with th.no_grad():
             self.selection_bias.mul_(ratio)
         self.body.encoder.rescale_logits(ratio)
+        if self.body.pull is not None:
+            self.body.pull.rescale(ratio)

@@ -36,6 +36,7 @@ class JointQPolicy(LocalPolicy):
         selection_bias: initial advantage of selecting a device in range; collecting costs nothing in this model.
         masks: whether choices, targets and exploration leave out what is not allowed; without masks the World
             rejects it. The observation is the same.
+        pull: whether devices pull the UAVs of a ``set`` towards them (:mod:`uavaou.algorithms.nets.pull`).
         mixer_width, hypernet_width: hidden units of the monotonic mixer and of the networks that give its weights.
         state_value_width: hidden units of a value of the state that the ``sum`` gets; 0: none.
     """
@@ -52,6 +53,7 @@ class JointQPolicy(LocalPolicy):
         activation: str = "relu",
         selection_bias: float = 0.1,
         masks: bool = True,
+        pull: bool = False,
         mixer_width: int = 32,
         hypernet_width: int = 64,
         state_value_width: int = 0,
@@ -68,7 +70,7 @@ class JointQPolicy(LocalPolicy):
         self._hidden = list(net_arch or [128, 128])
         self._activation = activation
         self.selection_bias = selection_bias
-        self.masks = masks
+        self.masks, self.pull = masks, pull and network == "set"
         self.utilities = self.make_utilities()
         self.mixer = make_mixer(mixer, network, row_layout, mixer_width, hypernet_width, state_value_width)
         self.target_utilities = deepcopy(self.utilities).requires_grad_(False)
@@ -84,7 +86,7 @@ class JointQPolicy(LocalPolicy):
         network: UtilityNetwork
         if self.network == "set":
             arguments = self._hidden, self._activation, self.branches, self.selection_bias
-            return SetUtilityNetwork(self.row_layout, *arguments)
+            return SetUtilityNetwork(self.row_layout, *arguments, self.pull)
         network = UtilityNetwork(self.row_layout.local_size, self._hidden, self._activation, self.branches)
         if self.row_layout.selects:
             with th.no_grad():

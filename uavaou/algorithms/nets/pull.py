@@ -1,0 +1,94 @@
+"""Devices pull, moves follow: a term of each move's logit or value that is a rule at first, and is learned from there.
+
+Each device has a score. Each move feels it through the grid steps that the move would leave to where the UAV collects
+the device well:
+
+    pull_m = beta log(c + sum_i exp(score_i - steps_im / reach_i)),
+    score_i = log age_i + part (own_i - 1) + f_i,    reach_i = lambda exp(g_i)
+
+age_i is what the UAV expects at the end of the slot, own_i is 1 for the devices of its part of the map. The set encoder
+gives f and g, numbers of the device's token, which are 0 at first. With lambda = 1 and a large part, the likeliest move
+is then that of the rule ``local-greedy-parts``. The small c makes all moves equal where no device pulls.
+
+The sum does not depend on the order of devices, and pulls are turned and mirrored with the map. A learned term on a
+controller is residual policy learning (Silver et al. 2018, arXiv 1812.06298); moves that follow attraction are
+artificial potential fields (Khatib 1986).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import torch as th
+from torch import nn
+
+from uavaou.world.pull import BACKGROUND, LEAST_AGE, SCORE_RANGE
+from uavaou.world.views import MOVES, PULL, RowLayout
+
+CHANGES = 2  # numbers of a device's token: of its score, and of its reach
+
+
+class Pull(nn.Module):
+    """The pull of all devices on each move.
+
+    Args:
+        layout: of rows of entities.
+        sharpness: beta, 1; learned.
+        part: of the score, by how much a device of another UAV's part pulls less; learned.
+
+    Attributes:
+        columns: first column of the pulls, of the flags of own parts and of those of presence, and the way to the next.
+    """
+
+    def __init__(self, layout: RowLayout, sharpness: float = 12.0, part: float = 40.0) -> None:
+        super().__init__()
+        own, present = (layout.token_feature("devices", name) for name in ("own_part", "present"))
+        self.columns = layout.token_feature("pulls", PULL[0]).start, own.start, present.start, own.step
+        self.numbers = nn.Parameter(th.tensor([sharpness, 1.0, part]).log())  # beta, lambda, part
+
+    def forward(self, rows: th.Tensor, changes: th.Tensor) -> th.Tensor:
+        """Return the pull of each move, (B, 5), at most 0.
+
+        Args:
+            rows: (B, columns).
+            changes: numbers of the devices' scores, and then of their reaches, (B, 2 I).
+        """
+        fast = _compiled()
+        if fast is not None and fast.supports(rows):
+            pulls: th.Tensor = fast.pull(rows, changes, self.numbers, self.columns)
+            return pulls
+        return self.define(rows, changes)
+
+    @th.no_grad()
+    def rescale(self, ratio: th.Tensor) -> None:
+        """Multiply the pulls by ``ratio``."""
+        self.numbers[0] += ratio.log()
+
+    def define(self, rows: th.Tensor, changes: th.Tensor) -> th.Tensor:
+        """Return what :meth:`forward` does, by torch's operators."""
+        sharpness, reach, part = self.numbers.exp().unbind()
+        score_change, reach_change = changes.reshape(len(rows), CHANGES, -1).tanh().unbind(dim=1)  # (B, I) each
+        devices = score_change.shape[1]
+        first, own, present, width = self.columns
+        pulls = rows[:, first : first + devices * len(PULL)].reshape(len(rows), devices, len(PULL))
+        own, there = (rows[:, at : at + devices * width : width] for at in (own, present))  # (B, I) each
+        score = pulls[..., 0].clamp_min(LEAST_AGE).log() + part * (own - 1) + SCORE_RANGE * score_change
+        felt = score[..., None] - pulls[..., 1:] / (reach * reach_change.exp())[..., None]  # (B, I, 5)
+        felt = felt.masked_fill(there[..., None] < 0.5, -th.inf)
+        background = felt.new_full((len(rows), 1, MOVES), math.log(BACKGROUND))
+        total = th.cat([background, felt], dim=1).logsumexp(dim=1)  # (B, 5)
+        return sharpness * (total - total.amax(dim=1, keepdim=True).detach())
+
+
+@cache
+def _compiled() -> Any:
+    """Return the module of the compiled pull; None where ``algorithms/fast`` has been deleted."""
+    try:
+        from uavaou.algorithms.fast import pulls  # not before: that package imports the learners
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("uavaou.algorithms.fast"):
+            raise
+        return None
+    return pulls

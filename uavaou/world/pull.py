@@ -1,0 +1,127 @@
+"""Devices pull, moves follow: what a UAV needs to know of the map to go where the ages, each times exp(-steps), are
+largest.
+
+The rule (:mod:`uavaou.planners.local_greedy`) and the head of a set network
+(:mod:`uavaou.algorithms.nets.pull`) share the steps that a move would leave, and the age that a UAV expects.
+"""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from uavaou.arrays import Bools, Floats, Ints
+from uavaou.scenario import Scenario
+from uavaou.world.compiled import compiled
+from uavaou.world.coverage import rician_exceedance
+from uavaou.world.views import Rows
+from uavaou.world.world import World
+
+SCORE_RANGE = 4.0  # the most that is learned for a score; the reach changes by a factor of e at most
+LEAST_AGE = 1e-30  # slots: of a device that has just been collected
+BACKGROUND = 1e-5  # slots: the pull of nothing
+MOST_STEPS = 500.0  # of a device that a UAV never collects
+SHARE = 0.5  # of a UAV's best probability to collect a device, from which a cell is good enough
+_POINTS = 10_000  # of the law of fading
+_MOST_GAIN = 36.0  # a power gain that fading does not exceed: the probability is below 1e-15
+
+
+@lru_cache(maxsize=16)
+def exceedance(fading: str, rician_factor: float, points: int) -> tuple[Floats, Floats]:
+    """Power gains that rise, (G,), and how probable it is that fading exceeds each, (G,)."""
+    if fading == "none":
+        return np.array([0.0, 1.0, 1.0 + 1e-9]), np.array([1.0, 1.0, 0.0])
+    gain = np.linspace(0.0, _MOST_GAIN**0.5, points) ** 2
+    return gain, rician_exceedance(gain, rician_factor)
+
+
+def collection_probability(scenario: Scenario, positions: Floats, headroom: Floats) -> Floats:
+    """Return the probability to collect a device in a slot from each cell, (U, C, I), interpolated.
+
+    Args:
+        scenario: grid, altitudes and fading.
+        positions: of the devices, (I, 2) grid steps.
+        headroom: mean SNR right above each device over the least that it needs, (U, I).
+    """
+    cells = np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T.astype(np.float64)  # (C, 2) grid steps
+    squared = ((cells[:, None] - positions) ** 2).sum(axis=-1)  # (C, I)
+    altitude = scenario.altitudes[:, None, None] / scenario.grid_step_m  # (U, 1, 1) grid steps
+    gain, exceeded = exceedance(scenario.fading, scenario.rician_factor, _POINTS)
+    with np.errstate(divide="ignore"):
+        least = 1.0 / headroom  # (U, I) the power gain that a UAV right above needs
+    needed = (1.0 + squared / altitude**2) * least[:, None]  # (U, C, I)
+    probability, possible = np.zeros(needed.shape), needed < gain[-1]
+    probability[possible] = np.interp(needed[possible], gain, exceeded)
+    return probability
+
+
+def steps_left(world: World) -> Floats:
+    """Return the grid steps from each cell to the nearest from which a UAV collects a device well, (L, U, C, I).
+
+    Well is with half of the UAV's best probability or more. Infinite where it never collects the device.
+    """
+    scenario = world.scenario
+    headroom = world.channel.mean_snr_above() / world.channel.snr_min[:, None, :]  # (L, U, I)
+    tables = []
+    for positions, above in zip(world.device_positions / scenario.grid_step_m, headroom, strict=True):
+        probability = collection_probability(scenario, positions, above)  # (U, C, I)
+        best = probability.max(axis=1, keepdims=True)  # (U, 1, I)
+        good = (probability >= SHARE * best) & (best > 0.0)
+        grid = (scenario.uavs, scenario.columns, scenario.rows, scenario.devices)
+        tables.append(steps_to(good.reshape(grid)).reshape(good.shape).astype(np.float32))
+    return np.stack(tables)
+
+
+def steps_to(good: Bools) -> Floats:
+    """Return the grid steps from each cell to the nearest that is ``good``, (..., X, Y, I); infinite without one."""
+    steps: Floats = np.where(good, 0.0, np.inf)
+    for axis in (-3, -2):
+        line = np.moveaxis(steps, axis, 0)  # a view
+        for there in range(1, len(line)):
+            np.minimum(line[there], line[there - 1] + 1, out=line[there])
+        for there in range(len(line) - 2, -1, -1):
+            np.minimum(line[there], line[there + 1] + 1, out=line[there])
+    return steps
+
+
+@compiled
+def estimated_age(slot: Any, last: Any, period: Any) -> Any:
+    """Return the age sum in slots at the end of ``slot`` of a device that was last collected in slot ``last``.
+
+    Update n is generated in slot n k, at whose end it has an age of one slot (eq. 1); update 0 begins with none.
+
+    Args:
+        slot: t.
+        last: slot of the last collection, 0 for never; a number, or an array.
+        period: k, slots; of the same kind.
+    """
+    newest, delivered = slot // period, last // period
+    generated = newest * (newest + 1) - delivered * (delivered + 1)
+    return (newest - delivered) * (slot + 1) - period * generated // 2 + slot * (last == 0)
+
+
+@compiled
+def write_pulls(
+    steps: Floats, target: Ints, cells: Ints, part: Ints, in_range: Bools, period: Ints, slot: int, last_by: Ints,
+    pending: Ints, age_slots: Ints, shared: bool, alone: bool, pulls: Rows,
+) -> None:  # fmt: skip
+    """Write (N, U, I * features): what the pull of each device is made of, for UAVs in ``cells`` (N, U)."""
+    missions, uavs = cells.shape
+    moves = target.shape[1]
+    for n in range(missions):
+        layout = min(n, len(steps) - 1)
+        for u in range(uavs):
+            for i in range(steps.shape[3]):
+                pull = pulls[n, u, (1 + moves) * i : (1 + moves) * (i + 1)]
+                if alone and part[layout, i] != u:
+                    pull[:] = 0.0
+                    continue
+                k = period[layout, i]
+                if in_range[n, u, i]:  # collected in this slot
+                    pull[0] = 0.0
+                elif shared:
+                    pull[0] = age_slots[n, i] + pending[n, i] + (slot % k == 0)
+                else:
+                    pull[0] = estimated_age(slot, last_by[n, u, i], k)
+                for move in range(moves):
+                    pull[1 + move] = steps[layout, u, target[cells[n, u], move], i]
