@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import torch as th
 from tests.algorithms.test_set_encoder import entity_rows, shuffled
 from uavaou import MAPPO, QMIX, VDN, Scenario, World, flatten
 from uavaou.algorithms.nets.pull import Pull
+from uavaou.algorithms.nets.symmetries import SquareSymmetries
 from uavaou.planners import make_planner
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.train import train
@@ -60,6 +62,18 @@ def test_the_sum_does_not_depend_on_the_order_of_devices() -> None:
     other = shuffled(shuffled(rows, layout.local[3], order), layout.local[4], order)
     turned = changes.detach().view(-1, 2, 12)[:, :, order].flatten(1)
     th.testing.assert_close(pull(other, turned), pull(rows, changes), rtol=1e-4, atol=1e-4)
+
+
+def test_pulls_turn_with_the_map_and_rows_without_them_are_still_read() -> None:
+    layout, rows, _ = entity_rows(3, 25)
+    pull, views = Pull(layout), SquareSymmetries(layout)
+    no_changes = th.zeros(8 * len(rows), 50)
+    averaged = views.mean(lambda seen: pull(seen, no_changes[: len(seen)]), rows)
+    th.testing.assert_close(averaged, pull(rows, no_changes[: len(rows)]), rtol=1e-4, atol=1e-4)
+    before = replace(layout, local=layout.local[:-1])  # of a learner's file from before there were pulls
+    assert SquareSymmetries(before).source.shape == (8, before.local_size)
+    assert before.fits(layout, depends_on_sizes=False)
+    assert not before.fits(layout)
 
 
 def slots(scenario: Scenario, missions: int) -> Iterator[tuple[World, np.ndarray[Any, Any]]]:

@@ -120,7 +120,11 @@ class RowLayout:
         """Whether a policy for these rows can read ``other``: the same columns, in number or in meaning alone."""
         if depends_on_sizes:
             return self == other
-        kinds = [[(columns.name, columns.width) for columns in (*of.local, *of.state)] for of in (self, other)]
+        kinds = [
+            # Files of learners from before there were pulls lack them, and so do their networks.
+            [(columns.name, columns.width) for columns in (*of.local, *of.state) if columns.name != "pulls"]
+            for of in (self, other)
+        ]
         return kinds[0] == kinds[1] and (self.collection, self.rows) == (other.collection, other.rows)
 
     def local_columns(self, name: str) -> slice | None:

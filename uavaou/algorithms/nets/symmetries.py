@@ -10,7 +10,7 @@ from itertools import product
 import torch as th
 
 from uavaou.world.flight import STEP_OF_MOVE
-from uavaou.world.views import MOVES, RowLayout
+from uavaou.world.views import MOVES, PULL, RowLayout
 
 _PAIRS = (("own", "home"), ("teammates", ""), ("teammates", "home"), ("devices", ""))  # vectors (x, y) in the tokens
 _ROWS = 256  # at once: eight views of a wide row take memory
@@ -29,8 +29,9 @@ class SquareSymmetries:
     """
 
     def __init__(self, layout: RowLayout) -> None:
-        moves, pulls = (next(part for part in layout.local if part.name == name) for name in ("allowed_moves", "pulls"))
-        of_move = [moves.start] + [at + 1 for at in range(pulls.start, pulls.stop, pulls.width)]  # the first of five
+        moves, pulls = (layout.local_columns(name) for name in ("allowed_moves", "pulls"))
+        assert moves is not None
+        of_moves = [moves.start, *(() if pulls is None else range(pulls.start + 1, pulls.stop, len(PULL)))]
         columns = th.arange(layout.local_size)
         x, y = (
             th.cat([columns[layout.token_feature(tokens, f"{of}_{axis}".lstrip("_"))] for tokens, of in _PAIRS])
@@ -45,7 +46,7 @@ class SquareSymmetries:
             # Move k seen from here is the move of the row whose step becomes the step of k.
             seen = [(sign_x * step[swap], sign_y * step[not swap]) for step in steps]
             move = th.tensor([seen.index((dx, dy)) for dx, dy in steps])  # (5,)
-            for first in of_move:
+            for first in of_moves:  # of five columns
                 source[first : first + MOVES] = first + move
             views.append((source, sign, move.argsort()))
         self.source, self.sign, self.move = (th.stack(part) for part in zip(*views, strict=True))
