@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.coverage import rician_exceedance
+from uavaou.world.flight import grid_cells
 from uavaou.world.views import Rows
 from uavaou.world.world import World
 
@@ -35,38 +35,25 @@ def exceedance(fading: str, rician_factor: float, points: int) -> tuple[Floats, 
     return gain, rician_exceedance(gain, rician_factor)
 
 
-def collection_probability(scenario: Scenario, positions: Floats, headroom: Floats) -> Floats:
-    """Return the probability to collect a device in a slot from each cell, (U, C, I), interpolated.
-
-    Args:
-        scenario: grid, altitudes and fading.
-        positions: of the devices, (I, 2) grid steps.
-        headroom: mean SNR right above each device over the least that it needs, (U, I).
-    """
-    cells = np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T.astype(np.float64)  # (C, 2) grid steps
-    squared = ((cells[:, None] - positions) ** 2).sum(axis=-1)  # (C, I)
-    altitude = scenario.altitudes[:, None, None] / scenario.grid_step_m  # (U, 1, 1) grid steps
-    gain, exceeded = exceedance(scenario.fading, scenario.rician_factor, _POINTS)
-    with np.errstate(divide="ignore"):
-        least = 1.0 / headroom  # (U, I) the power gain that a UAV right above needs
-    needed = (1.0 + squared / altitude**2) * least[:, None]  # (U, C, I)
-    probability, possible = np.zeros(needed.shape), needed < gain[-1]
-    probability[possible] = np.interp(needed[possible], gain, exceeded)
-    return probability
-
-
 def steps_left(world: World) -> Floats:
     """Return the grid steps from each cell to the nearest from which a UAV collects a device well, (L, U, C, I).
 
     Well is with half of the UAV's best probability or more. Infinite where it never collects the device.
     """
     scenario = world.scenario
-    headroom = world.channel.mean_snr_above() / world.channel.snr_min[:, None, :]  # (L, U, I)
+    cells = grid_cells(scenario).astype(np.float64)  # (C, 2)
+    altitude = scenario.altitudes[:, None] / scenario.grid_step_m  # (U, 1) grid steps
+    gain, exceeded = exceedance(scenario.fading, scenario.rician_factor, _POINTS)
+    with np.errstate(divide="ignore"):
+        above = world.channel.snr_min[:, None, :] / world.channel.mean_snr_above()  # (L, U, I) power gain needed there
     tables = []
-    for positions, above in zip(world.device_positions / scenario.grid_step_m, headroom, strict=True):
-        probability = collection_probability(scenario, positions, above)  # (U, C, I)
-        best = probability.max(axis=1, keepdims=True)  # (U, 1, I)
-        good = (probability >= SHARE * best) & (best > 0.0)
+    for positions, least in zip(world.device_positions / scenario.grid_step_m, above, strict=True):
+        squared = ((cells[:, None] - positions) ** 2).sum(axis=-1)  # (C, I)
+        nearest = (1.0 + squared.min(axis=0) / altitude**2) * least  # (U, I) power gain needed in the nearest cell
+        best = np.interp(nearest, gain, exceeded, right=0.0)  # (U, I)
+        # The gain that is exceeded so much more seldom; the nearest cell is always good enough, whatever the rounding.
+        enough = np.maximum(np.interp(-SHARE * best, -exceeded, gain), nearest)
+        good = ((1.0 + squared / altitude[:, :, None] ** 2) * least[:, None] <= enough[:, None]) & (best > 0.0)[:, None]
         grid = (scenario.uavs, scenario.columns, scenario.rows, scenario.devices)
         tables.append(steps_to(good.reshape(grid)).reshape(good.shape).astype(np.float32))
     return np.stack(tables)
