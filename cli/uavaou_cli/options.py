@@ -41,6 +41,8 @@ def budget(help: str) -> Any:
     def parse(text: str) -> Any:
         with suppress(ArithmeticError, ValueError):
             number = Decimal(text[:-1] if text[-1:] in _MULTIPLES else text) * _MULTIPLES.get(text[-1:], 1)
+            if number.is_finite() and abs(number) > MOST_SLOTS:  # as an integer it could have a billion digits
+                return number
             if number == int(number):
                 return int(number)
         return text  # is refused below: an error here would lose its message
@@ -50,7 +52,8 @@ def budget(help: str) -> Any:
             raise InputError(f"{option.opts[0]} = {value}: expected a whole number, such as 200000, 200k or 1e6")
         if value is not None and not 1 <= value <= MOST_SLOTS:
             limit = f"at most {MOST_SLOTS:,}" if value > MOST_SLOTS else "at least 1"
-            raise InputError(f"{option.opts[0]} {value}: must be {limit}")
+            shown = value if isinstance(value, int) else f"{value:.3e}"
+            raise InputError(f"{option.opts[0]} {shown}: must be {limit}")
         return value
 
     return typer.Option(metavar="N", help=help, parser=parse, callback=check)

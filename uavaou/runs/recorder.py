@@ -135,10 +135,12 @@ class Recorder(BaseCallback):
         for name, value in self.progress.figures.items():
             self._record(name, value)
         if not self._folder.last.exists():  # from now on, a run without a checkpoint has lost it
-            if self._config.start is not None or getattr(self._config.algorithm, "pull", False):  # worth flying
-                scores = {action: self._validate(action) for action in ACTIONS}
-                self._log(validated=True)
-                self._note(scores)
+            self._save(finished=False)
+        worth_flying = self._config.start is not None or getattr(self._config.algorithm, "pull", False)
+        if worth_flying and not self._slots and self.progress.best_score is None:
+            scores = {action: self._validate(action) for action in ACTIONS}
+            self._log(validated=True)
+            self._note(scores)
             self._save(finished=False)
 
     def _on_step(self) -> bool:
