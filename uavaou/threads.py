@@ -96,7 +96,7 @@ class Tasks:
         with self._changed:
             self._waiting.append(task)
             self._changed.notify()
-            asks = self._helpers < min(len(self._waiting) - 1, self._most_helpers)
+            asks = self._helpers < min(len(self._waiting) + self._helping - 1, self._most_helpers)
             self._helpers += asks
         if asks:
             _helpers.ask(self)
