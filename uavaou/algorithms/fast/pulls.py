@@ -54,9 +54,7 @@ class _Pull(th.autograd.Function):
         by_changes, by_numbers = th.empty(changes.shape), np.zeros(3)
         beta, reach, part = (float(number) for number in numbers.exp())
         read, changed, by_pulls = (tensor.detach().contiguous().numpy() for tensor in (rows, changes, grad))
-        add_pull_gradient(
-            read, changed, by_pulls, ctx.columns, beta, reach, part, by_changes.numpy(), by_numbers
-        )  # fmt: skip
+        add_pull_gradient(read, changed, by_pulls, ctx.columns, beta, reach, part, by_changes.numpy(), by_numbers)
         return None, by_changes, th.from_numpy(by_numbers.astype(np.float32)), None
 
 

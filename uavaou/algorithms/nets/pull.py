@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from importlib import import_module
 from typing import Any
 
 import torch as th
@@ -55,7 +56,7 @@ class Pull(nn.Module):
             rows: (B, columns).
             changes: numbers of the devices' scores, and then of their reaches, (B, 2 I).
         """
-        fast = _compiled()
+        fast = compiled_module("pulls")
         if fast is not None and fast.supports(rows):
             pulls: th.Tensor = fast.pull(rows, changes, self.numbers, self.columns)
             return pulls
@@ -83,12 +84,11 @@ class Pull(nn.Module):
 
 
 @cache
-def _compiled() -> Any:
-    """Return the module of the compiled pull; None where ``algorithms/fast`` has been deleted."""
+def compiled_module(name: str) -> Any:
+    """Return the module of that name in ``algorithms/fast``; None where that folder has been deleted."""
     try:
-        from uavaou.algorithms.fast import pulls  # not before: that package imports the learners
+        return import_module(f"uavaou.algorithms.fast.{name}")  # not before: that package imports the learners
     except ModuleNotFoundError as error:
         if not (error.name or "").startswith("uavaou.algorithms.fast"):
             raise
         return None
-    return pulls

@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache
-from typing import Any
 
 import torch as th
 from torch import nn
 
 from uavaou.algorithms.nets.action_head import FORBIDDEN
 from uavaou.algorithms.nets.mlp import Linear, Mlp, mlp
-from uavaou.algorithms.nets.pull import CHANGES, Pull
+from uavaou.algorithms.nets.pull import CHANGES, Pull, compiled_module
 from uavaou.errors import InputError, unknown
 from uavaou.world.entities import ALONE, LEAD, PAPER_DEVICES, PAPER_UAVS
 from uavaou.world.views import DEVICE, OWN, Columns, RowLayout
@@ -58,7 +56,7 @@ class SetEncoder(nn.Module):
 
     def forward(self, rows: th.Tensor) -> th.Tensor:
         """Return features of ``rows`` (B, columns), and behind them the devices' numbers, (B, size + n I)."""
-        fast = _compiled()
+        fast = compiled_module("tokens")
         if fast is not None and fast.supports(rows):
             encoded: th.Tensor = fast.encode(rows, self.columns[-1].stop, self.uavs, self.heads, *self.parameters())
             return encoded
@@ -214,18 +212,6 @@ def check_network(network: str, layout: RowLayout, known: Sequence[str] = NETWOR
         raise unknown("network", network, known)
     if network != "mlp" and layout.rows != "entities":
         raise InputError(f"network = '{network}': reads rows of entities: flatten(..., rows='entities')")
-
-
-@cache
-def _compiled() -> Any:
-    """Return the module of the compiled encoder; None where ``algorithms/fast`` has been deleted."""
-    try:
-        from uavaou.algorithms.fast import tokens  # not before: that package imports the learners
-    except ModuleNotFoundError as error:
-        if not (error.name or "").startswith("uavaou.algorithms.fast"):
-            raise
-        return None
-    return tokens
 
 
 def _layer(inputs: int, outputs: int) -> Linear:
