@@ -65,6 +65,7 @@ class Display:
         """Take the bar away."""
         if self._bar is not None:
             self._bar.stop()
+            self._bar = None
 
     def message(self, text: str) -> None:
         """Show a line that stays."""
@@ -154,6 +155,13 @@ class TrainingDisplay(Display):
         super().__init__(quiet=False, total=0, slot_length_s=slot_length_s)
         self._uavs = 0.0
 
+    def plan(self, status: PlanningStatus) -> None:
+        """Show where the search for the plan stands that the training begins with."""
+        self.total = 1.0
+        self.open()
+        if self.due:
+            self.advance(status.share, f"mean AoU {status.incumbent_s / self._tau_s:,.2f} slots", "plan")
+
     def start(self, total: int, done: int, uavs: float) -> None:
         """Begin at ``done`` of ``total`` slots, with ``uavs`` agent steps a slot."""
         self.total, self._uavs = total, uavs
@@ -167,6 +175,8 @@ class TrainingDisplay(Display):
             self.advance(slots, f"mean AoU {aou}", "training")
 
     def _speed(self, rate: float) -> str:
+        if not self._uavs:
+            return ""
         wide = self._bar is None or self._bar.console.width >= _WIDE
         return super()._speed(rate) + (f", {rate * self._uavs:,.0f} agent steps/s" if wide else "")
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from uavaou.planners.plan import PlanningStatus
 from uavaou_cli import progress
 from uavaou_cli.progress import BoundDisplay, Display, EvaluationDisplay, PlanningDisplay, TrainingDisplay
 
@@ -38,6 +39,20 @@ def test_a_training_that_overshoots_its_budget_ends_at_100_percent(
     assert capsys.readouterr().err.splitlines() == [
         " 50%  training: 100 slots/s, 300 agent steps/s, mean AoU 12.00 slots, 5.0 s left",
         "100%  training: 106 slots/s, 318 agent steps/s, mean AoU 12.00 slots, 0.0 s left",
+    ]
+
+
+def test_a_training_shows_the_search_for_its_plan(capsys: pytest.CaptureFixture[str], clock: SimpleNamespace) -> None:
+    display = TrainingDisplay(slot_length_s=2.0)
+    clock.s += 20
+    display.plan(PlanningStatus(0.25, 24.0))
+    display.close()
+    display.start(total=1000, done=0, uavs=3)
+    clock.s += 20
+    display.update(500, 22.0)
+    assert capsys.readouterr().err.splitlines() == [
+        " 25%  plan: mean AoU 12.00 slots, 1 min 0 s left",
+        " 50%  training: 25 slots/s, 75 agent steps/s, mean AoU 11.00 slots, 20.0 s left",
     ]
 
 

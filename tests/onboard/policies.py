@@ -15,6 +15,7 @@ from uavaou.algorithms.registry import load_config, make_model
 from uavaou.envs.flatten import flatten
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.world.entities import make_views
+from uavaou.world.pull import PullPlan
 from uavaou.world.views import MOVES
 
 QUICK = Scenario.load("quickstart")
@@ -41,12 +42,17 @@ def scores(policy: Any, local: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def lively(
-    algorithm: str = "mappo", scenario: Scenario = QUICK, action: str = "greedy", views: int = 8, **settings: Any
+    algorithm: str = "mappo",
+    scenario: Scenario = QUICK,
+    action: str = "greedy",
+    views: int = 8,
+    plan: PullPlan | None = None,
+    **settings: Any,
 ) -> TrainedPolicy:
     """A policy in the planners' interface that chooses each move about as often as the others."""
     config = load_config(algorithm, {"hidden": [16, 16], **settings})
     seen = {"observation": config.observation, "collection": config.collection, "rows": config.rows}
-    env = flatten(scenario, 1, **seen)
+    env = flatten(scenario, 1, plan=plan, **seen)
     env.maps_vary = views == 8  # in the training: then it decides by eight views of the map
     model = make_model(config, env, seed=1, device="cpu")
     policy: Any = model.policy

@@ -46,7 +46,7 @@ def assert_equal(trained: TrainedPolicy, local: NDArray[np.float32]) -> None:
 
 def network_of(name: str) -> dict[str, Any]:
     """The settings of a network; ``pulled set``: one that devices pull."""
-    return {"network": name.removeprefix("pulled "), "pull": name.startswith("pulled ")}
+    return {"network": name.removeprefix("pulled "), "pull": 12.0 * name.startswith("pulled ")}
 
 
 @pytest.mark.parametrize(("network", "observation", "collection"), KINDS + PULLED)

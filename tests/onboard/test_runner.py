@@ -17,6 +17,7 @@ from tests.onboard.policies import QUICK, lively
 from uavaou import World
 from uavaou.onboard.export import FILES, inputs_of, write_policy
 from uavaou.onboard.runner import Pilot, read_mission, read_policy
+from uavaou.planners.tuned import LocalGreedyTuned
 from uavaou.runs.policy import TrainedPolicy
 
 SCENARIO = QUICK.replace(slots=60, flight_time_budget_s=140.0)  # shorter than the slots: the budget binds
@@ -93,13 +94,22 @@ def test_it_flies_as_the_policy(network: str, observation: str, collection: str,
         {"observation": "location", "collection": "auto"},  # without masks in the row
         {"masks": False},
         {"algorithm": "vdn", "network": "set", "observation": "shared"},
-        {"network": "set", "pull": True, "observation": "local"},
-        {"network": "set", "pull": True, "observation": "shared", "collection": "auto"},
-        {"network": "set", "pull": True, "observation": "part"},
+        {"network": "set", "pull": 12.0, "observation": "local"},
+        {"network": "set", "pull": 12.0, "observation": "shared", "collection": "auto"},
+        {"network": "set", "pull": 12.0, "observation": "part"},
     ],
 )
 def test_it_flies_as_other_policies(settings: dict[str, Any], tmp_path: Path) -> None:
     trained = lively(scenario=SCENARIO, **settings)
+    fly(trained, pilots_of(trained, tmp_path))
+
+
+@pytest.mark.slow
+def test_it_is_drawn_to_devices_by_the_policy_s_plan(tmp_path: Path) -> None:
+    layout, tuned = SCENARIO.draw_layout(), LocalGreedyTuned(slots=50_000)
+    plan = tuned.plan(SCENARIO, layout).of_map(SCENARIO, layout)
+    assert (plan.weight != 1.0).any()
+    trained = lively(scenario=SCENARIO, views=1, plan=plan, network="set", pull=12.0, collection="auto")
     fly(trained, pilots_of(trained, tmp_path))
 
 
@@ -178,7 +188,7 @@ def test_the_json_describes_every_column(rows: str, observation: str) -> None:
     ("file", "change", "said"),
     [
         ("mission", {"slots": 0}, "slots: expected whole numbers from 1 to 1,000,000"),
-        ("mission", {"part": [0, 1]}, "part: expected whole numbers of shape (8) from -1 to "),
+        ("mission", {"own_devices": [0, 1]}, "own_devices: expected whole numbers of shape (2, 8) from 0 to "),
         ("mission", {"grid_step_m": float("nan")}, "grid_step_m: expected numbers from 0.001 to "),
         ("mission", {"cds_m": [[0, 0], [1]]}, "cds_m: expected numbers of shape (2, 2) from 0 to "),
         ("policy", {"action": "best"}, "action: expected one of: greedy, sample"),

@@ -105,7 +105,9 @@ class LearnerConfig(AlgorithmConfig):
     network: Literal["mlp", "set"] = "mlp"  # set: any number of UAVs and devices, in rows of entities
     hidden: HiddenSizes  # units of each hidden layer; MAPPO: of actor and critic alike
     activation: Literal["relu", "tanh"]
-    pull: StrictBool = False  # of network: set alone: devices pull, moves follow; a rule at first, then learned
+    token_width: Annotated[PositiveWhole, Field(le=1024)] = 32  # of network: set: features of a device
+    pull: Annotated[NonNegative, Field(le=1000)] = 0  # of network: set: how sharply devices pull at first; 0: not
+    plan_ratio: NonNegative = 0  # of a pull: slots of the rule's search before the training, for each slot of it
     masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
     selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit or advantage of selecting a device in range
 
@@ -122,7 +124,9 @@ class LearnerConfig(AlgorithmConfig):
     @model_validator(mode="after")
     def _pulls_are_of_sets(self) -> Self:
         if self.pull and self.network == "mlp":
-            raise ValueError("pull = true: needs network = set")
+            raise ValueError(f"pull = {self.pull:g}: needs network = set")
+        if self.plan_ratio and not self.pull:
+            raise ValueError(f"plan_ratio = {self.plan_ratio:g}: needs a pull above 0")
         return self
 
     def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
@@ -143,6 +147,7 @@ class LearnerConfig(AlgorithmConfig):
             "activation": self.activation,
             "masks": self.masks,
             "pull": self.pull,
+            "token_width": self.token_width,
             "selection_bias": self.selection_bias,
             "optimizer_kwargs": self.adam,
         }

@@ -26,6 +26,7 @@ from uavaou.family import Family
 from uavaou.scenario import Scenario
 from uavaou.threads import compute_with_one_thread
 from uavaou.world.entities import make_views
+from uavaou.world.pull import PullPlan
 
 BACKENDS = ("batched", "supersuit")
 
@@ -42,6 +43,7 @@ def flatten(
     render_mode: str | None = None,
     rows: str = "flat",
     worlds: int = 1,
+    plan: PullPlan | None = None,
 ) -> MissionVecEnv:
     """Flatten N missions of U UAVs into an SB3 ``VecEnv`` of N * U rows ``[local | global]``.
 
@@ -62,6 +64,7 @@ def flatten(
         render_mode: None or ``rgb_array``.
         rows: ``flat``, or ``entities`` for tokens of UAVs and devices.
         worlds: G, of a family; must divide ``missions``.
+        plan: of rows of entities: how each UAV is drawn to its devices on one map, found before take-off.
 
     Raises:
         InputError: an argument has none of these values, or does not divide another that it must divide; or flat rows
@@ -78,7 +81,7 @@ def flatten(
     for name, value, least in counts:
         if not isinstance(value, int | np.integer) or value < least:
             raise InputError(f"{name} = {value!r}: expected a whole number from {least} on")
-    views_of = partial(make_views, observation=observation, collection=collection, rows=rows)
+    views_of = partial(make_views, observation=observation, collection=collection, rows=rows, plan=plan)
     views = views_of(base)
     draws: BatchedDraws | None = None
     stage: Any

@@ -54,6 +54,12 @@ def split_numbered(state: State, environments: int) -> list[State]:
     return parts
 
 
+def completed(state: State) -> State:
+    """Return the state with what files of earlier versions lack: ``last_in_range``, as far as they tell."""
+    lacking = {name.replace("last_collection_by", "last_in_range"): array for name, array in state.items()}
+    return {name: array for name, array in lacking.items() if name.endswith("last_in_range")} | state
+
+
 def check(given: State, own: State, scenario: Scenario, source: str = "missions") -> None:
     """Check that ``given`` can be a state of the missions of ``own``, which play ``scenario``.
 

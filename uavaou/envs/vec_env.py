@@ -28,7 +28,7 @@ from supersuit.vector.multiproc_vec import ProcConcatVec, async_loop, decompress
 from supersuit.vector.sb3_vector_wrapper import SB3VecEnvWrapper
 
 from uavaou.envs.batched import BatchedDraws
-from uavaou.envs.missions_state import State, check, joined, numbered, split, split_numbered
+from uavaou.envs.missions_state import State, check, completed, joined, numbered, split, split_numbered
 from uavaou.envs.spaces import action_masks, action_space, row_space, vector_space
 from uavaou.errors import InputError
 from uavaou.world.views import Rows, RowViews
@@ -162,6 +162,7 @@ class MissionVecEnv(SB3VecEnvWrapper):
             InputError: the arrays do not describe as many missions of this scenario or family.
         """
         self.reset(0)  # makes the Worlds, whose state is then replaced
+        state = completed(state)
         environments = self._workers.copies if self._workers else len(self._environments())
         if self._draws is None:
             check(state, self.missions_state(), self.scenario)

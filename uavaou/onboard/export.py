@@ -27,9 +27,9 @@ from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy, load_run
 from uavaou.scenario import Scenario
 from uavaou.world import World
-from uavaou.world.entities import coverage_and_parts
+from uavaou.world.entities import told_before_take_off
 from uavaou.world.flight import grid_cells
-from uavaou.world.pull import steps_left
+from uavaou.world.pull import PullPlan, steps_left
 from uavaou.world.views import RowLayout, Rows
 
 SCHEMA = 1
@@ -84,7 +84,7 @@ def write_policy(trained: TrainedPolicy, name: str, folder: Path) -> Exported:
         raise InputError(f"'{name}': its policy acts otherwise than its networks ({same:,} of {rows:,} rows agree)")
     texts = {
         "policy.json": _to_json(_describe(name, trained)),
-        "mission.json": _to_json(describe_mission(flown)),
+        "mission.json": _to_json(describe_mission(flown, getattr(trained.views, "plan", None))),
         "runner.py": Path(runner.__file__).read_text(encoding="utf-8"),
     }
     with writing(folder):
@@ -140,10 +140,14 @@ def compare(graph: bytes, trained: TrainedPolicy) -> tuple[int, int]:
     return rows, same
 
 
-def describe_mission(scenario: Scenario) -> dict[str, Any]:
-    """What the UAVs are told before take-off: the map, the fleet, and what the mean channel and the plan say."""
+def describe_mission(scenario: Scenario, plan: PullPlan | None = None) -> dict[str, Any]:
+    """What the UAVs are told before take-off: the map, the fleet, and what the mean channel and the ``plan`` say."""
     world = World(scenario)
-    radius, part = coverage_and_parts(world)
+    radius, own, _ = told_before_take_off(world, plan)
+    plan = plan if plan is not None and plan.is_of(world) else None
+    weight = reach = np.ones(own[0].shape)  # (U, I)
+    if plan is not None:
+        weight, reach = (np.where(plan.serves, numbers, 1.0) for numbers in (plan.weight, plan.reach))
     return {
         "schema": SCHEMA,
         "scenario": scenario.name,
@@ -160,16 +164,21 @@ def describe_mission(scenario: Scenario) -> dict[str, Any]:
         "update_period_slots": world.update_period[0].tolist(),
         "longest_update_period_slots": scenario.longest_update_period,
         "coverage_radius_m": (radius[0] * scenario.grid_step_m).tolist(),
-        "collection_radius_m": _collection_radius(world).tolist(),
-        "part": part[0].tolist(),
+        "collection_radius_m": _collection_radius(world, plan).tolist(),
+        "own_devices": own[0].astype(int).tolist(),
+        "pull_weight": weight.tolist(),
+        "pull_reach_steps": reach.tolist(),
     }
 
 
-def _collection_radius(world: World) -> Floats:
+def _collection_radius(world: World, plan: PullPlan | None) -> Floats:
     """Distance in m of the farthest cell from which each UAV collects each device well, (U, I); -1 without one."""
     cells = grid_cells(world.scenario) * world.scenario.grid_step_m  # (C, 2) m
     away = np.linalg.norm(cells[:, None] - world.device_positions[0], axis=-1)  # (C, I)
-    radius: Floats = np.where(steps_left(world)[0] == 0.0, away, -1.0).max(axis=1)
+    steps = steps_left(world)  # (1, U, C, I)
+    if plan is not None:
+        steps = np.where(plan.serves[:, None], steps_left(world, plan.share), steps)
+    radius: Floats = np.where(steps[0] == 0.0, away, -1.0).max(axis=1)
     return radius
 
 

@@ -34,12 +34,15 @@ MISSION = {  # name: shape for U UAVs and I devices, least, whole numbers
     "longest_update_period_slots": ((), 1, True),
     "coverage_radius_m": (("U", "I"), 0, False),
     "collection_radius_m": (("U", "I"), -1, False),
-    "part": (("I",), -1, True),
+    "own_devices": (("U", "I"), 0, True),
+    "pull_weight": (("U", "I"), 1e-9, False),
+    "pull_reach_steps": (("U", "I"), 1e-9, False),
 }  # fmt: skip
 CHOICES = {
     "schema": (1,),
     "rows": ("flat", "entities"),
     "observation": ("location", "part", "local", "shared"),
+    "collection": ("auto", "select"),
     "action": ("greedy", "sample"),
 }
 TOKENS = ["own", "allowed_moves", "teammates", "devices", "pulls"]  # the last where devices pull
@@ -124,6 +127,7 @@ class Pilot:
         self.mission, self.uav, self.slot, self.flown = mission, uav, 1, 0
         self.action, self.draws = action or self.policy["action"], np.random.default_rng([seed, uav])
         self.shared, self.alone = (self.policy["observation"] == name for name in ("shared", "part"))
+        self.auto = self.policy["collection"] == "auto"
         self.area, self.step = np.array(mission["area_m"]), mission["grid_step_m"]  # (2,) m, m
         self.cds = np.rint(np.array(mission["cds_m"]) / self.step).astype(int)  # (U, 2) cells
         self.altitude = np.array(mission["altitude_m"])  # (U,) m
@@ -132,9 +136,14 @@ class Pilot:
         self.period = np.array(mission["update_period_slots"])  # (I,) slots, k_i
         self.radius = np.array(mission["coverage_radius_m"]) / self.step  # (U, I) grid steps
         self.pulled = "pulls" in self.policy["inputs"]
-        self.steps = self.steps_left(np.array(mission["collection_radius_m"])[uav]) if self.pulled else np.empty(0)
+        if self.pulled:
+            of_device = ("collection_radius_m", "pull_weight", "pull_reach_steps")
+            radius, weight, reach = (np.array(mission[name], dtype=float)[uav] for name in of_device)  # (I,) each
+            self.steps = np.minimum(self.steps_left(radius) / reach - np.log(weight), MOST_STEPS)  # (X, Y, I)
         self.last_own = np.zeros(len(self.period), dtype=int)  # (I,) slot of this UAV's last collection, 0: none yet
         self.last = self.last_own.copy()  # (I,) the same of any UAV
+        self.last_in_range = self.last_own.copy()  # (I,) slot in which this UAV had each device in range, 0: none yet
+        self.in_range = self.last_own > 0  # (I,) in this slot
 
     @property
     def done(self) -> bool:
@@ -151,6 +160,7 @@ class Pilot:
         """
         cell = np.rint(np.asarray(position_m) / self.step).astype(int)  # (2,)
         in_range, allowed = np.asarray(in_range, dtype=bool), self.allowed_moves(cell)
+        self.in_range = in_range
         if self.policy["rows"] == "flat":
             values = self.flat_row(cell, allowed, in_range, np.reshape(others_m, (-1, 2)))
             inputs = [np.concatenate([np.ravel(values[name]) for name in self.policy["inputs"]["local"]["columns"]])]
@@ -178,6 +188,7 @@ class Pilot:
                 "local" observation needs this UAV's own number alone.
         """
         self.last[np.asarray(collected_by) >= 0] = self.slot
+        self.last_in_range[self.in_range] = self.slot
         self.last_own[np.asarray(collected_by) == self.uav] = self.slot
         self.slot += 1
 
@@ -264,7 +275,7 @@ class Pilot:
         slots, uav, others, ones = self.mission["slots"], self.uav, self.others, np.ones(len(self.period))
         left, home = slots + 1 - self.slot, self.cds - cell  # slots, (U, 2) grid steps
         spare = min(slots - self.slot, self.mission["budget_steps"][uav] - self.flown) - np.abs(home[uav]).sum()
-        mine = np.array(self.mission["part"]) == uav  # (I,)
+        mine = np.array(self.mission["own_devices"])[uav] == 1  # (I,)
         known, uavs = (max(mine.sum(), 1), 1) if self.alone else (len(ones), len(home))
         sizes = np.log(known / 25), np.log(uavs / 3)
         own = np.array([1, *home[uav] / 5, left / (left + 100), np.clip(spare, 0, 40) / 20, self.altitude[uav] / 100,
@@ -292,6 +303,7 @@ class Pilot:
         tokens = [own, allowed, mates, devices]
         if self.pulled:
             moved = np.where(self.on_grid(cell)[:, None], cell + STEPS, cell)  # (5, 2)
+            last = self.last_in_range if self.auto and not self.shared else last
             age = np.where(in_range, 0, self.ages_before(self.slot + 1, last))
             pulls = np.column_stack([age, self.steps[moved[:, 0], moved[:, 1]].T])
             pulls[~mine & self.alone] = 0

@@ -17,7 +17,7 @@ from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import neighbours
-from uavaou.world.pull import steps_to
+from uavaou.world.pull import PullPlan, steps_to
 
 PROPOSALS = 4000  # without a time limit
 _SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the best coverage probability, from which a cell is good enough
@@ -40,6 +40,10 @@ class RulePlan(Plan):
     share: Floats  # (U, I) of the best coverage probability, from which a cell counts as arrived
     pull: Floats  # (U, C, I) weight exp(-d / reach) in each cell
 
+    def of_map(self, scenario: Scenario, layout: Layout) -> PullPlan:
+        """Return the numbers with the map that they are of."""
+        return PullPlan(self.weight, self.reach, self.share, scenario.cds_cells, layout.positions)
+
     def to_dict(self, scenario: Scenario) -> dict[str, Any]:
         """Return plain values for a JSON file, with the scenario; the pull follows from the others."""
         numbers = {name: getattr(self, name).tolist() for name in ("weight", "reach", "share")}
@@ -53,16 +57,23 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
     with areas of the UAVs, which have to beat ``local-greedy`` and ``local-greedy-parts``, and goes on with the numbers
     of single pairs. In flight, each UAV remembers when each device was last in its own range. Several UAVs may serve a
     device.
+
+    Args:
+        time_limit_s: of the planning.
+        slots: that are simulated, in the place of a time: the plan is then the same on every run.
     """
 
     name: ClassVar[str] = "local-greedy-tuned"
 
+    def __init__(self, time_limit_s: float | None = None, slots: int | None = None) -> None:
+        super().__init__(time_limit_s)
+        self.slots = slots
+
     def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RulePlan:
         """Tune the rule; see :class:`AheadPlanner`. The mean AoU is that of 64 draws that the search has not seen."""
         search, interrupted = _Search(scenario, layout), False
-        started = time.monotonic()  # after the first search of an installation has compiled its kernel
         try:
-            for done in self._fractions(started):
+            for done in self._fractions(search):
                 search.step(done)
                 if on_progress is not None:
                     on_progress(PlanningStatus(done, scenario.slot_length_s * search.best_age))
@@ -70,9 +81,13 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
             interrupted = True
         return search.best_plan(self.name, scenario.slot_length_s, interrupted)
 
-    def _fractions(self, started: float) -> Iterator[float]:
+    def _fractions(self, search: _Search) -> Iterator[float]:
         """Yield the fraction of the search that is done, before each proposal."""
-        if self.time_limit_s is None:
+        started = time.monotonic()  # after the first search of an installation has compiled its kernel
+        if self.slots is not None:
+            while (done := search.slots / self.slots) < 1.0:
+                yield done
+        elif self.time_limit_s is None:
             yield from (proposal / PROPOSALS for proposal in range(PROPOSALS))
         else:
             while (done := (time.monotonic() - started) / self.time_limit_s) < 1.0:
@@ -82,11 +97,9 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
         """Tune the rule for each layout that has no plan yet; draw nothing from ``seed``."""
         self._pull = np.stack([plan.pull for plan in self.plan_layouts(world)])  # (L, U, C, I)
         self._target = neighbours(world.scenario)[0]  # (C, 5)
-        self._seen = np.zeros((world.missions, world.scenario.uavs, world.scenario.devices), dtype=np.int64)
 
     def _last(self, world: World) -> Ints:
-        self._seen[world.in_range] = world.slot
-        return self._seen
+        return np.where(world.in_range, world.slot, world.last_in_range)
 
 
 class _Search:
@@ -105,6 +118,7 @@ class _Search:
         self._numbers = np.ones((3, scenario.uavs, scenario.devices))  # weight, reach, index of the share
         self._numbers[2] = _SHARES.index(0.5)
         self._draws, self._ages = 0, np.empty(0)
+        self.slots, self._mission_slots = 0, scenario.slots  # simulated so far, and those of a mission
         self._places = layout.positions / [scenario.area_x_m, scenario.area_y_m]  # (I, 2)
         self._start(scenario, layout)
         self._areas, self._area_ages = np.empty((0, 3)), np.full(self._draws, np.inf)  # (U, 3), and its score
@@ -135,6 +149,7 @@ class _Search:
     def _score(self, missions: int, first_draw: int = 0) -> Floats:
         """Return the mean age of the present numbers in each mission, (missions,) slots."""
         ages = np.empty(missions)
+        self.slots += missions * self._mission_slots
         score(self._chart, self._pull, self._numbers[0] > 0, first_draw, ages)
         return ages
 

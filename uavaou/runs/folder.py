@@ -161,6 +161,7 @@ class RunFolder:
 
     config = PathIn("config.yaml")  # everything resolved: running it again gives the same run
     meta = PathIn("meta.json")  # see RunMeta
+    plan = PathIn("plan.json")  # how devices pull at first, where a plan says so; see PullPlan
     episodes = PathIn("episodes.csv")  # a row for each training mission
     progress = PathIn("progress.csv")  # what the learner logs
     last = PathIn("checkpoints", "last.safetensors")  # what resuming needs

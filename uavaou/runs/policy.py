@@ -21,9 +21,11 @@ from uavaou.envs.spaces import action_masks, split_actions
 from uavaou.errors import InputError
 from uavaou.runs.checkpoint_header import open_policy
 from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.pull_plan import plan_of
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.knowledge import Knowledge, observed
+from uavaou.world.pull import PullPlan
 from uavaou.world.views import MOVES, RowLayout, Rows, RowViews
 
 Actions = tuple[NDArray[np.int64], NDArray[np.bool_] | None]
@@ -148,19 +150,19 @@ def load_run(
     folder = RunFolder.at(path)
     config = folder.read_config()
     checkpoint, progress = open_policy(folder)  # opened once: a training at work may put another in its place
-    fit = partial(_fit, folder, config, checkpoint)
+    fit = partial(_fit, folder, config, checkpoint, plan_of(config, folder))
     model, views = fit(config.scenario if scenario is None else Scenario.load(scenario))
     return TrainedPolicy(model, views, action or progress.best_action, checkpoint.digest(POLICY), fit)
 
 
 def _fit(
-    folder: RunFolder, config: RunConfig, checkpoint: ArrayFile, scenario: Scenario
+    folder: RunFolder, config: RunConfig, checkpoint: ArrayFile, plan: PullPlan | None, scenario: Scenario
 ) -> tuple[BaseAlgorithm, RowViews]:
     """The learner of a run for ``scenario``, with the weights of the checkpoint, and what its UAVs see there."""
     config.check_fits(scenario, str(folder))
     algorithm = config.algorithm
     seen = {name: getattr(algorithm, name) for name in ("observation", "collection", "rows")}
-    env = flatten(scenario, missions=1, **seen)
+    env = flatten(scenario, missions=1, plan=plan, **seen)
     env.maps_vary = config.maps_vary  # in its training
     hidden = getattr(algorithm, "hidden", ())
     if sum(a * b for a, b in pairwise(hidden)) > checkpoint.elements:  # build no networks that it cannot fill

@@ -16,6 +16,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
 from uavaou.files import write_json
+from uavaou.planners.plan import PlanningStatus
 from uavaou.runs.candidates import CandidateEnded, candidate_ends
 from uavaou.runs.checkpoint import Arrays, copy_last, open_candidate, save_candidate, save_policy, save_training
 from uavaou.runs.checkpoint_header import ACTIONS, ROWS_AN_EVALUATION, TrainingProgress
@@ -32,6 +33,9 @@ MOST_SHARE = 0.025  # of the wall-clock goes to checkpoints: a large replay is w
 
 class Display(Protocol):
     """Shows a training to a person."""
+
+    def plan(self, status: PlanningStatus) -> None:
+        """Where the search for the plan stands that the training begins with."""
 
     def start(self, total: int, done: int, uavs: float) -> None:
         """The training begins: slots in all and slots done before, of all missions together, and UAVs of a mission."""
@@ -136,7 +140,7 @@ class Recorder(BaseCallback):
             self._record(name, value)
         if not self._folder.last.exists():  # from now on, a run without a checkpoint has lost it
             self._save(finished=False)
-        worth_flying = self._config.start is not None or getattr(self._config.algorithm, "pull", False)
+        worth_flying = self._config.start is not None or getattr(self._config.algorithm, "pull", 0) > 0
         if worth_flying and not self._slots and self.progress.best_score is None:
             scores = {action: self._validate(action) for action in ACTIONS}
             self._log(validated=True)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # The settings that the shapes of the weights follow from.
 _OF_THE_NETWORK = (
-    "network", "pull", "observation", "collection", "hidden", "critic_input", "state_value_width", "mixer_width",
+    "network", "token_width", "observation", "collection", "hidden", "critic_input", "state_value_width", "mixer_width",
     "hypernet_width",
 )  # fmt: skip
 

@@ -16,7 +16,7 @@ from uavaou.envs.flatten import flatten
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import training_seeds
-from uavaou.files import refuse_links, replacing, writing
+from uavaou.files import refuse_links, replacing, write_json, writing
 from uavaou.runs.candidates import CandidateEnded, candidate_ends, check_parts, next_candidate
 from uavaou.runs.checkpoint import copy_last, longest_rollout, open_candidate, restore
 from uavaou.runs.checkpoint_header import TrainingProgress
@@ -24,6 +24,7 @@ from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.lock import one_writer
 from uavaou.runs.machine import describe_machine
+from uavaou.runs.pull_plan import plan_of
 from uavaou.runs.recorder import CHECKPOINT_EVERY_S, AfterUpdate, Display, Recorder, agent_steps, write_meta
 from uavaou.runs.released import released_names
 from uavaou.runs.start import Start
@@ -111,11 +112,14 @@ def _train(
     algorithm = config.algorithm
     shared = ("missions", "processes", "observation", "collection", "reward", "rows", "worlds")
     settings = {name: getattr(algorithm, name) for name in shared}
+    with closing(display) if display is not None else nullcontext():
+        plan = plan_of(config, folder, display)
     try:
         env = flatten(
             config.family or config.scenario,
             seed=training_seeds(_first_seed(config)).start,
             backend=backend,
+            plan=plan,
             **settings,
         )
     except MemoryError as error:
@@ -131,6 +135,8 @@ def _train(
                 folder.last.parent.mkdir(parents=True, exist_ok=True)
                 with replacing(folder.config) as file:
                     file.write(config.to_yaml())
+                if plan is not None:
+                    write_json(folder.plan, plan.to_dict())
             # With worker processes, the CPU time of this one says little: it waits for those that step the missions.
             cpu_s = 0.0 if algorithm.processes == 1 else None
             started = TrainingProgress(next_evaluation=config.evaluate_every_slots, cpu_s=cpu_s)

@@ -17,7 +17,7 @@ from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STAY, neighbours
 from uavaou.world.partition import partition
-from uavaou.world.pull import MOST_STEPS, steps_left, write_pulls
+from uavaou.world.pull import MOST_STEPS, PullPlan, planned_steps, steps_left, write_pulls
 from uavaou.world.views import (
     DEVICE,
     MOVES,
@@ -60,6 +60,7 @@ def make_views(
     collection: str = "select",
     rows: str = "flat",
     most: tuple[int, int] | None = None,
+    plan: PullPlan | None = None,
 ) -> RowViews:
     """Make the views of a scenario in one of the two formats.
 
@@ -69,6 +70,7 @@ def make_views(
         collection: ``select`` or ``auto``.
         rows: ``flat`` or ``entities``.
         most: UAVs and devices that a row of entities holds; None for those of the scenario.
+        plan: of rows of entities, as of :class:`EntityViews`.
 
     Raises:
         InputError: an argument has none of these values.
@@ -76,7 +78,7 @@ def make_views(
     if rows not in ROW_FORMATS:
         raise unknown("rows", rows, ROW_FORMATS)
     if rows == "entities":
-        return EntityViews(scenario, observation, collection, most)
+        return EntityViews(scenario, observation, collection, most, plan)
     return Views(scenario, observation, collection)
 
 
@@ -101,6 +103,19 @@ def coverage_and_parts(world: World) -> tuple[Floats, Ints]:
     return radius, partition(world)
 
 
+def told_before_take_off(world: World, plan: PullPlan | None) -> tuple[Floats, Bools, Floats]:
+    """Return the map as UAVs know it, by a ``plan`` where that is of this map.
+
+    Returns:
+        The coverage radius (L, U, I) of :func:`coverage_and_parts`; which devices each UAV serves, (L, U, I); and what
+        :func:`planned_steps`, or without a plan :func:`steps_left`, returns, (L, U, C, I).
+    """
+    radius, part = coverage_and_parts(world)
+    if plan is not None and plan.is_of(world):
+        return radius, plan.serves[None], planned_steps(world, plan)
+    return radius, part[:, None] == np.arange(world.scenario.uavs)[:, None], steps_left(world)
+
+
 class EntityViews(RowViews):
     """Views of tokens, float32.
 
@@ -112,6 +127,8 @@ class EntityViews(RowViews):
         collection: ``select`` (the agent chooses devices) or ``auto`` (it collects every device in range).
         most: UAVs and devices that a row holds, for rows of several scenarios side by side; the rest is padding. A UAV
             of padding may stay, its row is zero otherwise.
+        plan: which devices each UAV serves, and how it is drawn to them, on the map that the plan is of. On every other
+            map, and without one, each device is in the part of one UAV.
 
     Raises:
         InputError: an argument has none of these values, or ``most`` is less than the scenario has.
@@ -123,6 +140,7 @@ class EntityViews(RowViews):
         observation: str = "local",
         collection: str = "select",
         most: tuple[int, int] | None = None,
+        plan: PullPlan | None = None,
     ) -> None:
         super().__init__(scenario, observation, collection, ENTITY_OBSERVATIONS)
         own = (scenario.uavs, scenario.devices)
@@ -138,13 +156,14 @@ class EntityViews(RowViews):
         cells = scenario.columns * scenario.rows
         self._sizes = np.log([own[1] / PAPER_DEVICES, own[0] / PAPER_UAVS, cells / 121]).astype(np.float32)  # (3,)
         self._altitudes = scenario.altitudes  # (U,) m
+        self.plan = plan
         self._placed: Floats | None = None  # the positions of the devices that the arrays below are of
         self._devices: Floats = np.empty(0)  # (L, I, 2) grid steps
         self._middle: Floats = np.empty(0)  # (L, 2) of the devices, grid steps
         self._radius: Floats = np.empty(0)  # (L, U, I) grid steps
         self._steps: Floats = np.empty(0)  # (L, U, C, I) grid steps to where a UAV collects a device well
         self._target = neighbours(scenario)[0]  # (C, 5)
-        self._part: Ints = np.empty(0, dtype=np.int64)  # (L, I) the UAV whose part of the map a device belongs to
+        self._own: Bools = np.empty(0, dtype=np.bool_)  # (L, U, I) whether a device is in a UAV's part of the map
 
     def local(self, world: World, out: Rows | None = None) -> Rows:
         """Return the local observations, (N, U, local), or write them into the first columns of ``out``."""
@@ -158,20 +177,22 @@ class EntityViews(RowViews):
         _write_own(world.cells, cds, *self._left(world), self._altitudes, self._mission(world), at["own"])
         if alone:
             own = at["own"][:, :uavs]  # (N, U, features)
-            members = (self._part[:, None] == np.arange(uavs)[:, None]).sum(axis=-1)  # (L, U)
+            members = self._own.sum(axis=-1)  # (L, U)
             own[..., OWN.index("devices")] = np.log(np.maximum(members, 1) / PAPER_DEVICES)
             own[..., OWN.index("uavs")] = np.log(1 / PAPER_UAVS)
             at["teammates"][...] = 0.0
         else:
             _write_teammates(world.cells, cds, self._altitudes, shared, at["teammates"])
         _write_devices(
-            self._devices, world.cells, cds, self._radius, self._part, world.in_range, world.update_period, world.slot,
+            self._devices, world.cells, cds, self._radius, self._own, world.in_range, world.update_period, world.slot,
             world.last_collection_by, world.last_collection, world.ages.age_slots, self._waiting, shared,
             alone, at["devices"],
         )  # fmt: skip
+        # Where every device in range is collected, by whichever UAV, all that have it in range know.
+        last = world.last_in_range if self.collection == "auto" else world.last_collection_by
         write_pulls(
-            self._steps, self._target, world.cells @ np.array([self.scenario.rows, 1]), self._part, world.in_range,
-            world.update_period, world.slot, world.last_collection_by, world.pending, world.ages.age_slots, shared,
+            self._steps, self._target, world.cells @ np.array([self.scenario.rows, 1]), self._own, world.in_range,
+            world.update_period, world.slot, last, world.pending, world.ages.age_slots, shared,
             alone, at["pulls"],
         )  # fmt: skip
         return out
@@ -210,8 +231,8 @@ class EntityViews(RowViews):
         self._placed = world.device_positions
         self._devices = world.device_positions / self.scenario.grid_step_m
         self._middle = self._devices.mean(axis=1)
-        self._radius, self._part = coverage_and_parts(world)
-        self._steps = np.minimum(steps_left(world), MOST_STEPS)
+        self._radius, self._own, steps = told_before_take_off(world, self.plan)
+        self._steps = np.minimum(steps, MOST_STEPS)
 
 
 @compiled
@@ -283,10 +304,10 @@ def _own_age(slot: int, last: int, period: int) -> float:
 
 @compiled
 def _write_devices(
-    devices: Floats, cells: Ints, cds: Ints, radius: Floats, part: Ints, in_range: Bools, period: Ints, slot: int,
+    devices: Floats, cells: Ints, cds: Ints, radius: Floats, own: Bools, in_range: Bools, period: Ints, slot: int,
     last_by: Ints, last: Ints, age_slots: Ints, waiting: Rows, shared: bool, alone: bool, tokens: Rows,
 ) -> None:  # fmt: skip
-    """Write (N, U, I * features): what each UAV knows of each device; ``alone``, of those in its part."""
+    """Write (N, U, I * features): what each UAV knows of each device; ``alone``, of its ``own`` (L, U, I)."""
     missions, uavs = cells.shape[:2]
     steps = np.empty(uavs)  # until each UAV, seen from where the others know it to be, covers the device
     for n in range(missions):
@@ -297,7 +318,7 @@ def _write_devices(
                 steps[v] = _steps_to_coverage(device, cells[n, v] if shared else cds[v], radius[layout, v, i])
             for u in range(uavs):
                 token = tokens[n, u, _DEVICE * i : _DEVICE * (i + 1)]
-                if alone and part[layout, i] != u:
+                if alone and not own[layout, u, i]:
                     token[:] = 0.0
                     continue
                 x, y = device[0] - cells[n, u, 0], device[1] - cells[n, u, 1]
@@ -323,7 +344,7 @@ def _write_devices(
                 token[11] = other / _STEPS
                 token[12] = min(max(away - other, -LEAD * _STEPS), LEAD * _STEPS) / _STEPS
                 token[13] = age / (1.0 + away)
-                token[14] = part[layout, i] == u
+                token[14] = own[layout, u, i]
 
 
 @compiled

@@ -5,12 +5,16 @@ The rule (:mod:`uavaou.planners.local_greedy`) and the head of a set network
 (:mod:`uavaou.algorithms.nets.pull`) share the steps that a move would leave, and the age that a UAV expects.
 """
 
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
+from uavaou.errors import InputError
 from uavaou.world.compiled import compiled
 from uavaou.world.coverage import rician_exceedance
 from uavaou.world.flight import grid_cells
@@ -26,6 +30,54 @@ _POINTS = 10_000  # of the law of fading
 _MOST_GAIN = 36.0  # a power gain that fading does not exceed: the probability is below 1e-15
 
 
+@dataclass(frozen=True)
+class PullPlan:
+    """Numbers of the rule for each pair of a UAV and a device, found before take-off, and the map that they are of.
+
+    UAV u is drawn to device i by weight A_ui exp(-steps / reach).
+    """
+
+    weight: Floats  # (U, I), 0 for a device that the UAV does not serve
+    reach: Floats  # (U, I) grid steps
+    share: Floats  # (U, I) of the UAV's best probability to collect the device, from which a cell is good enough
+    cds: Ints  # (U, 2) cells
+    devices_m: Floats  # (I, 2) m
+
+    @property
+    def serves(self) -> Bools:
+        """Whether the UAV serves the device, (U, I)."""
+        return self.weight > 0.0
+
+    def is_of(self, world: World) -> bool:
+        """Whether all missions have the CDSs and the devices of the plan."""
+        places = world.device_positions
+        return len(places) == 1 and all(map(np.array_equal, (world.flight.cds, places[0]), (self.cds, self.devices_m)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for a JSON file."""
+        return {name: value.tolist() for name, value in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, content: Any, source: str) -> PullPlan:
+        """Return the plan of a file of :meth:`to_dict`.
+
+        Raises:
+            InputError: ``source`` holds none.
+        """
+        try:
+            numbers = {name: np.asarray(content[name], dtype=np.float64) for name in ("weight", "reach", "share")}
+            cds = np.asarray(content["cds"], dtype=np.int64)
+            devices = np.asarray(content["devices_m"], dtype=np.float64)
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
+            raise InputError(f"'{source}' is no plan of pulls: {error!r}") from error
+        plan, (uavs, count) = cls(cds=cds, devices_m=devices, **numbers), (len(cds), len(devices))
+        shapes = [value.shape for value in vars(plan).values()]
+        usable = all(np.isfinite(value).all() and (value >= 0).all() for value in numbers.values())
+        if shapes != [(uavs, count)] * 3 + [(uavs, 2), (count, 2)] or not usable or not plan.reach.all():
+            raise InputError(f"'{source}' is no plan of pulls: expected numbers for each UAV and device")
+        return plan
+
+
 @lru_cache(maxsize=16)
 def exceedance(fading: str, rician_factor: float, points: int) -> tuple[Floats, Floats]:
     """Power gains that rise, (G,), and how probable it is that fading exceeds each, (G,)."""
@@ -35,10 +87,11 @@ def exceedance(fading: str, rician_factor: float, points: int) -> tuple[Floats, 
     return gain, rician_exceedance(gain, rician_factor)
 
 
-def steps_left(world: World) -> Floats:
+def steps_left(world: World, share: float | Floats = SHARE) -> Floats:
     """Return the grid steps from each cell to the nearest from which a UAV collects a device well, (L, U, C, I).
 
-    Well is with half of the UAV's best probability or more. Infinite where it never collects the device.
+    Well is with a ``share`` of the UAV's best probability or more; one for all, or (U, I). Infinite where it never
+    collects the device.
     """
     scenario = world.scenario
     cells = grid_cells(scenario).astype(np.float64)  # (C, 2)
@@ -52,11 +105,22 @@ def steps_left(world: World) -> Floats:
         nearest = (1.0 + squared.min(axis=0) / altitude**2) * least  # (U, I) power gain needed in the nearest cell
         best = np.interp(nearest, gain, exceeded, right=0.0)  # (U, I)
         # The gain that is exceeded so much more seldom; the nearest cell is always good enough, whatever the rounding.
-        enough = np.maximum(np.interp(-SHARE * best, -exceeded, gain), nearest)
+        enough = np.maximum(np.interp(-share * best, -exceeded, gain), nearest)
         good = ((1.0 + squared / altitude[:, :, None] ** 2) * least[:, None] <= enough[:, None]) & (best > 0.0)[:, None]
         grid = (scenario.uavs, scenario.columns, scenario.rows, scenario.devices)
         tables.append(steps_to(good.reshape(grid)).reshape(good.shape).astype(np.float32))
     return np.stack(tables)
+
+
+def planned_steps(world: World, plan: PullPlan) -> Floats:
+    """Return what takes the place of :func:`steps_left` where there is a ``plan``, (1, U, C, I).
+
+    They are steps / reach - log weight, so that the rule with exp(-steps) flies the plan; the steps themselves, where a
+    UAV does not serve a device.
+    """
+    weight = np.where(plan.serves, plan.weight, 1.0)
+    steps = steps_left(world, plan.share) / plan.reach[:, None] - np.log(weight)[:, None]
+    return np.where(plan.serves[:, None], steps, steps_left(world)).astype(np.float32)
 
 
 def steps_to(good: Bools) -> Floats:
@@ -89,10 +153,13 @@ def estimated_age(slot: Any, last: Any, period: Any) -> Any:
 
 @compiled
 def write_pulls(
-    steps: Floats, target: Ints, cells: Ints, part: Ints, in_range: Bools, period: Ints, slot: int, last_by: Ints,
+    steps: Floats, target: Ints, cells: Ints, own: Bools, in_range: Bools, period: Ints, slot: int, last_by: Ints,
     pending: Ints, age_slots: Ints, shared: bool, alone: bool, pulls: Rows,
 ) -> None:  # fmt: skip
-    """Write (N, U, I * features): what the pull of each device is made of, for UAVs in ``cells`` (N, U)."""
+    """Write (N, U, I * features): what the pull of each device is made of, for UAVs in ``cells`` (N, U).
+
+    ``own`` (L, U, I) says which devices a UAV serves.
+    """
     missions, uavs = cells.shape
     moves = target.shape[1]
     for n in range(missions):
@@ -100,7 +167,7 @@ def write_pulls(
         for u in range(uavs):
             for i in range(steps.shape[3]):
                 pull = pulls[n, u, (1 + moves) * i : (1 + moves) * (i + 1)]
-                if alone and part[layout, i] != u:
+                if alone and not own[layout, u, i]:
                     pull[:] = 0.0
                     continue
                 k = period[layout, i]

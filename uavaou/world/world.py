@@ -20,7 +20,7 @@ from uavaou.world.compiled import compiled
 from uavaou.world.flight import STAY, STEP_OF_MOVE, Flight
 
 _STATE = (
-    "cells", "flown", "last_collection", "last_collection_by",
+    "cells", "flown", "last_collection", "last_collection_by", "last_in_range",
     "_age_total", "_communications", "_rejected_rate", "_rejected_association",
 )  # fmt: skip
 _WORD = (1 << 64) - 1
@@ -109,6 +109,7 @@ class World:
     allowed_moves: Bools  # (N, U, 5)
     last_collection: Ints  # (N, I) slot, 0 for never
     last_collection_by: Ints  # (N, U, I) slot, 0 for never
+    last_in_range: Ints  # (N, U, I) slot before this one in which R_iu >= R_min, 0 for never
     device_positions: Floats  # (L, I, 2) m; L is N, or 1 if all missions share a layout
     update_period: Ints  # (L, I) slots, k_i
     stepped: Stepped | None  # the slot just played
@@ -137,6 +138,7 @@ class World:
         self.ages = AgeLedger(missions, devices)
         self.last_collection = np.zeros((missions, devices), dtype=np.int64)
         self.last_collection_by = np.zeros((missions, uavs, devices), dtype=np.int64)
+        self.last_in_range = np.zeros((missions, uavs, devices), dtype=np.int64)
         self._age_total: Ints = np.zeros((missions, devices), dtype=np.int64)  # (N, I) slots, over the slots played
         self._communications: Ints = np.zeros((missions, devices), dtype=np.int64)  # (N, I)
         self._rejected_rate: Ints = np.zeros(missions, dtype=np.int64)  # (N,)
@@ -170,7 +172,8 @@ class World:
         self._age_total += self.ages.age_slots
         self._rejected_rate += association.rejected_rate
         self._rejected_association += association.rejected_association
-        _record_collections(association.collected_by, self.slot, self.last_collection, self.last_collection_by)
+        last = self.last_collection, self.last_collection_by, self.last_in_range
+        _record_collections(association.collected_by, self.in_range, self.slot, *last)
         self.stepped = Stepped(self.slot, self.positions, self.flown, self._snr_in_range, association)
         reward: Floats = -self.scenario.slot_length_s * self.ages.age_slots.sum(axis=1)
         if self.slot < self.scenario.slots:  # the move of slot K has no effect
@@ -325,9 +328,14 @@ class World:
 
 
 @compiled
-def _record_collections(collected_by: Ints, slot: int, last_collection: Ints, last_collection_by: Ints) -> None:
-    missions, devices = collected_by.shape
+def _record_collections(
+    collected_by: Ints, in_range: Bools, slot: int, last_collection: Ints, last_collection_by: Ints, last_in_range: Ints
+) -> None:
+    missions, uavs, devices = in_range.shape
     for n in range(missions):
         for i in range(devices):
             if collected_by[n, i] >= 0:
                 last_collection[n, i] = last_collection_by[n, collected_by[n, i], i] = slot
+            for u in range(uavs):
+                if in_range[n, u, i]:
+                    last_in_range[n, u, i] = slot

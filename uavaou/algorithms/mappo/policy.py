@@ -12,7 +12,7 @@ from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.action_head import MoveAndDeviceLogits, MoveSelectionDistribution
 from uavaou.algorithms.nets.mlp import ACTIVATIONS, mlp
 from uavaou.algorithms.nets.pull import Pull
-from uavaou.algorithms.nets.set_encoder import ACTORS, check_network, make_body
+from uavaou.algorithms.nets.set_encoder import ACTORS, TOKEN_WIDTH, check_network, make_body
 from uavaou.algorithms.nets.value_norm import PopArt, ValueScale
 from uavaou.errors import InputError, unknown
 from uavaou.world.views import RowLayout
@@ -42,7 +42,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         net_arch: hidden layer sizes of actor and critic; of a ``set``, after its encoder.
         activation: ``relu`` or ``tanh``.
         selection_bias: initial logit of selecting a device in range; collecting costs nothing in this model.
-        pull: whether devices pull the actor of a ``set`` towards them (:mod:`uavaou.algorithms.nets.pull`).
+        pull: how sharply devices pull the actor of a ``set`` at first (:mod:`uavaou.algorithms.nets.pull`); 0: not.
+        token_width: features of a device in a ``set``.
         masks: whether forbidden moves and devices out of range have probability 0, in training and in flight.
             Without masks the policy may choose them, and the World rejects them; the observation is the same.
     """
@@ -62,7 +63,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         activation: str = "tanh",
         selection_bias: float = 2.0,
         masks: bool = True,
-        pull: bool = False,
+        pull: float = 0.0,
+        token_width: int = TOKEN_WIDTH,
         **kwargs: Any,
     ) -> None:
         if critic_input not in CRITIC_INPUTS:
@@ -76,7 +78,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         self.network = network
         self.critic_input = critic_input
         self.selection_bias = selection_bias
-        self.masks, self.pull = masks, pull and network == "set"
+        self.masks, self.pull = masks, pull > 0 and network == "set"
+        self._sharpness, self._token_width = pull, token_width
         self._hidden = list(net_arch or [128, 128])
         self._activation = activation
         self.allowed_columns = row_layout.local_columns("allowed_moves") if masks else None
@@ -91,8 +94,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         devices = layout.devices if layout.selects else 0
         by_token = self.network != "mlp" and layout.selects
         self.action_dist = MoveSelectionDistribution(devices)
-        pull = Pull(layout) if self.pull else None
-        self.actor_body = make_body(layout.local, *network, selects=by_token, pull=pull)
+        pull = Pull(layout, self._sharpness) if self.pull else None
+        self.actor_body = make_body(layout.local, *network, selects=by_token, pull=pull, width=self._token_width)
         head: nn.Linear = self.action_dist.proba_distribution_net(self.actor_body.size, 0 if by_token else devices)
         of_slot = self.critic_input == "global"
         self.critic_body = self._make_critic_body()
@@ -117,7 +120,9 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         if self.critic_input == "both":
             return mlp(layout.local_size + layout.global_size, *sizes)
         network = "set" if self.network == "dual-set" else self.network  # it has no own part
-        return make_body(layout.state if self.critic_input == "global" else layout.local, network, *sizes)
+        return make_body(
+            layout.state if self.critic_input == "global" else layout.local, network, *sizes, width=self._token_width
+        )
 
     def actor_parameters(self) -> list[nn.Parameter]:
         """Parameters of the actor, which the critic does not share."""

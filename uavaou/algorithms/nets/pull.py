@@ -36,14 +36,14 @@ class Pull(nn.Module):
 
     Args:
         layout: of rows of entities.
-        sharpness: beta, 1; learned.
+        sharpness: beta at first; learned.
         part: of the score, by how much a device of another UAV's part pulls less; learned.
 
     Attributes:
         columns: first column of the pulls, of the flags of own parts and of those of presence, and the way to the next.
     """
 
-    def __init__(self, layout: RowLayout, sharpness: float = 12.0, part: float = 40.0) -> None:
+    def __init__(self, layout: RowLayout, sharpness: float, part: float = 40.0) -> None:
         super().__init__()
         own, present = (layout.token_feature("devices", name) for name in ("own_part", "present"))
         self.columns = layout.token_feature("pulls", PULL[0]).start, own.start, present.start, own.step

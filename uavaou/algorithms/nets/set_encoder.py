@@ -23,6 +23,7 @@ from uavaou.world.views import DEVICE, OWN, Columns, RowLayout
 
 NETWORKS = ("mlp", "set")
 ACTORS = (*NETWORKS, "dual-set")  # of MAPPO and IPPO
+TOKEN_WIDTH = 32
 
 
 class SetEncoder(nn.Module):
@@ -39,7 +40,7 @@ class SetEncoder(nn.Module):
         size: number of features.
     """
 
-    def __init__(self, columns: Sequence[Columns], numbers: int = 0, width: int = 32, heads: int = 4) -> None:
+    def __init__(self, columns: Sequence[Columns], numbers: int = 0, width: int = TOKEN_WIDTH, heads: int = 4) -> None:
         super().__init__()
         self.columns, self.numbers, self.width, self.heads = without_pulls(columns), numbers, width, heads
         *own, uavs, devices = self.columns
@@ -106,6 +107,7 @@ class SetNetwork(nn.Module):
         activation: after each of them.
         selects: whether each device has a logit.
         pull: of the devices on each move; None without.
+        width: of a device's token.
 
     Attributes:
         size: number of features.
@@ -118,9 +120,10 @@ class SetNetwork(nn.Module):
         activation: str,
         selects: bool = False,
         pull: Pull | None = None,
+        width: int = TOKEN_WIDTH,
     ) -> None:
         super().__init__()
-        self.encoder, self.size = SetEncoder(columns, selects + (CHANGES if pull else 0)), hidden[-1]
+        self.encoder, self.size = SetEncoder(columns, selects + (CHANGES if pull else 0), width), hidden[-1]
         self.layers: Mlp = mlp(self.encoder.size, hidden, activation)
         self.selects, self.pull = selects, pull
         if pull is not None:
@@ -147,17 +150,20 @@ class DualSetNetwork(nn.Module):
 
     Args:
         columns: of the local observation of entities.
-        hidden, activation, selects: of each network.
+        hidden, activation, selects, width: of each network.
 
     Attributes:
         size: number of features of both.
     """
 
-    def __init__(self, columns: Sequence[Columns], hidden: list[int], activation: str, selects: bool = False) -> None:
+    def __init__(
+        self, columns: Sequence[Columns], hidden: list[int], activation: str, selects: bool = False,
+        width: int = TOKEN_WIDTH,
+    ) -> None:  # fmt: skip
         super().__init__()
         self.columns = without_pulls(columns)
-        self.whole = SetNetwork(columns, hidden, activation, selects)
-        self.part = SetNetwork(columns, hidden, activation, selects)
+        self.whole = SetNetwork(columns, hidden, activation, selects, width=width)
+        self.part = SetNetwork(columns, hidden, activation, selects, width=width)
         self.size = self.whole.size + self.part.size
 
     def forward(self, rows: th.Tensor) -> th.Tensor:
@@ -192,13 +198,14 @@ def make_body(
     activation: str,
     selects: bool = False,
     pull: Pull | None = None,
+    width: int = TOKEN_WIDTH,
 ) -> Mlp | SetNetwork | DualSetNetwork:
     """Make the layers between rows and heads: an ``mlp``, or a set whose devices have logits if it ``selects``."""
     if network == "mlp":
         return mlp(columns[-1].stop, hidden, activation)
     if network == "dual-set":
-        return DualSetNetwork(columns, hidden, activation, selects)
-    return SetNetwork(columns, hidden, activation, selects, pull)
+        return DualSetNetwork(columns, hidden, activation, selects, width)
+    return SetNetwork(columns, hidden, activation, selects, pull, width)
 
 
 def without_pulls(columns: Sequence[Columns]) -> tuple[Columns, ...]:

@@ -22,11 +22,9 @@ from torch import nn
 
 from uavaou.algorithms.nets.mlp import Linear, mlp, rescale_linear
 from uavaou.algorithms.nets.pull import Pull
-from uavaou.algorithms.nets.set_encoder import SetNetwork
+from uavaou.algorithms.nets.set_encoder import TOKEN_WIDTH, SetNetwork
 from uavaou.errors import InputError
 from uavaou.world.views import MOVES, RowLayout
-
-SHARPNESS = 0.1  # of the pull at first, in units of normalised values
 
 
 @dataclass(frozen=True)
@@ -169,7 +167,8 @@ class SetUtilityNetwork(UtilityNetwork):
         layout: of the rows.
         hidden, activation, branches: as :class:`UtilityNetwork`'s.
         selection_bias: initial advantage of selecting a device.
-        pull: whether devices pull the UAV, a term of the moves' advantages.
+        pull: how sharply devices pull the UAV at first, a term of the moves' advantages; 0: not.
+        width: of a device's token.
     """
 
     body: SetNetwork  # type: ignore[assignment]
@@ -181,12 +180,13 @@ class SetUtilityNetwork(UtilityNetwork):
         activation: str,
         branches: Branches,
         selection_bias: float,
-        pull: bool = False,
+        pull: float = 0.0,
+        width: int = TOKEN_WIDTH,
     ) -> None:
         nn.Module.__init__(self)
         self.branches = branches
-        pulls = Pull(layout, SHARPNESS) if pull else None
-        self.body = SetNetwork(layout.local, hidden, activation, layout.selects, pulls)
+        pulls = Pull(layout, pull) if pull else None
+        self.body = SetNetwork(layout.local, hidden, activation, layout.selects, pulls, width)
         self.selection_bias = nn.Parameter(th.tensor(selection_bias))
         self._make_heads(hidden[-1], branches.sizes[0])
 

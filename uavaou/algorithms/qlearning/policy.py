@@ -11,7 +11,7 @@ from torch import nn
 
 from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.mlp import ACTIVATIONS
-from uavaou.algorithms.nets.set_encoder import check_network
+from uavaou.algorithms.nets.set_encoder import TOKEN_WIDTH, check_network
 from uavaou.algorithms.nets.value_norm import ReturnStatistics, ValueScale
 from uavaou.algorithms.qlearning.branches import Branches, SetUtilityNetwork, UtilityNetwork
 from uavaou.algorithms.qlearning.mixers import MIXERS, make_mixer
@@ -36,7 +36,8 @@ class JointQPolicy(LocalPolicy):
         selection_bias: initial advantage of selecting a device in range; collecting costs nothing in this model.
         masks: whether choices, targets and exploration leave out what is not allowed; without masks the World
             rejects it. The observation is the same.
-        pull: whether devices pull the UAVs of a ``set`` towards them (:mod:`uavaou.algorithms.nets.pull`).
+        pull: how sharply devices pull the UAVs of a ``set`` at first (:mod:`uavaou.algorithms.nets.pull`); 0: not.
+        token_width: features of a device in a ``set``.
         mixer_width, hypernet_width: hidden units of the monotonic mixer and of the networks that give its weights.
         state_value_width: hidden units of a value of the state that the ``sum`` gets; 0: none.
     """
@@ -53,7 +54,8 @@ class JointQPolicy(LocalPolicy):
         activation: str = "relu",
         selection_bias: float = 0.1,
         masks: bool = True,
-        pull: bool = False,
+        pull: float = 0.0,
+        token_width: int = TOKEN_WIDTH,
         mixer_width: int = 32,
         hypernet_width: int = 64,
         state_value_width: int = 0,
@@ -70,7 +72,8 @@ class JointQPolicy(LocalPolicy):
         self._hidden = list(net_arch or [128, 128])
         self._activation = activation
         self.selection_bias = selection_bias
-        self.masks, self.pull = masks, pull and network == "set"
+        self.masks, self.pull = masks, pull > 0 and network == "set"
+        self._sharpness, self._token_width = pull, token_width
         self.utilities = self.make_utilities()
         self.mixer = make_mixer(mixer, network, row_layout, mixer_width, hypernet_width, state_value_width)
         self.target_utilities = deepcopy(self.utilities).requires_grad_(False)
@@ -86,7 +89,7 @@ class JointQPolicy(LocalPolicy):
         network: UtilityNetwork
         if self.network == "set":
             arguments = self._hidden, self._activation, self.branches, self.selection_bias
-            return SetUtilityNetwork(self.row_layout, *arguments, self.pull)
+            return SetUtilityNetwork(self.row_layout, *arguments, self._sharpness, self._token_width)
         network = UtilityNetwork(self.row_layout.local_size, self._hidden, self._activation, self.branches)
         if self.row_layout.selects:
             with th.no_grad():

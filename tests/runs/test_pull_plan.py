@@ -1,0 +1,104 @@
+"""The plan that a training on one map begins with: found, kept, flown, and left aside on other maps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+
+from uavaou import MAPPO, InputError, RunConfig, Scenario, World, evaluate, flatten, load_run, train
+from uavaou.planners.tuned import LocalGreedyTuned
+from uavaou.runs.folder import RunFolder
+from uavaou.runs.pull_plan import plan_of
+from uavaou.world.pull import PullPlan, planned_steps, steps_left
+
+PAPER = Scenario.load("paper")
+SETTINGS: dict[str, Any] = {
+    "network": "set", "pull": 60, "token_width": 8, "hidden": [16], "collection": "auto", "plan_ratio": 20,
+    "slots": 3000, "missions": 4, "rollout_slots": 50, "evaluation_missions": 4,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    folder = tmp_path_factory.mktemp("planned") / "run"
+    return train(RunConfig.load("mappo", "quickstart", **SETTINGS), folder).folder
+
+
+def test_the_search_ends_with_its_slots() -> None:
+    layout = PAPER.draw_layout()
+    one, two = (LocalGreedyTuned(slots=100_000).plan(PAPER, layout) for _ in range(2))
+    np.testing.assert_array_equal(one.pull, two.pull)
+    longer = LocalGreedyTuned(slots=3_000_000).plan(PAPER, layout)
+    assert longer.mean_aou_s < one.mean_aou_s
+
+
+def test_planned_steps_are_the_plan_s_pull_and_a_new_policy_flies_it() -> None:
+    layout = PAPER.draw_layout()
+    tuned = LocalGreedyTuned(slots=1_000_000)
+    plan, world = tuned.plan(PAPER, layout), World(PAPER, 4, 3)
+    of_map = plan.of_map(PAPER, layout)
+    steps = planned_steps(world, of_map)[0].astype(np.float64)  # (U, C, I)
+    serves = of_map.serves[:, None] & np.ones(steps.shape, dtype=np.bool_)
+    np.testing.assert_allclose(np.exp(-steps)[serves], plan.pull[serves], rtol=1e-4, atol=1e-12)
+    np.testing.assert_array_equal(steps[~serves], steps_left(world)[0][~serves])
+    env = flatten(PAPER, 1, collection="auto", rows="entities", plan=of_map)
+    policy: Any = MAPPO(env=env, seed=0, policy_kwargs={"network": "set", "pull": 60.0}).policy
+    tuned.keep(plan, PAPER, layout)
+    tuned.reset(world, 3)
+    same = made = 0
+    while not world.done:
+        moves, _ = tuned.act(world)
+        rows = th.from_numpy(env.views.local(world).reshape(-1, env.local_size))
+        same += int((policy.act(rows, None).numpy().reshape(moves.shape) == moves).sum())
+        made += moves.size
+        world.step(moves)
+    assert same > 0.99 * made
+
+
+def test_a_run_keeps_its_plan_and_flies_it(run: RunFolder) -> None:
+    config = run.read_config()
+    plan = plan_of(config, run)
+    assert plan is not None
+    assert load_run(run).views.plan is not None  # type: ignore[attr-defined]
+    kept, flown = json.loads(run.plan.read_text()), evaluate(load_run(run), config.scenario, episodes=3).mean_aou_slots
+    run.plan.unlink()  # found anew, it is the same
+    again = plan_of(config, run)
+    assert again is not None
+    assert again.to_dict() == kept
+    assert evaluate(load_run(run), config.scenario, episodes=3).mean_aou_slots == flown
+    run.plan.write_text(json.dumps(kept))
+
+
+def test_on_another_map_the_plan_is_left_aside(run: RunFolder) -> None:
+    config = run.read_config()
+    plan, other = plan_of(config, run), config.scenario.replace(layout_seed=7)
+    assert plan is not None
+    assert plan.is_of(World(config.scenario))
+    assert not plan.is_of(World(other))
+    assert not plan.is_of(World(config.scenario.replace(layout="resample"), 2))
+    planned, plain = (flatten(other, 2, rows="entities", plan=of) for of in (plan, None))
+    np.testing.assert_array_equal(planned.reset(), plain.reset())
+    assert evaluate(load_run(run), other.replace(uavs=1, altitudes_m=[90], cds_m=[[0, 0]]), episodes=1).mean_aou_s > 0
+
+
+def test_no_plan_is_made_where_maps_vary_or_none_is_asked_for(tmp_path: Path) -> None:
+    config = RunConfig.load("mappo", Scenario.load("quickstart").replace(layout="resample"), **SETTINGS)
+    assert plan_of(config, RunFolder(tmp_path)) is None
+    assert plan_of(RunConfig.load("mappo", "quickstart", **SETTINGS | {"plan_ratio": 0}), RunFolder(tmp_path)) is None
+    with pytest.raises(InputError, match="plan_ratio = 20: needs a pull above 0"):
+        RunConfig.load("mappo", "quickstart", **SETTINGS | {"pull": 0})
+
+
+@pytest.mark.parametrize(
+    "change", [{"weight": "x"}, {"reach": [[0.0]]}, {"share": None}, {"cds": [[0]]}, {"devices_m": []}]
+)
+def test_a_damaged_plan_is_refused_in_a_line(change: dict[str, Any]) -> None:
+    one = {"weight": [[1.0]], "reach": [[1.0]], "share": [[0.5]], "cds": [[0, 0]], "devices_m": [[1.0, 2.0]]}
+    assert PullPlan.from_dict(one, "plan.json").serves.all()
+    with pytest.raises(InputError, match=r"^'plan\.json' is no plan of pulls: "):
+        PullPlan.from_dict(one | change, "plan.json")
