@@ -102,7 +102,7 @@ def test_the_results_are_those_of_the_tables(means: dict[str, Interval]) -> None
     (tuned,) = study("fine-tuning").settings["variants"].values()
     assert f"{tuned['slots']:,} slots, after 5.4M" in "".join(table)
     assert study("paper").settings["planning_seconds"] == 600  # the minutes of search
-    assert load_config("mappo").candidates == settings["mappo, four candidates"]["candidates"] == 4
+    assert load_config("mappo-paper").candidates == settings["mappo, four candidates"]["candidates"] == 4
 
 
 def test_its_verdict_is_that_of_the_claims() -> None:

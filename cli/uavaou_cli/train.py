@@ -37,8 +37,9 @@ _FEWEST_ROUNDS = 3  # missions one after another that make a curve
 _MUCH_MORE = 0.1  # of the budget, that a training may go beyond it without a word
 _PLANNERS = ("best-first", "local-greedy-parts")  # that a policy is shown beside: the best that need no time to plan
 _MOST_WORK = 2e10  # of these planners: slots x UAVs^2 x devices x cells; more takes minutes
+_CLOSE = 0.99  # of its mean AoU: a planner that is nearer is not below it
 _START = "any-map"
-_ALGORITHMS = "mappo, ippo, vdn, qmix or iql"  # for the help, which must not import the registry; tested
+_ALGORITHMS = "mappo, mappo-paper, mappo-family, ippo, vdn, qmix or iql"  # for the help, which must not import the registry; tested
 
 
 def train(
@@ -179,6 +180,7 @@ def _plan(
     out: Path,
 ) -> tuple[RunConfig, RunFolder]:  # fmt: skip
     """The training that the options describe, from the weights of ``run`` where there is one, and its folder."""
+    from uavaou.algorithms.registry import published_as
     from uavaou.family import Family
     from uavaou.runs.folder import RunConfig, config_folder, run_folder
     from uavaou.runs.start import Start
@@ -195,7 +197,9 @@ def _plan(
     if start is not None:
         config = start.training(flown, overrides.changes_of(start.config.algorithm), seed)
     elif isinstance(flown, Family):
-        config = RunConfig(flown.base, overrides.of_algorithm(algorithm, network="set"), seed, flown)
+        config = RunConfig(
+            flown.base, overrides.of_algorithm(published_as(algorithm, for_family=True), network="set"), seed, flown
+        )
     else:
         config = RunConfig(flown, overrides.of_algorithm(algorithm), seed)
         return config, run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)
@@ -301,17 +305,17 @@ def _beside_planners(outcome: Outcome, config: RunConfig) -> list[str]:
     scores = {name: planner_score(name, config) for name in _PLANNERS}
     shown = ", ".join(f"{name} {figure(score / scenario.slot_length_s)}" for name, score in scores.items())
     lines = wrapped(f"planners:        {shown} slots, on the same {algorithm.evaluation_missions} missions")
-    above = [name for name, score in scores.items() if score < own]
+    above = [name for name, score in scores.items() if score < _CLOSE * own]
     return lines + (wrapped(f"above {' and '.join(above)}: {_advice(config)}") if above else [])
 
 
 def _advice(config: RunConfig) -> str:
     """What may help a training that ends above planners."""
-    from uavaou.algorithms.registry import load_config
+    from uavaou.algorithms.registry import load_config, published_as
     from uavaou.runs.released import released_names
 
     algorithm = config.algorithm
-    published = load_config(algorithm.name).slots
+    published = load_config(published_as(algorithm.name, getattr(algorithm, "network", ""))).slots
     longer = f"train longer (--slots {published}, as published)" if config.slots < published else "try another --seed"
     started = config.family or config.start or _START not in released_names()
     return longer + ("" if started else f", or begin with a policy for any map (--from {_START})")

@@ -177,7 +177,7 @@ def _start(name: str, space: Path | None, overrides: Overrides) -> Start:
         if field in overrides.algorithm:
             raise InputError(f"--set algorithm.{field}: the search sets it itself")
     settings = overrides.of_algorithm(name, candidates=1)
-    varied = SearchSpace.load(name, space, getattr(settings, "network", "mlp")).without(overrides.algorithm)
+    varied = SearchSpace.load(settings.name, space, getattr(settings, "network", "mlp")).without(overrides.algorithm)
     varied.check(settings)
     return settings, varied, (varied.values(settings),)
 

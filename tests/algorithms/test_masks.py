@@ -23,7 +23,7 @@ from uavaou.world import Views, World
 from uavaou.zoo import zoo_path
 
 SMALL = {
-    "mappo": {"missions": 4, "rollout_slots": 12, "batch_rows": 96, "hidden": [8]},
+    "mappo-paper": {"missions": 4, "rollout_slots": 12, "batch_rows": 96, "hidden": [8]},
     "ippo": {"missions": 4, "rollout_slots": 12, "batch_rows": 96, "hidden": [8]},
     "vdn": {"missions": 4, "slots_per_update": 4, "replay_slots": 1000, "learning_starts": 48, "hidden": [8]},
     "qmix": {"missions": 4, "slots_per_update": 4, "replay_slots": 1000, "learning_starts": 48, "hidden": [8]},
@@ -74,14 +74,14 @@ def test_without_masks_the_world_rejects_it(name: str) -> None:
 
 
 def test_without_masks_moves_are_free_in_auto_collection_too() -> None:
-    model, _ = learned("mappo", masks=False, collection="auto")
+    model, _ = learned("mappo-paper", masks=False, collection="auto")
     assert infeasible_choices(model, "auto")[0] > 0
 
 
 def test_without_masks_every_bit_counts_in_the_probability() -> None:
     """With all logits 0, an action has 1/5 for the move and 1/2 for every device, in range or not."""
     for masks in (True, False):
-        model, env = learned("mappo", masks=masks)
+        model, env = learned("mappo-paper", masks=masks)
         with th.no_grad():
             for parameter in model.policy.action_net.parameters():
                 parameter.zero_()
@@ -97,13 +97,13 @@ def test_without_masks_every_bit_counts_in_the_probability() -> None:
 
 
 def test_a_learner_saved_without_masks_is_loaded_without(tmp_path: Path) -> None:
-    model, _ = learned("mappo", masks=False)
+    model, _ = learned("mappo-paper", masks=False)
     model.save(tmp_path / "model")
     assert type(model).load(tmp_path / "model").policy.masks is False
 
 
 def test_published_settings_state_it_and_old_runs_load() -> None:
-    for name in ("mappo", "vdn", "qmix"):
+    for name in ("mappo-paper", "vdn", "qmix"):
         assert yaml.safe_load(zoo_path("algorithms", name).read_text())["masks"] is True
     old = Path(__file__).parents[1] / "data" / "schema-1"
     assert "masks" not in (old / "config.yaml").read_text()
@@ -113,7 +113,7 @@ def test_published_settings_state_it_and_old_runs_load() -> None:
 
 def test_masks_are_true_or_false() -> None:
     with pytest.raises(InputError, match="masks = 'no'"):
-        load_config("mappo", {"masks": "no"})
+        load_config("mappo-paper", {"masks": "no"})
 
 
 @pytest.mark.parametrize("learner", [MAPPO, IPPO, VDN, QMIX])

@@ -35,7 +35,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.chdir(place)
         (place / "file").write_text("in the way")
         for options in ("", "--set scenario.layout_seed=1", "--seed 1", "--seed 2"):
-            assert main(shlex.split(f"{TINY} {options}")) == 0
+            assert main(shlex.split(f"{TINY} --algorithm mappo-paper {options}")) == 0
         paths = runs(place)
         (place / paths["broken"] / "checkpoints" / "best.safetensors").write_text("spoilt")
         fresh = place / paths["fresh"]

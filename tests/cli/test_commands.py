@@ -208,7 +208,7 @@ def rewards(folder: Path) -> list[str]:
 def test_a_training_is_shown_beside_planners_on_its_validation_missions(
     capsys: pytest.CaptureFixture[str], workplace: Path
 ) -> None:
-    code, out, err = call(capsys, f"{TINY.replace('--slots 96', '--slots 10')} --out short")
+    code, out, err = call(capsys, f"{TINY.replace('--slots 96', '--slots 10')} --algorithm mappo-paper --out short")
     assert (code, err) == (0, "")
     words = " ".join(out.split())
     assert "more than the 10 slots asked for: mappo learns from whole rollouts, here 96 slots of 8 missions" in words

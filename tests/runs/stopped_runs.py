@@ -24,12 +24,12 @@ ON_POLICY = {"rollout_slots": 12, "batch_rows": 96}
 REPLAY = {"replay_slots": 96, "learning_starts": 24, "batch_slots": 8, "slots_per_update": 48, "epsilon_fraction": 1.0}
 
 
-def small(algorithm: str = "mappo", **changes: Any) -> RunConfig:
-    own = ON_POLICY if algorithm in ("mappo", "ippo") else REPLAY
+def small(algorithm: str = "mappo-paper", **changes: Any) -> RunConfig:
+    own = ON_POLICY if algorithm in ("mappo", "mappo-paper", "ippo") else REPLAY
     return RunConfig(Scenario.load("tiny"), load_config(algorithm, SMALL | own | changes), seed=0)
 
 
-def three_candidates(algorithm: str = "mappo", **changes: Any) -> RunConfig:
+def three_candidates(algorithm: str = "mappo-paper", **changes: Any) -> RunConfig:
     """Three candidates of 96 slots each; 192 slots are left for the best."""
     return small(algorithm, slots=480, evaluate_every_slots=960, candidates=3, candidate_fraction=0.2, **changes)
 

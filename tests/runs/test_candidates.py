@@ -48,7 +48,7 @@ def scored(*scores: float) -> Any:
 
 
 # Gradient steps often enough that an off-policy learner counts many before the second candidate begins.
-OFTEN = {"mappo": {}, "qmix": {"slots_per_update": 4}}
+OFTEN = {"mappo-paper": {}, "qmix": {"slots_per_update": 4}}
 
 
 @pytest.mark.parametrize("algorithm", OFTEN)
@@ -89,7 +89,7 @@ def test_each_candidate_has_a_start_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["mappo", "qmix", "family", "two processes"])
+@pytest.mark.parametrize("kind", ["mappo-paper", "qmix", "family", "two processes"])
 @pytest.mark.parametrize("slots", [48, 96, 144, 288, 336, 480])
 def test_a_resumed_training_of_several_is_the_one_never_stopped(tmp_path: Path, kind: str, slots: int) -> None:
     if kind == "family":

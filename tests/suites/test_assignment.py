@@ -25,7 +25,7 @@ def configs(*stated: dict[str, Any]) -> dict[Path, RunConfig]:
     found = {}
     for number, given in enumerate(stated):
         fields = dict(given)
-        name, seed = fields.pop("algorithm", "mappo"), fields.pop("seed", 0)
+        name, seed = fields.pop("algorithm", "mappo-paper"), fields.pop("seed", 0)
         own = {key: fields.pop(key) for key in list(fields) if key in ("observation", "gamma", "slots", "candidates")}
         found[Path(f"run-{number}")] = RunConfig(Scenario.load("tiny").replace(**fields), load_config(name, own), seed)
     return found
@@ -87,7 +87,7 @@ def test_all_runs_at_a_point_have_the_usual_budget(by_devices: Suite) -> None:
 
 def test_an_unfinished_training_counts_with_its_trained_slots(by_devices: Suite, tmp_path: Path) -> None:
     (tmp_path / "meta.json").write_text('{"slots": 700, "agent_steps": 1400, "wall_s": 1.0, "finished": false}')
-    config = RunConfig(Scenario.load("tiny"), load_config("mappo", {"slots": 1000}), 0)
+    config = RunConfig(Scenario.load("tiny"), load_config("mappo-paper", {"slots": 1000}), 0)
     assert name_runs({tmp_path: config}, by_devices)[0].slots == 700
     for content in ('{"slots": 1020, "finished": true}', '{"slots": "many", "finished": false}', "[]", "{"):
         (tmp_path / "meta.json").write_text(content)
@@ -161,7 +161,7 @@ def test_a_missing_training_comes_with_its_command(by_devices: Suite) -> None:
     moved = base.replace(layout_seed=4)
     entries = name_runs(configs({}), by_devices)
     missing = missing_trainings(assign(resolve_points(by_devices, moved), entries, moved), entries, "tiny", moved)
-    command = "uavaou train --scenario tiny --algorithm mappo --set scenario.devices=3 --set scenario.layout_seed=4"
+    command = "uavaou train --scenario tiny --algorithm mappo-paper --set scenario.devices=3 --set scenario.layout_seed=4"
     assert sorted(shlex.join(missing[0].command).split(" --")) == sorted(command.split(" --"))
 
 

@@ -51,6 +51,7 @@ class Algorithm:
 
 
 _ALGORITHMS: dict[str, Algorithm] = {}
+_LEARNERS = {"mappo-paper": "mappo", "mappo-family": "mappo"}  # of other published settings
 _PLUGINS: set[Path] = set()  # files already loaded
 
 
@@ -142,9 +143,10 @@ def _load_file(path: Path) -> None:
 def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> AlgorithmConfig:
     """Load an algorithm's published configuration, with some fields changed.
 
-    Where ``overrides`` choose ``network: set``, a file such as ``mappo-set.yaml`` replaces some published fields. Where
-    they change the budget, validations follow it (:meth:`AlgorithmConfig.with_enough_validations`), and below the
-    published one a single candidate learns: a share of less tells too little of which one to go on with.
+    Where ``overrides`` choose another network than the published one, a file such as ``vdn-set.yaml`` replaces some of
+    the fields, or ``mappo-paper.yaml`` all. Where they change the budget, validations follow it
+    (:meth:`AlgorithmConfig.with_enough_validations`), and below the published one a single candidate learns: a share of
+    less tells too little of which one to go on with.
 
     Raises:
         InputError: the algorithm or a field is unknown, or a value cannot be used.
@@ -152,15 +154,24 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
     entry = find_algorithm(algorithm)
     published = {} if entry.defaults is None else read_yaml_mapping(entry.defaults)
     overrides = overrides or {}
-    if entry.defaults is not None and overrides.get("network", "mlp") != "mlp":
-        of_network = entry.defaults.with_name(f"{entry.defaults.stem}-set.yaml")
-        published |= read_yaml_mapping(of_network) if of_network.is_file() else {}
+    usual = published.get("network", "mlp")
+    if entry.defaults is not None and overrides.get("network", usual) != usual:
+        suffix = "paper" if overrides["network"] == "mlp" else "set"
+        path = entry.defaults.with_name(f"{entry.defaults.stem}-{suffix}.yaml")
+        of_network = read_yaml_mapping(path) if path.is_file() else {}
+        published = of_network if "name" in of_network else published | of_network
     several = published.pop("candidates", None)
-    fields = published | {"name": algorithm} | overrides
+    fields = published | {"name": _LEARNERS.get(algorithm, algorithm)} | overrides
     config = validated(entry.config, fields, f"algorithm '{algorithm}'")
     if several and "candidates" not in overrides and config.slots >= published["slots"]:
         config = config.model_copy(update={"candidates": several})
     return config.with_enough_validations(overrides) if "slots" in overrides else config
+
+
+def published_as(algorithm: str, network: str = "", for_family: bool = False) -> str:
+    """Return the name under which an algorithm's settings are published, for families or with a flat network."""
+    suffix = "family" if for_family else "paper" if network == "mlp" else ""
+    return name if (name := f"{algorithm}-{suffix}") in _ALGORITHMS else algorithm
 
 
 def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:
@@ -214,6 +225,8 @@ def make_model(config: AlgorithmConfig, env: MissionVecEnv, seed: int, device: s
 
 _OWN: tuple[tuple[str, type[LearnerConfig], str], ...] = (
     ("mappo", MappoConfig, "mappo"),
+    ("mappo-paper", MappoConfig, "mappo-paper"),
+    ("mappo-family", MappoConfig, "mappo-family"),
     ("ippo", IppoConfig, "ippo"),
     ("vdn", VdnConfig, "vdn"),
     ("qmix", QmixConfig, "qmix"),

@@ -17,7 +17,7 @@ from urllib.parse import quote
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from uavaou.algorithms.config import AlgorithmConfig
-from uavaou.algorithms.registry import config_from_dict, load_config
+from uavaou.algorithms.registry import config_from_dict, load_config, published_as
 from uavaou.errors import InputError
 from uavaou.family import Family
 from uavaou.fields import Number, PositiveWhole, Whole, reads_schema, short, validated
@@ -293,8 +293,8 @@ def config_folder(out: Path, config: RunConfig) -> RunFolder:
     Raises:
         InputError: the algorithm is not registered.
     """
-    name = config.algorithm.name
-    overrides = _differences(published_settings(config.algorithm), config.algorithm.model_dump(mode="json"))
+    name, published = published_settings(config.algorithm, config.family is not None)
+    overrides = _differences(published, config.algorithm.model_dump(mode="json"))
     overrides |= {"from": config.start[:12]} if config.start else {}
     overrides |= {"fork": str(config.fork)} if config.fork else {}
     place = family_folder(config.family) if config.family else scenario_folder(config.scenario)
@@ -343,10 +343,11 @@ def train_command(
         InputError: ``source`` cannot be read, or the algorithm is not registered.
     """
     command = ["uavaou", *(word for place in plugins for word in ("--plugin", place)), "train"]
-    command += ["--scenario", source, "--algorithm", algorithm.name]
+    name, published = published_settings(algorithm)
+    command += ["--scenario", source, "--algorithm", name]
     changes = {
         "scenario": _differences(Scenario.load(source).to_dict(), scenario.to_dict()),
-        "algorithm": _differences(published_settings(algorithm), algorithm.model_dump(mode="json")),
+        "algorithm": _differences(published, algorithm.model_dump(mode="json")),
     }
     for part, fields in changes.items():
         for name, value in fields.items():
@@ -355,21 +356,20 @@ def train_command(
     return command
 
 
-def published_settings(algorithm: AlgorithmConfig) -> dict[str, Any]:
-    """The published settings that these start from: those of the algorithm with their network.
+def published_settings(algorithm: AlgorithmConfig, for_family: bool = False) -> tuple[str, dict[str, Any]]:
+    """The published settings that these start from, and their name: with their network, or for families.
 
     Validations and candidates follow the budget (:func:`load_config`): they differ only where they were set.
     """
-    fields = load_config(algorithm.name).model_dump(mode="json")
-    network = getattr(algorithm, "network", None)
-    chosen = {"network": network} if network != fields.get("network") else {}
+    name = published_as(algorithm.name, network := getattr(algorithm, "network", ""), for_family)
+    fields = load_config(name).model_dump(mode="json")
+    chosen = {"network": network} if network != fields.get("network", "") else {}
     if chosen:
-        fields = load_config(algorithm.name, chosen).model_dump(mode="json") | {"network": None}
-    follows = load_config(algorithm.name, chosen | {"slots": algorithm.slots})
-    names = ["candidates"]
-    if algorithm.evaluate_every_slots == follows.evaluate_every_slots:
-        names += ["evaluate_every_slots", "evaluation_missions"]
-    return fields | {name: getattr(follows, name) for name in names}
+        fields = load_config(name, chosen).model_dump(mode="json") | {"network": None}
+    follows = load_config(name, chosen | {"slots": algorithm.slots})
+    alike = algorithm.evaluate_every_slots == follows.evaluate_every_slots
+    names = ["candidates", *(["evaluate_every_slots", "evaluation_missions"] if alike else [])]
+    return name, fields | {field: getattr(follows, field) for field in names}
 
 
 def _differences(base: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str, str]:

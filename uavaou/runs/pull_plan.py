@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from uavaou.files import read_json
+from uavaou.planners.plan import OnProgress
 from uavaou.planners.tuned import LocalGreedyTuned
+from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.world.pull import PullPlan
 
-if TYPE_CHECKING:
-    from uavaou.runs.folder import RunConfig, RunFolder
-    from uavaou.runs.recorder import Display
 
-
-def plan_of(config: RunConfig, folder: RunFolder, display: Display | None = None) -> PullPlan | None:
+def plan_of(config: RunConfig, folder: RunFolder, on_progress: OnProgress | None = None) -> PullPlan | None:
     """Return the plan of a run: of its ``plan.json``, else found anew, which gives the same.
 
     The search simulates ``algorithm.plan_ratio`` slots of the rule for each slot of the training's first budget.
@@ -21,7 +17,7 @@ def plan_of(config: RunConfig, folder: RunFolder, display: Display | None = None
     Args:
         config: of the run.
         folder: of the run.
-        display: shows the search to a person.
+        on_progress: called now and then while the plan is found.
 
     Returns:
         None where the run has none: its maps vary, or its settings ask for none.
@@ -35,8 +31,7 @@ def plan_of(config: RunConfig, folder: RunFolder, display: Display | None = None
     if folder.plan.is_file():
         return PullPlan.from_dict(read_json(folder.plan), str(folder.plan))
     layout = config.scenario.draw_layout()
-    planner = LocalGreedyTuned(slots=slots)
-    plan = planner.plan(config.scenario, layout, None if display is None else display.plan)
+    plan = LocalGreedyTuned(slots=slots).plan(config.scenario, layout, on_progress)
     if plan.interrupted:
         raise KeyboardInterrupt
     return plan.of_map(config.scenario, layout)

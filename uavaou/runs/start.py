@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
-from uavaou.algorithms.registry import changed_config, config_from_dict, load_config
+from uavaou.algorithms.registry import changed_config, config_from_dict, load_config, published_as
 from uavaou.errors import InputError, command_line
 from uavaou.family import Family
 from uavaou.fields import short
@@ -70,7 +70,7 @@ class Start:
             InputError: the weights do not fit the scenario, or a value cannot be used.
         """
         own = self.config.algorithm.model_dump(mode="json")
-        published = {"slots": load_config(own["name"]).slots}
+        published = {"slots": load_config(published_as(own["name"], own.get("network", ""))).slots}
         tunes = self.folder.is_released and not isinstance(scenario, Family) and self.folder.fine_tuning.is_file()
         fine_tuning = read_yaml_mapping(self.folder.fine_tuning) if tunes else {}
         if changes.get("network", own.get("network")) != own.get("network"):  # other networks need other fields

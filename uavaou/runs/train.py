@@ -113,7 +113,7 @@ def _train(
     shared = ("missions", "processes", "observation", "collection", "reward", "rows", "worlds")
     settings = {name: getattr(algorithm, name) for name in shared}
     with closing(display) if display is not None else nullcontext():
-        plan = plan_of(config, folder, display)
+        plan = plan_of(config, folder, None if display is None else display.plan)
     try:
         env = flatten(
             config.family or config.scenario,

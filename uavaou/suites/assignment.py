@@ -88,7 +88,7 @@ def name_runs(configs: Mapping[Path, RunConfig], suite: Suite) -> list[SuiteRun]
 
 def _without_usual_candidates(algorithm: AlgorithmConfig) -> dict[str, Any]:
     """The settings, without the number of candidates where it is the one that is published for the budget."""
-    settings, usual = algorithm.model_dump(mode="json"), published_settings(algorithm)["candidates"]
+    settings, usual = algorithm.model_dump(mode="json"), published_settings(algorithm)[1]["candidates"]
     return {k: v for k, v in settings.items() if k != "candidates" or v != usual}
 
 
