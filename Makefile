@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := results/demo
-SLOTS := 1000000
+SLOTS := 300000
 RUNS := 5000000
 RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 

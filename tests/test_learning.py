@@ -39,12 +39,14 @@ Q = {"missions": 16, "slots_per_update": 32, "batch_slots": 128, "learning_start
 Q |= {"gamma": 0.95, "target_fraction": 0.02}
 SET = {"missions": 8, "rollout_slots": 100, "batch_rows": 400, "learning_rate": 0.002, "gamma": 0.98}
 SET |= {"entropy": 0.005, "final_entropy": 0.1}
+FROM_NOTHING = {"pull": 0, "plan_slots": 0, "critic_rollouts": 0, "token_width": 32, "hidden": "[128, 128]"}
+FROM_NOTHING |= {"reward": "root"}
 GATES = {
     "mappo": Gate(64_000, 1.4, {}),
     "ippo": Gate(48_000, 1.4, {}),
     "vdn": Gate(24_000, 1.4, Q | {"hidden": "[64, 64]", "learning_rate": 0.002, "n_step": 1}),
     "qmix": Gate(24_000, 1.4, Q | {"hidden": "[64, 64]", "learning_rate": 0.001}),
-    "mappo set": Gate(32_000, 1.6, SET),
+    "mappo set": Gate(32_000, 1.6, SET | FROM_NOTHING),
     "ippo set": Gate(32_000, 1.6, SET),
     "vdn set": Gate(16_000, 8.0, Q | {"learning_rate": 0.002}),
     "qmix set": Gate(12_000, 3.0, Q | {"learning_rate": 0.002, "n_step": 1}),
@@ -68,6 +70,15 @@ def trained(name: str, out: Path) -> float:
 @pytest.mark.parametrize("name", list(GATES))
 def test_a_short_training_is_as_fresh_as_a_planner(name: str, tmp_path: Path) -> None:
     assert trained(name, tmp_path) < GATES[name].most
+
+
+def test_the_default_is_below_the_rule_on_the_paper_s_map_at_once(tmp_path: Path) -> None:
+    assert main(["train", "--slots", "24000", "--out", str(tmp_path), "--quiet"]) == 0  # some 20 s on two cores
+    folder = RunFolder(next(tmp_path.glob("*/*/seed-0")))
+    best, config = folder.read_meta().best_score, folder.read_config()
+    assert best is not None
+    assert best / config.scenario.slot_length_s < 38.5
+    assert best < 0.97 * planner_score("local-greedy-parts", config)
 
 
 def stale_critic_rows(monkeypatch: pytest.MonkeyPatch) -> None:

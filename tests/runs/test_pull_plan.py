@@ -18,7 +18,7 @@ from uavaou.world.pull import PullPlan, planned_steps, steps_left
 
 PAPER = Scenario.load("paper")
 SETTINGS: dict[str, Any] = {
-    "network": "set", "pull": 60, "token_width": 8, "hidden": [16], "collection": "auto", "plan_ratio": 20,
+    "network": "set", "pull": 60, "token_width": 8, "hidden": [16], "collection": "auto", "plan_slots": 1_000_000,
     "slots": 3000, "missions": 4, "rollout_slots": 50, "evaluation_missions": 4,
 }  # fmt: skip
 
@@ -89,8 +89,8 @@ def test_on_another_map_the_plan_is_left_aside(run: RunFolder) -> None:
 def test_no_plan_is_made_where_maps_vary_or_none_is_asked_for(tmp_path: Path) -> None:
     config = RunConfig.load("mappo", Scenario.load("quickstart").replace(layout="resample"), **SETTINGS)
     assert plan_of(config, RunFolder(tmp_path)) is None
-    assert plan_of(RunConfig.load("mappo", "quickstart", **SETTINGS | {"plan_ratio": 0}), RunFolder(tmp_path)) is None
-    with pytest.raises(InputError, match="plan_ratio = 20: needs a pull above 0"):
+    assert plan_of(RunConfig.load("mappo", "quickstart", **SETTINGS | {"plan_slots": 0}), RunFolder(tmp_path)) is None
+    with pytest.raises(InputError, match="plan_slots = 1,000,000: needs a pull above 0"):
         RunConfig.load("mappo", "quickstart", **SETTINGS | {"pull": 0})
 
 

@@ -10,7 +10,8 @@ import pytest
 from uavaou_cli.main import main
 
 TRAIN = (
-    "train --algorithm mappo-paper --scenario tiny --quiet --slots 96 --set algorithm.missions=8 --set algorithm.rollout_slots=12 "
+    "train --algorithm mappo-paper --scenario tiny --quiet --slots 96 --set algorithm.missions=8 "
+    "--set algorithm.rollout_slots=12 "
     "--set algorithm.batch_rows=240 --set algorithm.evaluation_missions=2 --set algorithm.hidden=[8]"
 )
 OWN = """

@@ -161,7 +161,9 @@ def test_a_missing_training_comes_with_its_command(by_devices: Suite) -> None:
     moved = base.replace(layout_seed=4)
     entries = name_runs(configs({}), by_devices)
     missing = missing_trainings(assign(resolve_points(by_devices, moved), entries, moved), entries, "tiny", moved)
-    command = "uavaou train --scenario tiny --algorithm mappo-paper --set scenario.devices=3 --set scenario.layout_seed=4"
+    command = (
+        "uavaou train --scenario tiny --algorithm mappo-paper --set scenario.devices=3 --set scenario.layout_seed=4"
+    )
     assert sorted(shlex.join(missing[0].command).split(" --")) == sorted(command.split(" --"))
 
 

@@ -107,7 +107,7 @@ class LearnerConfig(AlgorithmConfig):
     activation: Literal["relu", "tanh"]
     token_width: Annotated[PositiveWhole, Field(le=1024)] = 32  # of network: set: features of a device
     pull: Annotated[NonNegative, Field(le=1000)] = 0  # of network: set: how sharply devices pull at first; 0: not
-    plan_ratio: NonNegative = 0  # of a pull: slots of the rule's search before the training, for each slot of it
+    plan_slots: Whole = 0  # of a pull: slots of the search for a plan before a training of 500,000 slots
     masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
     selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit or advantage of selecting a device in range
 
@@ -125,8 +125,8 @@ class LearnerConfig(AlgorithmConfig):
     def _pulls_are_of_sets(self) -> Self:
         if self.pull and self.network == "mlp":
             raise ValueError(f"pull = {self.pull:g}: needs network = set")
-        if self.plan_ratio and not self.pull:
-            raise ValueError(f"plan_ratio = {self.plan_ratio:g}: needs a pull above 0")
+        if self.plan_slots and not self.pull:
+            raise ValueError(f"plan_slots = {self.plan_slots:,}: needs a pull above 0")
         return self
 
     def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:

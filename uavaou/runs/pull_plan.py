@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 from uavaou.files import read_json
 from uavaou.planners.plan import OnProgress
 from uavaou.planners.tuned import LocalGreedyTuned
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.world.pull import PullPlan
 
+_BUDGET = 500_000  # slots of a training
+
 
 def plan_of(config: RunConfig, folder: RunFolder, on_progress: OnProgress | None = None) -> PullPlan | None:
     """Return the plan of a run: of its ``plan.json``, else found anew, which gives the same.
 
-    The search simulates ``algorithm.plan_ratio`` slots of the rule for each slot of the training's first budget.
+    The search simulates ``algorithm.plan_slots`` slots of the rule before a training of 500,000 slots. Before another
+    one they are in proportion to the root of its first budget: a short training needs much of it, too.
 
     Args:
         config: of the run.
@@ -25,7 +30,7 @@ def plan_of(config: RunConfig, folder: RunFolder, on_progress: OnProgress | None
     Raises:
         InputError: ``plan.json`` is no such plan.
     """
-    slots = round(getattr(config.algorithm, "plan_ratio", 0) * config.algorithm.slots)
+    slots = round(getattr(config.algorithm, "plan_slots", 0) * sqrt(config.algorithm.slots / _BUDGET))
     if not slots or config.maps_vary:
         return None
     if folder.plan.is_file():
