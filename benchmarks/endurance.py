@@ -81,7 +81,7 @@ def trained(slots: int, family: bool = False, parts: int = PARTS) -> Endurance:
     if family:
         drawn = Family.load("any")
         settings = {"slots": slots, "evaluate_every_slots": max(slots // 5, 1), **_FAMILY}
-        config = RunConfig(drawn.base, load_config("mappo", settings), 0, drawn)
+        config = RunConfig(drawn.base, load_config("mappo-paper", settings), 0, drawn)
     measured = Endurance("slots")
 
     def watch(status: TrainingStatus) -> None:

@@ -13,7 +13,7 @@ from uavaou.algorithms.registry import load_config, make_model
 def main() -> None:
     name, rollouts = sys.argv[1], int(sys.argv[2])
     config = load_config(name)
-    env = flatten("paper", missions=config.missions, collection=config.collection)
+    env = flatten("paper", missions=config.missions, collection=config.collection, rows=config.rows)
     model = make_model(config, env, seed=0, device="cpu")
     steps = 125 * env.num_envs  # a rollout of MAPPO's
     peaks = []

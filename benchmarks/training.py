@@ -210,7 +210,7 @@ def memory(rollouts: int = 6, algorithms: Sequence[str] = ALGORITHMS) -> list[Me
 
 def _mappo(rollout_slots: int | None, **changes: Any) -> MappoConfig:
     work = WORK if rollout_slots is None else WORK | {"rollout_slots": rollout_slots}
-    config = load_config("mappo", work | changes)
+    config = load_config("mappo-paper", work | changes)
     assert isinstance(config, MappoConfig)
     return config
 

@@ -39,7 +39,7 @@ _PLANNERS = ("best-first", "local-greedy-parts")  # that a policy is shown besid
 _MOST_WORK = 2e10  # of these planners: slots x UAVs^2 x devices x cells; more takes minutes
 _CLOSE = 0.99  # of its mean AoU: a planner that is nearer is not below it
 _START = "any-map"
-_ALGORITHMS = "mappo, mappo-paper, mappo-family, ippo, vdn, qmix or iql"  # for the help; tested
+_ALGORITHMS = "mappo, mappo-paper, ippo, vdn, qmix or iql"  # for the help; tested
 
 
 def train(

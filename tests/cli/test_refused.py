@@ -194,7 +194,7 @@ BAD_INPUTS_WITH_A_RUN = [
     ("plot trajectories {run} --out file/x", "'file"),
     ("plot trajectories {run} --episode-seed x", "--episode-seed"),
     ("plot trajectories {fresh}", "no checkpoint yet"),
-    (TINY, "--resume"),
+    (f"{TINY} --algorithm mappo-paper", "--resume"),
 ]
 
 

@@ -100,7 +100,7 @@ def settle() -> None:
 
 @cache
 def config() -> RunConfig:
-    return RunConfig(Scenario.load("tiny"), load_config("mappo"), 0)
+    return RunConfig(Scenario.load("tiny"), load_config("mappo-paper"), 0)
 
 
 def _checkpoint(path: Path) -> None:

@@ -311,7 +311,6 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "[3000000, 6000000]": "an example's options",
     "620,000 slots of the `mlp`": "measured by hand once: the table below it",
     "The flat network is ahead": "the table above it",
-    "it is ahead after 100 s": "the table above it",
     "the mean costs 2 to 4 %": "measured by hand once",
     "over validation draws 8000": "tests/runs/test_family_training.py",
     "had four stages on the family": "the released stages: results/released, and earlier ones",

@@ -51,7 +51,7 @@ class Algorithm:
 
 
 _ALGORITHMS: dict[str, Algorithm] = {}
-_LEARNERS = {"mappo-paper": "mappo", "mappo-family": "mappo"}  # of other published settings
+_LEARNERS = {"mappo-paper": "mappo"}  # of other published settings
 _PLUGINS: set[Path] = set()  # files already loaded
 
 
@@ -169,9 +169,12 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
 
 
 def published_as(algorithm: str, network: str = "", for_family: bool = False) -> str:
-    """Return the name under which an algorithm's settings are published, for families or with a flat network."""
-    suffix = "family" if for_family else "paper" if network == "mlp" else ""
-    return name if (name := f"{algorithm}-{suffix}") in _ALGORITHMS else algorithm
+    """Return the name under which an algorithm's settings are published, for families or with a flat network.
+
+    Those of ``mappo`` are for one map: the others learn from nothing.
+    """
+    name = f"{algorithm}-paper"
+    return name if (for_family or network == "mlp") and name in _ALGORITHMS else algorithm
 
 
 def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:
@@ -226,7 +229,6 @@ def make_model(config: AlgorithmConfig, env: MissionVecEnv, seed: int, device: s
 _OWN: tuple[tuple[str, type[LearnerConfig], str], ...] = (
     ("mappo", MappoConfig, "mappo"),
     ("mappo-paper", MappoConfig, "mappo-paper"),
-    ("mappo-family", MappoConfig, "mappo-family"),
     ("ippo", IppoConfig, "ippo"),
     ("vdn", VdnConfig, "vdn"),
     ("qmix", QmixConfig, "qmix"),
