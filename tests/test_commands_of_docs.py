@@ -53,7 +53,7 @@ PAGES = (
 
 
 def few(slots: int) -> int:
-    return slots if slots < 20_000 else max(slots // 5_000, 200)  # again for a run that goes on
+    return slots if slots < 20_000 else max(slots // 5_000, 600)  # again for a run that goes on
 
 
 def small(config: RunConfig) -> RunConfig:

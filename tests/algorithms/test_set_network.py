@@ -188,13 +188,13 @@ def test_weights_of_one_size_are_loaded_for_another(learner: Any, tmp_path: Path
         learner.load(tmp_path / "model", env=missions("select"), device="cpu")
 
 
-@pytest.mark.parametrize("name", ["mappo", "ippo", "vdn", "qmix", "iql"])
+@pytest.mark.parametrize("name", ["mappo-paper", "ippo", "vdn", "qmix", "iql"])
 def test_a_family_is_trained_on(name: str) -> None:
     """Draws of several sizes, in padded rows: all weights stay finite, and change."""
     family = Family.load("any")
     config = load_config(name, {"network": "set", "observation": "shared", "collection": "auto"})
     env = flatten(family, missions=4, worlds=2, observation="shared", collection="auto", rows="entities")
-    if isinstance(config, type(load_config("mappo"))):
+    if isinstance(config, type(load_config("mappo-paper"))):
         config = config.model_copy(update={"rollout_slots": 8, "batch_rows": 40})
     else:
         config = config.model_copy(
@@ -274,11 +274,11 @@ def test_the_scale_of_values_is_a_regression_on_the_sizes() -> None:
 
 
 def test_published_settings_follow_from_the_network(tmp_path: Path) -> None:
-    flat, sets = load_config("mappo"), load_config("mappo", {"network": "set"})
+    flat, sets = load_config("mappo-paper"), load_config("mappo-paper", {"network": "set"})
     assert (flat.rows, flat.depends_on_sizes) == ("flat", True)
     assert (sets.rows, sets.depends_on_sizes) == ("entities", False)
     assert (sets.hidden, sets.batch_rows, sets.collection) == ((128, 128), 1500, "auto")  # type: ignore[attr-defined]
-    assert load_config("mappo", {"network": "set", "batch_rows": 9}).batch_rows == 9  # type: ignore[attr-defined]
+    assert load_config("mappo-paper", {"network": "set", "batch_rows": 9}).batch_rows == 9  # type: ignore[attr-defined]
     for name in ("vdn", "qmix", "iql"):
         fields = load_config(name, {"network": "set"}).model_dump()
         assert (fields["collection"], fields["batch_slots"], load_config(name).collection) == ("auto", 256, "select")

@@ -194,7 +194,7 @@ def test_train_begins_with_a_released_policy(capsys: pytest.CaptureFixture[str],
     code, out, err = call(capsys, "train --from any-map --set scenario.layout_seed=9 --slots 96 --quiet")
     assert (code, err) == (0, "")
     assert "short training: 8 missions end together, every 96 slots" in out
-    (folder,) = released.glob("results/tiny+layout_seed=9/mappo+*from=*/seed-0")
+    (folder,) = released.glob("results/tiny+layout_seed=9/mappo-paper+*from=*/seed-0")
     assert str(folder.relative_to(released)) in out
     for place, start in (("found", ""), ("named", " --from any-map")):  # found by the digest of its weights
         assert call(capsys, f"train --config {folder}/config.yaml --quiet --out {place}{start}")[0] == 0
@@ -224,7 +224,7 @@ def test_train_on_a_family(capsys: pytest.CaptureFixture[str], workplace: Path) 
     settings += " --set algorithm.hidden=[8]"
     code, out, err = call(capsys, f"train --family two.yaml --seed 3 --slots 192 {settings} --quiet")
     assert (code, err) == (0, "")
-    (run,) = (workplace / "results").glob("family-two~*/mappo+*/seed-3")
+    (run,) = (workplace / "results").glob("family-two~*/mappo-paper+*/seed-3")
     assert "trained mappo on family two: " in out
     assert "best validation: geometric mean AoU" in out
     assert f"run folder:      {run.relative_to(workplace)}" in out

@@ -50,7 +50,7 @@ def test_it_takes_runs_and_writes_films(
     run = runs(trained)["run"]
     code, _, err = call(capsys, f"replay {run} stay --seed 7 --out {tmp_path}/x.html --quiet")
     assert (code, err) == (0, "")
-    assert names(tmp_path / "x.html") == ["MAPPO, seed 0", "stay"]
+    assert names(tmp_path / "x.html") == ["mappo-paper, seed 0", "stay"]
     monkeypatch.setattr("uavaou_cli.progress._LINE_EVERY_S", 0)
     code, out, err = call(capsys, f"replay stay --scenario tiny --out {tmp_path}/x.gif")
     assert (code, out.splitlines()[-1]) == (0, f"{tmp_path}/x.gif")

@@ -42,7 +42,7 @@ def scores(policy: Any, local: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def lively(
-    algorithm: str = "mappo",
+    algorithm: str = "mappo-paper",
     scenario: Scenario = QUICK,
     action: str = "greedy",
     views: int = 8,
@@ -62,7 +62,7 @@ def lively(
             width = parameter.shape[-1] if parameter.dim() else 1
             parameter.add_(th.randn(parameter.shape, generator=generator) / width**0.5)
         usual = scores(policy, local_rows(config.rows, config.observation, scenario, 5))[:, :MOVES].mean(axis=0)
-        head = policy.action_net if algorithm == "mappo" else policy.utilities.advantage
+        head = policy.action_net if algorithm.startswith("mappo") else policy.utilities.advantage
         getattr(head, "moves", head).bias[:MOVES] -= th.from_numpy(usual)
     policy.set_training_mode(False)
     return TrainedPolicy(model, env.views, action)

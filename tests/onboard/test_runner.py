@@ -114,7 +114,7 @@ def test_it_is_drawn_to_devices_by_the_policy_s_plan(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("algorithm", ["mappo", "vdn"])
+@pytest.mark.parametrize("algorithm", ["mappo-paper", "vdn"])
 def test_it_samples_as_the_policy(algorithm: str, tmp_path: Path) -> None:
     trained = lively(algorithm, SCENARIO, "sample")
     policy: Any = trained.model.policy

@@ -35,7 +35,7 @@ trainings = pytest.mark.parametrize(("family", "changes"), TRAININGS, ids=["layo
 
 
 def config(family: Family, **changes: Any) -> RunConfig:
-    return RunConfig(family.base, load_config("mappo", SMALL | changes), 0, family)
+    return RunConfig(family.base, load_config("mappo-paper", SMALL | changes), 0, family)
 
 
 @trainings

@@ -24,7 +24,7 @@ def validations(folder: RunFolder) -> list[tuple[str, str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("algorithm", ["mappo", "qmix"])
+@pytest.mark.parametrize("algorithm", ["mappo-paper", "qmix"])
 def test_it_is_the_other_until_it_parts_and_resumes_exactly(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, algorithm: str
 ) -> None:

@@ -37,8 +37,8 @@ def test_a_released_policy_is_fine_tuned_with_the_settings_beside_it() -> None:
     assert (on_draws.slots, on_draws.learning_rate) == (load_config("mappo").slots, own.learning_rate)
 
 
-def small(algorithm: str = "mappo", **changes: Any) -> RunConfig:
-    own = ON_POLICY if algorithm in ("mappo", "ippo") else REPLAY
+def small(algorithm: str = "mappo-paper", **changes: Any) -> RunConfig:
+    own = ON_POLICY if algorithm in ("mappo-paper", "ippo") else REPLAY
     return RunConfig(Scenario.load("tiny"), load_config(algorithm, SMALL | own | changes))
 
 
@@ -78,7 +78,7 @@ def test_its_settings_are_those_of_the_run_but_for_a_published_budget_and_one_ca
     own = small(candidates=3).algorithm
     run.config.write_text(small(candidates=3).to_yaml())
     config = Start.at(run).training(Scenario.load("tiny"), {}, seed=0)
-    assert config.algorithm == own.model_copy(update={"slots": load_config("mappo").slots, "candidates": 1})
+    assert config.algorithm == own.model_copy(update={"slots": load_config("mappo-paper").slots, "candidates": 1})
 
 
 def test_validations_follow_the_budget(finished: RunFolder) -> None:
@@ -161,7 +161,7 @@ def test_other_weights_than_those_of_the_configuration_are_refused(finished: Run
 # -- to a larger budget --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("algorithm", ["mappo", "qmix"])
+@pytest.mark.parametrize("algorithm", ["mappo-paper", "qmix"])
 def test_a_finished_run_goes_on_and_resumes_as_exactly(algorithm: str, tmp_path: Path) -> None:
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
     train(small(algorithm), whole)
@@ -180,14 +180,14 @@ def test_a_finished_run_goes_on_and_resumes_as_exactly(algorithm: str, tmp_path:
 
 
 def test_schedules_stay_at_their_final_values(tmp_path: Path) -> None:
-    for algorithm, column in (("mappo", "train/learning_rate"), ("qmix", "train/epsilon")):
+    for algorithm, column in (("mappo-paper", "train/learning_rate"), ("qmix", "train/epsilon")):
         folder = RunFolder(tmp_path / algorithm)
         train(small(algorithm, final_learning_rate=0.25), folder)
         first = len(without_wall(folder.progress))
         train(continued(folder, 384, resume=False), folder, resume=True)
         values = [float(row[column] or "nan") for row in without_wall(folder.progress)]
         settings: Any = folder.read_config().algorithm
-        final = settings.learning_rate / 4 if algorithm == "mappo" else settings.epsilon_end
+        final = settings.learning_rate / 4 if algorithm == "mappo-paper" else settings.epsilon_end
         assert np.nanmax(values) > 2 * final
         learning = np.array(values[first:])  # QMIX first fills its replay again
         assert len(learning) > 1

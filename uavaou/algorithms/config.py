@@ -125,8 +125,6 @@ class LearnerConfig(AlgorithmConfig):
     def _pulls_are_of_sets(self) -> Self:
         if self.pull and self.network == "mlp":
             raise ValueError(f"pull = {self.pull:g}: needs network = set")
-        if self.plan_slots and not self.pull:
-            raise ValueError(f"plan_slots = {self.plan_slots:,}: needs a pull above 0")
         return self
 
     def build(self, env: MissionVecEnv, seed: int, device: str) -> BaseAlgorithm:
