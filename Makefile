@@ -3,8 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := results/demo
-SLOTS := 120000
-PAPER_SLOTS := 400000
+SLOTS := 60000
+PAPER_SLOTS := 300000
 RUNS := 5000000
 RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 PAPER := $(DEMO)/paper/mappo-paper+slots=$(PAPER_SLOTS)/seed-0
