@@ -201,8 +201,7 @@ def _add_run(runs: Runs, folder: RunFolder) -> None:
 
 def _name(stated: Scenario | AlgorithmConfig, folder: Path) -> str:
     """The name in the configuration; the folder's where that adds overrides to it."""
-    base = folder.name.split("+", 1)[0]
-    return folder.name if base in (stated.name, f"{stated.name}-paper") else stated.name
+    return folder.name if folder.name.split("+", 1)[0] == stated.name else stated.name
 
 
 def _plot_scenarios(
