@@ -278,7 +278,8 @@ def test_published_settings_follow_from_the_network(tmp_path: Path) -> None:
     assert (flat.rows, flat.depends_on_sizes) == ("flat", True)
     assert (sets.rows, sets.depends_on_sizes) == ("entities", False)
     assert (sets.hidden, sets.batch_rows, sets.collection) == ((128, 128), 1500, "auto")  # type: ignore[attr-defined]
-    assert load_config("mappo-paper", {"network": "set", "batch_rows": 9}).batch_rows == 9  # type: ignore[attr-defined]
+    changed: Any = load_config("mappo-paper", {"network": "set", "batch_rows": 9})
+    assert changed.batch_rows == 9
     for name in ("vdn", "qmix", "iql"):
         fields = load_config(name, {"network": "set"}).model_dump()
         assert (fields["collection"], fields["batch_slots"], load_config(name).collection) == ("auto", 256, "select")

@@ -231,3 +231,17 @@ def test_wrong_states_are_refused(change: str, words: str) -> None:
     state = wrong_state(change)
     with pytest.raises(InputError, match=words):
         make().load_missions_state(state)
+
+
+def test_a_state_from_before_uavs_remembered_their_range_is_still_read() -> None:
+    env = make()
+    env.reset()
+    for slot in range(40):
+        env.step(actions(env, slot))
+    state = env.missions_state()
+    known = [(state[f"{world}.last_in_range"], state[f"{world}.last_collection_by"]) for world in (0, 1)]
+    assert all((seen >= own).all() for seen, own in known)
+    assert any((seen > own).any() for seen, own in known)
+    env.load_missions_state({name: array for name, array in state.items() if "last_in_range" not in name})
+    for world, (_, own) in enumerate(known):
+        np.testing.assert_array_equal(env.missions_state()[f"{world}.last_in_range"], own)

@@ -88,6 +88,18 @@ def test_seeds_of_an_algorithm_are_one_line_in_slots(tmp_path: Path, drawn: dict
     assert wall["MAPPO (3 seeds)"].get_ydata()[-1] == pytest.approx(60 / TAU)
 
 
+def test_runs_of_other_published_settings_have_a_line_and_an_evaluation_of_their_own(
+    tmp_path: Path, drawn: dict[str, Any]
+) -> None:
+    own, paper = write_run(tmp_path), tmp_path / "tiny" / "mappo-paper+slots=9" / "seed-0"
+    paper.parent.mkdir()
+    write_run(tmp_path / "elsewhere").rename(paper)
+    plot_runs([own, paper], tmp_path / "out")
+    for name in ("figure-4-aou", "figure-7-aou-execution"):
+        labels = {str(line.get_label()).split(" (")[0] for line in drawn[f"out/{name}"].axes[0].get_lines()}
+        assert labels == {"MAPPO", "mappo-paper", "greedy"}
+
+
 def test_a_training_too_short_for_a_curve_says_so(tmp_path: Path, drawn: dict[str, Any]) -> None:
     for missions, short in ((2 * LANES, True), (3 * LANES, False)):
         plot_runs([write_run(tmp_path / str(missions), missions=missions, evaluation=False)], tmp_path / "out")

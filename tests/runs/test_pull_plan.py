@@ -14,13 +14,22 @@ from uavaou import MAPPO, InputError, RunConfig, Scenario, World, evaluate, flat
 from uavaou.planners.tuned import LocalGreedyTuned
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.pull_plan import plan_of
+from uavaou.runs.start import Start
 from uavaou.world.pull import PullPlan, planned_steps, steps_left
 
 PAPER = Scenario.load("paper")
 SETTINGS: dict[str, Any] = {
-    "network": "set", "pull": 60, "token_width": 8, "hidden": [16], "collection": "auto", "plan_slots": 1_000_000,
-    "slots": 3000, "missions": 4, "rollout_slots": 50, "evaluation_missions": 4,
-}  # fmt: skip
+    "network": "set",
+    "pull": 60,
+    "token_width": 8,
+    "hidden": [16],
+    "collection": "auto",
+    "plan_slots": 1_000_000,
+    "slots": 3000,
+    "missions": 4,
+    "rollout_slots": 50,
+    "evaluation_missions": 4,
+}
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +73,8 @@ def test_a_run_keeps_its_plan_and_flies_it(run: RunFolder) -> None:
     config = run.read_config()
     plan = plan_of(config, run)
     assert plan is not None
-    assert load_run(run).views.plan is not None  # type: ignore[attr-defined]
+    views: Any = load_run(run).views
+    assert views.plan is not None
     kept, flown = json.loads(run.plan.read_text()), evaluate(load_run(run), config.scenario, episodes=3).mean_aou_slots
     run.plan.unlink()  # found anew, it is the same
     again = plan_of(config, run)
@@ -72,6 +82,26 @@ def test_a_run_keeps_its_plan_and_flies_it(run: RunFolder) -> None:
     assert again.to_dict() == kept
     assert evaluate(load_run(run), config.scenario, episodes=3).mean_aou_slots == flown
     run.plan.write_text(json.dumps(kept))
+
+
+def test_a_training_from_a_run_keeps_the_sharpness_of_its_weights(run: RunFolder) -> None:
+    start = Start.at(run)
+    with pytest.raises(
+        InputError, match=r"algorithm\.pull = 12\.0 does not fit its weights, which were trained with 60"
+    ):
+        start.training(Scenario.load("quickstart"), {"pull": 12.0}, seed=0)
+
+
+def test_a_plan_in_a_folder_without_a_run_is_left_aside(run: RunFolder, tmp_path: Path) -> None:
+    config, stray = run.read_config(), RunFolder(tmp_path)
+    stray.plan.write_text("{}")
+    found, kept = plan_of(config, stray), plan_of(config, run)
+    assert found is not None
+    assert kept is not None
+    assert found.to_dict() == kept.to_dict()
+    stray.config.write_text(run.config.read_text())  # then it is the run's, and damaged
+    with pytest.raises(InputError, match="is no plan of pulls"):
+        plan_of(config, stray)
 
 
 def test_on_another_map_the_plan_is_left_aside(run: RunFolder) -> None:

@@ -161,11 +161,16 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
         of_network = read_yaml_mapping(path) if path.is_file() else {}
         published = of_network if "name" in of_network else published | of_network
     several = published.pop("candidates", None)
-    fields = published | {"name": _LEARNERS.get(algorithm, algorithm)} | overrides
+    fields = published | {"name": learner_of(algorithm)} | overrides
     config = validated(entry.config, fields, f"algorithm '{algorithm}'")
     if several and "candidates" not in overrides and config.slots >= published["slots"]:
         config = config.model_copy(update={"candidates": several})
     return config.with_enough_validations(overrides) if "slots" in overrides else config
+
+
+def learner_of(name: str) -> str:
+    """Return the learner that published settings of this name are of."""
+    return _LEARNERS.get(name, name)
 
 
 def published_as(algorithm: str, network: str = "", for_family: bool = False) -> str:

@@ -56,8 +56,8 @@ def split_numbered(state: State, environments: int) -> list[State]:
 
 def completed(state: State) -> State:
     """Return the state with what files of earlier versions lack: ``last_in_range``, as far as they tell."""
-    lacking = {name.replace("last_collection_by", "last_in_range"): array for name, array in state.items()}
-    return {name: array for name, array in lacking.items() if name.endswith("last_in_range")} | state
+    before, own = "last_collection_by", "last_in_range"
+    return {name.replace(before, own): array for name, array in state.items() if name.endswith(before)} | state
 
 
 def check(given: State, own: State, scenario: Scenario, source: str = "missions") -> None:

@@ -29,7 +29,7 @@ from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.entities import told_before_take_off
 from uavaou.world.flight import grid_cells
-from uavaou.world.pull import PullPlan, steps_left
+from uavaou.world.pull import SHARE, PullPlan, steps_left
 from uavaou.world.views import RowLayout, Rows
 
 SCHEMA = 1
@@ -144,10 +144,8 @@ def describe_mission(scenario: Scenario, plan: PullPlan | None = None) -> dict[s
     """What the UAVs are told before take-off: the map, the fleet, and what the mean channel and the ``plan`` say."""
     world = World(scenario)
     radius, own, _ = told_before_take_off(world, plan)
-    plan = plan if plan is not None and plan.is_of(world) else None
-    weight = reach = np.ones(own[0].shape)  # (U, I)
-    if plan is not None:
-        weight, reach = (np.where(plan.serves, numbers, 1.0) for numbers in (plan.weight, plan.reach))
+    usual = np.ones(own[0].shape)  # (U, I)
+    weight, reach, share = plan.numbers if plan is not None and plan.is_of(world) else (usual, usual, SHARE * usual)
     return {
         "schema": SCHEMA,
         "scenario": scenario.name,
@@ -164,21 +162,21 @@ def describe_mission(scenario: Scenario, plan: PullPlan | None = None) -> dict[s
         "update_period_slots": world.update_period[0].tolist(),
         "longest_update_period_slots": scenario.longest_update_period,
         "coverage_radius_m": (radius[0] * scenario.grid_step_m).tolist(),
-        "collection_radius_m": _collection_radius(world, plan).tolist(),
+        "collection_radius_m": _collection_radius(world, share).tolist(),
         "own_devices": own[0].astype(int).tolist(),
         "pull_weight": weight.tolist(),
         "pull_reach_steps": reach.tolist(),
     }
 
 
-def _collection_radius(world: World, plan: PullPlan | None) -> Floats:
-    """Distance in m of the farthest cell from which each UAV collects each device well, (U, I); -1 without one."""
+def _collection_radius(world: World, share: Floats) -> Floats:
+    """Distance in m of the farthest cell from which each UAV collects each device well, (U, I); -1 without one.
+
+    Well is with a ``share`` (U, I) of the UAV's best probability.
+    """
     cells = grid_cells(world.scenario) * world.scenario.grid_step_m  # (C, 2) m
     away = np.linalg.norm(cells[:, None] - world.device_positions[0], axis=-1)  # (C, I)
-    steps = steps_left(world)  # (1, U, C, I)
-    if plan is not None:
-        steps = np.where(plan.serves[:, None], steps_left(world, plan.share), steps)
-    radius: Floats = np.where(steps[0] == 0.0, away, -1.0).max(axis=1)
+    radius: Floats = np.where(steps_left(world, share)[0] == 0.0, away, -1.0).max(axis=1)
     return radius
 
 

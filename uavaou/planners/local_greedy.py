@@ -6,9 +6,9 @@ import numpy as np
 
 from uavaou.arrays import Bools, Ints
 from uavaou.world import World
-from uavaou.world.entities import coverage_and_parts
 from uavaou.world.flight import neighbours
 from uavaou.world.knowledge import Knowledge
+from uavaou.world.partition import partition
 from uavaou.world.pull import estimated_age, steps_left
 
 _REACH = 1.0  # lambda, grid steps: the pull of a device falls by 1/e with each
@@ -71,4 +71,4 @@ class LocalGreedyParts(LocalGreedy):
 
     def owners(self, world: World, reaches: Bools) -> Ints:
         """Return the UAV whose part each device is in, (L, I)."""
-        return coverage_and_parts(world)[1]
+        return partition(world)

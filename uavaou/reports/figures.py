@@ -18,6 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uavaou.algorithms.config import AlgorithmConfig
+from uavaou.algorithms.registry import learner_of
 from uavaou.arrays import Floats
 from uavaou.csv_tables import read_csv
 from uavaou.errors import InputError
@@ -187,7 +188,7 @@ def _add_run(runs: Runs, folder: RunFolder) -> None:
     if folder.progress.is_file() and set(VALIDATION_COLUMNS) <= set(read_csv(folder.progress).columns):
         rows["validation"] = validation_rows(key, scenario, folder.progress)
         runs.validated[key] = validated_curve_rows(key, scenario, folder.progress)
-    own, found = {style.base_name(variant), *_LEARNED_NAMES}, read_evaluations(folder)
+    own, found = {config.algorithm.name, *_LEARNED_NAMES}, read_evaluations(folder)
     # The run's own evaluation, or that of a suite whose one point is the run's scenario.
     for policy, result in (found.get("default") or next(iter(found.values()), {})).items():
         if policy in own:
@@ -201,7 +202,7 @@ def _add_run(runs: Runs, folder: RunFolder) -> None:
 
 def _name(stated: Scenario | AlgorithmConfig, folder: Path) -> str:
     """The name in the configuration; the folder's where that adds overrides to it."""
-    return folder.name if folder.name.split("+", 1)[0] == stated.name else stated.name
+    return folder.name if learner_of(folder.name.split("+", 1)[0]) == stated.name else stated.name
 
 
 def _plot_scenarios(

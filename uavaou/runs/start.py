@@ -22,10 +22,10 @@ from uavaou.zoo import read_yaml_mapping
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
-# The settings that the shapes of the weights follow from.
+# The settings that the shapes of the weights follow from, and the pull, whose sharpness is one of them.
 _OF_THE_NETWORK = (
-    "network", "token_width", "observation", "collection", "hidden", "critic_input", "state_value_width", "mixer_width",
-    "hypernet_width",
+    "network", "token_width", "pull", "observation", "collection", "hidden", "critic_input", "state_value_width",
+    "mixer_width", "hypernet_width",
 )  # fmt: skip
 
 

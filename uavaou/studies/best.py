@@ -57,7 +57,9 @@ def _copy(results: StudyResults, source: RunFolder, kept: RunFolder, run: StudyR
     if evaluation is None:
         return
     kept.best.parent.mkdir(parents=True, exist_ok=True)
-    for path, there in ((source.best, kept.best), (source.meta, kept.meta), (source.config, kept.config)):
+    copies = [(source.best, kept.best), (source.meta, kept.meta), (source.config, kept.config)]
+    copies += [(source.plan, kept.plan)] if source.plan.is_file() else []
+    for path, there in copies:
         with replacing(there, "wb") as file:
             file.write(path.read_bytes())
     write_evaluation(kept.evaluation(), own_evaluation(run.config, evaluation), _DIGITS)

@@ -90,30 +90,20 @@ def local_columns(uavs: int, devices: int) -> tuple[Columns, ...]:
     )  # fmt: skip
 
 
-def coverage_and_parts(world: World) -> tuple[Floats, Ints]:
-    """Return what a plan tells the UAVs of the map before take-off.
+def told_before_take_off(world: World, plan: PullPlan | None) -> tuple[Floats, Bools, Floats]:
+    """Return the map as UAVs know it, by a ``plan`` where that is of this map, and else by its parts.
 
     Returns:
         The coverage radius by the mean channel, (L, U, I) grid steps: that of :func:`coverage.coverage_radius`, and 0
-        where that is NaN. The UAV whose part of the map each device belongs to, (L, I).
+        where that is NaN. Which devices each UAV serves, (L, U, I). What :func:`planned_steps`, or without a plan
+        :func:`steps_left`, returns, (L, U, C, I).
     """
     scenario, channel = world.scenario, world.channel
     headroom = channel.mean_snr_above() / channel.snr_min[:, None, :]  # (L, U, I)
     radius = scenario.altitudes[:, None] * np.sqrt(np.maximum(headroom - 1.0, 0.0)) / scenario.grid_step_m
-    return radius, partition(world)
-
-
-def told_before_take_off(world: World, plan: PullPlan | None) -> tuple[Floats, Bools, Floats]:
-    """Return the map as UAVs know it, by a ``plan`` where that is of this map.
-
-    Returns:
-        The coverage radius (L, U, I) of :func:`coverage_and_parts`; which devices each UAV serves, (L, U, I); and what
-        :func:`planned_steps`, or without a plan :func:`steps_left`, returns, (L, U, C, I).
-    """
-    radius, part = coverage_and_parts(world)
     if plan is not None and plan.is_of(world):
         return radius, plan.serves[None], planned_steps(world, plan)
-    return radius, part[:, None] == np.arange(world.scenario.uavs)[:, None], steps_left(world)
+    return radius, partition(world)[:, None] == np.arange(scenario.uavs)[:, None], steps_left(world)
 
 
 class EntityViews(RowViews):

@@ -48,6 +48,15 @@ class PullPlan:
         """Whether the UAV serves the device, (U, I)."""
         return self.weight > 0.0
 
+    @property
+    def numbers(self) -> tuple[Floats, Floats, Floats]:
+        """Weights, reaches and shares, (U, I) each: those of the rule where a UAV does not serve the device."""
+        weight, reach, share = (
+            np.where(self.serves, own, usual)
+            for own, usual in ((self.weight, 1.0), (self.reach, 1.0), (self.share, SHARE))
+        )
+        return weight, reach, share
+
     def is_of(self, world: World) -> bool:
         """Whether all missions have the CDSs and the devices of the plan."""
         places = world.device_positions
@@ -118,9 +127,9 @@ def planned_steps(world: World, plan: PullPlan) -> Floats:
     They are steps / reach - log weight, so that the rule with exp(-steps) flies the plan; the steps themselves, where a
     UAV does not serve a device.
     """
-    weight = np.where(plan.serves, plan.weight, 1.0)
-    steps = steps_left(world, plan.share) / plan.reach[:, None] - np.log(weight)[:, None]
-    return np.where(plan.serves[:, None], steps, steps_left(world)).astype(np.float32)
+    weight, reach, share = plan.numbers
+    steps = steps_left(world, share) / reach[:, None] - np.log(weight)[:, None]
+    return steps.astype(np.float32)
 
 
 def steps_to(good: Bools) -> Floats:

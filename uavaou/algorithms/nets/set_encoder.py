@@ -157,9 +157,13 @@ class DualSetNetwork(nn.Module):
     """
 
     def __init__(
-        self, columns: Sequence[Columns], hidden: list[int], activation: str, selects: bool = False,
+        self,
+        columns: Sequence[Columns],
+        hidden: list[int],
+        activation: str,
+        selects: bool = False,
         width: int = TOKEN_WIDTH,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__()
         self.columns = without_pulls(columns)
         self.whole = SetNetwork(columns, hidden, activation, selects, width=width)
