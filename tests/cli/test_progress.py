@@ -56,6 +56,22 @@ def test_a_training_shows_the_search_for_its_plan(capsys: pytest.CaptureFixture[
     ]
 
 
+def test_a_bar_that_was_taken_away_comes_again(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    for name, value in (("COLUMNS", "80"), ("TERM", "xterm"), ("FORCE_COLOR", "1")):
+        monkeypatch.setenv(name, value)
+    display = TrainingDisplay(slot_length_s=2.0)
+    display.plan(PlanningStatus(0.25, 24.0))
+    searching = display._bar
+    display.close()
+    display.start(total=1000, done=0, uavs=3)
+    assert display._bar not in (searching, None)
+    assert display._bar.live.is_started
+    display.close()
+
+
 def test_the_rate_of_a_resumed_training_leaves_out_what_was_trained_before(
     capsys: pytest.CaptureFixture[str], clock: SimpleNamespace
 ) -> None:

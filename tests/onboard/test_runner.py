@@ -17,8 +17,8 @@ from tests.onboard.policies import QUICK, lively
 from uavaou import World
 from uavaou.onboard.export import FILES, inputs_of, write_policy
 from uavaou.onboard.runner import Pilot, read_mission, read_policy
-from uavaou.planners.tuned import LocalGreedyTuned
 from uavaou.runs.policy import TrainedPolicy
+from uavaou.world.pull import PullPlan
 
 SCENARIO = QUICK.replace(slots=60, flight_time_budget_s=140.0)  # shorter than the slots: the budget binds
 
@@ -106,9 +106,10 @@ def test_it_flies_as_other_policies(settings: dict[str, Any], tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_it_is_drawn_to_devices_by_the_policy_s_plan(tmp_path: Path) -> None:
-    layout, tuned = SCENARIO.draw_layout(), LocalGreedyTuned(slots=50_000)
-    plan = tuned.plan(SCENARIO, layout).of_map(SCENARIO, layout)
-    assert (plan.weight != 1.0).any()
+    layout, rng = SCENARIO.draw_layout(), np.random.default_rng(0)
+    pairs, cds = (SCENARIO.uavs, SCENARIO.devices), SCENARIO.cds_cells
+    weight, reach = rng.uniform(0.3, 3.0, pairs) * (rng.random(pairs) < 0.7), rng.uniform(0.5, 2.0, pairs)
+    plan = PullPlan(weight, reach, rng.choice([0.1, 0.5, 0.9], pairs), cds, layout.positions)
     trained = lively(scenario=SCENARIO, views=1, plan=plan, network="set", pull=12.0, collection="auto")
     fly(trained, pilots_of(trained, tmp_path))
 

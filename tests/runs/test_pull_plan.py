@@ -11,7 +11,7 @@ import pytest
 import torch as th
 
 from uavaou import MAPPO, InputError, RunConfig, Scenario, World, evaluate, flatten, load_run, train
-from uavaou.planners.tuned import LocalGreedyTuned
+from uavaou.planners.tuned import LocalGreedyTuned, _Search
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.pull_plan import plan_of
 from uavaou.runs.start import Start
@@ -42,8 +42,25 @@ def test_the_search_ends_with_its_slots() -> None:
     layout = PAPER.draw_layout()
     one, two = (LocalGreedyTuned(slots=100_000).plan(PAPER, layout) for _ in range(2))
     np.testing.assert_array_equal(one.pull, two.pull)
+    search = _Search(PAPER, layout)
+    before = search.slots
+    search._score(16)
+    assert search.slots == before + 16 * PAPER.slots
     longer = LocalGreedyTuned(slots=3_000_000).plan(PAPER, layout)
     assert longer.mean_aou_s < one.mean_aou_s
+
+
+def test_the_search_grows_with_the_root_of_the_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def noting(slots: int) -> LocalGreedyTuned:
+        asked.append(slots)
+        return LocalGreedyTuned(slots=1)
+
+    monkeypatch.setattr("uavaou.runs.pull_plan.LocalGreedyTuned", noting)
+    for budget in (500_000, 125_000, 2_000_000):
+        plan_of(RunConfig.load("mappo", "quickstart", **SETTINGS | {"slots": budget}), RunFolder(tmp_path))
+    assert asked == [1_000_000, 500_000, 2_000_000]
 
 
 def test_planned_steps_are_the_plan_s_pull_and_a_new_policy_flies_it() -> None:
