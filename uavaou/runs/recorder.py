@@ -108,7 +108,7 @@ class Recorder(BaseCallback):
         self._callback = after_update
         self._served = False  # whether any device was, in the last validation
         self._parted = config.fork is None or progress.slots >= config.fork.slots
-        self._cpu_before = time.process_time()  # start of this process's CPU time of playing and learning
+        self._cpu_before = 0.0  # start of this process's CPU time of playing and learning
         self._cpu_s = 0.0  # of this process at the last update
         self._cpu_s_earlier = progress.cpu_s  # of the processes before it
 
@@ -146,6 +146,7 @@ class Recorder(BaseCallback):
             self._log(validated=True)
             self._note(scores)
             self._save(finished=False)
+        self._cpu_before = time.process_time()
 
     def _on_step(self) -> bool:
         check_rewards(self.locals["rewards"], self._slots, self.kept)

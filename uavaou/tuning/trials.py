@@ -348,8 +348,13 @@ def warm_up(search: Search) -> None:
 
 
 def _probe(search: Search, values: dict[str, Any], watch: AfterUpdate) -> int:
-    """Train until ``watch`` has measured the rate, and delete the training."""
-    config = search.settings(values, slots=10**12).model_copy(update={"evaluation_missions": 1})
+    """Train until ``watch`` has measured the rate, and delete the training.
+
+    What comes before a training and grows with its budget is left out, and so are its first, cheaper rollouts.
+    """
+    config = search.settings(values, slots=10**12)
+    quick = {"evaluation_missions": 1, "plan_slots": 0, "critic_rollouts": 0}
+    config = config.model_copy(update={name: quick[name] for name in quick if hasattr(config, name)})
     with tempfile.TemporaryDirectory() as place:
         try:
             train(
