@@ -31,7 +31,7 @@ def numbers_of(pull: Pull, rows: th.Tensor, devices: int) -> tuple[th.Tensor, th
     """Changes (B, 2 I) of a pull whose own numbers are no longer the first ones."""
     generator = th.Generator().manual_seed(0)
     with th.no_grad():
-        pull.numbers += th.tensor([-1.0, 0.3, -2.0])
+        pull.numbers += th.tensor([-1.0, 0.3, -2.0, -1.0])
     return rows, th.randn(len(rows), 2 * devices, generator=generator).requires_grad_()
 
 
@@ -123,9 +123,10 @@ def test_steps_and_ages_are_what_their_names_say() -> None:
             if observation == "shared":
                 np.testing.assert_array_equal(pulls[..., 0], np.where(world.in_range, 0, after[:, None]))
             assert (pulls[world.in_range][:, 0] == 0).all()
-            stay, *moved = np.moveaxis(pulls[..., 1:], -1, 0)
+            stay, *moved = np.moveaxis(pulls[..., 1:-1], -1, 0)
             assert all((np.abs(steps - stay) <= 1).all() for steps in moved)
             assert (stay == np.floor(stay)).all()
+            assert (pulls[..., -1] == (observation == "shared")).all()
 
 
 def test_the_critic_learns_first() -> None:

@@ -86,14 +86,15 @@ def test_each_world_plays_every_second_draw_and_the_first_ones_end_apart() -> No
 
 
 @pytest.mark.parametrize("collection", ["auto", "select"])
-@pytest.mark.parametrize("observation", ["local", "shared"])
+@pytest.mark.parametrize("observation", ["local", "shared", "mixed"])
 def test_a_mission_in_padded_rows_is_the_mission_alone(collection: str, observation: str) -> None:
     env = make(collection=collection, observation=observation)
     rows = env.reset().reshape(2, 2, U, -1)  # (worlds, missions, U, columns)
     worlds = []
     for n in (5, 6):
         scenario = first_scenario(n)
-        alone = make_views(scenario, observation, collection, "entities")
+        seen = ("local", "shared")[n % 2] if observation == "mixed" else observation
+        alone = make_views(scenario, seen, collection, "entities")
         worlds.append((World(scenario, 2, 2 * n), alone))
     layout, end = env.row_layout, env.local_size
     for slot in range(60):

@@ -57,7 +57,10 @@ def test_a_rollout_longer_than_the_budget_is_no_trial() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["mappo", "vdn"])
 def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
-    own = {"mappo": SMALL | {"epochs": 1}, "vdn": {"missions": 4, "slots_per_update": 8, "learning_starts": 200, "replay_slots": 2000}}
+    own = {
+        "mappo": SMALL | {"epochs": 1},
+        "vdn": {"missions": 4, "slots_per_update": 8, "learning_starts": 200, "replay_slots": 2000},
+    }
     config = load_config(algorithm, own[algorithm] | {"hidden": [16], "evaluation_missions": 2, "gamma": 0.9})
     space = SearchSpace.from_dict({"gamma": SPACE["gamma"]}, "space")
     search = Search(Scenario.load("tiny"), config, space, 1.0, None, 0, ())

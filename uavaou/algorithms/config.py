@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 FEWEST_VALIDATIONS = 5  # of a training, where its settings do not say how often
 FEWEST_MISSIONS = 8  # of a validation, where its settings do not say how many
 
-Observation = Literal["location", "part", "local", "shared"]  # of flat rows, of entities, or of both
+Observation = Literal["location", "part", "local", "shared", "mixed"]  # mixed: local and shared, of a family
 Fraction = Annotated[NonNegative, Field(le=1)]
 HiddenSizes = Annotated[tuple[Annotated[PositiveWhole, Field(le=65_536)], ...], Field(min_length=1, max_length=16)]
 
@@ -36,7 +36,7 @@ class AlgorithmConfig(BaseModel):
     processes: PositiveWhole = 1  # that step the missions
     observation: Observation = "local"
     collection: Literal["select", "auto"] = "select"
-    reward: Literal["root", "aou"] = "root"
+    reward: Literal["root", "aou", "relative"] = "root"
     evaluate_every_slots: PositiveWhole  # an evaluation on validation missions, and a checkpoint, this often
     evaluation_missions: Annotated[PositiveWhole, Field(le=10_000)] = 32
     worlds: Annotated[PositiveWhole, Field(le=1024)] = 8  # of a family's members, that are trained on side by side

@@ -12,12 +12,13 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from uavaou.envs.rewards import training_reward
+from uavaou.envs.rewards import TrainingReward
 from uavaou.envs.spaces import action_space, row_space, split_actions
 from uavaou.envs.uavaou_v0 import warn_of_no_mode
 from uavaou.family import Family
 from uavaou.scenario import Scenario
 from uavaou.world import World
+from uavaou.world.knowledge import level
 from uavaou.world.views import Rows, RowViews
 
 _SHORTEST = 0.2  # of a mission: the first missions of Worlds side by side are cut to parts from here to a whole one
@@ -35,7 +36,7 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
         self.scenario = views.scenario
         self.missions = missions
         self.views = views
-        self.reward = reward
+        self.reward = TrainingReward(reward)
         self.render_mode = render_mode
         self.metadata = {"render_modes": ["rgb_array"]}
         self.num_envs = missions * views.layout.uavs
@@ -64,7 +65,7 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
         if selections is not None:
             selections = np.ascontiguousarray(selections[:, : self.scenario.uavs, : self.scenario.devices])
         self.world.step(moves, selections)
-        rewards = np.repeat(training_reward(self.world, self.reward), layout.uavs)  # (N * U,)
+        rewards = np.repeat(self.reward(self.world), layout.uavs)  # (N * U,)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         over = self.world.done
         if over:
@@ -110,19 +111,20 @@ class BatchedDraws(BatchedMissions):
     Args:
         family: of the scenarios.
         worlds: G.
-        views_of: makes the views of a scenario, with the same row layout for each draw.
+        views_of: makes the views of a scenario and an observation, with the same row layout for each draw.
+        observation: of the draws; ``mixed`` alternates (:func:`uavaou.world.knowledge.level`).
         missions: N.
         reward, render_mode: as of :class:`BatchedMissions`.
     """
 
     def __init__(
-        self, family: Family, worlds: int, views_of: Callable[[Scenario], RowViews], missions: int, reward: str,
-        render_mode: str | None,
+        self, family: Family, worlds: int, views_of: Callable[[Scenario, str], RowViews], observation: str,
+        missions: int, reward: str, render_mode: str | None,
     ) -> None:  # fmt: skip
-        super().__init__(views_of(family.base), missions, reward, render_mode)
+        super().__init__(views_of(family.base, level(observation)), missions, reward, render_mode)
         self._family = family
         self.worlds = worlds
-        self._views_of = views_of
+        self._views_of, self._observation = views_of, observation
         self.memory: Callable[[], Rows] | None = None  # gives the memory of the next rows, all zero
         self._draw = 0
         self._draws_before = 0
@@ -145,7 +147,8 @@ class BatchedDraws(BatchedMissions):
             scenario = scenario.replace(slots=max(round(part * scenario.slots), 2))
         self._draw, self._draws_before = draw, draws_before
         self._about_end = {"TimeLimit.truncated": False, "draw": draw}
-        self.scenario, self.views = scenario, self._views_of(scenario)
+        self.scenario = scenario
+        self.views = self._views_of(scenario, level(self._observation, draw))
         self.world = World(scenario, self.missions, draw * self.missions)
 
     @property

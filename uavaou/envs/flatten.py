@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pettingzoo.utils import BaseParallelWrapper
 
 from uavaou.envs.batched import BatchedDraws, BatchedMissions
-from uavaou.envs.rewards import REWARDS, training_reward
+from uavaou.envs.rewards import REWARDS, TrainingReward
 from uavaou.envs.spaces import row_space
 from uavaou.envs.uavaou_v0 import UavAouEnv, check_render_mode
 from uavaou.envs.vec_env import Block, MissionVecEnv, WorkerProcesses
@@ -26,6 +26,7 @@ from uavaou.family import Family
 from uavaou.scenario import Scenario
 from uavaou.threads import compute_with_one_thread
 from uavaou.world.entities import make_views
+from uavaou.world.knowledge import level
 from uavaou.world.pull import PullPlan
 
 BACKENDS = ("batched", "supersuit")
@@ -58,9 +59,9 @@ def flatten(
         seed: of mission 0, or the first draw.
         processes: worker processes; must divide ``missions``, or ``worlds``.
         backend: ``batched``, or ``supersuit`` for SuperSuit's own stage, mission by mission.
-        observation: ``location``, ``local`` or ``shared``.
+        observation: ``location``, ``part``, ``local``, ``shared`` or ``mixed`` (:func:`uavaou.world.knowledge.level`).
         collection: ``select`` or ``auto``.
-        reward: the transform to train on, ``root`` or ``aou``.
+        reward: the transform to train on, ``root``, ``aou`` or ``relative``.
         render_mode: None or ``rgb_array``.
         rows: ``flat``, or ``entities`` for tokens of UAVs and devices.
         worlds: G, of a family; must divide ``missions``.
@@ -81,16 +82,18 @@ def flatten(
     for name, value, least in counts:
         if not isinstance(value, int | np.integer) or value < least:
             raise InputError(f"{name} = {value!r}: expected a whole number from {least} on")
-    views_of = partial(make_views, observation=observation, collection=collection, rows=rows, plan=plan)
-    views = views_of(base)
+    views_of = partial(make_views, collection=collection, rows=rows, plan=plan)
+    views = views_of(base, level(observation))
     draws: BatchedDraws | None = None
     stage: Any
+    if observation == "mixed" and (family is None or rows != "entities"):
+        raise InputError("observation = 'mixed': alternates between draws of a family, in rows of entities")
     if family:
         _check_family(family, backend, rows)
         _check_divides("worlds", worlds, "missions", missions)
         _check_divides("processes", processes, "worlds", worlds)
         padded = partial(views_of, most=family.most) if rows == "entities" else views_of
-        stage = draws = BatchedDraws(family, worlds, padded, missions // worlds, reward, render_mode)
+        stage = draws = BatchedDraws(family, worlds, padded, observation, missions // worlds, reward, render_mode)
         venv = _concatenated(stage, worlds, processes, worlds)
         return MissionVecEnv(venv, views, missions, seed, draws)
     _check_divides("processes", processes, "missions", missions)
@@ -139,7 +142,7 @@ class _TrainingView(BaseParallelWrapper[str, NDArray[np.float32], Any]):
 
     def __init__(self, env: UavAouEnv, reward: str) -> None:
         super().__init__(env)
-        self._base, self._reward = env, reward
+        self._base, self._reward = env, TrainingReward(reward)
         self._row_space = row_space(env.views.layout)
 
     def observation_space(self, agent: str) -> spaces.Box:
@@ -152,7 +155,7 @@ class _TrainingView(BaseParallelWrapper[str, NDArray[np.float32], Any]):
     def step(self, actions: dict[str, Any]) -> Any:
         observations, rewards, terminations, truncations, infos = self._base.step(actions)
         assert self._base.world is not None
-        reward = training_reward(self._base.world, self._reward)[0]
+        reward = self._reward(self._base.world)[0]
         for agent in rewards:
             if terminations[agent] or truncations[agent]:  # SB3 looks here; SuperSuit never writes it
                 infos[agent]["TimeLimit.truncated"] = truncations[agent] and not terminations[agent]

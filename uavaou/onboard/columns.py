@@ -72,7 +72,8 @@ _DEVICE_TOKEN = {
 _STEPS_LEFT = "steps from where the move leads to the nearest cell within this UAV's collection radius, at most 500"
 _PULL_TOKEN = {
     "age": ("slots", "age sum at the end of slot t, 0 where in_range", _RADIO),
-    **dict.fromkeys(PULL[1:], ("steps", _STEPS_LEFT, _OWN)),
+    **dict.fromkeys(PULL[1:-1], ("steps", _STEPS_LEFT, _OWN)),
+    "shared": ("1", "1: the age is the true one", _MAP),
 }
 # What takes the place of the radio link where the observation is local.
 _WITHOUT_RADIO = {
@@ -86,7 +87,7 @@ _WITHOUT_RADIO = {
     "age_over_steps": ("slots, steps", "age / (1 + r(this UAV)), age as scaled above", _OWN),
 }  # fmt: skip
 _PULL_WITHOUT_RADIO = {
-    "age": ("slots", "age sum at the end of slot t if this UAV alone collected, 0 where in_range", _OWN)
+    "age": ("slots", "age sum at the end of slot t if this UAV alone collected, 0 where in_range", _OWN),
 }
 # What the UAV sees of its own part of the map, where the observation is that alone.
 _ALONE = {

@@ -228,18 +228,19 @@ def _features(graph: _Graph, views: dict[str, str], body: SetNetwork | DualSetNe
 
 def _pull(graph: _Graph, views: dict[str, str], pull: Pull, scores: str, first: int) -> str:
     """The pull of each move (B, 8, 5) of :meth:`Pull.define`; ``first`` of the scores changes a device's score."""
-    sharpness, reach, part = (float(number) for number in pull.numbers.detach().exp())
+    sharpness, reach, part, part_shared = (float(number) for number in pull.numbers.detach().exp())
 
     def feature(tokens: str, index: int) -> str:  # (B, 8, I)
         return graph("Gather", views[tokens], np.array(index), axis=3)
 
     changes = [graph("Tanh", graph("Gather", scores, np.array(first + kind), axis=2)) for kind in range(CHANGES)]
     age = graph("Log", graph("Max", feature("pulls", PULL.index("age")), LEAST_AGE))
-    of_others = graph("Mul", graph("Sub", feature("devices", DEVICE.index("own_part")), 1.0), part)
+    part_of_device = graph("Add", graph("Mul", feature("pulls", PULL.index("shared")), part_shared - part), part)
+    of_others = graph("Mul", graph("Sub", feature("devices", DEVICE.index("own_part")), 1.0), part_of_device)
     score = graph("Add", graph("Add", age, of_others), graph("Mul", changes[0], SCORE_RANGE))
     last = np.array([-1])
     rate = graph("Unsqueeze", graph("Div", graph("Exp", graph("Neg", changes[1])), reach), last)  # (B, 8, I, 1)
-    steps = graph("Gather", views["pulls"], np.arange(1, len(PULL)), axis=3)  # (B, 8, I, 5)
+    steps = graph("Gather", views["pulls"], np.arange(1, 1 + MOVES), axis=3)  # (B, 8, I, 5)
     felt = graph("Sub", graph("Unsqueeze", score, last), graph("Mul", steps, rate))
     there = graph("Gather", views["devices"], np.array([DEVICE.index("present")]), axis=3)
     total = graph("ReduceSum", graph("Exp", graph.allowed_or_forbidden(felt, there)), np.array([2]), keepdims=0)

@@ -305,7 +305,7 @@ class Pilot:
             moved = np.where(self.on_grid(cell)[:, None], cell + STEPS, cell)  # (5, 2)
             last = self.last_in_range if self.auto and not self.shared else last
             age = np.where(in_range, 0, self.ages_before(self.slot + 1, last))
-            pulls = np.column_stack([age, self.steps[moved[:, 0], moved[:, 1]].T])
+            pulls = np.column_stack([age, self.steps[moved[:, 0], moved[:, 1]].T, ones * self.shared])
             pulls[~mine & self.alone] = 0
             tokens.append(pulls)
         return tokens

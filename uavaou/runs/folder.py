@@ -28,6 +28,7 @@ from uavaou.runs.lock import LOCK
 from uavaou.runs.released import nearest_released, released_folder, run_path
 from uavaou.scenario import Scenario
 from uavaou.world.entities import make_views
+from uavaou.world.knowledge import level
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 SCHEMA = 1
@@ -90,10 +91,9 @@ class RunConfig:
 
     def fits(self, scenario: Scenario) -> bool:
         """Whether the policy can be flown in ``scenario``: rows of the same columns, or of the same meaning."""
-        algorithm = self.algorithm
-        seen = algorithm.observation, algorithm.collection, algorithm.rows
+        seen = level(self.algorithm.observation), self.algorithm.collection, self.algorithm.rows
         own, other = (make_views(each, *seen).layout for each in (self.scenario, scenario))
-        return own.fits(other, algorithm.depends_on_sizes)
+        return own.fits(other, self.algorithm.depends_on_sizes)
 
     def check_fits(self, scenario: Scenario, name: str) -> None:
         """Refuse a ``scenario`` in which the policy called ``name`` cannot be flown.

@@ -24,7 +24,7 @@ from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.pull_plan import plan_of
 from uavaou.scenario import Scenario
 from uavaou.world import World
-from uavaou.world.knowledge import Knowledge, observed
+from uavaou.world.knowledge import Knowledge, level, observed
 from uavaou.world.pull import PullPlan
 from uavaou.world.views import MOVES, RowLayout, Rows, RowViews
 
@@ -161,8 +161,8 @@ def _fit(
     """The learner of a run for ``scenario``, with the weights of the checkpoint, and what its UAVs see there."""
     config.check_fits(scenario, str(folder))
     algorithm = config.algorithm
-    seen = {name: getattr(algorithm, name) for name in ("observation", "collection", "rows")}
-    env = flatten(scenario, missions=1, plan=plan, **seen)
+    seen, collection = level(algorithm.observation), algorithm.collection
+    env = flatten(scenario, 1, observation=seen, collection=collection, rows=algorithm.rows, plan=plan)
     env.maps_vary = config.maps_vary  # in its training
     hidden = getattr(algorithm, "hidden", ())
     if sum(a * b for a, b in pairwise(hidden)) > checkpoint.elements:  # build no networks that it cannot fill

@@ -15,6 +15,7 @@ from uavaou.scenario import Scenario
 from uavaou.statistics import geometric_mean
 from uavaou.world import MissionMetrics, World
 from uavaou.world.entities import make_views
+from uavaou.world.knowledge import level
 from uavaou.world.views import RowViews
 
 Flight = tuple[TrainedPolicy, World]
@@ -63,7 +64,8 @@ def family_score(model: BaseAlgorithm, config: RunConfig, action: str) -> float:
     most = family.most if algorithm.rows == "entities" else None
     flights: list[Flight] = []
     for mission, scenario in enumerate(_draws(family, algorithm.evaluation_missions)):
-        views = make_views(scenario, algorithm.observation, algorithm.collection, algorithm.rows, most)
+        seen = level(algorithm.observation, mission)
+        views = make_views(scenario, seen, algorithm.collection, algorithm.rows, most)
         flights.append(_flight(TrainedPolicy(model, views, action), scenario, 1, VALIDATION_SEED + mission))
     tau = [world.scenario.slot_length_s for _, world in flights]  # s
     ages = [float(played.mean_aou_s[0]) / tau[number] for number, played in enumerate(_play(flights))]  # slots

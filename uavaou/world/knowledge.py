@@ -17,4 +17,9 @@ def knowledge(policy: object) -> Knowledge:
 
 def observed(observation: str) -> Knowledge:
     """Return what a learner with this observation reads; ``part`` is ``local`` about some of the devices."""
-    return "local" if observation == "part" else cast(Knowledge, observation)
+    return "local" if observation == "part" else cast(Knowledge, level(observation))
+
+
+def level(observation: str, draw: int = 1) -> str:
+    """Return what UAVs observe in a draw of a family: with ``mixed``, ``local`` in even draws, ``shared`` in others."""
+    return ("local", "shared")[draw % 2] if observation == "mixed" else observation

@@ -4,6 +4,8 @@ The plan that is wanted is the one whose parts can be served well. So the best o
 (:mod:`uavaou.world.patrol`). What makes a plan worth that is the lengths of the tours through its parts.
 """
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
@@ -19,21 +21,31 @@ _SCREENED, _FLOWN = 1, 2  # missions that tell the best of them, and how many of
 _TRIES, _CHANGES, _OF_DEVICES = 10, 12, 8  # rounds in flight; each tries so many changes, or one for so many devices
 # Of the search on lengths of tours, chosen on layouts 1000 to 1023 of `paper`.
 REACH = 0.3  # a device is served from this share of its coverage radius, in each direction of the grid
+_LAST: WeakKeyDictionary[World, tuple[Floats, Ints, Floats]] = WeakKeyDictionary()  # the parts of each World's map
 STOP = 0.75  # slots that a device adds to a tour beside the way
 POWER = 4  # of the length of a tour in the cost: an age sum grows with its square, and long tours wait more
 
 
 def partition(world: World) -> Ints:
-    """Return the UAV whose part of the map each device belongs to, (L, I).
+    """Return the UAV whose part of the map each device belongs to, (L, I)."""
+    if world.scenario.uavs == 1:
+        return np.zeros(world.device_positions.shape[:2], dtype=np.int64)  # (L, I)
+    return parts_in_flight(world)[0]
+
+
+def parts_in_flight(world: World) -> tuple[Ints, Floats]:
+    """Return whose part each device belongs to, (L, I), and the mean age sum of all devices in flight, (L,) slots.
 
     Plans begin with k-means and some devices anywhere, and are improved by the lengths of the tours through their
     parts. The best of them are improved by flight: single devices change parts as long as the sum of the age sums
     falls that UAVs leave which serve their parts alone. A device that no UAV can cover belongs to any of them.
     """
-    scenario, uavs = world.scenario, world.scenario.uavs
+    known = _LAST.get(world)
+    if known is not None and known[0] is world.device_positions:
+        return known[1], known[2]
+    scenario = world.scenario
     owner = np.zeros(world.device_positions.shape[:2], dtype=np.int64)  # (L, I)
-    if uavs == 1:
-        return owner
+    age_sums = np.zeros(len(owner))
     headroom = world.channel.mean_snr_above() / world.channel.snr_min[:, None, :]  # (L, U, I)
     for layout, (positions, above) in enumerate(
         zip(world.device_positions / scenario.grid_step_m, headroom, strict=True)
@@ -43,14 +55,18 @@ def partition(world: World) -> Ints:
         # Rows lie one after the other in memory, always: compiled functions are compiled anew for another order.
         devices = positions[order], above[:, order].copy(order="C"), world.update_period[layout, order]
         area = patrol_area(scenario, world.flight.cds, *devices)
-        owner[layout, order] = _best_plan(area, *devices, world.flight.cds, scenario)
-    return owner
+        owner[layout, order], age_sums[layout] = _best_plan(area, *devices, world.flight.cds, scenario)
+    _LAST[world] = world.device_positions, owner, age_sums
+    return owner, age_sums
 
 
 def _best_plan(
     area: PatrolArea, positions: Floats, headroom: Floats, period: Ints, cds: Ints, scenario: Scenario
-) -> Ints:
-    """Return the plan (I,) with the least age sums in flight."""
+) -> tuple[Ints, float]:
+    """Return the plan (I,) with the least age sum in flight, and that, in slots."""
+    if scenario.uavs == 1:
+        plan = np.zeros(len(period), dtype=np.int64)
+        return plan, float(plans_age_sums(area, plan[None], len(area.draws[0]))[0])
     altitude = scenario.altitudes[:, None] / scenario.grid_step_m
     radius = altitude * np.sqrt(np.maximum(headroom - 1.0, 0.0))  # (U, I) grid steps
     covered = (radius > 0) | ~(radius > 0).any(axis=0)  # (U, I)
@@ -63,7 +79,7 @@ def _best_plan(
     best = plans[plans_age_sums(area, plans, _SCREENED).argsort(kind="stable")[:_FLOWN]]
     changes = max(_CHANGES, len(period) // _OF_DEVICES)
     sums = [improve_in_flight(area, plan, ways, covered, _TRIES, changes) for plan in best]
-    return np.array(best[np.argmin(sums)], dtype=np.int64)
+    return np.array(best[np.argmin(sums)], dtype=np.int64), min(sums)
 
 
 def _plans_to_begin_with(positions: Floats, cds: Ints, covered: Bools) -> Ints:

@@ -175,7 +175,7 @@ def write_pulls(
         layout = min(n, len(steps) - 1)
         for u in range(uavs):
             for i in range(steps.shape[3]):
-                pull = pulls[n, u, (1 + moves) * i : (1 + moves) * (i + 1)]
+                pull = pulls[n, u, (2 + moves) * i : (2 + moves) * (i + 1)]
                 if alone and not own[layout, u, i]:
                     pull[:] = 0.0
                     continue
@@ -188,3 +188,4 @@ def write_pulls(
                     pull[0] = estimated_age(slot, last_by[n, u, i], k)
                 for move in range(moves):
                     pull[1 + move] = steps[layout, u, target[cells[n, u], move], i]
+                pull[1 + moves] = shared

@@ -46,8 +46,9 @@ DEVICE = (
     "age_over_steps", "own_part",
 )  # fmt: skip
 # What the pull of a device is made of, not scaled: the age sum in slots at the end of this slot, and the grid steps to
-# where the UAV collects the device well that each move leaves (:mod:`uavaou.world.pull`).
-PULL = ("age", "steps_stay", "steps_up", "steps_down", "steps_right", "steps_left")
+# where the UAV collects the device well that each move leaves; and whether that age is the true one, which a radio link
+# tells (:mod:`uavaou.world.pull`).
+PULL = ("age", "steps_stay", "steps_up", "steps_down", "steps_right", "steps_left", "shared")
 _LOCAL_TOKENS = {"own": OWN, "teammates": TEAMMATE, "devices": DEVICE, "pulls": PULL}
 
 

@@ -21,6 +21,7 @@ from uavaou.world.views import MOVES, PULL, Rows
 _PULL = len(PULL)
 LEAST_SHARE = 1e-30  # of the largest sum, that a number in single precision still holds
 Places = tuple[int, int, int, int]
+Parts = tuple[float, float]
 
 
 def pull(rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Places) -> th.Tensor:
@@ -29,7 +30,7 @@ def pull(rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Place
     Args:
         rows: (B, columns).
         changes: (B, 2 I).
-        numbers: logarithms of beta, lambda and part, (3,).
+        numbers: logarithms of beta, lambda and both parts, (4,).
         columns: :attr:`uavaou.algorithms.nets.pull.Pull.columns`.
     """
     if th.is_grad_enabled():
@@ -51,24 +52,26 @@ class _Pull(th.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad: th.Tensor) -> tuple[th.Tensor | None, ...]:
         rows, changes, numbers = ctx.saved_tensors
-        by_changes, by_numbers = th.empty(changes.shape), np.zeros(3)
-        beta, reach, part = (float(number) for number in numbers.exp())
+        by_changes, by_numbers = th.empty(changes.shape), np.zeros(4)
+        beta, reach, *parts = numbers.exp().tolist()
         read, changed, by_pulls = (tensor.detach().contiguous().numpy() for tensor in (rows, changes, grad))
-        add_pull_gradient(read, changed, by_pulls, ctx.columns, beta, reach, part, by_changes.numpy(), by_numbers)
+        add_pull_gradient(
+            read, changed, by_pulls, ctx.columns, beta, reach, (parts[0], parts[1]), by_changes.numpy(), by_numbers
+        )
         return None, by_changes, th.from_numpy(by_numbers.astype(np.float32)), None
 
 
 def _pulled(rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Places) -> th.Tensor:
     pulls = th.empty(len(rows), MOVES)
-    beta, reach, part = (float(number) for number in numbers.detach().exp())
+    beta, reach, *parts = numbers.detach().exp().tolist()
     read, changed = (tensor.detach().contiguous().numpy() for tensor in (rows, changes))
-    write_pulls(read, changed, columns, beta, reach, part, pulls.numpy())
+    write_pulls(read, changed, columns, beta, reach, (parts[0], parts[1]), pulls.numpy())
     return pulls
 
 
 @compiled
 def _felt(
-    row: Rows, changes: Rows, columns: Places, reach: float, part: float, score: Rows, rate: Rows, felt: Rows,
+    row: Rows, changes: Rows, columns: Places, reach: float, parts: Parts, score: Rows, rate: Rows, felt: Rows,
     totals: Rows,
 ) -> None:  # fmt: skip
     """Write what each move feels of each device, (I, 5), and the sums, (5,), both in units of the largest.
@@ -85,7 +88,8 @@ def _felt(
         rate[i] = math.exp(-math.tanh(changes[devices + i])) / reach
         at = first + _PULL * i
         age = math.log(max(row[at], np.float32(LEAST_AGE)))
-        base = age + np.float32(part) * (row[own + width * i] - np.float32(1)) + np.float32(SCORE_RANGE) * score[i]
+        part = np.float32(parts[1] if row[at + 1 + MOVES] > 0.5 else parts[0])
+        base = age + part * (row[own + width * i] - np.float32(1)) + np.float32(SCORE_RANGE) * score[i]
         for move in range(MOVES):
             felt[i, move] = base - row[at + 1 + move] * rate[i]
             highest = max(highest, felt[i, move])
@@ -101,14 +105,14 @@ def _felt(
 
 @compiled
 def write_pulls(
-    rows: Rows, changes: Rows, columns: Places, beta: float, reach: float, part: float, pulls: Rows
+    rows: Rows, changes: Rows, columns: Places, beta: float, reach: float, parts: Parts, pulls: Rows
 ) -> None:
     """Write the pull of each move, (B, 5), at most 0."""
     devices = changes.shape[1] // 2
     score, rate = np.empty(devices, np.float32), np.empty(devices, np.float32)
     felt, totals = np.empty((devices, MOVES), np.float32), np.empty(MOVES, np.float32)
     for b in range(len(rows)):
-        _felt(rows[b], changes[b], columns, reach, part, score, rate, felt, totals)
+        _felt(rows[b], changes[b], columns, reach, parts, score, rate, felt, totals)
         most = totals.max()
         for move in range(MOVES):
             pulls[b, move] = beta * math.log(max(totals[move] / most, np.float32(LEAST_SHARE)))
@@ -116,16 +120,16 @@ def write_pulls(
 
 @compiled
 def add_pull_gradient(
-    rows: Rows, changes: Rows, grads: Rows, columns: Places, beta: float, reach: float, part: float, by_changes: Rows,
+    rows: Rows, changes: Rows, grads: Rows, columns: Places, beta: float, reach: float, parts: Parts, by_changes: Rows,
     by_numbers: Floats,
 ) -> None:  # fmt: skip
-    """Write the gradient by the changes, (B, 2 I), and add that by the logarithms of beta, lambda and part, (3,)."""
-    devices, (_, own, present, width) = changes.shape[1] // 2, columns
+    """Write the gradient by the changes, (B, 2 I), and add that by the logarithms of all numbers, (4,)."""
+    devices, (first, own, present, width) = changes.shape[1] // 2, columns
     score, rate = np.empty(devices, np.float32), np.empty(devices, np.float32)
     felt, totals = np.empty((devices, MOVES), np.float32), np.empty(MOVES, np.float32)
     for b in range(len(rows)):
         row = rows[b]
-        _felt(row, changes[b], columns, reach, part, score, rate, felt, totals)
+        _felt(row, changes[b], columns, reach, parts, score, rate, felt, totals)
         most = totals.max()
         for move in range(MOVES):
             if totals[move] > np.float32(LEAST_SHARE) * most:
@@ -139,10 +143,11 @@ def add_pull_gradient(
                 if totals[move] > np.float32(LEAST_SHARE) * most:
                     weight = grads[b, move] * felt[i, move] / totals[move]
                     by_score += weight
-                    by_reach += weight * row[columns[0] + _PULL * i + 1 + move]
+                    by_reach += weight * row[first + _PULL * i + 1 + move]
             by_score, by_reach = by_score * beta, by_reach * beta * rate[i]
             turned = math.tanh(changes[b, devices + i])
             by_changes[b, i] = by_score * SCORE_RANGE * (1 - score[i] * score[i])
             by_changes[b, devices + i] = by_reach * (1 - turned * turned)
             by_numbers[1] += by_reach
-            by_numbers[2] += by_score * (row[own + width * i] - 1) * part
+            which = 1 if row[first + _PULL * i + 1 + MOVES] > 0.5 else 0
+            by_numbers[2 + which] += by_score * (row[own + width * i] - 1) * parts[which]

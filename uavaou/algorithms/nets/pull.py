@@ -37,17 +37,18 @@ class Pull(nn.Module):
     Args:
         layout: of rows of entities.
         sharpness: beta at first; learned.
-        part: of the score, by how much a device of another UAV's part pulls less; learned.
+        part: of the score, by how much a device of another UAV's part pulls less, where the UAV has to guess its age,
+            and where it is told; learned.
 
     Attributes:
         columns: first column of the pulls, of the flags of own parts and of those of presence, and the way to the next.
     """
 
-    def __init__(self, layout: RowLayout, sharpness: float, part: float = 40.0) -> None:
+    def __init__(self, layout: RowLayout, sharpness: float, part: tuple[float, float] = (40.0, 6.0)) -> None:
         super().__init__()
         own, present = (layout.token_feature("devices", name) for name in ("own_part", "present"))
         self.columns = layout.token_feature("pulls", PULL[0]).start, own.start, present.start, own.step
-        self.numbers = nn.Parameter(th.tensor([sharpness, 1.0, part]).log())  # beta, lambda, part
+        self.numbers = nn.Parameter(th.tensor([sharpness, 1.0, *part]).log())  # beta, lambda, part twice
 
     def forward(self, rows: th.Tensor, changes: th.Tensor) -> th.Tensor:
         """Return the pull of each move, (B, 5), at most 0.
@@ -69,14 +70,15 @@ class Pull(nn.Module):
 
     def define(self, rows: th.Tensor, changes: th.Tensor) -> th.Tensor:
         """Return what :meth:`forward` does, by torch's operators."""
-        sharpness, reach, part = self.numbers.exp().unbind()
+        sharpness, reach, part, part_shared = self.numbers.exp().unbind()
         score_change, reach_change = changes.reshape(len(rows), CHANGES, -1).tanh().unbind(dim=1)  # (B, I) each
         devices = score_change.shape[1]
         first, own, present, width = self.columns
         pulls = rows[:, first : first + devices * len(PULL)].reshape(len(rows), devices, len(PULL))
         own, there = (rows[:, at : at + devices * width : width] for at in (own, present))  # (B, I) each
+        part = th.where(pulls[..., -1] > 0.5, part_shared, part)  # (B, I)
         score = pulls[..., 0].clamp_min(LEAST_AGE).log() + part * (own - 1) + SCORE_RANGE * score_change
-        felt = score[..., None] - pulls[..., 1:] / (reach * reach_change.exp())[..., None]  # (B, I, 5)
+        felt = score[..., None] - pulls[..., 1:-1] / (reach * reach_change.exp())[..., None]  # (B, I, 5)
         felt = felt.masked_fill(there[..., None] < 0.5, -th.inf)
         background = felt.new_full((len(rows), 1, MOVES), math.log(BACKGROUND))
         total = th.cat([background, felt], dim=1).logsumexp(dim=1)  # (B, 5)
