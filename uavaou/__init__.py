@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from uavaou.runs.comparison import evaluate as evaluate
     from uavaou.runs.folder import RunConfig as RunConfig
     from uavaou.runs.policy import load_run as load_run
+    from uavaou.runs.rehearsal import rehearse as rehearse
     from uavaou.runs.train import train as train
     from uavaou.scenario import Scenario as Scenario
     from uavaou.studies.results import read_study as read_study
@@ -49,6 +50,7 @@ _HOMES = {
     "train": "uavaou.runs.train",
     "load_run": "uavaou.runs.policy",
     "evaluate": "uavaou.runs.comparison",
+    "rehearse": "uavaou.runs.rehearsal",
     "read_study": "uavaou.studies.results",
 }
 __all__ = [*_HOMES, "uavaou_v0"]

@@ -17,6 +17,7 @@ from uavaou_cli.options import (
     RUNS,
     Changes,
     Episodes,
+    Knows,
     Quiet,
     Seed,
     choice,
@@ -62,6 +63,7 @@ def evaluate(
     ] = None,
     suite: Annotated[str | None, option("Play every point of a suite; see docs/suites.md.")] = None,
     time_limit: Annotated[float | None, seconds("Time limit of planners that plan ahead, in seconds.")] = None,
+    knows: Knows = "everything",
     json: Annotated[Path | None, option("Write the metrics of every mission as JSON.", "FILE")] = None,
     out: Annotated[Path | None, option("Write the table of a suite.", "FILE.csv")] = None,
     set_: Changes = None,
@@ -81,20 +83,24 @@ def evaluate(
     planners = [name for name in dict.fromkeys(policy or []) if name not in released]
     if suite is None and out is not None:
         raise InputError("--out writes the table of a --suite; without a suite, use --json")
-    made = _make_planners(planners, folders, time_limit, suite)  # a misspelled one fails before torch is imported
+    made = _make_planners(
+        planners, folders, time_limit, suite, knows
+    )  # a misspelled one fails before torch is imported
     from uavaou.runs.comparison import common_scenario, compare, load_runs, read_runs
     from uavaou.scenario import Scenario
 
     configs = read_runs(folders)
     overrides.only_of_scenario("a trained run is evaluated as it is")
     if suite is not None:
+        if knows != "everything":
+            raise InputError(f"--knows {knows}: a suite says itself what policies know; leave out --suite or --knows")
         _evaluate_suite(suite, scenario, overrides, configs, made, episodes, seed, action, out, json, quiet)
         return
     base = common_scenario(configs) if configs and scenario is None else Scenario.load(scenario or "paper")
     played = overrides.of_scenario(base)
     if json is not None:
         writable_file(json)
-    policies = (load_runs(configs, played, action) if configs else {}) | made
+    policies = (load_runs(configs, played, action, knows) if configs else {}) | made
     with EvaluationDisplay(quiet, list(policies), episodes * played.slots) as display:
         comparison = compare(policies, played, episodes, seed, display)
     try:
@@ -108,10 +114,11 @@ def evaluate(
 
 
 def _make_planners(
-    names: list[str], folders: list[str], limit_s: float | None, suite: str | None
+    names: list[str], folders: list[str], limit_s: float | None, suite: str | None, knows: str
 ) -> dict[str, Planner]:
     """The planners of the command, after a check of all names that it gives."""
-    from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner
+    from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner, planner_knowledge
+    from uavaou.world.knowledge import check_within
 
     if not folders and not names and suite is None:
         raise InputError(f"nothing to evaluate: give run folders, or --policy with one of {', '.join(PLANNERS)}")
@@ -123,7 +130,10 @@ def _make_planners(
             raise InputError(f"'{name}' is both a run folder and a planner here: write ./{name} for the folder")
     if limit_s is not None and not any(name in PLAN_AHEAD for name in names):
         raise InputError(f"--time-limit {limit_s:g}: needs a --policy that plans ahead: {', '.join(PLAN_AHEAD)}")
-    return {name: make_planner(name, limit_s if name in PLAN_AHEAD else None) for name in names}
+    planners = {name: make_planner(name, limit_s if name in PLAN_AHEAD else None) for name in names}
+    for name in names:
+        check_within(name, planner_knowledge(name), knows)
+    return planners
 
 
 def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> list[str]:

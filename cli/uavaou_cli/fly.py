@@ -1,47 +1,63 @@
-"""``uavaou fly``: one mission at once, beside a reference, with its map."""
+"""``uavaou fly``: rehearse a scenario, and fly one mission with the best policy found, with its map."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED
+from uavaou.files import write_json
 from uavaou_cli.evaluate import evaluation_lines
 from uavaou_cli.options import (
     Changes,
+    Knows,
     Quiet,
     ScenarioName,
     ScenarioOption,
     needed_scenario,
     number,
     option,
+    seconds,
+    writable_file,
     writable_folder,
 )
 from uavaou_cli.overrides import parse_overrides
-from uavaou_cli.progress import RecordingDisplay
-from uavaou_cli.tables import say, show
+from uavaou_cli.progress import RecordingDisplay, RehearsalDisplay
+from uavaou_cli.tables import aligned, figure, interval_figures, paragraphs, show
 
-_DEFAULT = "any-map"
-_REFERENCES = ("best-first", "greedy")  # planners that need no time; also the default without a released policy
+if TYPE_CHECKING:
+    from uavaou.planners.base import Planner
+    from uavaou.runs.rehearsal import Rehearsal
+    from uavaou.scenario import Scenario
+
+_AUTO = "auto"
+_REFERENCES = ("best-first", "local-greedy-parts", "greedy")  # beside a policy that was named; they need no time
 
 
 def fly(
     scenario: ScenarioName = None,
     scenario_option: ScenarioOption = None,
     policy: Annotated[
-        str | None, option("A released policy, a run's folder or a planner. [default: any-map]", "NAME")
-    ] = None,
+        str,
+        option(
+            "auto: the best in rehearsal; or a released policy, a run's folder or a planner. [default: auto]", "NAME"
+        ),
+    ] = _AUTO,
+    seconds: Annotated[float, seconds("For the rehearsal; from 30 on it also trains a policy. [default: 10]")] = 10.0,
+    knows: Knows = "everything",
     seed: Annotated[int, number("Seed of the mission.", 0, LARGEST_SEED)] = EVALUATION_SEED,
+    json: Annotated[Path | None, option("Write what the rehearsal has found as JSON.", "FILE")] = None,
     out: Annotated[Path | None, option("Where the files go. [default: results/<scenario>/fly/<policy>]", "DIR")] = None,
     set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
-    """Fly one mission of a scenario, print its figures beside a reference, and draw its map.
+    """Rehearse a scenario in simulation, and fly one mission with the policy that is best there.
 
-    Writes a page that replays the mission beside the reference's in a browser, the mission as JSON, and its pictures
-    as PNG and PDF.
+    Prints how fresh each policy keeps the data, which one is served, and its mission beside that of the next best.
+    Writes a page that replays both in a browser, the mission as JSON, and its pictures as PNG and PDF.
     """
-    from uavaou.runs.comparison import compare, make_policy
+    from uavaou.runs.comparison import make_policy
     from uavaou.runs.folder import flight_folder, scenario_folder
     from uavaou.scenario import Scenario
 
@@ -49,31 +65,87 @@ def fly(
     overrides.only_of_scenario("a policy flies as it is")
     base = Scenario.load(needed_scenario(scenario, scenario_option))
     flown = overrides.of_scenario(base)
-    chosen = _default() if policy is None else policy
-    reference = next(name for name in _REFERENCES if name != chosen)
     place = Path("results") / scenario_folder(base, overrides.scenario) / "fly"
-    folder = out or place / flight_folder([chosen])
+    folder = out or place / flight_folder([policy])
     writable_folder(folder)
-    policies = {name: make_policy(name, flown) for name in (chosen, reference)}
-    with RecordingDisplay(quiet, list(policies), flown.slots) as display:
-        comparison = compare(policies, flown, 1, seed, display)
-    show(evaluation_lines(comparison, overrides.scenario))
-    if policy is None and chosen != _DEFAULT:
-        say([f"flown by {chosen}: no policy '{_DEFAULT}' comes with this version"], quiet)
+    if json is not None:
+        writable_file(json)
+    notes: list[Path] = []
+    if policy == _AUTO:
+        rehearsal = _rehearse(flown, seconds, knows, folder, quiet)
+        show(_rehearsal_lines(rehearsal))
+        first = rehearsal.candidates[:2]
+        policies = {candidate.name: candidate.policy for candidate in first}
+        if json is not None:
+            write_json(json, rehearsal.to_dict())
+            notes.append(json)
+        from uavaou.reports.mission_figures import plot_rehearsal
+
+        notes += plot_rehearsal({one.name: one.ages_over_time for one in first}, folder, "rehearsal")
+    else:
+        if json is not None:
+            raise InputError(f"--json {json}: holds what a rehearsal has found, and --policy {policy} needs none")
+        reference = next(name for name in _REFERENCES if name != policy and _may_fly(name, knows))
+        policies = {name: make_policy(name, flown, knows=knows) for name in (policy, reference)}
+    _fly(flown, policies, seed, folder, overrides.scenario, notes, quiet)
+
+
+def _may_fly(name: str, limit: str) -> bool:
+    """Whether a planner reads no more than the ``limit``."""
+    from uavaou.planners import planner_knowledge
+    from uavaou.world.knowledge import within
+
+    return within(planner_knowledge(name), limit)
+
+
+def _rehearse(scenario: Scenario, seconds: float, knows: str, folder: Path, quiet: bool) -> Rehearsal:
+    from uavaou.runs.rehearsal import rehearse
+
+    with RehearsalDisplay(quiet, seconds) as display:
+        return rehearse(scenario, seconds, knows, folder / "training", display.show)
+
+
+def _rehearsal_lines(rehearsal: Rehearsal) -> list[str]:
+    """The candidates, the best first; which one is served, and how sure that is."""
+    from uavaou.runs.comparison import beyond_training
+
+    scenario, best = rehearsal.scenario, rehearsal.served
+    minutes = scenario.slot_length_s / 60
+    rows = [
+        ("policy", "knows", "missions", "mean AoU", "interval", "mean AoU"),
+        ("", "", "", "(slots)", "95 %", "(min)"),
+    ]
+    for one in rehearsal.candidates:
+        mean = one.mean
+        rows.append((one.name, one.knows, str(len(one.ages)), *interval_figures(mean), figure(minutes * mean.value)))
+    lines = [f"rehearsal of {scenario.name}", "", *aligned(rows, left=2)]
+    texts = [
+        found for one in rehearsal.candidates if one.run is None and (found := beyond_training(one.name, scenario))
+    ]
+    if rehearsal.late:
+        texts.append(f"Too slow for the time given: {', '.join(rehearsal.late)}; --seconds gives more.")
+    lead = "" if len(rehearsal.candidates) == 1 else f" Its lead is {'clear' if rehearsal.is_clear else 'not clear'}."
+    run = "" if best.run is None else f" It was trained here, in {best.run.path}."
+    texts.append(f"Served: {best.name}, which knows {best.knows} in flight.{lead}{run}")
+    return [*lines, *paragraphs(texts), ""]
+
+
+def _fly(
+    scenario: Scenario, policies: dict[str, Planner], seed: int, folder: Path, changes: dict[str, str],
+    notes: list[Path], quiet: bool,
+) -> None:  # fmt: skip
+    """Fly a mission with each policy; print the figures, and write the files of the first."""
     from uavaou.evaluation.recorded_mission import write_mission
     from uavaou.reports.mission_figures import plot_trajectories
     from uavaou.reports.replay.page import by_label, write_replay
+    from uavaou.runs.comparison import compare
 
-    missions = display.missions(flown, seed)
-    name = f"mission-{seed}"
+    with RecordingDisplay(quiet, list(policies), scenario.slots) as display:
+        comparison = compare(policies, scenario, 1, seed, display)
+    show(evaluation_lines(comparison, changes))
+    missions = display.missions(scenario, seed)
+    name, chosen = f"mission-{seed}", missions[next(iter(policies))]
     written, page = folder / f"{name}.json", folder / f"{name}.html"
-    write_mission(written, missions[chosen])
+    write_mission(written, chosen)
     write_replay(page, by_label(missions.values()))
-    show(["", page, written, *plot_trajectories(flown, missions[chosen].recording, folder, name)])
-
-
-def _default() -> str:
-    """The released policy for every map, or without it the best planner that needs no time to plan."""
-    from uavaou.runs.released import released_names
-
-    return _DEFAULT if _DEFAULT in released_names() else _REFERENCES[0]
+    show(["", page, written, *plot_trajectories(scenario, chosen.recording, folder, name), *notes])

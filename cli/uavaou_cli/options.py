@@ -132,6 +132,13 @@ Episodes = Annotated[int, number("Missions that each policy plays.", 1, MOST_EPI
 Seed = Annotated[int, number("Mission j is seeded with N + j.", 0, LARGEST_SEED)]
 Changes = Annotated[list[str] | None, option("Change scenario.FIELD. Repeatable.", "KEY=VALUE", "--set")]
 Results = Annotated[Path, option("The folder of all results.", "DIR")]
+Knows = Annotated[
+    str,
+    choice(
+        "The most that a policy may know in flight: what its UAV measures, what all measure and tell by radio, or the "
+        "whole simulation. [default: everything]", "local", "shared", "everything",
+    ),
+]  # fmt: skip
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 
 

@@ -244,6 +244,19 @@ class RecordingDisplay(EvaluationDisplay):
         }
 
 
+class RehearsalDisplay(Display):
+    """Shows what is tried in a rehearsal of some ``seconds``, and the best mean AoU so far."""
+
+    def __init__(self, quiet: bool, seconds: float) -> None:
+        super().__init__(quiet, seconds, "")
+
+    def show(self, share: float, at_work: str, best: float | None) -> None:
+        """``at_work`` flies after a ``share`` of the time; for :func:`uavaou.rehearse`."""
+        if self.due:
+            aou = "" if best is None else f"best mean AoU {best:,.2f} slots"
+            self.advance(share * self.total, aou, at_work[:_NAME_WIDTH], rate=1.0)
+
+
 class PlanningDisplay(Display):
     """Shows the best routes so far, the bound on them, and the gap between the two."""
 

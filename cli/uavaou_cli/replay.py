@@ -11,7 +11,7 @@ import typer
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED
 from uavaou_cli.evaluate import evaluation_lines
-from uavaou_cli.options import Changes, Quiet, choice, number, option, refuse_scenarios, seconds, writable_file
+from uavaou_cli.options import Changes, Knows, Quiet, choice, number, option, refuse_scenarios, seconds, writable_file
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import Display, RecordingDisplay
 from uavaou_cli.tables import show
@@ -39,6 +39,7 @@ def replay(
         Path | None, option("The file to write. [default: results/<scenario>/replay/<policies>/mission-<seed>]", "FILE")
     ] = None,
     time_limit: Annotated[float | None, seconds("Time limit of planners that plan ahead, in seconds.")] = None,
+    knows: Knows = "everything",
     set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
@@ -67,7 +68,7 @@ def replay(
 
         check_format(form)
     missions = recorded | _fly([name for name in names if name not in recorded], flown, overrides, mission_seed,
-                               time_limit, quiet)  # fmt: skip
+                               time_limit, knows, quiet)  # fmt: skip
     _write(path, form, [missions[name] for name in names], quiet)
     print(path)
 
@@ -108,8 +109,9 @@ def _base_scenario(names: Sequence[str], scenario: str | None, recorded: dict[st
 
 
 def _fly(
-    names: Sequence[str], scenario: Scenario, overrides: Overrides, seed: int, limit_s: float | None, quiet: bool
-) -> dict[str, RecordedMission]:
+    names: Sequence[str], scenario: Scenario, overrides: Overrides, seed: int, limit_s: float | None,
+    knows: str, quiet: bool,
+) -> dict[str, RecordedMission]:  # fmt: skip
     """Fly the mission with each policy, and print the figures."""
     from uavaou.planners import PLAN_AHEAD
     from uavaou.runs.comparison import compare, make_policy
@@ -118,7 +120,8 @@ def _fly(
         raise InputError(f"--time-limit {limit_s:g}: needs a planner that plans ahead: {', '.join(PLAN_AHEAD)}")
     if not names:
         return {}
-    policies = {name: make_policy(name, scenario, limit_s if name in PLAN_AHEAD else None) for name in names}
+    limits = {name: limit_s if name in PLAN_AHEAD else None for name in names}
+    policies = {name: make_policy(name, scenario, limits[name], knows) for name in names}
     with RecordingDisplay(quiet, list(policies), scenario.slots) as display:
         comparison = compare(policies, scenario, 1, seed, display)
     show([*evaluation_lines(comparison, overrides.scenario), ""])

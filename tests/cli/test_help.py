@@ -23,9 +23,10 @@ COMMANDS = {
     "--resume --checkpoint-every --device --threads --backend --set --quiet",
     "tune": "SCENARIO --scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out "
     "--set --search --quiet",
-    "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --json --out --set --quiet",
-    "fly": "SCENARIO --scenario --policy --seed --out --set --quiet",
-    "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --set --quiet",
+    "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --knows --json --out --set "
+    "--quiet",
+    "fly": "SCENARIO --scenario --policy --seconds --knows --seed --json --out --set --quiet",
+    "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --knows --set --quiet",
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
     "gap": "SCENARIO RUN --scenario --time-limit --bound-limit --certificate --episodes --seed --set --quiet",
     "audit": "SCENARIO --scenario --set",

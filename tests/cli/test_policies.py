@@ -140,7 +140,7 @@ def test_fly_shows_a_mission_and_says_where_its_files_are(
     draw = mission_figures.plot_trajectories
     monkeypatch.setattr(mission_figures, "plot_trajectories", lambda *given: [drawn.append(given[1]), draw(*given)][1])
     (released / "mine.yaml").write_text("base: tiny\nlayout_seed: 3\n")
-    code, out, err = call(capsys, "fly mine.yaml --seed 7 --quiet")
+    code, out, err = call(capsys, "fly mine.yaml --policy any-map --seed 7 --quiet")
     assert (code, err) == (0, "")
     table, files = out.split("one mission alone gives no interval\n")
     assert all(len(line) <= WIDTH for line in table.splitlines())
@@ -175,15 +175,32 @@ def test_fly_takes_runs_and_planners(
     assert (code, "unknown policy 'gredy'; did you mean 'greedy'?" in err) == (2, True)
 
 
-def test_without_a_released_policy_fly_says_which_planner_flies(
+def test_fly_rehearses_and_serves_the_best(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+    command = "fly tiny --set scenario.layout_seed=2 --seconds 1 --knows local --json found.json"
+    code, out, err = call(capsys, f"{command} --quiet")
+    assert (code, err) == (0, "")
+    assert all(len(line) <= WIDTH for line in out.splitlines())
+    found = json.loads(Path("found.json").read_text())
+    first, second, *_ = found["candidates"]
+    assert found["served"] == first["policy"]
+    assert found["served_run"] is None
+    assert first["mean_aou_slots"] <= second["mean_aou_slots"]
+    assert {candidate["knows"] for candidate in found["candidates"]} <= {"nothing", "local"}
+    assert f"Served: {first['policy']}, which knows {first['knows']} in flight." in out
+    place = Path("results/tiny+layout_seed=2/fly/auto")
+    assert all(str(place / f"{name}.png") in out for name in ("mission-10000-map", "rehearsal"))
+    mission = read_mission(place / "mission-10000.json")
+    assert (mission.policy, mission.scenario.layout_seed) == (first["policy"], 2)
+
+
+def test_fly_needs_no_released_policy(
     capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("uavaou.runs.released.zoo_folder", lambda kind: workplace)
-    code, out, err = call(capsys, "fly tiny --set scenario.layout_seed=2")
-    assert (code, err.splitlines()[-1]) == (0, "flown by best-first: no policy 'any-map' comes with this version")
-    mission = "results/tiny+layout_seed=2/fly/best-first/mission-10000"
-    assert f"{mission}-map.png" in out
-    assert read_mission(Path(f"{mission}.json")).scenario.layout_seed == 2
+    code, out, err = call(capsys, "fly tiny --seconds 0.5 --quiet")
+    assert (code, err) == (0, "")
+    assert "local-greedy-parts" in out
+    assert "any-map" not in out
 
 
 # -- trainings that follow on another ----------------------------------------------------------------------

@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from uavaou import MAPPO, Family, InputError, Scenario, flatten, uavaou_v0
+from uavaou import MAPPO, InputError, Scenario, flatten, uavaou_v0
 from uavaou.envs import batched
 from uavaou.envs.batched import BatchedMissions
-from uavaou.envs.rewards import TrainingReward
 from uavaou.envs.spaces import split_actions
 from uavaou.envs.uavaou_v0 import UavAouEnv
-from uavaou.planners.local_greedy import LocalGreedyParts
 from uavaou.world import Views, World
 
 WAYS: list[dict[str, Any]] = [
@@ -157,30 +155,6 @@ def test_rows_are_local_then_global_and_the_global_part_is_the_environments_stat
     for u, agent in enumerate(single.agents):
         np.testing.assert_array_equal(rows[u, : env.local_size], observations[agent])
         np.testing.assert_array_equal(rows[u, env.local_size :], single.state())
-
-
-def test_named_rewards_by_hand() -> None:
-    world = World(small(), 1)
-    for _ in range(5):
-        paper = world.step(np.zeros((1, 2), dtype=np.int64), np.zeros((1, 2, 8), dtype=bool))
-    ages = world.age_sum[0] / world.scenario.slot_length_s
-    assert paper[0] == pytest.approx(-world.age_sum.sum())
-    assert TrainingReward("aou")(world)[0] == pytest.approx(-ages.sum() / 8 / 20, rel=1e-6)
-    assert TrainingReward("root")(world)[0] == pytest.approx(-np.sqrt(ages).sum() / 8 / 5, rel=1e-6)
-
-
-def test_the_relative_reward_of_the_rule_is_minus_one_on_every_map() -> None:
-    family = Family.load("any")
-    for draw in range(1003, 1007):
-        world, rule, reward = World(family.draw(draw), 8, draw), LocalGreedyParts(), TrainingReward("relative")
-        rule.reset(world, 0)
-        rewards = []
-        while not world.done:
-            world.step(*rule.act(world))
-            rewards.append(reward(world))
-        assert np.shape(rewards) == (world.scenario.slots, 8)
-        age = world.metrics().mean_aou_s.mean() / world.scenario.slot_length_s
-        assert np.mean(rewards) == pytest.approx(-min(age, 1.0), rel=0.1)  # of at least one slot
 
 
 class OneRow(gymnasium.Env[Any, Any]):

@@ -5,6 +5,7 @@ A light module, so that the command line can name the defaults in its help witho
 
 EVALUATION_SEEDS = range(10_000, 20_000)  # of the missions that results are measured on
 VALIDATION_SEEDS = range(900_000, 910_000)  # of the missions that choose a training's best checkpoint
+REHEARSAL_SEEDS = range(910_000, 920_000)  # of the missions that choose a policy to fly
 TRAINING_SEEDS = 1_000_000  # mission seeds that one training has for its own
 VALIDATION_DRAWS = range(8_000, 9_000)  # of a family, that choose the best checkpoint of a training on it
 

@@ -20,6 +20,7 @@ from uavaou.evaluation.recorded_mission import RecordedMission, Recording
 from uavaou.reports import style
 from uavaou.reports.markdown import rounded
 from uavaou.scenario import Scenario
+from uavaou.statistics import band_over_missions
 
 _DEVICE_AREA = (12.0, 75.0)  # square points, of the least and the most collected device
 _LINE_WIDTH = (0.6, 2.4)  # points, of a step flown once and of the one flown most
@@ -44,6 +45,31 @@ def plot_trajectories(scenario: Scenario, recording: Recording, out_dir: Path, n
     with style.house_style():
         paths = style.save(_map(scenario, recording), out_dir, f"{name}-map")
         return paths + style.save(_ages(scenario, recording), out_dir, f"{name}-ages")
+
+
+def plot_rehearsal(ages: Mapping[str, Floats], out_dir: Path, name: str) -> list[Path]:
+    """Draw the AoU over the mission of some policies, with the 95 % interval of the mean, as PNG and PDF.
+
+    Args:
+        ages: of each policy, the AoU in each slot of some missions, (missions, K) slots.
+        out_dir: the folder.
+        name: of the files, without an end.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    looks = style.looks(ages)
+    with style.house_style():
+        figure, axes = style.new_axes(height_in=2.4)
+        bands = {policy: band_over_missions(table) for policy, table in ages.items()}
+        for policy, band in bands.items():
+            look, slots = looks[policy], np.arange(1, len(band.value) + 1)
+            axes.fill_between(slots, band.low, band.high, color=look.colour, alpha=0.25, linewidth=0)
+            axes.plot(slots, band.value, color=look.colour, linestyle=look.dash, linewidth=1.0, label=look.label)
+        style.log_scale_if_wide(axes, np.concatenate([band.value for band in bands.values()]))
+        axes.set(xlabel="slot $t$", ylabel="AoU (slots)")
+        style.legend_below(figure, axes, "mean of the rehearsed missions; band: its 95 % interval")
+        return style.save(figure, out_dir, name)
 
 
 def _map(scenario: Scenario, recording: Recording) -> Figure:

@@ -11,7 +11,7 @@ from uavaou.errors import InputError, unknown
 from uavaou.evaluation.evaluate import Evaluation, play
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.family import Family, beyond
-from uavaou.planners import PLANNERS, make_planner
+from uavaou.planners import PLANNERS, make_planner, planner_knowledge
 from uavaou.planners.base import Planner
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.released import released_names
@@ -19,6 +19,7 @@ from uavaou.runs.results import EvaluationFile, PolicyResult, keep_evaluation, o
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.coverage import nothing_in_reach
+from uavaou.world.knowledge import check_within
 from uavaou.zoo import read_yaml_mapping
 
 _UNTRAINED = "local-greedy-parts"  # the best policy that learns nothing and needs no time before take-off
@@ -63,29 +64,35 @@ def common_scenario(runs: Mapping[str, RunConfig]) -> Scenario:
     return runs[first].scenario
 
 
-def load_runs(folders: Iterable[str], scenario: Scenario, action: str | None = None) -> dict[str, Planner]:
+def load_runs(
+    folders: Iterable[str], scenario: Scenario, action: str | None = None, knows: str = "everything"
+) -> dict[str, Planner]:
     """The best policies of runs by folder; see :func:`uavaou.runs.policy.load_run`."""
     from uavaou.runs.policy import load_run  # imports torch, which planners do without
 
-    return {name: load_run(name, scenario, action) for name in folders}
+    return {name: load_run(name, scenario, action, knows) for name in folders}
 
 
-def make_policy(name: RunFolder | Path | str, scenario: Scenario, time_limit_s: float | None = None) -> Planner:
+def make_policy(
+    name: RunFolder | Path | str, scenario: Scenario, time_limit_s: float | None = None, knows: str = "everything"
+) -> Planner:
     """The planner, released policy or run of that name, to act in ``scenario``.
 
     Args:
         name: of a planner (:func:`uavaou.planners.make_planner`), of a released policy, or the path of a run's folder.
         scenario: which a trained policy must fit.
         time_limit_s: of planners that plan before take-off.
+        knows: the most that it may read in flight.
 
     Raises:
-        InputError: there is none of that name, or the policy does not fit the scenario.
+        InputError: there is none of that name, it does not fit the scenario, or it needs to know more.
     """
     if isinstance(name, str) and is_planner(name):
+        check_within(name, planner_knowledge(name), knows)
         return make_planner(name, time_limit_s)
     from uavaou.runs.policy import load_run  # imports torch, which planners do without
 
-    return load_run(name, scenario)
+    return load_run(name, scenario, knows=knows)
 
 
 def is_planner(name: str) -> bool:
@@ -149,6 +156,15 @@ def trained_on(folder: RunFolder) -> list[Family]:
     return [] if family is None else [family]
 
 
+def beyond_training(name: str, scenario: Scenario) -> str:
+    """A sentence on how a scenario is unlike the families that a policy has met in training; empty where it is not."""
+    families = [] if name in PLANNERS else trained_on(RunFolder.at(name))
+    outside = beyond(families, scenario) if families else []
+    if not outside:
+        return ""
+    return f"'{name}' flies beyond what it was trained on: {scenario.name} has {', '.join(outside)}."
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Policies on the same missions, by name: that of a run is its folder."""
@@ -191,14 +207,10 @@ class Comparison:
         scenario, means = self.scenario, {name: result.mean_aou_s for name, result in self.results.items()}
         found = []
         for name in means:
-            families = [] if name in PLANNERS else trained_on(RunFolder.at(name))
-            if families and (outside := beyond(families, scenario)):
+            if outside := beyond_training(name, scenario):
                 fresher = sorted((other for other in means if means[other] < means[name]), key=lambda one: means[one])
                 advice = f"fresher here: --policy {fresher[0]}" if fresher else f"compare it with --policy {_UNTRAINED}"
-                found.append(
-                    f"'{name}' flies beyond what it was trained on: {scenario.name} has {', '.join(outside)}. "
-                    f"What it reaches elsewhere says nothing of this map; {advice}."
-                )
+                found.append(f"{outside} What it reaches elsewhere says nothing of this map; {advice}.")
         unserving = [name for name, result in self.results.items() if not result.values("devices_served").any()]
         if unserving and nothing_in_reach(scenario):
             found.append(f"No device can be collected from anywhere: {_AUDIT}.")

@@ -24,7 +24,7 @@ from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.pull_plan import plan_of
 from uavaou.scenario import Scenario
 from uavaou.world import World
-from uavaou.world.knowledge import Knowledge, level, observed
+from uavaou.world.knowledge import Knowledge, check_within, level, observed
 from uavaou.world.pull import PullPlan
 from uavaou.world.views import MOVES, RowLayout, Rows, RowViews
 
@@ -129,7 +129,10 @@ def _draw(probabilities: th.Tensor, uniforms: th.Tensor) -> th.Tensor:
 
 
 def load_run(
-    path: RunFolder | Path | str, scenario: Scenario | Path | str | None = None, action: str | None = None
+    path: RunFolder | Path | str,
+    scenario: Scenario | Path | str | None = None,
+    action: str | None = None,
+    knows: str = "everything",
 ) -> TrainedPolicy:
     """Load the best policy of a run. It flies every scenario that it fits, and refuses others at ``reset``.
 
@@ -138,9 +141,11 @@ def load_run(
         scenario: to be fitted to at once, so that a misfit is refused here: a name, the path of a YAML file, or the
             scenario itself; None for the one trained on.
         action: ``greedy`` or ``sample``; None for the one that the best checkpoint was chosen by.
+        knows: the most that it may read in flight. One that was trained on ``mixed`` observations flies by ``local`` or
+            ``shared`` ones.
 
     Raises:
-        InputError: the folder is no run, holds no checkpoint, or was trained on another shape.
+        InputError: the folder is no run, holds no checkpoint, was trained on another shape, or needs to know more.
 
     >>> from uavaou import evaluate, load_run
     >>> policy = load_run("first-run")
@@ -150,19 +155,21 @@ def load_run(
     folder = RunFolder.at(path)
     config = folder.read_config()
     checkpoint, progress = open_policy(folder)  # opened once: a training at work may put another in its place
-    fit = partial(_fit, folder, config, checkpoint, plan_of(config, folder))
+    trained_with = config.algorithm.observation
+    seen = "local" if (trained_with, knows) == ("mixed", "local") else level(trained_with)
+    check_within(str(path), observed(seen), knows)
+    fit = partial(_fit, folder, config, checkpoint, plan_of(config, folder), seen)
     model, views = fit(config.scenario if scenario is None else Scenario.load(scenario))
     return TrainedPolicy(model, views, action or progress.best_action, checkpoint.digest(POLICY), fit)
 
 
 def _fit(
-    folder: RunFolder, config: RunConfig, checkpoint: ArrayFile, plan: PullPlan | None, scenario: Scenario
+    folder: RunFolder, config: RunConfig, checkpoint: ArrayFile, plan: PullPlan | None, seen: str, scenario: Scenario
 ) -> tuple[BaseAlgorithm, RowViews]:
     """The learner of a run for ``scenario``, with the weights of the checkpoint, and what its UAVs see there."""
     config.check_fits(scenario, str(folder))
     algorithm = config.algorithm
-    seen, collection = level(algorithm.observation), algorithm.collection
-    env = flatten(scenario, 1, observation=seen, collection=collection, rows=algorithm.rows, plan=plan)
+    env = flatten(scenario, 1, observation=seen, collection=algorithm.collection, rows=algorithm.rows, plan=plan)
     env.maps_vary = config.maps_vary  # in its training
     hidden = getattr(algorithm, "hidden", ())
     if sum(a * b for a, b in pairwise(hidden)) > checkpoint.elements:  # build no networks that it cannot fill

@@ -4,15 +4,36 @@ Only ``everything`` goes beyond what a fleet could have on board: it is the Worl
 present channel of every UAV. What is used before take-off does not count: a plan may be made of the whole map.
 """
 
-from typing import Literal, cast
+from typing import Literal, cast, get_args
+
+from uavaou.errors import InputError, unknown
 
 Knowledge = Literal["nothing", "location", "local", "shared", "everything"]
+LEVELS: tuple[Knowledge, ...] = get_args(Knowledge)  # each holds those before it
+LIMITS: tuple[Knowledge, ...] = ("local", "shared", "everything")  # that a user may set
 
 
 def knowledge(policy: object) -> Knowledge:
     """Return what a policy, or a class of policies, reads; one without an attribute ``knows`` may read everything."""
     known: Knowledge = getattr(policy, "knows", "everything")
     return known
+
+
+def within(known: Knowledge, limit: str) -> bool:
+    """Whether a policy that reads ``known`` reads no more than the ``limit``, which is one of ``LIMITS``."""
+    return known in LEVELS[: LEVELS.index(limit) + 1]
+
+
+def check_within(name: str, known: Knowledge, limit: str) -> None:
+    """Refuse the policy called ``name`` that reads more than the ``limit``.
+
+    Raises:
+        InputError: it does, or there is no such limit.
+    """
+    if limit not in LIMITS:
+        raise unknown("knows", limit, LIMITS)
+    if not within(known, limit):
+        raise InputError(f"'{name}' knows {known} in flight, which --knows {limit} does not allow")
 
 
 def observed(observation: str) -> Knowledge:
