@@ -14,7 +14,7 @@ import pytest
 from tests.documents import ROOT
 
 CELLS = json.loads((ROOT / "examples" / "tour.ipynb").read_text(encoding="utf-8"))["cells"]
-PROMISE = "After {slots:,} slots the training is ahead of the planner `best-first`, which knows everything. `any-map`"
+PROMISE = "After {slots:,} slots the training is ahead of `any-map`, which hears the other UAVs, and of the planner"
 NAMES = {"mappo": r"seed-0", "any-map": "any-map", "best-first": "best-first"}  # in the results, and in the table
 
 
@@ -41,13 +41,15 @@ def test_the_tour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
             exec(compile(source, "tour.ipynb", "exec"), names)
             out, shown = capsys.readouterr().out, printed(cell)
             trained = trained or "train" in source
-            assert trained or words(out) == words(shown)
+            rehearsed = "Served: " in shown  # what is served depends on the machine's speed
+            assert ("Served: " in out) == rehearsed
+            assert trained or rehearsed or words(out) == words(shown)
             assert ("0 errors" in out) == ("audit" in source)
     assert all((tmp_path / "tour" / name).is_file() for name in ("mission.html", "drone/policy.onnx"))
     results = json.loads((names["run"] / "eval" / "default.json").read_text(encoding="utf-8"))["policies"]
     assert len(results["mappo"]["mean_aou_s"]) == names["EPISODES"]
     own, any_map, planner = (fmean(results[name]["mean_aou_s"]) for name in NAMES)
-    assert any_map < own < planner
+    assert own < any_map < planner
 
 
 def test_its_text_is_true_of_what_it_shows() -> None:
@@ -57,4 +59,4 @@ def test_its_text_is_true_of_what_it_shows() -> None:
     own, any_map, planner = (
         float(re.findall(rf"{name}\s+(?:[a-z]+|-)\s+([\d.,]+)", table)[0].replace(",", "")) for name in NAMES.values()
     )
-    assert any_map < own < planner
+    assert own < any_map < planner

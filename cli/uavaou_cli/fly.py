@@ -55,7 +55,8 @@ def fly(
     """Rehearse a scenario in simulation, and fly one mission with the policy that is best there.
 
     Prints how fresh each policy keeps the data, which one is served, and its mission beside that of the next best.
-    Writes a page that replays both in a browser, the mission as JSON, and its pictures as PNG and PDF.
+    Writes a page that replays both in a browser, the mission as JSON, and its pictures. `uavaou plot trajectories` also
+    draws PDFs.
     """
     from uavaou.runs.comparison import make_policy
     from uavaou.runs.folder import flight_folder, scenario_folder
@@ -148,4 +149,4 @@ def _fly(
     written, page = folder / f"{name}.json", folder / f"{name}.html"
     write_mission(written, chosen)
     write_replay(page, by_label(missions.values()))
-    show(["", page, written, *plot_trajectories(scenario, chosen.recording, folder, name), *notes])
+    show(["", page, written, *plot_trajectories(scenario, chosen.recording, folder, name, quick=True), *notes])

@@ -147,7 +147,7 @@ def test_fly_shows_a_mission_and_says_where_its_files_are(
     names = [line.split()[0] for line in table.splitlines()[-6:-2]]
     assert names == ["any-map", "local", "best-first", "everything"]
     written = [Path(line) for line in files.split()]
-    assert [path.suffix for path in written] == [".html", ".json", ".png", ".pdf", ".png", ".pdf"]
+    assert [path.suffix for path in written] == [".html", ".json", ".png", ".png"]
     place = Path("results") / scenario_folder(Scenario.load("mine.yaml")) / "fly" / "any-map"
     assert all(path.parent == place and path.stat().st_size > 500 for path in written)
     assert all(f'"name":"{name}"' in written[0].read_text() for name in ("any-map", "best-first"))

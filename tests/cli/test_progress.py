@@ -65,6 +65,7 @@ def test_a_bar_that_was_taken_away_comes_again(
     display = TrainingDisplay(slot_length_s=2.0)
     display.plan(PlanningStatus(0.25, 24.0))
     searching = display._bar
+    assert searching is not None
     display.close()
     display.start(total=1000, done=0, uavs=3)
     assert display._bar not in (searching, None)

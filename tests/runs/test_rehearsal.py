@@ -23,11 +23,13 @@ FAMILY = Family.from_dict({"name": "few", "base": TINY.to_dict(), "uavs": {"low"
 def test_its_missions_are_its_own() -> None:
     others = (EVALUATION_SEEDS, VALIDATION_SEEDS, training_seeds(0))
     assert not any(set(REHEARSAL_SEEDS) & set(seeds) for seeds in others)
-    found = rehearse(TINY, seconds=0.01)
+    scenario = Scenario.load("quickstart")
+    found = rehearse(scenario, seconds=0.01)
     assert [candidate.name for candidate in found.candidates] == ["local-greedy-parts"]
     assert {"best-first", "any-map"} <= set(found.late)
-    own = evaluate("local-greedy-parts", TINY, len(found.served.ages), REHEARSAL_SEEDS.start)
-    np.testing.assert_array_equal(found.served.ages, own.values("mean_aou_s") / TINY.slot_length_s)
+    own = evaluate("local-greedy-parts", scenario, len(found.served.ages), REHEARSAL_SEEDS.start)
+    np.testing.assert_array_equal(found.served.ages, own.values("mean_aou_s") / scenario.slot_length_s)
+    assert len(set(found.served.ages)) > 1
     assert found.is_clear
 
 

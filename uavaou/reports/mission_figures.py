@@ -31,8 +31,10 @@ _PANELS_A_ROW = 3
 _MOST_PANELS = 12
 
 
-def plot_trajectories(scenario: Scenario, recording: Recording, out_dir: Path, name: str) -> list[Path]:
-    """Draw a mission's map (``<name>-map``) and its ages (``<name>-ages``), each as PNG and PDF.
+def plot_trajectories(
+    scenario: Scenario, recording: Recording, out_dir: Path, name: str, quick: bool = False
+) -> list[Path]:
+    """Draw a mission's map (``<name>-map``) and its ages (``<name>-ages``), each as PNG and, unless ``quick``, PDF.
 
     The map shows every step flown, wider where it was flown more often. Each UAV is drawn beside the cell's middle, so
     that shared ways stay legible. Cells are shaded by the slots spent there. Devices are coloured by mean age and
@@ -43,12 +45,12 @@ def plot_trajectories(scenario: Scenario, recording: Recording, out_dir: Path, n
         InputError: the folder cannot be written.
     """
     with style.house_style():
-        paths = style.save(_map(scenario, recording), out_dir, f"{name}-map")
-        return paths + style.save(_ages(scenario, recording), out_dir, f"{name}-ages")
+        paths = style.save(_map(scenario, recording), out_dir, f"{name}-map", quick)
+        return paths + style.save(_ages(scenario, recording), out_dir, f"{name}-ages", quick)
 
 
 def plot_rehearsal(ages: Mapping[str, Floats], out_dir: Path, name: str) -> list[Path]:
-    """Draw the AoU over the mission of some policies, with the 95 % interval of the mean, as PNG and PDF.
+    """Draw the AoU over the mission of some policies, with the 95 % interval of the mean, as PNG.
 
     Args:
         ages: of each policy, the AoU in each slot of some missions, (missions, K) slots.
@@ -69,7 +71,7 @@ def plot_rehearsal(ages: Mapping[str, Floats], out_dir: Path, name: str) -> list
         style.log_scale_if_wide(axes, np.concatenate([band.value for band in bands.values()]))
         axes.set(xlabel="slot $t$", ylabel="AoU (slots)")
         style.legend_below(figure, axes, "mean of the rehearsed missions; band: its 95 % interval")
-        return style.save(figure, out_dir, name)
+        return style.save(figure, out_dir, name, quick=True)
 
 
 def _map(scenario: Scenario, recording: Recording) -> Figure:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from uavaou.runs.recorder import TrainingStatus
 
 _AT_ONCE = ("local-greedy-parts", "best-first")  # planners that need no time before take-off
-_AHEAD = {"local-greedy-tuned": 0.4, "anneal": 0.2}  # shares of the time
+_AHEAD = {"local-greedy-tuned": 0.35, "anneal": 0.15}  # shares of the time
 _TRAINS_FROM_S, _TRAINING = 30.0, 0.4  # with so much time there is a training, which has this share of it
 _RATE = 150_000.0  # devices that a learner's UAVs look at in a second, at least
 _CHECKS = 4  # of the policy in training
@@ -220,6 +220,7 @@ class _Rehearsal:
         with suppress(InputError):  # it needs to know more, or cannot plan for such a scenario
             check_within(name, planner_knowledge(name), self.knows)
             if limit_s <= 0:
+                self._late.append(name)
                 return
             planner: Any = make_planner(name, limit_s)
             layout = self.scenario.draw_layout()
