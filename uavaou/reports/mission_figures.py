@@ -18,6 +18,7 @@ from uavaou.arrays import Floats, Ints
 from uavaou.envs import map as maps
 from uavaou.evaluation.recorded_mission import RecordedMission, Recording
 from uavaou.reports import style
+from uavaou.reports.drawing import Line, Measure, measure_figure
 from uavaou.reports.markdown import rounded
 from uavaou.scenario import Scenario
 from uavaou.statistics import band_over_missions
@@ -29,6 +30,7 @@ _LEGEND_COLUMNS = 4
 _ROUTES = "square: CDS of the UAV; line: route, wider where flown more often"
 _PANELS_A_ROW = 3
 _MOST_PANELS = 12
+_PARTS = 40  # of a mission, that a line has a point for
 
 
 def plot_trajectories(
@@ -61,17 +63,20 @@ def plot_rehearsal(ages: Mapping[str, Floats], out_dir: Path, name: str) -> list
         InputError: the folder cannot be written.
     """
     looks = style.looks(ages)
+    lines = {policy: _in_parts(table) for policy, table in ages.items()}
     with style.house_style():
-        figure, axes = style.new_axes(height_in=2.4)
-        bands = {policy: band_over_missions(table) for policy, table in ages.items()}
-        for policy, band in bands.items():
-            look, slots = looks[policy], np.arange(1, len(band.value) + 1)
-            axes.fill_between(slots, band.low, band.high, color=look.colour, alpha=0.25, linewidth=0)
-            axes.plot(slots, band.value, color=look.colour, linestyle=look.dash, linewidth=1.0, label=look.label)
-        style.log_scale_if_wide(axes, np.concatenate([band.value for band in bands.values()]))
-        axes.set(xlabel="slot $t$", ylabel="AoU (slots)")
-        style.legend_below(figure, axes, "mean of the rehearsed missions; band: its 95 % interval")
+        never_0 = all((line.y.value > 0).all() for line in lines.values())
+        figure, axes = measure_figure(lines, {}, looks, Measure("", "AoU (slots)", log=never_0), 0)
+        axes.set_xlabel("slot $t$")
+        style.legend_below(figure, axes, "mean of some slots in the rehearsed missions; band: its 95 % interval")
         return style.save(figure, out_dir, name, quick=True)
+
+
+def _in_parts(ages: Floats) -> Line:
+    """The mean of each part of the mission, with its interval, from the AoU in each slot, (missions, K) slots."""
+    parts = np.array_split(np.arange(ages.shape[1]), min(_PARTS, ages.shape[1]))
+    means = np.stack([ages[:, part].mean(axis=1) for part in parts], axis=1)  # (missions, P)
+    return Line(np.array([part.mean() + 1 for part in parts]), band_over_missions(means))
 
 
 def _map(scenario: Scenario, recording: Recording) -> Figure:
