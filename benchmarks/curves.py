@@ -1,7 +1,8 @@
-"""How long until a training is good, ``python -m benchmarks.curves [SECONDS]``: both collections, one core and two.
+"""How long until a policy is good, from the start of the process: ``python -m benchmarks.curves [SECONDS]``.
 
-Writes results/benchmarks/curves.csv and a picture of it. Each training has the machine to itself, a thread a core, and
-is stopped after SECONDS (240) of wall-clock.
+Side by side, on `paper`: `uavaou train` as it stands, the paper's flat network, and the stock pipeline, which is SB3's
+own PPO on SuperSuit's own stage. Writes results/benchmarks/curves.csv, levels.csv and a picture. Each training has the
+machine to itself, and is stopped after SECONDS (240) of wall-clock.
 """
 
 from __future__ import annotations
@@ -10,46 +11,62 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
 
 from uavaou import evaluate
 from uavaou.csv_tables import read_csv, write_csv
-from uavaou.envs.map import BLACK, BLUE, ORANGE
+from uavaou.envs.map import BLACK, BLUE, GREEN, ORANGE
 from uavaou.reports import style
 from uavaou.scenario import Scenario
 
 SCENARIO = "paper"
-EVERY_SLOTS = 50_000
-COLUMNS = ("collection", "cores", "slots", "wall_s", "mean_aou_slots", "sampled_aou_slots")
-Row = tuple[str, int, int, float, float, float]
+STOCK = "SB3's PPO on SuperSuit's stage"
+CONTESTANTS: dict[str, list[str]] = {
+    "mappo": ["train"],
+    "mappo-paper": ["train", "--algorithm", "mappo-paper"],
+    STOCK: [
+        "--plugin", "examples/plain_ppo.py", "train", "--algorithm", "plain-ppo", "--backend", "supersuit",
+        "--set", "algorithm.collection=select", "--slots", "3000000",
+    ],
+}  # fmt: skip
+EVERY_SLOTS = {"mappo": 50_000, "mappo-paper": 50_000, STOCK: 10_000}
+LEVELS = (100.0, 60.0, 50.0, 45.0, 40.0, 38.5, 37.0, 36.3)  # mean AoU, slots
+LOOKS = {"mappo": (BLUE, "-"), "mappo-paper": (ORANGE, "--"), STOCK: (GREEN, "-.")}
+Row = tuple[str, int, float, float, float]
 
 
-def trained(collection: str, cores: int, seconds: float, place: Path) -> Path:
-    """Train for some seconds; returns progress.csv."""
-    settings = [f"algorithm.evaluate_every_slots={EVERY_SLOTS}", f"algorithm.collection={collection}"]
-    command = [sys.executable, "-c", "import sys; from uavaou_cli.main import main; sys.exit(main())", "train"]
-    command += ["--scenario", SCENARIO, "--quiet", "--out", str(place), "--threads", str(cores)]
-    for setting in settings:
-        command += ["--set", setting]
+def trained(name: str, seconds: float, place: Path) -> list[Row]:
+    """Train for some seconds; returns the evaluations: slots, seconds since the process began, and ages in slots."""
+    command = [
+        sys.executable,
+        "-m",
+        "uavaou",
+        *CONTESTANTS[name],
+        "--scenario",
+        SCENARIO,
+        "--quiet",
+        "--out",
+        str(place),
+    ]
+    command += ["--set", f"algorithm.evaluate_every_slots={EVERY_SLOTS[name]}"]
+    began = time.time()
     process = subprocess.Popen(command)
     try:
         process.wait(seconds)
     except subprocess.TimeoutExpired:
         process.send_signal(signal.SIGTERM)
         process.wait()
-    return next(place.glob("*/*/seed-0/progress.csv"))
-
-
-def points(collection: str, cores: int, progress: Path) -> list[Row]:
-    """The evaluations of a training; ages in slots."""
+    folder = next(place.glob("*/*/seed-0"))
+    before = (folder / "config.yaml").stat().st_mtime - began  # what comes before the training's own clock
+    table = read_csv(folder / "progress.csv")
     tau = Scenario.load(SCENARIO).slot_length_s
-    table = read_csv(progress)
     rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     return [
         (
-            collection, cores, int(row["time/slots"]), float(row["time/wall_s"]),
+            name, int(row["time/slots"]), before + float(row["time/wall_s"]),
             float(row["evaluation/mean_aou_greedy_s"]) / tau, float(row["evaluation/mean_aou_sample_s"]) / tau,
         )
         for row in rows
@@ -57,27 +74,36 @@ def points(collection: str, cores: int, progress: Path) -> list[Row]:
     ]  # fmt: skip
 
 
+def times(rows: list[Row]) -> list[tuple[str, float, float | None]]:
+    """For each contestant and level the seconds until a policy is there that is as good, None for never."""
+    found = []
+    for name in dict.fromkeys(row[0] for row in rows):
+        own = [(wall_s, min(ages)) for of, _, wall_s, *ages in rows if of == name]
+        for level in LEVELS:
+            found.append((name, level, next((wall_s for wall_s, age in own if age <= level), None)))
+    return found
+
+
 def write(rows: list[Row], folder: Path) -> None:
-    """``curves.csv``."""
-    write_csv(folder / "curves.csv", COLUMNS, rows)
+    """``curves.csv`` and ``levels.csv``."""
+    write_csv(folder / "curves.csv", ("name", "slots", "wall_s", "mean_aou_slots", "sampled_aou_slots"), rows)
+    write_csv(folder / "levels.csv", ("name", "mean_aou_slots", "wall_s"), times(rows))
 
 
 def draw(rows: list[Row], folder: Path) -> None:
-    """``curves.png`` and ``.pdf``: AoU on the validation missions against wall-clock, beside `greedy`."""
-    scenario = Scenario.load(SCENARIO)
-    greedy = evaluate("greedy", scenario).mean_aou_s / scenario.slot_length_s
-    looks = {"select": BLUE, "auto": ORANGE}  # which differ in grey too
+    """``curves.png`` and ``.pdf``: AoU on the validation missions against wall-clock, beside planners."""
+    planners = {name: evaluate(name, SCENARIO).mean_aou_slots for name in ("best-first", "local-greedy-parts")}
     with style.house_style():
         figure, axes = style.new_axes(3.0)
-        for collection, cores in dict.fromkeys(row[:2] for row in rows):
-            own = np.array([row[3:5] for row in rows if row[:2] == (collection, cores)])  # (n, 2)
-            label = f"{collection}, {cores} core{'s' if cores > 1 else ''}"
-            axes.plot(*own.T, "-" if cores > 1 else "--", color=looks[collection], label=label)
-        axes.axhline(greedy, color=BLACK, linewidth=0.8, linestyle=":", label="greedy, and half of it")
-        axes.axhline(greedy / 2, color=BLACK, linewidth=0.8, linestyle=":")
-        axes.set(yscale="log", ylim=(30, 1000), xlim=(0, None), xlabel="wall-clock time of training (s)")
+        for name in dict.fromkeys(row[0] for row in rows):
+            own = np.array([row[2:4] for row in rows if row[0] == name])  # (n, 2)
+            colour, dash = LOOKS[name]
+            axes.plot(*own.T, dash, color=colour, marker=".", label=name)
+        for (name, age), dash in zip(planners.items(), (":", "-"), strict=True):
+            axes.axhline(age, color=BLACK, linewidth=0.8, linestyle=dash, label=name)
+        axes.set(yscale="log", ylim=(30, 2000), xlim=(0, None), xlabel="time since the start of the process (s)")
         axes.set_ylabel("mean AoU on the\nvalidation missions (slots)")
-        style.label_log_axis(axes.yaxis, 30, 1000)
+        style.label_log_axis(axes.yaxis, 30, 2000)
         style.legend_below(figure, axes, "likeliest action; one seed")
         style.save(figure, folder, "curves")
 
@@ -86,11 +112,12 @@ def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 240.0
     folder = Path("results/benchmarks")
     rows: list[Row] = []
-    for collection in ("select", "auto"):
-        for cores in (1, 2):
-            with tempfile.TemporaryDirectory() as place:
-                rows += points(collection, cores, trained(collection, cores, seconds, Path(place)))
-            write(rows, folder)
+    for name in CONTESTANTS:
+        with tempfile.TemporaryDirectory() as place:
+            rows += trained(name, seconds, Path(place))
+        write(rows, folder)
+        for _, level, wall_s in times(rows)[-len(LEVELS) :]:
+            print(f"{name}: {level:g} slots after {'-' if wall_s is None else f'{wall_s:.1f} s'}", flush=True)
     draw(rows, folder)
 
 

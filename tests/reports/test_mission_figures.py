@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.text import Text
 
-from uavaou.envs.map import FRAME_SHAPE, draw_ground, render_frame
+from uavaou.envs.map import FRAME_SHAPE, draw_ground, render_frame, uav_colour, uav_dash
 from uavaou.evaluation.recorded_mission import RecordedMission, Recording
 from uavaou.reports import style
 from uavaou.reports.mission_figures import mission_figures, plot_trajectories
@@ -73,6 +73,18 @@ def test_each_cds_has_the_numbers_of_its_uavs() -> None:
     axes = Figure().add_subplot()
     draw_ground(axes, scenario)
     assert [text.get_text() for text in axes.texts] == ["0…4", "1,5"]
+
+
+def test_a_large_fleet_is_listed_and_no_two_uavs_look_the_same() -> None:
+    assert len({(uav_colour(uav), str(uav_dash(uav))) for uav in range(32)}) == 32
+    scenario = Scenario.load("tiny").replace(uavs=12, altitudes_m=list(range(80, 92)), cds_m=[(0.0, 0.0)] * 12)
+    mission = RecordedMission(scenario, "greedy", None, 10000, patrol(scenario)[1])
+    with style.house_style():
+        for figure in mission_figures([mission, mission], {}).values():
+            (legend,) = figure.legends
+            lines = legend.get_lines()
+            assert [text.get_text() for text in legend.get_texts()] == [f"UAV {uav}" for uav in range(12)]
+            assert len({(line.get_color(), str(line._dash_pattern)) for line in lines}) == 12  # type: ignore[attr-defined]
 
 
 def test_recording_counts_communications_as_the_world_does() -> None:

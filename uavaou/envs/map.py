@@ -25,6 +25,7 @@ from uavaou.world.coverage import drawn_radius
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 UAV_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, YELLOW)
+UAV_DASHES: tuple[Any, ...] = ("-", (0, (3, 1)), (0, (1, 1)), (0, (4, 1, 1, 1)))
 AGE_COLOURS = "magma_r"  # perceptually uniform; fresh is light, stale is dark
 
 FRAME_SHAPE = (576, 640, 3)  # (H, W, 3): multiples of 16, as video encoders like them
@@ -35,8 +36,13 @@ _MOST_NUMBERS = 3  # of UAVs with one CDS
 
 
 def uav_colour(uav: int) -> str:
-    """The colour of a UAV in all pictures; beyond eight UAVs the colours repeat."""
+    """The colour of a UAV in all pictures; beyond eight UAVs the colours repeat, with another :func:`uav_dash`."""
     return UAV_COLOURS[uav % len(UAV_COLOURS)]
+
+
+def uav_dash(uav: int) -> Any:
+    """The line style of a UAV, which tells those of one colour apart."""
+    return UAV_DASHES[uav // len(UAV_COLOURS) % len(UAV_DASHES)]
 
 
 def uav_offset(scenario: Scenario) -> Floats:
@@ -132,7 +138,8 @@ def _draw_trails(axes: Axes, scenario: Scenario, trails: Floats) -> None:
     for u in range(scenario.uavs):
         colours = np.tile(to_rgba(uav_colour(u)), (len(segments), 1))  # (T-1, 4)
         colours[:, 3] = np.linspace(0.15, 0.9, len(segments))
-        lines = LineCollection(list(segments[:, u]), colors=colours, linewidths=1.6, capstyle="round", zorder=3)
+        style: dict[str, Any] = {"linewidths": 1.6, "linestyles": [uav_dash(u)], "capstyle": "round", "zorder": 3}
+        lines = LineCollection(list(segments[:, u]), colors=colours, **style)
         axes.add_collection(lines, autolim=False)
 
 

@@ -25,7 +25,6 @@ from uavaou.statistics import band_over_missions
 
 _DEVICE_AREA = (12.0, 75.0)  # square points, of the least and the most collected device
 _LINE_WIDTH = (0.6, 2.4)  # points, of a step flown once and of the one flown most
-_LEGEND_UAVS = 8  # colours repeat beyond
 _LEGEND_COLUMNS = 4
 _ROUTES = "square: CDS of the UAV; line: route, wider where flown more often"
 _PANELS_A_ROW = 3
@@ -112,7 +111,7 @@ def _map_places(scenario: Scenario) -> tuple[Figure, Axes, Axes, Axes]:
     left, map_width, bottom, bar_size = 0.62, 2.2, 1.2, 0.09  # in
     step = scenario.grid_step_m
     map_height = float(np.clip(map_width * (scenario.area_y_m + step) / (scenario.area_x_m + step), 1.2, 5.5))
-    legend = 0.3 + 0.17 * math.ceil(min(scenario.uavs, _LEGEND_UAVS) / _LEGEND_COLUMNS)
+    legend = 0.3 + _legend_height(scenario)
     height = bottom + map_height + legend
     figure = style.new_figure(height, layout=None)
 
@@ -159,7 +158,8 @@ def _draw_steps(axes: Axes, scenario: Scenario, way: Floats, uav: int) -> None:
     thin, wide = _LINE_WIDTH
     widths = thin + (wide - thin) * np.sqrt((flown - 1) / max(int(flown.max()) - 1, 1))
     places = list(steps + maps.uav_offset(scenario)[uav])
-    lines = LineCollection(places, colors=maps.uav_colour(uav), linewidths=widths, capstyle="round", zorder=3)
+    look: dict[str, Any] = {"colors": maps.uav_colour(uav), "linestyles": [maps.uav_dash(uav)], "capstyle": "round"}
+    lines = LineCollection(places, linewidths=widths, zorder=3, **look)
     axes.add_collection(lines, autolim=False)
 
 
@@ -172,8 +172,13 @@ def _device_area(counts: NDArray[Any], most: int) -> Floats:
 def _fleet_handles(scenario: Scenario, **marks: Any) -> list[Line2D]:
     """The legend's entry of each UAV; a square unless ``marks`` say otherwise."""
     drawn = marks or {"marker": "s", "mfc": "none", "ms": 5, "mew": 1.2}
-    shown = range(min(scenario.uavs, _LEGEND_UAVS))
-    return [Line2D([], [], color=maps.uav_colour(u), label=f"UAV {u}", **drawn) for u in shown]
+    looks = [(u, {"color": maps.uav_colour(u), "linestyle": maps.uav_dash(u)}) for u in range(scenario.uavs)]
+    return [Line2D([], [], label=f"UAV {u}", **look, **drawn) for u, look in looks]
+
+
+def _legend_height(scenario: Scenario) -> float:
+    """The height of the fleet's entries in inches."""
+    return 0.17 * math.ceil(scenario.uavs / _LEGEND_COLUMNS)
 
 
 def _count_handles(counts: Ints) -> list[Line2D]:
@@ -191,7 +196,7 @@ def _ages(scenario: Scenario, recording: Recording) -> Figure:
     ages = _ages_in_slots(scenario, recording)  # (K, I) slots
     devices = ages.shape[1]
     strip_in = float(np.clip(0.085 * devices, 1.4, 6))
-    figure = style.new_figure(height_in=strip_in + 1.9)
+    figure = style.new_figure(height_in=strip_in + 1.73 + _legend_height(scenario))
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.1, strip_in])
     slots = np.arange(1, len(ages) + 1)
     total = ages.sum(axis=1)  # (K,) slots
@@ -230,7 +235,8 @@ def _draw_strip(axes: Axes, recording: Recording, ages: Floats, scale: LogNorm) 
     rows = np.argsort(order)  # (I,) the row of each device
     for u in np.unique(recording.collected_by[recording.communications]):
         at, device = np.nonzero(recording.communications & (recording.collected_by == u))
-        axes.vlines(at + 1, rows[device] + 0.12, rows[device] + 0.42, color=maps.uav_colour(int(u)), linewidth=0.5)
+        look: dict[str, Any] = {"color": maps.uav_colour(int(u)), "linestyle": maps.uav_dash(int(u)), "linewidth": 0.5}
+        axes.vlines(at + 1, rows[device] + 0.12, rows[device] + 0.42, **look)
     _label_periods(axes, recording.layout.update_period[order])
     axes.grid(False)
     axes.spines[["top", "right"]].set_visible(True)
@@ -285,7 +291,8 @@ def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Fig
     scenario = missions[0].scenario
     shape = (scenario.area_y_m + scenario.grid_step_m) / (scenario.area_x_m + scenario.grid_step_m)
     width = style.PAGE_WIDTH_IN if columns > 1 else style.COLUMN_WIDTH_IN
-    height = rows * (0.45 + (width - 1.2) / columns * float(np.clip(shape, 0.4, 2))) + 1.0
+    height = rows * (0.45 + (width - 1.2) / columns * float(np.clip(shape, 0.4, 2))) + 0.83
+    height += _legend_height(scenario)
     figure = style.new_figure(height, width_in=width)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     mean_ages = [_ages_in_slots(mission.scenario, mission.recording).mean(axis=0) for mission in missions]  # (I,) each
@@ -317,7 +324,7 @@ def _all_ages(missions: Sequence[RecordedMission], labels: Mapping[str, str], sc
     """A strip a mission: each device a row, its age in colour over the slots, a tick for each communication."""
     devices = missions[0].scenario.devices
     strip_in = float(np.clip(0.05 * devices, 0.9, 3.0))
-    height = len(missions) * (strip_in + 0.25) + 1.1
+    height = len(missions) * (strip_in + 0.25) + 0.93 + _legend_height(missions[0].scenario)
     figure = style.new_figure(height, width_in=style.PAGE_WIDTH_IN)
     strips = figure.subplots(len(missions), 1, sharex=True, squeeze=False)[:, 0]
     for axes, mission in zip(strips, missions, strict=True):

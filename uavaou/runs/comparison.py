@@ -19,7 +19,7 @@ from uavaou.runs.results import EvaluationFile, PolicyResult, keep_evaluation, o
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.coverage import nothing_in_reach
-from uavaou.world.knowledge import check_within
+from uavaou.world.knowledge import Knowledge, check_within, level, observed
 from uavaou.zoo import read_yaml_mapping
 
 _UNTRAINED = "local-greedy-parts"  # the best policy that learns nothing and needs no time before take-off
@@ -106,6 +106,13 @@ def is_planner(name: str) -> bool:
     if Path(name).name == name and not RunFolder.at(name).path.exists():  # with a separator it can only be a folder
         raise unknown("policy", name, [*released_names(), *PLANNERS])
     return False
+
+
+def known_by(name: str, limit: str = "everything") -> Knowledge:
+    """What the policy of that name reads in flight, where it may read no more than the ``limit`` if it can do so."""
+    if is_planner(name):
+        return planner_knowledge(name)
+    return observed(level(RunFolder.at(name).read_config().algorithm.observation, limit != "local"))
 
 
 def evaluate(

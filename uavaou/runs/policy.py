@@ -155,8 +155,7 @@ def load_run(
     folder = RunFolder.at(path)
     config = folder.read_config()
     checkpoint, progress = open_policy(folder)  # opened once: a training at work may put another in its place
-    trained_with = config.algorithm.observation
-    seen = "local" if (trained_with, knows) == ("mixed", "local") else level(trained_with)
+    seen = level(config.algorithm.observation, knows != "local")
     check_within(str(path), observed(seen), knows)
     fit = partial(_fit, folder, config, checkpoint, plan_of(config, folder), seen)
     model, views = fit(config.scenario if scenario is None else Scenario.load(scenario))

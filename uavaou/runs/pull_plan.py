@@ -33,7 +33,7 @@ def plan_of(config: RunConfig, folder: RunFolder, on_progress: OnProgress | None
     slots = round(getattr(config.algorithm, "plan_slots", 0) * sqrt(config.algorithm.slots / _BUDGET))
     if not slots or not getattr(config.algorithm, "pull", 0) or config.maps_vary:
         return None
-    if folder.plan.is_file():
+    if folder.exists() and folder.plan.is_file():
         return PullPlan.from_dict(read_json(folder.plan), str(folder.plan))
     layout = config.scenario.draw_layout()
     plan = LocalGreedyTuned(slots=slots).plan(config.scenario, layout, on_progress)

@@ -21,17 +21,16 @@ from uavaou.arrays import Floats
 from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import Evaluation, play
 from uavaou.evaluation.seeds import REHEARSAL_SEEDS
-from uavaou.files import write_json
 from uavaou.planners import make_planner, planner_knowledge
 from uavaou.planners.base import Planner
 from uavaou.planners.tuned import LocalGreedyTuned
-from uavaou.runs.comparison import make_policy
+from uavaou.runs.comparison import known_by, make_policy
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.statistics import Interval, interval_over_missions
 from uavaou.world import World
-from uavaou.world.knowledge import Knowledge, check_within, knowledge
+from uavaou.world.knowledge import Knowledge, check_within, knowledge, within
 
 if TYPE_CHECKING:
     from uavaou.runs.recorder import TrainingStatus
@@ -175,11 +174,12 @@ class _Rehearsal:
     def _enter_by_name(self, name: str) -> None:
         """Let a policy fly that needs no time before take-off, if it may."""
         limit_s = min(_QUICK * self.seconds, self._left_s) if self._candidates else float("inf")
+        if not within(known_by(name, self.knows), self.knows):
+            return
         if limit_s <= 0:
             self._late.append(name)
             return
-        with suppress(InputError):  # it needs to know more
-            self._enter(Candidate(name, make_policy(name, self.scenario, knows=self.knows)), limit_s)
+        self._enter(Candidate(name, make_policy(name, self.scenario, knows=self.knows)), limit_s)
 
     def _enter(self, candidate: Candidate, limit_s: float) -> None:
         """Let a candidate fly its first missions."""
@@ -242,10 +242,9 @@ class _Rehearsal:
         config = RunConfig.load("mappo", self.scenario, slots=slots, **checks)
         run = RunFolder(folder)
         shutil.rmtree(folder, ignore_errors=True)  # of an earlier rehearsal
+        plan = None
         if tuned is not None:
-            layout = self.scenario.draw_layout()
-            (plan,) = tuned.plan_layouts(World(self.scenario))
-            write_json(run.plan, plan.of_map(self.scenario, layout).to_dict())
+            plan = tuned.plan_layouts(World(self.scenario))[0].of_map(self.scenario, self.scenario.draw_layout())
 
         def watch(status: TrainingStatus) -> None:
             self._tell("training")
@@ -253,7 +252,7 @@ class _Rehearsal:
                 raise _Late
 
         with suppress(_Late):
-            train(config, run, after_update=watch)
+            train(config, run, after_update=watch, plan=plan)
         policy = make_policy(run, self.scenario, knows=self.knows)
         self._enter(Candidate(str(run), policy, run), max(self._left_s, _QUICK * self.seconds))
 

@@ -28,6 +28,7 @@ from uavaou.runs.pull_plan import plan_of
 from uavaou.runs.recorder import CHECKPOINT_EVERY_S, AfterUpdate, Display, Recorder, agent_steps, write_meta
 from uavaou.runs.released import released_names
 from uavaou.runs.start import Start
+from uavaou.world.pull import PullPlan
 
 _DRAWS_COUNTED = 64  # of a family
 
@@ -54,6 +55,7 @@ def train(
     checkpoint_every_s: float = CHECKPOINT_EVERY_S,
     display: Display | None = None,
     after_update: AfterUpdate | None = None,
+    plan: PullPlan | None = None,
 ) -> Outcome:
     """Train to the budget, writing the run folder on the way.
 
@@ -69,6 +71,7 @@ def train(
             it. 0: after every update.
         display: shows the training to a person; None shows nothing.
         after_update: called after each update; an exception that it raises ends the training.
+        plan: that the training begins with, where it has been found before; None: it is searched.
 
     Raises:
         InputError: the folder holds a run already, holds another one, is written by another process, cannot be
@@ -93,7 +96,7 @@ def train(
     stages = config.stages()
     held = folder.read_config() if resume and folder.exists() else None
     for stage in stages[stages.index(held) if held in stages else 0 :]:
-        arguments = folder, source, device, backend
+        arguments = folder, source, device, backend, plan
         outcome = _train(stage, *arguments, resume, checkpoint_every_s, display, after_update)
         while outcome.stopped_by is None and candidate_ends(stage, outcome.progress, outcome.progress.slots):
             outcome = _train(stage, *arguments, True, checkpoint_every_s, display, after_update)
@@ -104,7 +107,8 @@ def train(
 
 
 def _train(
-    config: RunConfig, folder: RunFolder, source: Start | None, device: str, backend: str, resume: bool,
+    config: RunConfig, folder: RunFolder, source: Start | None, device: str, backend: str, plan: PullPlan | None,
+    resume: bool,
     checkpoint_every_s: float, display: Display | None, after_update: AfterUpdate | None,
 ) -> Outcome:  # fmt: skip
     """Train to the last budget of ``config``; those before it have been reached."""
@@ -113,7 +117,8 @@ def _train(
     shared = ("missions", "processes", "observation", "collection", "reward", "rows", "worlds")
     settings = {name: getattr(algorithm, name) for name in shared}
     with closing(display) if display is not None else nullcontext():
-        plan = plan_of(config, folder, None if display is None else display.plan)
+        found = None if resuming else plan
+        plan = found or plan_of(config, folder, None if display is None else display.plan)
     try:
         env = flatten(
             config.family or config.scenario,

@@ -42,5 +42,8 @@ def observed(observation: str) -> Knowledge:
 
 
 def level(observation: str, draw: int = 1) -> str:
-    """Return what UAVs observe in a draw of a family: with ``mixed``, ``local`` in even draws, ``shared`` in others."""
+    """Return what UAVs observe in a draw of a family: with ``mixed``, ``local`` in even draws, ``shared`` in others.
+
+    In flight, such a policy has ``shared``, or ``local`` as in draw 0.
+    """
     return ("local", "shared")[draw % 2] if observation == "mixed" else observation
