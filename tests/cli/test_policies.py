@@ -138,7 +138,9 @@ def test_fly_shows_a_mission_and_says_where_its_files_are(
 ) -> None:
     drawn: list[Any] = []
     draw = mission_figures.plot_trajectories
-    monkeypatch.setattr(mission_figures, "plot_trajectories", lambda *given: [drawn.append(given[1]), draw(*given)][1])
+    monkeypatch.setattr(
+        mission_figures, "plot_trajectories", lambda *given, **more: [drawn.append(given[1]), draw(*given, **more)][1]
+    )
     (released / "mine.yaml").write_text("base: tiny\nlayout_seed: 3\n")
     code, out, err = call(capsys, "fly mine.yaml --policy any-map --seed 7 --quiet")
     assert (code, err) == (0, "")

@@ -131,7 +131,10 @@ def test_weights_that_do_not_fit_are_refused_with_their_sizes(finished: RunFolde
     for changes, words in (
         ({"hidden": [9]}, "algorithm.hidden = [9] does not fit its weights, which were trained with [8] and fit no"),
         ({"network": "set", "hidden": [8]}, "algorithm.network = 'set' does not fit its weights"),
-        ({"observation": "prt"}, "--set algorithm.observation = 'prt': must be 'location', 'part', 'local' or"),
+        (
+            {"observation": "prt"},
+            "--set algorithm.observation = 'prt': must be 'location', 'part', 'local', 'shared' or",
+        ),
         ({"missions": 9, "processes": 2}, "--set algorithm.processes = 2: must divide missions = 9"),
         ({"observation": "shared"}, "trained with 'local' and fit no other: leave out --set algorithm.observation"),
     ):
