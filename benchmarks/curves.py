@@ -35,6 +35,7 @@ CONTESTANTS: dict[str, list[str]] = {
 EVERY_SLOTS = {"mappo": 50_000, "mappo-paper": 50_000, STOCK: 10_000}
 LEVELS = (100.0, 60.0, 50.0, 45.0, 40.0, 38.5, 37.0, 36.3)  # mean AoU, slots
 LOOKS = {"mappo": (BLUE, "-"), "mappo-paper": (ORANGE, "--"), STOCK: (GREEN, "-.")}
+_LOOK_EVERY_S = 0.05
 Row = tuple[str, int, float, float, float]
 
 
@@ -52,16 +53,16 @@ def trained(name: str, seconds: float, place: Path) -> list[Row]:
         str(place),
     ]
     command += ["--set", f"algorithm.evaluate_every_slots={EVERY_SLOTS[name]}"]
-    began = time.time()
-    process = subprocess.Popen(command)
+    began, process = time.monotonic(), subprocess.Popen(command)
+    while not (configs := [*place.glob("*/*/seed-0/config.yaml")]):  # until then, the training's own clock stands still
+        time.sleep(_LOOK_EVERY_S)
+    before = time.monotonic() - began
     try:
-        process.wait(seconds)
+        process.wait(seconds - before)
     except subprocess.TimeoutExpired:
         process.send_signal(signal.SIGTERM)
         process.wait()
-    folder = next(place.glob("*/*/seed-0"))
-    before = (folder / "config.yaml").stat().st_mtime - began  # what comes before the training's own clock
-    table = read_csv(folder / "progress.csv")
+    table = read_csv(configs[0].with_name("progress.csv"))
     tau = Scenario.load(SCENARIO).slot_length_s
     rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     return [
@@ -96,15 +97,15 @@ def draw(rows: list[Row], folder: Path) -> None:
     with style.house_style():
         figure, axes = style.new_axes(3.0)
         for name in dict.fromkeys(row[0] for row in rows):
-            own = np.array([row[2:4] for row in rows if row[0] == name])  # (n, 2)
+            own = np.array([(row[2], min(row[3:])) for row in rows if row[0] == name])  # (n, 2)
             colour, dash = LOOKS[name]
-            axes.plot(*own.T, dash, color=colour, marker=".", label=name)
+            axes.plot(own[:, 0], np.minimum.accumulate(own[:, 1]), dash, color=colour, marker=".", label=name)
         for (name, age), dash in zip(planners.items(), (":", "-"), strict=True):
             axes.axhline(age, color=BLACK, linewidth=0.8, linestyle=dash, label=name)
-        axes.set(yscale="log", ylim=(30, 2000), xlim=(0, None), xlabel="time since the start of the process (s)")
+        axes.set(yscale="log", ylim=(20, 30_000), xlim=(0, None), xlabel="time since the start of the process (s)")
         axes.set_ylabel("mean AoU on the\nvalidation missions (slots)")
-        style.label_log_axis(axes.yaxis, 30, 2000)
-        style.legend_below(figure, axes, "likeliest action; one seed")
+        style.label_log_axis(axes.yaxis, 20, 30_000)
+        style.legend_below(figure, axes, "the best policy so far; one seed")
         style.save(figure, folder, "curves")
 
 
