@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := results/demo
 SLOTS := 60000
-PAPER_SLOTS := 200000
+PAPER_SLOTS := 180000
 RUNS := 5000000
 RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 PAPER := $(DEMO)/paper/mappo-paper+slots=$(PAPER_SLOTS)/seed-0
