@@ -28,10 +28,19 @@ CONTESTANTS: dict[str, list[str]] = {
     "mappo": ["train"],
     "mappo-paper": ["train", "--algorithm", "mappo-paper"],
     STOCK: [
-        "--plugin", "examples/plain_ppo.py", "train", "--algorithm", "plain-ppo", "--backend", "supersuit",
-        "--set", "algorithm.collection=select", "--slots", "3000000",
+        "--plugin",
+        "examples/plain_ppo.py",
+        "train",
+        "--algorithm",
+        "plain-ppo",
+        "--backend",
+        "supersuit",
+        "--set",
+        "algorithm.collection=select",
+        "--slots",
+        "3000000",
     ],
-}  # fmt: skip
+}
 EVERY_SLOTS = {"mappo": 50_000, "mappo-paper": 50_000, STOCK: 10_000}
 LEVELS = (100.0, 60.0, 50.0, 45.0, 40.0, 38.5, 37.0, 36.3)  # mean AoU, slots
 LOOKS = {"mappo": (BLUE, "-"), "mappo-paper": (ORANGE, "--"), STOCK: (GREEN, "-.")}
@@ -67,12 +76,15 @@ def trained(name: str, seconds: float, place: Path) -> list[Row]:
     rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     return [
         (
-            name, int(row["time/slots"]), before + float(row["time/wall_s"]),
-            float(row["evaluation/mean_aou_greedy_s"]) / tau, float(row["evaluation/mean_aou_sample_s"]) / tau,
+            name,
+            int(row["time/slots"]),
+            before + float(row["time/wall_s"]),
+            float(row["evaluation/mean_aou_greedy_s"]) / tau,
+            float(row["evaluation/mean_aou_sample_s"]) / tau,
         )
         for row in rows
         if row["evaluation/mean_aou_greedy_s"]
-    ]  # fmt: skip
+    ]
 
 
 def times(rows: list[Row]) -> list[tuple[str, float, float | None]]:

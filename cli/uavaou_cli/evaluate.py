@@ -83,9 +83,8 @@ def evaluate(
     planners = [name for name in dict.fromkeys(policy or []) if name not in released]
     if suite is None and out is not None:
         raise InputError("--out writes the table of a --suite; without a suite, use --json")
-    made = _make_planners(
-        planners, folders, time_limit, suite, knows
-    )  # a misspelled one fails before torch is imported
+    # Before torch is imported, so that a misspelled one fails at once.
+    made = _make_planners(planners, folders, time_limit, suite, knows)
     from uavaou.runs.comparison import common_scenario, compare, load_runs, read_runs
     from uavaou.scenario import Scenario
 
@@ -117,8 +116,7 @@ def _make_planners(
     names: list[str], folders: list[str], limit_s: float | None, suite: str | None, knows: str
 ) -> dict[str, Planner]:
     """The planners of the command, after a check of all names that it gives."""
-    from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner, planner_knowledge
-    from uavaou.world.knowledge import check_within
+    from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner
 
     if not folders and not names and suite is None:
         raise InputError(f"nothing to evaluate: give run folders, or --policy with one of {', '.join(PLANNERS)}")
@@ -130,10 +128,7 @@ def _make_planners(
             raise InputError(f"'{name}' is both a run folder and a planner here: write ./{name} for the folder")
     if limit_s is not None and not any(name in PLAN_AHEAD for name in names):
         raise InputError(f"--time-limit {limit_s:g}: needs a --policy that plans ahead: {', '.join(PLAN_AHEAD)}")
-    planners = {name: make_planner(name, limit_s if name in PLAN_AHEAD else None) for name in names}
-    for name in names:
-        check_within(name, planner_knowledge(name), knows)
-    return planners
+    return {name: make_planner(name, limit_s if name in PLAN_AHEAD else None, knows) for name in names}
 
 
 def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> list[str]:

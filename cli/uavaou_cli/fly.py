@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -58,9 +59,11 @@ def fly(
     Writes a page that replays both in a browser, the mission as JSON, and its pictures. `uavaou plot trajectories` also
     draws PDFs.
     """
+    from uavaou.planners import planner_knowledge
     from uavaou.runs.comparison import make_policy
     from uavaou.runs.folder import flight_folder, scenario_folder
     from uavaou.scenario import Scenario
+    from uavaou.world.knowledge import within
 
     overrides = parse_overrides(set_ or [])
     overrides.only_of_scenario("a policy flies as it is")
@@ -86,24 +89,18 @@ def fly(
     else:
         if json is not None:
             raise InputError(f"--json {json}: holds what a rehearsal has found, and --policy {policy} needs none")
-        reference = next(name for name in _REFERENCES if name != policy and _may_fly(name, knows))
+        reference = next(name for name in _REFERENCES if name != policy and within(planner_knowledge(name), knows))
         policies = {name: make_policy(name, flown, knows=knows) for name in (policy, reference)}
     _fly(flown, policies, seed, folder, overrides.scenario, notes, quiet)
-
-
-def _may_fly(name: str, limit: str) -> bool:
-    """Whether a planner reads no more than the ``limit``."""
-    from uavaou.planners import planner_knowledge
-    from uavaou.world.knowledge import within
-
-    return within(planner_knowledge(name), limit)
 
 
 def _rehearse(scenario: Scenario, seconds: float, knows: str, folder: Path, quiet: bool) -> Rehearsal:
     from uavaou.runs.rehearsal import rehearse
 
+    places = (folder / ("training" if number == 1 else f"training-{number}") for number in count(1))
+    unused = next(place for place in places if not place.exists())
     with RehearsalDisplay(quiet, seconds) as display:
-        return rehearse(scenario, seconds, knows, folder / "training", display.show)
+        return rehearse(scenario, seconds, knows, unused, display.show)
 
 
 def _rehearsal_lines(rehearsal: Rehearsal) -> list[str]:
@@ -132,9 +129,14 @@ def _rehearsal_lines(rehearsal: Rehearsal) -> list[str]:
 
 
 def _fly(
-    scenario: Scenario, policies: dict[str, Planner], seed: int, folder: Path, changes: dict[str, str],
-    notes: list[Path], quiet: bool,
-) -> None:  # fmt: skip
+    scenario: Scenario,
+    policies: dict[str, Planner],
+    seed: int,
+    folder: Path,
+    changes: dict[str, str],
+    notes: list[Path],
+    quiet: bool,
+) -> None:
     """Fly a mission with each policy; print the figures, and write the files of the first."""
     from uavaou.evaluation.recorded_mission import write_mission
     from uavaou.reports.mission_figures import plot_trajectories

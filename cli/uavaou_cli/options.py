@@ -136,9 +136,12 @@ Knows = Annotated[
     str,
     choice(
         "The most that a policy may know in flight: what its UAV measures, what all measure and tell by radio, or the "
-        "whole simulation. [default: everything]", "local", "shared", "everything",
+        "whole simulation. [default: everything]",
+        "local",
+        "shared",
+        "everything",
     ),
-]  # fmt: skip
+]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 
 

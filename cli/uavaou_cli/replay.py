@@ -67,8 +67,9 @@ def replay(
         from uavaou.reports.replay.film import check_format
 
         check_format(form)
-    missions = recorded | _fly([name for name in names if name not in recorded], flown, overrides, mission_seed,
-                               time_limit, knows, quiet)  # fmt: skip
+    missions = recorded | _fly(
+        [name for name in names if name not in recorded], flown, overrides, mission_seed, time_limit, knows, quiet
+    )
     _write(path, form, [missions[name] for name in names], quiet)
     print(path)
 
@@ -109,9 +110,14 @@ def _base_scenario(names: Sequence[str], scenario: str | None, recorded: dict[st
 
 
 def _fly(
-    names: Sequence[str], scenario: Scenario, overrides: Overrides, seed: int, limit_s: float | None,
-    knows: str, quiet: bool,
-) -> dict[str, RecordedMission]:  # fmt: skip
+    names: Sequence[str],
+    scenario: Scenario,
+    overrides: Overrides,
+    seed: int,
+    limit_s: float | None,
+    knows: str,
+    quiet: bool,
+) -> dict[str, RecordedMission]:
     """Fly the mission with each policy, and print the figures."""
     from uavaou.planners import PLAN_AHEAD
     from uavaou.runs.comparison import compare, make_policy

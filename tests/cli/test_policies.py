@@ -195,6 +195,19 @@ def test_fly_rehearses_and_serves_the_best(capsys: pytest.CaptureFixture[str], w
     assert (mission.policy, mission.scenario.layout_seed) == (first["policy"], 2)
 
 
+@pytest.mark.slow
+def test_fly_trains_beside_what_is_there(
+    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavaou.runs.rehearsal._TRAINS_FROM_S", 1.0)
+    held = workplace / "out" / "training" / "mine.txt"
+    held.parent.mkdir(parents=True)
+    held.write_text("mine")
+    assert call(capsys, "fly tiny --seconds 4 --out out --quiet")[0] == 0
+    assert held.read_text() == "mine"
+    assert (workplace / "out" / "training-2" / "config.yaml").is_file()
+
+
 def test_fly_needs_no_released_policy(
     capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uavaou import Family, Scenario
-from uavaou.envs.rewards import TrainingReward
+from uavaou.envs.rewards import training_reward
 from uavaou.planners.local_greedy import LocalGreedyParts
 from uavaou.world import World
 
@@ -17,19 +17,19 @@ def test_named_rewards_by_hand() -> None:
         paper = world.step(np.zeros((1, 2), dtype=np.int64), np.zeros((1, 2, 8), dtype=bool))
     ages = world.age_sum[0] / world.scenario.slot_length_s
     assert paper[0] == pytest.approx(-world.age_sum.sum())
-    assert TrainingReward("aou")(world)[0] == pytest.approx(-ages.sum() / 8 / 20, rel=1e-6)
-    assert TrainingReward("root")(world)[0] == pytest.approx(-np.sqrt(ages).sum() / 8 / 5, rel=1e-6)
+    assert training_reward(world, "aou")[0] == pytest.approx(-ages.sum() / 8 / 20, rel=1e-6)
+    assert training_reward(world, "root")[0] == pytest.approx(-np.sqrt(ages).sum() / 8 / 5, rel=1e-6)
 
 
 def test_the_relative_reward_of_the_rule_is_minus_one_on_every_map() -> None:
     family = Family.load("any")
     for draw in range(1003, 1007):
-        world, rule, reward = World(family.draw(draw), 8, draw), LocalGreedyParts(), TrainingReward("relative")
+        world, rule = World(family.draw(draw), 8, draw), LocalGreedyParts()
         rule.reset(world, 0)
         rewards = []
         while not world.done:
             world.step(*rule.act(world))
-            rewards.append(reward(world))
+            rewards.append(training_reward(world, "relative"))
         assert np.shape(rewards) == (world.scenario.slots, 8)
         age = world.metrics().mean_aou_s.mean() / world.scenario.slot_length_s
         assert np.mean(rewards) == pytest.approx(-min(age, 1.0), rel=0.1)  # of at least one slot

@@ -27,7 +27,6 @@ from tests.runs.stopped_runs import (
 from uavaou import InputError, Scenario
 from uavaou.algorithms.io import tensor_file
 from uavaou.algorithms.registry import load_config
-from uavaou.envs.rewards import TrainingReward
 from uavaou.runs import checkpoint
 from uavaou.runs import recorder as callback
 from uavaou.runs.checkpoint import DamagedCheckpointWarning
@@ -176,6 +175,7 @@ def test_a_number_that_goes_bad_stops_the_training(
     quantity: str, stopped: RunFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from uavaou.algorithms.mappo import MAPPO
+    from uavaou.envs import batched
 
     before = files(stopped)
     trained = MAPPO.train
@@ -189,8 +189,7 @@ def test_a_number_that_goes_bad_stops_the_training(
                 model.policy.actor_body[0].weight[2, 3] = float("nan")
 
     if quantity == "reward":
-        bad = staticmethod(lambda world: np.full(world.missions, np.nan, np.float32))
-        monkeypatch.setattr(TrainingReward, "__call__", bad)
+        monkeypatch.setattr(batched, "training_reward", lambda world, _: np.full(world.missions, np.nan, np.float32))
     else:
         monkeypatch.setattr(MAPPO, "train", spoilt)
     says = {

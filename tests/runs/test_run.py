@@ -104,7 +104,7 @@ def test_missions_have_the_settings_and_the_seed_of_the_training(
     def noting(config: RunConfig, env: MissionVecEnv, device: str) -> Any:
         model = make_learner(config, env, device)
         (batch,) = env._environments()
-        made.append((env._next_seed, env.missions, env.views.observation, env.row_layout.selects, batch.reward.name))
+        made.append((env._next_seed, env.missions, env.views.observation, env.row_layout.selects, batch.reward))
         return model
 
     monkeypatch.setattr(train_module, "_make_learner", noting)

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from uavaou.envs.rewards import TrainingReward
+from uavaou.envs.rewards import training_reward
 from uavaou.envs.spaces import action_space, row_space, split_actions
 from uavaou.envs.uavaou_v0 import warn_of_no_mode
 from uavaou.family import Family
@@ -36,7 +36,7 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
         self.scenario = views.scenario
         self.missions = missions
         self.views = views
-        self.reward = TrainingReward(reward)
+        self.reward = reward
         self.render_mode = render_mode
         self.metadata = {"render_modes": ["rgb_array"]}
         self.num_envs = missions * views.layout.uavs
@@ -65,7 +65,7 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
         if selections is not None:
             selections = np.ascontiguousarray(selections[:, : self.scenario.uavs, : self.scenario.devices])
         self.world.step(moves, selections)
-        rewards = np.repeat(self.reward(self.world), layout.uavs)  # (N * U,)
+        rewards = np.repeat(training_reward(self.world, self.reward), layout.uavs)  # (N * U,)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         over = self.world.done
         if over:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pettingzoo.utils import BaseParallelWrapper
 
 from uavaou.envs.batched import BatchedDraws, BatchedMissions
-from uavaou.envs.rewards import REWARDS, TrainingReward
+from uavaou.envs.rewards import REWARDS, training_reward
 from uavaou.envs.spaces import row_space
 from uavaou.envs.uavaou_v0 import UavAouEnv, check_render_mode
 from uavaou.envs.vec_env import Block, MissionVecEnv, WorkerProcesses
@@ -142,7 +142,7 @@ class _TrainingView(BaseParallelWrapper[str, NDArray[np.float32], Any]):
 
     def __init__(self, env: UavAouEnv, reward: str) -> None:
         super().__init__(env)
-        self._base, self._reward = env, TrainingReward(reward)
+        self._base, self._reward = env, reward
         self._row_space = row_space(env.views.layout)
 
     def observation_space(self, agent: str) -> spaces.Box:
@@ -155,7 +155,7 @@ class _TrainingView(BaseParallelWrapper[str, NDArray[np.float32], Any]):
     def step(self, actions: dict[str, Any]) -> Any:
         observations, rewards, terminations, truncations, infos = self._base.step(actions)
         assert self._base.world is not None
-        reward = self._reward(self._base.world)[0]
+        reward = training_reward(self._base.world, self._reward)[0]
         for agent in rewards:
             if terminations[agent] or truncations[agent]:  # SB3 looks here; SuperSuit never writes it
                 infos[agent]["TimeLimit.truncated"] = truncations[agent] and not terminations[agent]

@@ -5,7 +5,7 @@ from pkgutil import resolve_name
 from uavaou.errors import InputError, unknown
 from uavaou.planners.base import Planner
 from uavaou.scenario import Scenario
-from uavaou.world.knowledge import Knowledge, knowledge
+from uavaou.world.knowledge import Knowledge, check_within, knowledge
 
 __all__ = [
     "PLANNERS",
@@ -37,18 +37,21 @@ PLANNERS_WITH_PLAN = ("tour", "partition-tour", "anneal", "exact", "local-greedy
 PLAN_AHEAD = (*PLANNERS_WITH_PLAN, "rolling")
 
 
-def make_planner(name: str, time_limit_s: float | None = None) -> Planner:
+def make_planner(name: str, time_limit_s: float | None = None, knows: str = "everything") -> Planner:
     """Return the planner of that name.
 
     Args:
         name: one of ``PLANNERS``.
         time_limit_s: of the planning before take-off, for ``PLAN_AHEAD``.
+        knows: the most that it may read in flight.
 
     Raises:
-        InputError: no planner has that name, or a planner without planning before take-off is given a time limit.
+        InputError: no planner has that name, one without planning before take-off is given a time limit, or it needs to
+            know more.
     """
     if name not in PLANNERS:
         raise unknown("planner", name, PLANNERS)
+    check_within(name, planner_knowledge(name), knows)
     if time_limit_s is not None and name not in PLAN_AHEAD:
         raise InputError(f"planner '{name}' decides slot by slot and takes no time limit")
     kind = resolve_name(PLANNERS[name])

@@ -215,8 +215,8 @@ def save(figure: Figure, out_dir: Path, name: str, quick: bool = False) -> list[
     figure.set_layout_engine("none")  # one layout serves both files; finding it costs as much as drawing
     with writing(out_dir):
         out_dir.mkdir(parents=True, exist_ok=True)
-        metadata_of = {".png": {"Software": None}, ".pdf": {"CreationDate": None, "Producer": None}}
-        for suffix, metadata in list(metadata_of.items())[: 1 if quick else None]:
+        kinds = [(".png", {"Software": None}), (".pdf", {"CreationDate": None, "Producer": None})]
+        for suffix, metadata in kinds[:1] if quick else kinds:
             path = out_dir / f"{name}{suffix}"
             with replacing(path, "wb") as file:
                 figure.savefig(file, format=suffix[1:], dpi=PNG_DPI, metadata=metadata)

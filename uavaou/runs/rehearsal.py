@@ -7,7 +7,6 @@ begins with the best numbers found. What is left goes to more missions of those 
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,7 +20,7 @@ from uavaou.arrays import Floats
 from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import Evaluation, play
 from uavaou.evaluation.seeds import REHEARSAL_SEEDS
-from uavaou.planners import make_planner, planner_knowledge
+from uavaou.planners import make_planner
 from uavaou.planners.base import Planner
 from uavaou.planners.tuned import LocalGreedyTuned
 from uavaou.runs.comparison import known_by, make_policy
@@ -95,11 +94,7 @@ class Rehearsal:
     @property
     def is_clear(self) -> bool:
         """Whether the lead over the next one is more than luck: its 95 % interval over common missions is above 0."""
-        if len(self.candidates) == 1:
-            return True
-        first, second = self.candidates[0].ages, self.candidates[1].ages
-        common = min(len(first), len(second))
-        return common > 1 and interval_over_missions(second[:common] - first[:common]).low > 0
+        return len(self.candidates) == 1 or _is_behind(self.candidates[1], self.served)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for a JSON file."""
@@ -130,7 +125,7 @@ def rehearse(
         scenario: what is flown, or the name of a preset or the path of a YAML file.
         seconds: that it may take. The first flights of a large map may take longer.
         knows: the most that a policy may read in flight: ``local``, ``shared`` or ``everything``.
-        folder: of the training that there is from 30 seconds on; None: there is none.
+        folder: of the training that there is from 30 seconds on, and holds no other one; None: there is none.
         on_progress: called now and then.
 
     Raises:
@@ -168,7 +163,8 @@ class _Rehearsal:
         if folder is not None and fixed and self.seconds >= _TRAINS_FROM_S:
             self._train(folder)
         self._fly_the_best()
-        ordered = sorted(self._candidates, key=lambda one: (one not in self._finalists(), float(one.ages.mean())))
+        finalists = self._finalists()
+        ordered = sorted(self._candidates, key=lambda one: (one not in finalists, float(one.ages.mean())))
         return Rehearsal(self.scenario, tuple(ordered), tuple(self._late))
 
     def _enter_by_name(self, name: str) -> None:
@@ -218,11 +214,10 @@ class _Rehearsal:
         """Let a planner plan for its share of the time, and fly."""
         limit_s = min(share * self.seconds, self._left_s)
         with suppress(InputError):  # it needs to know more, or cannot plan for such a scenario
-            check_within(name, planner_knowledge(name), self.knows)
+            planner: Any = make_planner(name, limit_s, self.knows)
             if limit_s <= 0:
                 self._late.append(name)
                 return
-            planner: Any = make_planner(name, limit_s)
             layout = self.scenario.draw_layout()
             plan = planner.plan(self.scenario, layout, lambda status: self._tell(name))
             if plan.interrupted:
@@ -241,7 +236,6 @@ class _Rehearsal:
         checks = {"evaluate_every_slots": -(-slots // _CHECKS), "evaluation_missions": 4 * _FIRST}
         config = RunConfig.load("mappo", self.scenario, slots=slots, **checks)
         run = RunFolder(folder)
-        shutil.rmtree(folder, ignore_errors=True)  # of an earlier rehearsal
         plan = None
         if tuned is not None:
             plan = tuned.plan_layouts(World(self.scenario))[0].of_map(self.scenario, self.scenario.draw_layout())
@@ -252,7 +246,8 @@ class _Rehearsal:
                 raise _Late
 
         with suppress(_Late):
-            train(config, run, after_update=watch, plan=plan)
+            if train(config, run, after_update=watch, plan=plan).stopped_by is not None:
+                raise KeyboardInterrupt
         policy = make_policy(run, self.scenario, knows=self.knows)
         self._enter(Candidate(str(run), policy, run), max(self._left_s, _QUICK * self.seconds))
 
@@ -281,7 +276,8 @@ class _Rehearsal:
 
 def _is_behind(candidate: Candidate, best: Candidate) -> bool:
     """Whether a candidate is clearly worse on common missions."""
-    behind = candidate.ages - best.ages
+    common = min(len(candidate.ages), len(best.ages))
+    behind = candidate.ages[:common] - best.ages[:common]
     return len(behind) > 1 and interval_over_missions(behind).low > 0
 
 

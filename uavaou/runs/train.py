@@ -117,8 +117,8 @@ def _train(
     shared = ("missions", "processes", "observation", "collection", "reward", "rows", "worlds")
     settings = {name: getattr(algorithm, name) for name in shared}
     with closing(display) if display is not None else nullcontext():
-        found = None if resuming else plan
-        plan = found or plan_of(config, folder, None if display is None else display.plan)
+        if plan is None or resuming:
+            plan = plan_of(config, folder, None if display is None else display.plan)
     try:
         env = flatten(
             config.family or config.scenario,
