@@ -303,7 +303,7 @@ def test_each_setting_is_an_argument_of_the_learner(name: str, monkeypatch: pyte
         return {name: [one(left) for left in (1, 0.5, 0)] if callable(one) else one for name, one in given.items()}
 
     published = registry.load_config(name, {} if package == "qlearning" else {"entropy": 0.01})
-    of_run = {"plan_slots"}  # of what comes before the training
+    of_run = {"plan_slots", "map_plan_slots"}  # of what comes before the training
     for field in type(published).model_fields.keys() - AlgorithmConfig.model_fields - of_run:
         value = getattr(published, field)
         other = (*value, 8) if isinstance(value, tuple) else "another" if isinstance(value, str) else 2 * value + 1

@@ -13,7 +13,7 @@ import torch as th
 from uavaou import MAPPO, InputError, RunConfig, Scenario, World, evaluate, flatten, load_run, train
 from uavaou.planners.tuned import LocalGreedyTuned, _Search
 from uavaou.runs.folder import RunFolder
-from uavaou.runs.pull_plan import plan_of
+from uavaou.runs.pull_plan import PlanOfEachMap, plan_of
 from uavaou.runs.start import Start
 from uavaou.world.pull import PullPlan, planned_steps, steps_left
 
@@ -68,7 +68,7 @@ def test_planned_steps_are_the_plan_s_pull_and_a_new_policy_flies_it() -> None:
     tuned = LocalGreedyTuned(slots=1_000_000)
     plan, world = tuned.plan(PAPER, layout), World(PAPER, 4, 3)
     of_map = plan.of_map(PAPER, layout)
-    steps = planned_steps(world, of_map)[0].astype(np.float64)  # (U, C, I)
+    steps = planned_steps(world, [of_map])[0].astype(np.float64)  # (U, C, I)
     serves = of_map.serves[:, None] & np.ones(steps.shape, dtype=np.bool_)
     np.testing.assert_allclose(np.exp(-steps)[serves], plan.pull[serves], rtol=1e-4, atol=1e-12)
     np.testing.assert_array_equal(steps[~serves], steps_left(world)[0][~serves])
@@ -96,6 +96,7 @@ def test_a_run_keeps_its_plan_and_flies_it(run: RunFolder) -> None:
     run.plan.unlink()  # found anew, it is the same
     again = plan_of(config, run)
     assert again is not None
+    assert isinstance(again, PullPlan)
     assert again.to_dict() == kept
     assert evaluate(load_run(run), config.scenario, episodes=3).mean_aou_slots == flown
     run.plan.write_text(json.dumps(kept))
@@ -113,8 +114,8 @@ def test_a_plan_in_a_folder_without_a_run_is_left_aside(run: RunFolder, tmp_path
     config, stray = run.read_config(), RunFolder(tmp_path)
     stray.plan.write_text("{}")
     found, kept = plan_of(config, stray), plan_of(config, run)
-    assert found is not None
-    assert kept is not None
+    assert isinstance(found, PullPlan)
+    assert isinstance(kept, PullPlan)
     assert found.to_dict() == kept.to_dict()
     stray.config.write_text(run.config.read_text())  # then it is the run's, and damaged
     with pytest.raises(InputError, match="is no plan of pulls"):
@@ -125,17 +126,43 @@ def test_on_another_map_the_plan_is_left_aside(run: RunFolder) -> None:
     config = run.read_config()
     plan, other = plan_of(config, run), config.scenario.replace(layout_seed=7)
     assert plan is not None
-    assert plan.is_of(World(config.scenario))
-    assert not plan.is_of(World(other))
-    assert not plan.is_of(World(config.scenario.replace(layout="resample"), 2))
+    assert plan.for_maps(World(config.scenario)) == [plan]
+    assert plan.for_maps(World(other)) is None
+    assert plan.for_maps(World(config.scenario.replace(layout="resample"), 2)) is None
     planned, plain = (flatten(other, 2, rows="entities", plan=of) for of in (plan, None))
     np.testing.assert_array_equal(planned.reset(), plain.reset())
     assert evaluate(load_run(run), other.replace(uavs=1, altitudes_m=[90], cds_m=[[0, 0]]), episodes=1).mean_aou_s > 0
 
 
-def test_no_plan_is_made_where_maps_vary_or_none_is_asked_for(tmp_path: Path) -> None:
+def test_where_maps_vary_each_has_a_plan_and_a_longer_one_in_flight(tmp_path: Path) -> None:
+    varied = Scenario.load("quickstart").replace(layout="resample")
+    config = RunConfig.load("mappo", varied, **SETTINGS | {"map_plan_slots": 10_000})
+    plans, longer = (plan_of(config, RunFolder(tmp_path), in_flight=flown) for flown in (False, True))
+    assert isinstance(plans, PlanOfEachMap)
+    assert isinstance(longer, PlanOfEachMap)
+    assert longer._slots == 4 * plans._slots == 40_000
+    world = World(varied, 3, 5)
+    found = plans.for_maps(world)
+    assert found is not None
+    for mission, plan in enumerate(found):
+        slots = 10_000 * 25 // varied.devices
+        alone = LocalGreedyTuned(slots=slots).plan(varied, world.layout(mission))
+        np.testing.assert_array_equal(plan.weight, alone.weight)
+    again = plans.for_maps(World(varied, 3, 5))
+    assert again is not None
+    assert all(one is two for one, two in zip(found, again, strict=True))  # kept
+    steps, single = planned_steps(world, found), Scenario.load("quickstart").pinned(world.layout(1))
+    np.testing.assert_array_equal(steps[1], planned_steps(World(single), [found[1]])[0])
+    env = flatten(varied, 3, seed=5, rows="entities", plan=plans)
+    env.reset()
+    np.testing.assert_array_equal(env.venv.vec_envs[0].views._own, [plan.serves for plan in found])
+    large = Scenario.load("paper").replace(grid_step_m=2.5)
+    assert plans.for_maps(World(large)) is None
+
+
+def test_no_plan_is_made_where_none_is_asked_for(tmp_path: Path) -> None:
     config = RunConfig.load("mappo", Scenario.load("quickstart").replace(layout="resample"), **SETTINGS)
-    assert plan_of(config, RunFolder(tmp_path)) is None
+    assert plan_of(config, RunFolder(tmp_path)) is None  # a plan of each map is asked for by another name
     for field in ("plan_slots", "pull"):
         config = RunConfig.load("mappo", "quickstart", **SETTINGS | {field: 0})
         assert plan_of(config, RunFolder(tmp_path)) is None

@@ -61,12 +61,12 @@ def test_a_patrol_is_its_literal_form() -> None:
 
 def literal_patrol(area: PatrolArea, uav: int, members: list[int], missions: int) -> float:
     """Every update of every device as one number of a list, by eq. (1)."""
-    total, slots = 0.0, len(area.draws)
+    total, slots = 0.0, len(area.generated)
     for mission in range(missions):
         cell, waiting = area.start[uav], {i: [0] for i in members}  # ages of the updates that wait
         for slot in range(slots):
             for i in members:
-                if area.draws[slot, mission, i] < area.probability[uav, cell, i]:
+                if area.draws[mission, slot, i] < area.probability[uav, cell, i]:
                     waiting[i] = []
                 waiting[i] = [age + 1 for age in waiting[i]]
                 total += sum(waiting[i])
@@ -91,5 +91,5 @@ def test_no_single_device_is_better_moved() -> None:
         fixed = area._replace(draws=np.ascontiguousarray(area.draws[:, :, columns]))
         plans = np.tile(plan, (7, 1))
         plans[np.arange(6), np.arange(6)] = 1 - plan
-        sums = plans_age_sums(fixed, plans, area.draws.shape[1])
+        sums = plans_age_sums(fixed, plans, len(area.draws))
         assert (sums[:6] >= sums[6] - 1e-5).all()

@@ -108,6 +108,7 @@ class LearnerConfig(AlgorithmConfig):
     token_width: Annotated[PositiveWhole, Field(le=1024)] = 32  # of network: set: features of a device
     pull: Annotated[NonNegative, Field(le=1000)] = 0  # of network: set: how sharply devices pull at first; 0: not
     plan_slots: Whole = 0  # of a pull: slots of the search for a plan before a training of 500,000 slots
+    map_plan_slots: Whole = 0  # of a pull, where maps vary: slots of the search for the plan of each
     masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
     selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit or advantage of selecting a device in range
 

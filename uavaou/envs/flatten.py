@@ -27,7 +27,7 @@ from uavaou.scenario import Scenario
 from uavaou.threads import compute_with_one_thread
 from uavaou.world.entities import make_views
 from uavaou.world.knowledge import level
-from uavaou.world.pull import PullPlan
+from uavaou.world.pull import Plans
 
 BACKENDS = ("batched", "supersuit")
 
@@ -44,7 +44,7 @@ def flatten(
     render_mode: str | None = None,
     rows: str = "flat",
     worlds: int = 1,
-    plan: PullPlan | None = None,
+    plan: Plans | None = None,
 ) -> MissionVecEnv:
     """Flatten N missions of U UAVs into an SB3 ``VecEnv`` of N * U rows ``[local | global]``.
 
@@ -65,7 +65,7 @@ def flatten(
         render_mode: None or ``rgb_array``.
         rows: ``flat``, or ``entities`` for tokens of UAVs and devices.
         worlds: G, of a family; must divide ``missions``.
-        plan: of rows of entities: how each UAV is drawn to its devices on one map, found before take-off.
+        plan: of rows of entities: how each UAV is drawn to its devices on one map or on each, found before take-off.
 
     Raises:
         InputError: an argument has none of these values, or does not divide another that it must divide; or flat rows

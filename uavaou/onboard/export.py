@@ -29,7 +29,7 @@ from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.entities import told_before_take_off
 from uavaou.world.flight import grid_cells
-from uavaou.world.pull import SHARE, PullPlan, steps_left
+from uavaou.world.pull import SHARE, Plans, steps_left
 from uavaou.world.views import RowLayout, Rows
 
 SCHEMA = 1
@@ -140,12 +140,13 @@ def compare(graph: bytes, trained: TrainedPolicy) -> tuple[int, int]:
     return rows, same
 
 
-def describe_mission(scenario: Scenario, plan: PullPlan | None = None) -> dict[str, Any]:
+def describe_mission(scenario: Scenario, plan: Plans | None = None) -> dict[str, Any]:
     """What the UAVs are told before take-off: the map, the fleet, and what the mean channel and the ``plan`` say."""
     world = World(scenario)
     radius, own, _ = told_before_take_off(world, plan)
     usual = np.ones(own[0].shape)  # (U, I)
-    weight, reach, share = plan.numbers if plan is not None and plan.is_of(world) else (usual, usual, SHARE * usual)
+    plans = None if plan is None else plan.for_maps(world)
+    weight, reach, share = plans[0].numbers if plans else (usual, usual, SHARE * usual)
     return {
         "schema": SCHEMA,
         "scenario": scenario.name,

@@ -170,13 +170,13 @@ class AheadPlanner(ABC, Generic[P]):
         """Return the plan of each layout of the missions; plan for those that have none yet."""
         layouts = [world.layout(mission) for mission in range(len(world.device_positions))]  # L
         for layout in layouts:
-            if _key(world.scenario, layout) not in self._plans:
+            if layout_key(world.scenario, layout) not in self._plans:
                 self.keep(self.plan(world.scenario, layout), world.scenario, layout)
-        return [self._plans[_key(world.scenario, layout)] for layout in layouts]
+        return [self._plans[layout_key(world.scenario, layout)] for layout in layouts]
 
     def keep(self, plan: P, scenario: Scenario, layout: Layout) -> None:
         """Use this plan on this layout instead of planning."""
-        self._plans[_key(scenario, layout)] = plan
+        self._plans[layout_key(scenario, layout)] = plan
 
 
 class RoutePlanner(AheadPlanner[RoutePlan]):
@@ -196,6 +196,7 @@ class RoutePlanner(AheadPlanner[RoutePlan]):
         return first_step(there - world.cells), None
 
 
-def _key(scenario: Scenario, layout: Layout) -> tuple[str | bytes, ...]:
+def layout_key(scenario: Scenario, layout: Layout) -> tuple[str | bytes, ...]:
+    """Return what tells one map from another."""
     devices = (layout.positions, layout.bandwidth, layout.transmit_power, layout.update_period)
     return (scenario.model_dump_json(), *(field.tobytes() for field in devices))

@@ -5,25 +5,28 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.planners.local_greedy import LocalGreedy, LocalGreedyParts
+from uavaou.planners.parts import PartsSearch
 from uavaou.planners.plan import AheadPlanner, OnProgress, Plan, PlanningStatus
 from uavaou.planners.rule import make_chart, score
 from uavaou.scenario import Layout, Scenario
+from uavaou.threads import Tasks, threads
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import neighbours
-from uavaou.world.pull import PullPlan, steps_to
+from uavaou.world.pull import SHARE, PullPlan, steps_to
 
 PROPOSALS = 4000  # without a time limit
 _SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the best coverage probability, from which a cell is good enough
-_AREAS = 0.3  # fraction of the search that looks for areas of the UAVs, before it changes the numbers of single pairs
-_DRAWS = ((_AREAS, 16), (0.65, 32), (1.0, 64))  # missions that score a rule, up to a fraction of the search
-_SPREAD = (0.12, 0.12, 0.08)  # of a change of an area, in sizes of the map
+_PARTS = 0.4  # fraction of the search in which each device has one UAV, and parts are flown alone
+_CHEAPER = 60  # slots of one UAV in such a flight, two of them side by side, that take the time of a slot of a mission
+_DRAWS = ((_PARTS, 16), (0.7, 32), (1.0, 64))  # missions that score a rule, up to a fraction of the search
 _HOT = 0.003  # first temperature, in mean AoU; it falls to 0
 _FRESH = 1_000_000  # number of the first draw that the search has not seen
 _CHANGES = ("weight", "drop", "add", "reach", "share", "swap")
@@ -116,15 +119,15 @@ class _Search:
         ).astype(np.float32)  # (S, U, C, I)
         self._can = best[:, 0] >= _LEAST_COVERAGE  # (U, I)
         self._numbers = np.ones((3, scenario.uavs, scenario.devices))  # weight, reach, index of the share
-        self._numbers[2] = _SHARES.index(0.5)
+        self._numbers[2] = _SHARES.index(SHARE)
         self._draws, self._ages = 0, np.empty(0)
         self.slots, self._mission_slots = 0, scenario.slots  # simulated so far, and those of a mission
-        self._places = layout.positions / [scenario.area_x_m, scenario.area_y_m]  # (I, 2)
-        self._start(scenario, layout)
-        self._areas, self._area_ages = np.empty((0, 3)), np.full(self._draws, np.inf)  # (U, 3), and its score
+        owners = self._start(scenario, layout)
+        own = scenario, layout, owners, self._steps, _SHARES.index(SHARE), self._can
+        self._parts = [PartsSearch(*own, areas=areas) for areas in (False, True)]
 
-    def _start(self, scenario: Scenario, layout: Layout) -> None:
-        """Begin with the better of the two fixed rules."""
+    def _start(self, scenario: Scenario, layout: Layout) -> Ints:
+        """Begin with the better of the two fixed rules; return the parts of ``local-greedy-parts``, (I,)."""
         starts = []
         for owners in fixed_owners(scenario, layout):
             self._numbers[0] = (owners == np.arange(scenario.uavs)[:, None]) & self._can
@@ -132,6 +135,7 @@ class _Search:
             starts.append((float(self._score(_DRAWS[0][1]).mean()), self._numbers.copy()))
         _, self._best = min(starts, key=lambda start: start[0])
         self._more_draws(0.0)
+        return owners
 
     def _write_pull(self) -> None:
         uavs, devices = self._can.shape
@@ -150,7 +154,9 @@ class _Search:
         """Return the mean age of the present numbers in each mission, (missions,) slots."""
         ages = np.empty(missions)
         self.slots += missions * self._mission_slots
-        score(self._chart, self._pull, self._numbers[0] > 0, first_draw, ages)
+        own = self._chart, self._pull, self._numbers[0] > 0
+        blocks = range(0, missions, -(-missions // threads()))
+        Tasks(*(partial(score, *own, first_draw + at, ages[at : at + blocks.step]) for at in blocks)).run()
         return ages
 
     def _more_draws(self, done: float) -> None:
@@ -164,36 +170,30 @@ class _Search:
 
     def step(self, done: float) -> None:
         """Propose one change when a fraction ``done`` of the search is over, and accept or undo it."""
+        if done < _PARTS:
+            self._try_parts(done / _PARTS)
+            return
+        self._take_parts()
         self._more_draws(done)
-        if done <= _AREAS:
-            self._try_areas(done / _AREAS)
-        else:
-            self._try_numbers(done)
+        self._try_numbers(done)
 
-    def _try_areas(self, done: float) -> None:
-        """Score one plan of whose device is whose, of which the best so far becomes the start of the search.
+    def _try_parts(self, done: float) -> None:
+        """Improve the parts and their numbers, each part flown alone, from two starts side by side."""
+        before = sum(search.slots for search in self._parts)
+        Tasks(*(partial(search.step, done) for search in self._parts)).run()
+        self.slots += (sum(search.slots for search in self._parts) - before) // _CHEAPER
 
-        Each UAV has an area: a centre (x, y) in sizes of the map and a handicap. A device belongs to the UAV with the
-        least sum of distance and handicap. Areas are drawn anew, ever more rarely, or near the best ones so far.
-        """
-        rng, uavs = self._rng, len(self._can)
-        fresh = not len(self._areas) or rng.random() < 0.6 * (1.0 - done)
-        if fresh:
-            areas = rng.random((uavs, 3)) * [1.0, 1.0, 0.0]
-        else:
-            some = rng.random((uavs, 1)) < 0.6
-            areas = self._areas[rng.permutation(uavs)] if rng.random() < 0.1 else self._areas
-            areas = areas + some * rng.normal(size=(uavs, 3)) * _SPREAD
-        away = np.abs(areas[:, None, :2] - self._places).sum(axis=-1) + areas[:, 2:]  # (U, I)
-        owners = np.where(self._can, away, np.inf).argmin(axis=0)  # (I,)
-        self._numbers[0] = (owners == np.arange(uavs)[:, None]) & self._can
-        self._numbers[1], self._numbers[2] = rng.choice((1.0, 1.5)), rng.choice((2, 3))
-        self._write_pull()
-        ages = self._race(0.0, self._area_ages)
-        if ages is not None:
-            self._areas, self._area_ages = areas, ages
-            if float(ages.mean()) < self.best_age:
-                self._best, self.best_age = self._numbers.copy(), float(ages.mean())
+    def _take_parts(self) -> None:
+        """Go on from the parts found, if they are better in whole missions."""
+        for search in self._parts:
+            self._numbers[:] = search.numbers[:, None]
+            self._numbers[0] *= (search.owners == np.arange(len(self._can))[:, None]) & self._can
+            self._write_pull()
+            age = float(self._score(_DRAWS[0][1]).mean())
+            if age < self.best_age:
+                self._best, self.best_age = self._numbers.copy(), age
+        if self._parts:
+            self._parts, self._draws = [], 0  # all is scored anew
 
     def _try_numbers(self, done: float) -> None:
         """Change the numbers of a pair or two, and accept or undo it."""
@@ -253,6 +253,7 @@ class _Search:
 
     def best_plan(self, name: str, slot_length_s: float, interrupted: bool) -> RulePlan:
         """Return the best numbers found."""
+        self._take_parts()
         self._numbers = self._best
         self._write_pull()
         age = float(self._score(_DRAWS[-1][1], _FRESH).mean())

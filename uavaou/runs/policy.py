@@ -25,7 +25,7 @@ from uavaou.runs.pull_plan import plan_of
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.knowledge import Knowledge, check_within, level, observed
-from uavaou.world.pull import PullPlan
+from uavaou.world.pull import Plans
 from uavaou.world.views import MOVES, RowLayout, Rows, RowViews
 
 Actions = tuple[NDArray[np.int64], NDArray[np.bool_] | None]
@@ -157,13 +157,13 @@ def load_run(
     checkpoint, progress = open_policy(folder)  # opened once: a training at work may put another in its place
     seen = level(config.algorithm.observation, knows != "local")
     check_within(str(path), observed(seen), knows)
-    fit = partial(_fit, folder, config, checkpoint, plan_of(config, folder), seen)
+    fit = partial(_fit, folder, config, checkpoint, plan_of(config, folder, in_flight=True), seen)
     model, views = fit(config.scenario if scenario is None else Scenario.load(scenario))
     return TrainedPolicy(model, views, action or progress.best_action, checkpoint.digest(POLICY), fit)
 
 
 def _fit(
-    folder: RunFolder, config: RunConfig, checkpoint: ArrayFile, plan: PullPlan | None, seen: str, scenario: Scenario
+    folder: RunFolder, config: RunConfig, checkpoint: ArrayFile, plan: Plans | None, seen: str, scenario: Scenario
 ) -> tuple[BaseAlgorithm, RowViews]:
     """The learner of a run for ``scenario``, with the weights of the checkpoint, and what its UAVs see there."""
     config.check_fits(scenario, str(folder))

@@ -28,7 +28,7 @@ from uavaou.runs.pull_plan import plan_of
 from uavaou.runs.recorder import CHECKPOINT_EVERY_S, AfterUpdate, Display, Recorder, agent_steps, write_meta
 from uavaou.runs.released import released_names
 from uavaou.runs.start import Start
-from uavaou.world.pull import PullPlan
+from uavaou.world.pull import Plans, PullPlan
 
 _DRAWS_COUNTED = 64  # of a family
 
@@ -107,7 +107,7 @@ def train(
 
 
 def _train(
-    config: RunConfig, folder: RunFolder, source: Start | None, device: str, backend: str, plan: PullPlan | None,
+    config: RunConfig, folder: RunFolder, source: Start | None, device: str, backend: str, plan: Plans | None,
     resume: bool,
     checkpoint_every_s: float, display: Display | None, after_update: AfterUpdate | None,
 ) -> Outcome:  # fmt: skip
@@ -140,7 +140,7 @@ def _train(
                 folder.last.parent.mkdir(parents=True, exist_ok=True)
                 with replacing(folder.config) as file:
                     file.write(config.to_yaml())
-                if plan is not None:
+                if isinstance(plan, PullPlan):
                     write_json(folder.plan, plan.to_dict())
             # With worker processes, the CPU time of this one says little: it waits for those that step the missions.
             cpu_s = 0.0 if algorithm.processes == 1 else None

@@ -353,7 +353,7 @@ def _probe(search: Search, values: dict[str, Any], watch: AfterUpdate) -> int:
     What comes before a training and grows with its budget is left out, and so are its first, cheaper rollouts.
     """
     config = search.settings(values, slots=10**12)
-    quick = {"evaluation_missions": 1, "plan_slots": 0, "critic_rollouts": 0}
+    quick = {"evaluation_missions": 1, "plan_slots": 0, "map_plan_slots": 0, "critic_rollouts": 0}
     config = config.model_copy(update={name: quick[name] for name in quick if hasattr(config, name)})
     with tempfile.TemporaryDirectory() as place:
         try:

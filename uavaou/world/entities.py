@@ -17,7 +17,7 @@ from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STAY, neighbours
 from uavaou.world.partition import partition
-from uavaou.world.pull import MOST_STEPS, PullPlan, planned_steps, steps_left, write_pulls
+from uavaou.world.pull import MOST_STEPS, Plans, planned_steps, steps_left, write_pulls
 from uavaou.world.views import (
     DEVICE,
     MOVES,
@@ -60,7 +60,7 @@ def make_views(
     collection: str = "select",
     rows: str = "flat",
     most: tuple[int, int] | None = None,
-    plan: PullPlan | None = None,
+    plan: Plans | None = None,
 ) -> RowViews:
     """Make the views of a scenario in one of the two formats.
 
@@ -90,8 +90,8 @@ def local_columns(uavs: int, devices: int) -> tuple[Columns, ...]:
     )  # fmt: skip
 
 
-def told_before_take_off(world: World, plan: PullPlan | None) -> tuple[Floats, Bools, Floats]:
-    """Return the map as UAVs know it, by a ``plan`` where that is of this map, and else by its parts.
+def told_before_take_off(world: World, plan: Plans | None) -> tuple[Floats, Bools, Floats]:
+    """Return the map as UAVs know it, by the ``plan`` that there is for it, and else by its parts.
 
     Returns:
         The coverage radius by the mean channel, (L, U, I) grid steps: that of :func:`coverage.coverage_radius`, and 0
@@ -101,8 +101,9 @@ def told_before_take_off(world: World, plan: PullPlan | None) -> tuple[Floats, B
     scenario, channel = world.scenario, world.channel
     headroom = channel.mean_snr_above() / channel.snr_min[:, None, :]  # (L, U, I)
     radius = scenario.altitudes[:, None] * np.sqrt(np.maximum(headroom - 1.0, 0.0)) / scenario.grid_step_m
-    if plan is not None and plan.is_of(world):
-        return radius, plan.serves[None], planned_steps(world, plan)
+    plans = None if plan is None else plan.for_maps(world)
+    if plans is not None:
+        return radius, np.stack([each.serves for each in plans]), planned_steps(world, plans)
     return radius, partition(world)[:, None] == np.arange(scenario.uavs)[:, None], steps_left(world)
 
 
@@ -117,8 +118,8 @@ class EntityViews(RowViews):
         collection: ``select`` (the agent chooses devices) or ``auto`` (it collects every device in range).
         most: UAVs and devices that a row holds, for rows of several scenarios side by side; the rest is padding. A UAV
             of padding may stay, its row is zero otherwise.
-        plan: which devices each UAV serves, and how it is drawn to them, on the map that the plan is of. On every other
-            map, and without one, each device is in the part of one UAV.
+        plan: which devices each UAV serves, and how it is drawn to them, on the maps that there is a plan for. On every
+            other map, and without one, each device is in the part of one UAV.
 
     Raises:
         InputError: an argument has none of these values, or ``most`` is less than the scenario has.
@@ -130,7 +131,7 @@ class EntityViews(RowViews):
         observation: str = "local",
         collection: str = "select",
         most: tuple[int, int] | None = None,
-        plan: PullPlan | None = None,
+        plan: Plans | None = None,
     ) -> None:
         super().__init__(scenario, observation, collection, ENTITY_OBSERVATIONS)
         own = (scenario.uavs, scenario.devices)

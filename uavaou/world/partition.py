@@ -66,7 +66,7 @@ def _best_plan(
     """Return the plan (I,) with the least age sum in flight, and that, in slots."""
     if scenario.uavs == 1:
         plan = np.zeros(len(period), dtype=np.int64)
-        return plan, float(plans_age_sums(area, plan[None], len(area.draws[0]))[0])
+        return plan, float(plans_age_sums(area, plan[None], len(area.draws))[0])
     altitude = scenario.altitudes[:, None] / scenario.grid_step_m
     radius = altitude * np.sqrt(np.maximum(headroom - 1.0, 0.0))  # (U, I) grid steps
     covered = (radius > 0) | ~(radius > 0).any(axis=0)  # (U, I)

@@ -32,10 +32,12 @@ class PatrolArea(NamedTuple):
     probability: Singles  # (U, C, W) to collect a device in a slot
     pull: Singles  # (U, C, W) exp(-grid steps to where it can be collected well)
     generated: Singles  # (slots, W) 1 where a device generates an update at the end of a slot
-    draws: Singles  # (slots, missions, W) uniform
+    draws: Singles  # (missions, slots, W) uniform
 
 
-def patrol_area(scenario: Scenario, cds: Ints, positions: Floats, headroom: Floats, period: Ints) -> PatrolArea:
+def patrol_area(
+    scenario: Scenario, cds: Ints, positions: Floats, headroom: Floats, period: Ints, missions: int | None = None
+) -> PatrolArea:
     """Return what UAVs fly over that serve the devices of a layout.
 
     Args:
@@ -44,12 +46,13 @@ def patrol_area(scenario: Scenario, cds: Ints, positions: Floats, headroom: Floa
         positions: of the devices, (I, 2) grid steps.
         headroom: mean SNR right above each device over the least that it needs, (U, I).
         period: (I,) slots.
+        missions: of which fading is drawn; None: fewer where there are many devices.
     """
     cells = np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T.astype(np.float64)  # (C, 2) grid steps
     distance = np.linalg.norm(cells[:, None] - positions, axis=-1)  # (C, I) grid steps
     altitude = scenario.altitudes[:, None] / scenario.grid_step_m  # (U, 1) grid steps
     gain, exceeded = exceedance(scenario.fading, scenario.rician_factor, _POINTS)
-    missions = min(max(_FLOWN_DEVICES // len(period), 1), _MISSIONS)
+    missions = missions or min(max(_FLOWN_DEVICES // len(period), 1), _MISSIONS)
     with np.errstate(divide="ignore"):
         least = 1.0 / headroom  # (U, I) the power gain that a UAV right above needs
     needed = (1.0 + (distance / altitude[:, None]) ** 2) * least[:, None]  # (U, C, I)
@@ -69,7 +72,8 @@ def patrol_area(scenario: Scenario, cds: Ints, positions: Floats, headroom: Floa
 
 @lru_cache(maxsize=4)
 def _draws(slots: int, missions: int, devices: int) -> Singles:
-    return _padded(np.random.default_rng(0).random((slots, missions, devices), dtype=np.float32))
+    drawn = np.random.default_rng(0).random((slots, missions, devices), dtype=np.float32)
+    return _padded(drawn.swapaxes(0, 1))
 
 
 def _padded(columns: Floats | Singles) -> Singles:
@@ -84,48 +88,93 @@ def _padded(columns: Floats | Singles) -> Singles:
 def age_sums(area: PatrolArea, uav: Ints, serves: Singles, missions: int) -> Floats:
     """The mean age sums in slots that UAVs leave, by the rule, each of which serves some devices alone, (B,).
 
-    In each slot a UAV collects what fading lets it, and makes the move to the cell with the largest sum of ages, each
-    times its pull there. All advance side by side, over all columns: the processor computes several at once.
-
     Args:
         area: what they fly over.
         uav: (B,).
         serves: 1 for the devices of each, else 0, (B, W).
         missions: the first of the area's draws, so many.
     """
-    target, probability, pull, generated, draws = area.target, area.probability, area.pull, area.generated, area.draws
-    slots, columns = generated.shape
-    pending, age, total = np.zeros((3, len(uav), missions, columns), np.float32)
-    cells = np.empty((len(uav), missions), np.int64)
+    sums, ages = np.zeros(len(uav)), np.empty(missions)
     for b in range(len(uav)):
-        for m in range(missions):
-            cells[b, m] = area.start[uav[b]]
-            for i in range(columns):
-                pending[b, m, i] = serves[b, i]
-    for slot in range(slots):
-        for b in range(len(uav)):
-            u = uav[b]
-            for m in range(missions):
-                cell = cells[b, m]
-                for i in range(columns):
-                    kept = np.float32(draws[slot, m, i] >= probability[u, cell, i])
-                    left = pending[b, m, i] * kept
-                    age[b, m, i] = age[b, m, i] * kept + left
-                    total[b, m, i] += age[b, m, i]
-                    pending[b, m, i] = left + generated[slot, i] * serves[b, i]
-            for m in range(missions):
-                to, most = cells[b, m], np.float32(-1.0)
-                for there in target[cells[b, m]]:
-                    value = np.float32(0.0)
-                    for i in range(columns):
-                        value += age[b, m, i] * pull[u, there, i]
-                    if value > most:
-                        to, most = there, value
-                cells[b, m] = to
-    sums = np.zeros(len(uav))
-    for b in range(len(uav)):
-        sums[b] = total[b].sum() / (slots * missions)
+        fly_part(area, uav[b], serves[b], area.pull[uav[b]], 0, ages)
+        sums[b] = ages.mean()
     return sums
+
+
+@compiled_fast
+def fly_part(area: PatrolArea, uav: int, serves: Singles, pull: Singles, first: int, ages: Floats) -> None:
+    """Write the age sum in slots that a UAV leaves which serves some devices alone, in each of some missions.
+
+    In each slot it collects what fading lets it, and makes the move to the cell with the largest sum of ages, each
+    times its pull there.
+
+    Args:
+        area: what it flies over.
+        uav: which one.
+        serves: 1 for its devices, else 0, (W,).
+        pull: of each device in each cell, (C, W).
+        first: number of the first draw.
+        ages: (missions,), written.
+    """
+    members = np.flatnonzero(serves)
+    start, probability, generated = area.start[uav], area.probability[uav], area.generated
+    draws = area.draws[first : first + len(ages)]
+    columns = max(len(members) + -len(members) % _LANES, _LANES)
+    if columns == len(serves):
+        _fly(start, area.target, probability, pull, generated * serves, draws, serves, ages)
+        return
+    few = np.zeros(columns, np.float32)
+    few[: len(members)] = 1.0
+    _fly(
+        start, area.target, _some(probability, members, columns), _some(pull, members, columns),
+        _some(generated, members, columns), _some(draws.reshape(-1, len(serves)), members, columns).reshape(
+            len(ages), -1, columns
+        ), few, ages,
+    )  # fmt: skip
+
+
+@compiled_fast
+def _some(rows: Singles, members: Ints, columns: int) -> Singles:
+    """The columns of some devices side by side, (rows, columns), and zeros behind them."""
+    some = np.zeros((len(rows), columns), np.float32)
+    for row in range(len(rows)):
+        for j in range(len(members)):
+            some[row, j] = rows[row, members[j]]
+    return some
+
+
+@compiled_fast
+def _fly(
+    start: int, target: Ints, probability: Singles, pull: Singles, generated: Singles, draws: Singles, serves: Singles,
+    ages: Floats,
+) -> None:  # fmt: skip
+    """Do what :func:`fly_part` says, over all columns: the processor computes several at once."""
+    slots, columns = generated.shape
+    pending, age, total = np.empty((3, columns), np.float32)
+    for mission in range(len(ages)):
+        cell = start
+        for i in range(columns):
+            pending[i], age[i], total[i] = serves[i], 0.0, 0.0
+        for slot in range(slots):
+            for i in range(columns):
+                kept = np.float32(draws[mission, slot, i] >= probability[cell, i])
+                waiting = pending[i] * kept
+                age[i] = age[i] * kept + waiting
+                total[i] += age[i]
+                pending[i] = waiting + generated[slot, i]
+            stay, up, down, right, left = target[cell]
+            stays = ups = downs = rights = lefts = np.float32(0.0)
+            for i in range(columns):
+                stays += age[i] * pull[stay, i]
+                ups += age[i] * pull[up, i]
+                downs += age[i] * pull[down, i]
+                rights += age[i] * pull[right, i]
+                lefts += age[i] * pull[left, i]
+            most = stays
+            for there, value in ((up, ups), (down, downs), (right, rights), (left, lefts)):
+                if value > most:
+                    cell, most = there, value
+        ages[mission] = total.sum() / slots
 
 
 @compiled_fast
@@ -186,7 +235,7 @@ def improve_in_flight(area: PatrolArea, plan: Ints, ways: Floats, covered: Bools
         rounds: at most.
         changes: tried in each round.
     """
-    uavs, columns, missions = np.arange(len(covered)), area.draws.shape[2], area.draws.shape[1]
+    uavs, columns, missions = np.arange(len(covered)), area.draws.shape[2], len(area.draws)
     serves = _members(plan, uavs, columns)
     first, sums = age_sums(area, uavs, serves, 1), age_sums(area, uavs, serves, missions)
     accepted = 0

@@ -7,9 +7,10 @@ The rule (:mod:`uavaou.planners.local_greedy`) and the head of a set network
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -28,6 +29,13 @@ MOST_STEPS = 500.0  # of a device that a UAV never collects
 SHARE = 0.5  # of a UAV's best probability to collect a device, from which a cell is good enough
 _POINTS = 10_000  # of the law of fading
 _MOST_GAIN = 36.0  # a power gain that fading does not exceed: the probability is below 1e-15
+
+
+class Plans(Protocol):
+    """What is planned before take-off: on one map, as a :class:`PullPlan` is, or on every map that is flown."""
+
+    def for_maps(self, world: World) -> list[PullPlan] | None:
+        """Return the plan of each of the L layouts; None where there is none."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +65,11 @@ class PullPlan:
         )
         return weight, reach, share
 
-    def is_of(self, world: World) -> bool:
-        """Whether all missions have the CDSs and the devices of the plan."""
+    def for_maps(self, world: World) -> list[PullPlan] | None:
+        """Return the plan itself where all missions have its CDSs and devices; see :class:`Plans`."""
         places = world.device_positions
-        return len(places) == 1 and all(map(np.array_equal, (world.flight.cds, places[0]), (self.cds, self.devices_m)))
+        same = len(places) == 1 and all(map(np.array_equal, (world.flight.cds, places[0]), (self.cds, self.devices_m)))
+        return [self] if same else None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for a JSON file."""
@@ -99,7 +108,7 @@ def exceedance(fading: str, rician_factor: float, points: int) -> tuple[Floats, 
 def steps_left(world: World, share: float | Floats = SHARE) -> Floats:
     """Return the grid steps from each cell to the nearest from which a UAV collects a device well, (L, U, C, I).
 
-    Well is with a ``share`` of the UAV's best probability or more; one for all, or (U, I). Infinite where it never
+    Well is with a ``share`` of the UAV's best probability or more; one for all, or (L, U, I). Infinite where it never
     collects the device.
     """
     scenario = world.scenario
@@ -109,26 +118,27 @@ def steps_left(world: World, share: float | Floats = SHARE) -> Floats:
     with np.errstate(divide="ignore"):
         above = world.channel.snr_min[:, None, :] / world.channel.mean_snr_above()  # (L, U, I) power gain needed there
     tables = []
-    for positions, least in zip(world.device_positions / scenario.grid_step_m, above, strict=True):
+    shares: Floats = np.broadcast_to(share, above.shape)
+    for positions, least, fair in zip(world.device_positions / scenario.grid_step_m, above, shares, strict=True):
         squared = ((cells[:, None] - positions) ** 2).sum(axis=-1)  # (C, I)
         nearest = (1.0 + squared.min(axis=0) / altitude**2) * least  # (U, I) power gain needed in the nearest cell
         best = np.interp(nearest, gain, exceeded, right=0.0)  # (U, I)
         # The gain that is exceeded so much more seldom; the nearest cell is always good enough, whatever the rounding.
-        enough = np.maximum(np.interp(-share * best, -exceeded, gain), nearest)
+        enough = np.maximum(np.interp(-fair * best, -exceeded, gain), nearest)
         good = ((1.0 + squared / altitude[:, :, None] ** 2) * least[:, None] <= enough[:, None]) & (best > 0.0)[:, None]
         grid = (scenario.uavs, scenario.columns, scenario.rows, scenario.devices)
         tables.append(steps_to(good.reshape(grid)).reshape(good.shape).astype(np.float32))
     return np.stack(tables)
 
 
-def planned_steps(world: World, plan: PullPlan) -> Floats:
-    """Return what takes the place of :func:`steps_left` where there is a ``plan``, (1, U, C, I).
+def planned_steps(world: World, plans: Sequence[PullPlan]) -> Floats:
+    """Return what takes the place of :func:`steps_left` where each layout has a plan, (L, U, C, I).
 
     They are steps / reach - log weight, so that the rule with exp(-steps) flies the plan; the steps themselves, where a
     UAV does not serve a device.
     """
-    weight, reach, share = plan.numbers
-    steps = steps_left(world, share) / reach[:, None] - np.log(weight)[:, None]
+    weight, reach, share = np.stack([plan.numbers for plan in plans], axis=1)  # (L, U, I) each
+    steps: Floats = steps_left(world, share) / reach[:, :, None] - np.log(weight)[:, :, None]
     return steps.astype(np.float32)
 
 

@@ -1,0 +1,83 @@
+"""The search for parts: what it says is what is flown, it never ends above its start, and one seed gives one result."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uavaou import Scenario, World
+from uavaou.planners import tuned
+from uavaou.planners.parts import PartsSearch, _members
+from uavaou.planners.tuned import _SHARES, LocalGreedyTuned, _Search
+from uavaou.world.partition import partition
+from uavaou.world.patrol import fly_part
+
+PAPER = Scenario.load("paper")
+
+
+def begun(scenario: Scenario) -> tuple[PartsSearch, _Search]:
+    whole = _Search(scenario, scenario.draw_layout())
+    owners = partition(World(scenario))[0]
+    return PartsSearch(scenario, scenario.draw_layout(), owners, whole._steps, 2, whole._can), whole
+
+
+def flown(search: PartsSearch, whole: _Search) -> float:
+    """The sum of the age sums that the best parts leave, flown anew."""
+    area, total = search._area, 0.0
+    for uav in range(len(whole._can)):
+        pull, ages = np.zeros_like(area.pull[uav]), np.empty(len(area.draws))
+        for device in np.flatnonzero(search.owners == uav):
+            weight, reach, share = search.numbers[:, device]
+            pull[:, device] = weight * np.exp(-whole._steps[int(share), uav, :, device] / reach)
+        fly_part(area, uav, _members(search.owners, uav, area.draws.shape[2]), pull, 0, ages)
+        total += ages.mean()
+    return total
+
+
+@pytest.mark.parametrize("changes", [{}, {"devices": 70, "slots": 100}, {"uavs": 1, "altitudes_m": [90]}])
+def test_the_best_parts_are_as_good_as_the_search_says(changes: dict[str, Any]) -> None:
+    cds = {"cds_m": [[0, 0]]} if "uavs" in changes else {}
+    search, whole = begun(PAPER.replace(**changes | cds))
+    start = search.age
+    assert start == pytest.approx(flown(search, whole), rel=1e-5)
+    for k in range(8):
+        search.step(k / 8)
+    assert search.age < start
+    assert search.age == pytest.approx(flown(search, whole), rel=1e-5)
+    assert search._ages.mean(axis=1).sum() > search.age - 1e-9
+    devices = np.arange(len(search.owners))
+    assert (whole._can | ~whole._can.any(axis=0))[search.owners, devices].all()
+    assert set(search.numbers[2]) <= set(range(len(_SHARES)))
+
+
+def test_one_search_gives_one_result() -> None:
+    results = []
+    for _ in range(2):
+        search, _ = begun(PAPER)
+        for k in range(4):
+            search.step(k / 4)
+        results.append((search.age, search.slots, search.owners.tolist(), search.numbers.tolist()))
+    assert results[0] == results[1]
+
+
+def test_a_device_that_a_uav_cannot_collect_stays_with_one_that_can() -> None:
+    far = PAPER.replace(altitudes_m=[80.0, 90.0, 500.0])  # the last is too high for most devices
+    search, whole = begun(far)
+    assert not whole._can[2].all()
+    for k in range(20):
+        search.step(k / 20)
+    assert whole._can[search.owners, np.arange(far.devices)][whole._can.any(axis=0)].all()
+
+
+def test_parts_first_find_more_than_single_pairs_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    gains = []
+    for seed in (8, 1000, 1002):
+        scenario = PAPER.replace(layout_seed=seed)
+        layout, ages = scenario.draw_layout(), []
+        for share in (0.4, 0.0):
+            monkeypatch.setattr(tuned, "_PARTS", share)
+            ages.append(LocalGreedyTuned(slots=1_000_000).plan(scenario, layout).mean_aou_s)
+        gains.append(ages[0] / ages[1])
+    assert np.exp(np.log(gains).mean()) < 0.98
