@@ -67,10 +67,6 @@ def train(
     continue_: Annotated[
         str | None, option("Go on with a finished run in its folder, to more --slots.", "RUN", "--continue")
     ] = None,
-    fork: Annotated[
-        str | None, option("Follow the training of a run until --at, then sample by --seed.", "RUN")
-    ] = None,
-    at: Annotated[int | None, budget("Where a --fork parts from its run, in slots, such as 100k.")] = None,
     out: Results = Path("results"),
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")] = False,
     checkpoint_every: Annotated[
@@ -106,10 +102,6 @@ def train(
     if continue_ is not None:
         _refuse("--continue", given | {"--from": from_, "--config": config}, "the run goes on with its own settings")
         plan, folder = _continued(continue_, slots, resume)
-    elif fork is not None or at is not None:
-        others = given | {"--slots": slots, "--from": from_, "--config": config} | {"--seed": None}
-        _refuse("--fork", others, "the run's settings are taken")
-        plan, folder = _forked(fork, at, seed, out)
     elif config is not None:
         _refuse("--config", given | {"--slots": slots}, "the file says everything")
         plan, folder = _again(config, out)
@@ -232,17 +224,6 @@ def _continued(run: str, slots: int | None, resume: bool) -> tuple[RunConfig, Ru
 
     folder = RunFolder.at(run)
     return continued(folder, slots, resume), folder
-
-
-def _forked(run: str | None, at: int | None, seed: int | None, out: Path) -> tuple[RunConfig, RunFolder]:
-    """The training that follows a run to slot ``at``, and its folder."""
-    from uavaou.runs.folder import RunFolder, config_folder
-    from uavaou.runs.start import forked
-
-    if run is None or at is None or seed is None:
-        raise InputError("--fork RUN, --at SLOTS and --seed N belong together: give all three")
-    config = forked(RunFolder.at(run), at, seed)
-    return config, config_folder(out, config)
 
 
 def _resuming(arguments: list[str], folder: RunFolder) -> list[str]:

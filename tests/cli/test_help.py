@@ -19,7 +19,7 @@ from uavaou_cli.tables import WIDTH
 # Scripts and docs rely on every one of these.
 COMMANDS = {
     "": "--version --plugin --install-completion --show-completion",
-    "train": "SCENARIO --scenario --family --algorithm --seed --slots --config --from --continue --fork --at --out "
+    "train": "SCENARIO --scenario --family --algorithm --seed --slots --config --from --continue --out "
     "--resume --checkpoint-every --device --threads --backend --set --quiet",
     "tune": "SCENARIO --scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out "
     "--set --search --quiet",

@@ -75,35 +75,6 @@ def rule_ahead(text: str) -> bool:
     return states(text, "layouts 6, 7 and 9") and ahead == ["6", "7", "9"]
 
 
-def forked(text: str) -> bool:
-    """How many forks stray by the slot at which they part."""
-    results = study("strays-forks")
-    found = structures(results)
-    counts = ["{} of {}".format(*strays(found, f"at {slots}", "layout 8")) for slots in ("0.1M", "0.3M", "1M")]
-    own = strays(found, "own start", "layout 8")
-    return states(text, f"0.1M slots {counts[0]}", f"0.3M {counts[1]}", f"1M {counts[2]}") and own == (0, 4)
-
-
-def forks() -> tuple[tuple[int, int], tuple[int, int]]:
-    """How many of the forks stray that part early, and of those that part later."""
-    found = structures(study("strays-forks"))
-    early, *late = (strays(found, f"at {slots}", "layout 8") for slots in ("0.1M", "0.3M", "1M"))
-    many, of_many = map(sum, zip(*late, strict=True))
-    return early, (many, of_many)
-
-
-def none_came_back(text: str) -> bool:
-    many, of_many = forks()[1]
-    return f"none of {of_many} forks" in text and many == of_many
-
-
-def decided(text: str) -> bool:
-    """Those that part early beside those that part later, by Fisher's test."""
-    early, late = forks()
-    p = fisher(*early, *late)
-    return states(text, f"{early[1] - early[0]} of {early[1]} did", f"p = {p:.2f}") and p > 0.05
-
-
 def mended(text: str) -> bool:
     """Whether trainings with four candidates stray on layout 0, and where they end."""
     results = study("strays-mended")

@@ -207,9 +207,6 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "cost the best of them three eighths": strayed.candidates_cost,
     "Over the four layouts the geometric": strayed.over_layouts,
     "which learns nothing, has a lower": strayed.rule_ahead,
-    "Of those that part at 0.1M slots": strayed.forked,
-    "of this one training came back": strayed.none_came_back,
-    "Of those at 0.1M, 2 of 4 did": strayed.decided,
     "With four candidates and 20 fresh seeds": strayed.none_strays,
     "They end at": strayed.mended,
     "with one candidate and the same settings": strayed.with_masks,
@@ -280,7 +277,6 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "was trained for 5.4M slots before": "its model card",
     "behind it and 600,000 more": "the study's file",
     "are that study's": "the history of the study: seeds taken over",
-    "strays on layout 8 to a slot": "the study's file",
     "on 64 of the 100 missions": "the option of the command that wrote planners/gap.csv",
 }
 

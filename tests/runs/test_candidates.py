@@ -23,7 +23,7 @@ from uavaou.runs.checkpoint import save_candidate
 from uavaou.runs.checkpoint_header import read_header
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.recorder import Recorder
-from uavaou.runs.start import Start, continued, forked
+from uavaou.runs.start import Start, continued
 from uavaou.runs.train import train
 
 
@@ -162,10 +162,6 @@ def test_parts_that_leave_nothing_to_go_on_with_are_refused(tmp_path: Path) -> N
 
 
 def test_what_follows_on_another_training_has_one_candidate(tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path)
-    folder.config.write_text(three_candidates().to_yaml())
-    with pytest.raises(InputError, match=r"fork: algorithm\.candidates = 3: expected 1"):
-        forked(folder, 100, seed=7)
     released = Start.at("any-map-local")
     several = released.training(three_candidates().scenario, {"candidates": 3, "slots": 480}, 0)
     with pytest.raises(InputError, match=r"algorithm\.candidates = 3: expected 1"):

@@ -23,7 +23,6 @@ from uavaou.family import Family
 from uavaou.fields import Number, PositiveWhole, Whole, reads_schema, short, validated
 from uavaou.files import PathIn, read_json, refuse_links
 from uavaou.plain_yaml import to_yaml
-from uavaou.runs.fork import Fork
 from uavaou.runs.lock import LOCK
 from uavaou.runs.released import nearest_released, released_folder, run_path
 from uavaou.scenario import Scenario
@@ -48,7 +47,6 @@ class RunConfig:
     family: Family | None = None  # trained on; ``scenario`` is then its base
     start: str | None = None  # digest of the weights that it begins with; None: drawn anew
     budgets: tuple[int, ...] = ()  # slots of a run that went on: the algorithm's, then larger ones
-    fork: Fork | None = None  # the training that it follows at first
 
     @classmethod
     def load(
@@ -115,7 +113,6 @@ class RunConfig:
         content |= {"family": self.family.to_dict()} if self.family else {}
         content |= {"start": self.start} if self.start else {}
         content |= {"budgets": list(self.budgets)} if self.budgets else {}
-        content |= {"fork": self.fork.model_dump()} if self.fork else {}
         algorithm, scenario = self.algorithm.model_dump(mode="json"), self.scenario.to_dict()
         return to_yaml(content | {"algorithm": algorithm, "scenario": scenario})
 
@@ -244,7 +241,6 @@ class ConfigFile(BaseModel):
     family: dict[str, Any] | None = None
     start: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
     budgets: Annotated[tuple[PositiveWhole, ...], Field(min_length=2, max_length=10_000)] | None = None
-    fork: Fork | None = None
     algorithm: dict[str, Any]
     scenario: dict[str, Any]
 
@@ -258,7 +254,7 @@ class ConfigFile(BaseModel):
         family = None if self.family is None else Family.from_dict(self.family, source=f"{path}: family")
         if family is not None and family.base != scenario:
             raise InputError(f"{path}: family.base: expected what the file states as scenario")
-        return RunConfig(scenario, algorithm, self.seed, family, self.start, budgets, self.fork)
+        return RunConfig(scenario, algorithm, self.seed, family, self.start, budgets)
 
 
 def read_config(path: Path) -> RunConfig:
@@ -296,7 +292,6 @@ def config_folder(out: Path, config: RunConfig) -> RunFolder:
     name, published = published_settings(config.algorithm, config.family is not None)
     overrides = _differences(published, config.algorithm.model_dump(mode="json"))
     overrides |= {"from": config.start[:12]} if config.start else {}
-    overrides |= {"fork": str(config.fork)} if config.fork else {}
     place = family_folder(config.family) if config.family else scenario_folder(config.scenario)
     return RunFolder(out / place / _folder_name(name, overrides) / f"seed-{config.seed}")
 

@@ -21,7 +21,6 @@ from uavaou.runs.candidates import CandidateEnded, candidate_ends
 from uavaou.runs.checkpoint import Arrays, copy_last, open_candidate, save_candidate, save_policy, save_training
 from uavaou.runs.checkpoint_header import ACTIONS, ROWS_AN_EVALUATION, TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
-from uavaou.runs.fork import part
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.machine import describe_machine
 from uavaou.runs.records import EpisodesCsv, ProgressCsv, plain
@@ -107,7 +106,6 @@ class Recorder(BaseCallback):
         self._started = self._began - progress.wall_s
         self._callback = after_update
         self._served = False  # whether any device was, in the last validation
-        self._parted = config.fork is None or progress.slots >= config.fork.slots
         self._cpu_before = 0.0  # start of this process's CPU time of playing and learning
         self._cpu_s = 0.0  # of this process at the last update
         self._cpu_s_earlier = progress.cpu_s  # of the processes before it
@@ -185,10 +183,6 @@ class Recorder(BaseCallback):
         self._log(bool(scores))
         if scores:
             self._note(scores)
-        fork = self._config.fork
-        if fork is not None and not self._parted and self._slots >= fork.slots:  # before a checkpoint that holds it
-            part(self.model, self._env, self._config.seed)
-            self._parted = True
         asked = self._interrupts.received is not None
         if ended:
             self._end_candidate(min(scores.values()))

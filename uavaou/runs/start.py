@@ -15,7 +15,6 @@ from uavaou.family import Family
 from uavaou.fields import short
 from uavaou.runs.checkpoint_header import open_policy
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.fork import Fork
 from uavaou.scenario import Scenario
 from uavaou.zoo import read_yaml_mapping
 
@@ -108,32 +107,6 @@ class Start:
             load_policy_arrays(self._file, model)
         except InputError as error:
             raise InputError(f"--from {self.folder}: {error}; keep the settings of its network") from None
-
-
-def forked(folder: RunFolder, slots: int, seed: int) -> RunConfig:
-    """The training that follows a run to a slot and then samples by a seed of its own.
-
-    It repeats the run's training until then, so that nothing of that needs to be kept but ``config.yaml``.
-
-    Args:
-        folder: of the run.
-        slots: at the first update from here on, it parts.
-        seed: its own.
-
-    Raises:
-        InputError: the folder is no run, or one that cannot be repeated; or a number cannot be used.
-    """
-    config = folder.read_config()
-    for name, why in (
-        ("family", "it trains on a family"),
-        ("start", "it begins with weights"),
-        ("fork", "it is a fork"),
-    ):
-        if getattr(config, name) is not None:
-            raise InputError(f"--fork {folder}: {why}, which cannot be followed")
-    fork = Fork(seed=config.seed, slots=slots)
-    fork.check(seed, config.algorithm)
-    return RunConfig(config.scenario, config.algorithm, seed, fork=fork)
 
 
 def continued(folder: RunFolder, slots: int | None, resume: bool) -> RunConfig:

@@ -91,7 +91,7 @@ def train(
     if source is not None and config.start is None:
         config = replace(config, start=source.digest)
     candidates = config.algorithm.candidates
-    if candidates > 1 and (config.start or config.fork):
+    if candidates > 1 and config.start:
         raise InputError(f"algorithm.candidates = {candidates}: expected 1 for a training that follows on another")
     stages = config.stages()
     held = folder.read_config() if resume and folder.exists() else None
@@ -122,7 +122,7 @@ def _train(
     try:
         env = flatten(
             config.family or config.scenario,
-            seed=training_seeds(_first_seed(config)).start,
+            seed=training_seeds(config.seed).start,
             backend=backend,
             plan=plan,
             **settings,
@@ -179,17 +179,12 @@ def _begin_with(digest: str, source: Start | None, model: BaseAlgorithm) -> None
     source.load_into(model)
 
 
-def _first_seed(config: RunConfig) -> int:
-    """The seed that a training begins with: its own, or that of the one it follows."""
-    return config.seed if config.fork is None else config.fork.seed
-
-
 def _make_learner(config: RunConfig, env: MissionVecEnv, device: str) -> BaseAlgorithm:
     try:
-        model = make_model(config.algorithm, env, _first_seed(config), device)
+        model = make_model(config.algorithm, env, config.seed, device)
     except MemoryError as error:
         raise InputError("not enough memory for the learner: lower missions or what it stores of each") from error
-    env.seed(training_seeds(_first_seed(config)).start)  # SB3 seeded the missions with the learner's seed
+    env.seed(training_seeds(config.seed).start)  # SB3 seeded the missions with the learner's seed
     return model
 
 

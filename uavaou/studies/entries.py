@@ -13,7 +13,6 @@ from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, unknown
 from uavaou.fields import short, validated
 from uavaou.planners import PLANNERS
-from uavaou.runs.fork import Fork
 from uavaou.runs.released import released_names
 from uavaou.runs.start import Start
 from uavaou.scenario import Scenario
@@ -59,7 +58,6 @@ class VariantEntry(BaseModel, frozen=True, extra="forbid"):
     algorithm: StrictStr | None = None  # None: that of the variant's name
     from_: StrictStr | None = Field(None, alias="from")  # the released policy that its trainings begin with
     set: Annotated[dict[StrictStr, Any], expecting(dict, "{gamma: 0.9}")] = {}
-    fork: Fork | None = None  # the training that every seed of the variant follows at first
     against: StrictStr | None = None  # the variant that the report compares it with, beside the reference
 
 
@@ -67,7 +65,6 @@ class Variant(NamedTuple):
     """A variant, resolved."""
 
     algorithm: AlgorithmConfig
-    fork: Fork | None = None
     start: str | None = None  # digest of the weights that its trainings begin with
     against: str | None = None  # another variant
 
@@ -134,7 +131,7 @@ def resolve_variant(
     except InputError as error:
         hint = "" if stated.algorithm else "; a variant of another name states its algorithm"
         raise InputError(f"{source}: {error}{hint if 'unknown algorithm' in str(error) else ''}") from None
-    return Variant(algorithm, stated.fork, against=stated.against)
+    return Variant(algorithm, against=stated.against)
 
 
 def _beginning(
@@ -144,9 +141,8 @@ def _beginning(
     assert stated.from_ is not None
     if stated.from_ not in released_names():
         raise InputError(f"{source}: from: {unknown('released policy', stated.from_, released_names())}")
-    for field in ("algorithm", "fork"):
-        if getattr(stated, field) is not None:
-            raise InputError(f"{source}: {field}: expected none beside from: leave it out")
+    if stated.algorithm is not None:
+        raise InputError(f"{source}: algorithm: expected none beside from: leave it out")
     try:
         start = Start.at(stated.from_)
         trainings = [start.training(scenario, changes, 0) for scenario in scenarios.values()]

@@ -21,7 +21,6 @@ from uavaou.fields import Positive, PositiveWhole, Whole, short, validated
 from uavaou.plain_yaml import to_yaml
 from uavaou.planners import PLAN_AHEAD, PLANNERS
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
-from uavaou.runs.fork import Fork
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.studies.entries import expecting, resolve_scenarios, resolve_variant
@@ -102,7 +101,6 @@ class Study(StudySettings):
     scenarios: dict[str, Scenario]  # by their names in the study
     variants: dict[str, AlgorithmConfig]  # the settings of each variant
     against: dict[str, str]  # variant -> the one that the report compares it with, beside the reference
-    forks: dict[str, Fork]  # variant -> the training that its seeds follow at first
     starts: dict[str, str]  # variant -> digest of the weights that its trainings begin with
 
     @classmethod
@@ -130,7 +128,6 @@ class Study(StudySettings):
             "scenarios": scenarios,
             "variants": {name: one.algorithm for name, one in resolved.items()},
             "against": {name: one.against for name, one in resolved.items() if one.against is not None},
-            "forks": {name: one.fork for name, one in resolved.items() if one.fork is not None},
             "starts": {name: one.start for name, one in resolved.items() if one.start is not None},
         }
         study = cls.model_construct(**values)  # validated above
@@ -141,7 +138,7 @@ class Study(StudySettings):
         """Every training, all variants with the first seed before any with the second."""
         every = product(self.seeds, self.scenarios.items(), self.variants.items())
         for seed, (place, scenario), (variant, algorithm) in every:
-            config = RunConfig(scenario, algorithm, seed, start=self.starts.get(variant), fork=self.forks.get(variant))
+            config = RunConfig(scenario, algorithm, seed, start=self.starts.get(variant))
             yield StudyRun(PartKey(variant, place, seed), config)
 
     def planner_parts(self) -> list[PartKey]:
@@ -184,7 +181,6 @@ class Study(StudySettings):
             "reference": self.reference,
             "claims": self.claims,
             "against": self.against,
-            **({"forks": {name: fork.model_dump() for name, fork in self.forks.items()}} if self.forks else {}),
             **({"starts": self.starts} if self.starts else {}),
             **({"drawn": self.drawn} if self.drawn else {}),
             **({"held": self.held} if self.held else {}),
@@ -218,12 +214,6 @@ def _check(study: Study, source: str) -> None:
     _check_distinct(study.planners, f"{source}: planners")
     _check_comparisons(study, source)
     _check_structure(study, source)
-    for name, fork in study.forks.items():
-        for seed in study.seeds:
-            try:
-                fork.check(seed, study.variants[name])
-            except InputError as error:
-                raise InputError(f"{source}: variants.{short(name)}: {error}") from None
     planned = ["bound: true"] if study.bound else []
     planned += [f"planners: {name}" for name in study.planners if name in PLAN_AHEAD]
     for name, scenario in study.scenarios.items():

@@ -34,11 +34,6 @@ def _pack_stream(rng: np.random.Generator) -> NDArray[np.uint64]:
     return np.array([*halves, state["has_uint32"], state["uinteger"]], dtype=np.uint64)
 
 
-def fresh_streams(seed: int, missions: int) -> NDArray[np.uint64]:
-    """The random streams of missions with the seeds ``seed + j`` at their beginning, as in a World's state, (N, 6)."""
-    return np.stack([_pack_stream(np.random.default_rng(seed + mission)) for mission in range(missions)])
-
-
 def _unpack_stream(rng: np.random.Generator, packed: NDArray[np.uint64]) -> None:
     words = [int(word) for word in packed]
     rng.bit_generator.state = {
