@@ -28,6 +28,7 @@ from uavaou_cli.progress import RecordingDisplay, RehearsalDisplay
 from uavaou_cli.tables import aligned, figure, interval_figures, paragraphs, show
 
 if TYPE_CHECKING:
+    from uavaou.arrays import Floats
     from uavaou.planners.base import Planner
     from uavaou.runs.rehearsal import Rehearsal
     from uavaou.scenario import Scenario
@@ -75,6 +76,7 @@ def fly(
     if json is not None:
         writable_file(json)
     notes: list[Path] = []
+    ages: dict[str, Floats] = {}
     if policy == _AUTO:
         rehearsal = _rehearse(flown, seconds, knows, folder, quiet)
         show(_rehearsal_lines(rehearsal))
@@ -83,15 +85,18 @@ def fly(
         if json is not None:
             write_json(json, rehearsal.to_dict())
             notes.append(json)
-        from uavaou.reports.mission_figures import plot_rehearsal
-
-        notes += plot_rehearsal({one.name: one.ages_over_time for one in first}, folder, "rehearsal")
+        ages = {one.name: one.ages_over_time for one in first}
     else:
         if json is not None:
             raise InputError(f"--json {json}: holds what a rehearsal has found, and --policy {policy} needs none")
         reference = next(name for name in _REFERENCES if name != policy and within(planner_knowledge(name), knows))
         policies = {name: make_policy(name, flown, knows=knows) for name in (policy, reference)}
-    _fly(flown, policies, seed, folder, overrides.scenario, notes, quiet)
+    _fly(flown, policies, seed, folder, overrides.scenario, quiet)
+    if ages:
+        from uavaou.reports.mission_figures import plot_rehearsal
+
+        notes += plot_rehearsal(ages, folder, "rehearsal")
+    show(notes)
 
 
 def _rehearse(scenario: Scenario, seconds: float, knows: str, folder: Path, quiet: bool) -> Rehearsal:
@@ -134,7 +139,6 @@ def _fly(
     seed: int,
     folder: Path,
     changes: dict[str, str],
-    notes: list[Path],
     quiet: bool,
 ) -> None:
     """Fly a mission with each policy; print the figures, and write the files of the first."""
@@ -151,4 +155,4 @@ def _fly(
     written, page = folder / f"{name}.json", folder / f"{name}.html"
     write_mission(written, chosen)
     write_replay(page, by_label(missions.values()))
-    show(["", page, written, *plot_trajectories(scenario, chosen.recording, folder, name, quick=True), *notes])
+    show(["", page, written, *plot_trajectories(scenario, chosen.recording, folder, name, quick=True)])

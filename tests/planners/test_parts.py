@@ -9,7 +9,7 @@ import pytest
 
 from uavaou import Scenario, World
 from uavaou.planners import tuned
-from uavaou.planners.parts import PartsSearch, _members
+from uavaou.planners.parts import REACHES, WEIGHTS, PartsSearch, _members
 from uavaou.planners.tuned import _SHARES, LocalGreedyTuned, _Search
 from uavaou.world.partition import partition
 from uavaou.world.patrol import fly_part
@@ -50,6 +50,19 @@ def test_the_best_parts_are_as_good_as_the_search_says(changes: dict[str, Any]) 
     devices = np.arange(len(search.owners))
     assert (whole._can | ~whole._can.any(axis=0))[search.owners, devices].all()
     assert set(search.numbers[2]) <= set(range(len(_SHARES)))
+
+
+def test_numbers_stay_where_a_policy_that_samples_flies_them_too() -> None:
+    """Else hundreds of neutral changes lead to reaches of thousands of steps, and to moves of nearly equal pull."""
+    search, _ = begun(PAPER.replace(slots=60))
+    for _ in range(400):
+        search.step(0.0)
+    for row, (low, high) in zip(search._numbers, (WEIGHTS, REACHES), strict=False):
+        assert low <= row.min() < 1.0 < row.max() <= high
+        assert {row.min(), row.max()} & {low, high}  # they do get there
+    plan = LocalGreedyTuned(slots=2_000_000).plan(PAPER, PAPER.draw_layout())
+    for numbers, (low, high) in ((plan.weight[plan.weight > 0], WEIGHTS), (plan.reach, REACHES)):
+        assert low <= numbers.min() <= numbers.max() <= high
 
 
 def test_one_search_gives_one_result() -> None:

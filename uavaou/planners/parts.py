@@ -25,6 +25,8 @@ _TOGETHER = 64  # changes of one call
 _AREAS = 0.4  # fraction of a search for areas of the UAVs, before it changes single devices
 _SPREAD = (0.12, 0.12, 0.08)  # of a change of an area, in sizes of the map
 _DRAWN = 8  # random numbers of a change
+# Numbers beyond make hardly another flight, but moves that hardly differ in pull: a learner that samples is lost there.
+WEIGHTS, REACHES = (0.1, 10.0), (0.4, 8.0)
 
 
 class PartsSearch:
@@ -170,9 +172,9 @@ def _change(
         if other >= 0:
             owners[other] = before
     elif drawn[2] < 0.5:
-        numbers[0, device] *= math.exp(0.5 * normal)
+        numbers[0, device] = min(max(numbers[0, device] * math.exp(0.5 * normal), WEIGHTS[0]), WEIGHTS[1])
     elif drawn[2] < 0.75:
-        numbers[1, device] *= math.exp(0.4 * normal)
+        numbers[1, device] = min(max(numbers[1, device] * math.exp(0.4 * normal), REACHES[0]), REACHES[1])
     else:
         numbers[2, device] = min(max(numbers[2, device] + int(drawn[3] * 5) - 2, 0), shares - 1)
     return device, other

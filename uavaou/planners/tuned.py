@@ -12,7 +12,7 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.planners.local_greedy import LocalGreedy, LocalGreedyParts
-from uavaou.planners.parts import PartsSearch
+from uavaou.planners.parts import REACHES, WEIGHTS, PartsSearch
 from uavaou.planners.plan import AheadPlanner, OnProgress, Plan, PlanningStatus
 from uavaou.planners.rule import make_chart, score
 from uavaou.scenario import Layout, Scenario
@@ -236,13 +236,13 @@ class _Search:
             return set()
         uav, device = (int(index) for index in candidates[rng.integers(len(candidates))])
         if kind == "weight":
-            weight[uav, device] *= np.exp(0.5 * rng.normal())
+            weight[uav, device] = np.clip(weight[uav, device] * np.exp(0.5 * rng.normal()), *WEIGHTS)
         elif kind == "drop":
             weight[uav, device] = 0.0
         elif kind == "add":
-            weight[uav, device] = np.exp(rng.normal())
+            weight[uav, device] = np.clip(np.exp(rng.normal()), *WEIGHTS)
         elif kind == "reach":
-            reach[uav, device] *= np.exp(0.4 * rng.normal())
+            reach[uav, device] = np.clip(reach[uav, device] * np.exp(0.4 * rng.normal()), *REACHES)
         elif kind == "share":
             share[uav, device] = np.clip(share[uav, device] + rng.integers(-2, 3), 0, len(_SHARES) - 1)
         else:

@@ -41,7 +41,7 @@ _RATE = 150_000.0  # devices that a learner's UAVs look at in a second, at least
 _CHECKS = 4  # of the policy in training
 _FIRST, _MOST = 4, 128  # missions that each flies at first, and at most
 _WORK = 8_000_000  # slots x UAVs x devices of a candidate's first missions, of which at least one is flown
-_QUICK = 0.25  # share of the time that one of them may take
+_QUICK, _QUICK_S = 0.25, 0.6  # share of the time that one of them may take, and the least for each, s
 
 
 class _Late(Exception):  # noqa: N818 - the way out of a flight
@@ -123,7 +123,8 @@ def rehearse(
 
     Args:
         scenario: what is flown, or the name of a preset or the path of a YAML file.
-        seconds: that it may take. The first flights of a large map may take longer.
+        seconds: that it may take, beside a moment to load what is compiled. The first flights of a large map may take
+            longer.
         knows: the most that a policy may read in flight: ``local``, ``shared`` or ``everything``.
         folder: of the training that there is from 30 seconds on, and holds no other one; None: there is none.
         on_progress: called now and then.
@@ -144,12 +145,14 @@ class _Rehearsal:
 
     def __init__(self, scenario: Scenario, seconds: float, knows: str, on_progress: OnRehearsal | None) -> None:
         check_within("", "nothing", knows)
+        _load_kernels()
         self.scenario, self.seconds, self.knows = scenario, seconds, knows
         self._on_progress = on_progress
         self._began = time.monotonic()
         self._candidates: list[Candidate] = []
         self._late: list[str] = []
         work = scenario.slots * scenario.uavs * scenario.devices
+        self._quick_s = max(_QUICK * seconds, _QUICK_S)
         self._missions = int(np.clip(_WORK // work, 1, _FIRST))
 
     def result(self, folder: Path | None) -> Rehearsal:
@@ -169,7 +172,7 @@ class _Rehearsal:
 
     def _enter_by_name(self, name: str) -> None:
         """Let a policy fly that needs no time before take-off, if it may."""
-        limit_s = min(_QUICK * self.seconds, self._left_s) if self._candidates else float("inf")
+        limit_s = min(self._quick_s, self._left_s) if self._candidates else float("inf")
         if not within(known_by(name, self.knows), self.knows):
             return
         if limit_s <= 0:
@@ -223,7 +226,7 @@ class _Rehearsal:
             if plan.interrupted:
                 raise KeyboardInterrupt
             planner.keep(plan, self.scenario, layout)
-            self._enter(Candidate(name, planner), max(self._left_s, _QUICK * self.seconds))
+            self._enter(Candidate(name, planner), max(self._left_s, self._quick_s))
 
     def _train(self, folder: Path) -> None:
         """Train a policy that begins with the numbers of ``local-greedy-tuned``, and let it fly."""
@@ -249,7 +252,7 @@ class _Rehearsal:
             if train(config, run, after_update=watch, plan=plan).stopped_by is not None:
                 raise KeyboardInterrupt
         policy = make_policy(run, self.scenario, knows=self.knows)
-        self._enter(Candidate(str(run), policy, run), max(self._left_s, _QUICK * self.seconds))
+        self._enter(Candidate(str(run), policy, run), max(self._left_s, self._quick_s))
 
     def _finalists(self) -> list[Candidate]:
         """Those that have flown most missions."""
@@ -272,6 +275,14 @@ class _Rehearsal:
                 return
             for candidate, flight in flights:  # all of them, so that they have flown the same missions
                 candidate.flights.append(flight)
+
+
+def _load_kernels() -> None:
+    """Load what is compiled, or compile it, by a rehearsal of a small map: that takes none of the time given."""
+    small = Scenario.load("tiny")
+    for name in _AT_ONCE:
+        play(make_planner(name), small, 1, REHEARSAL_SEEDS.start, None)
+    LocalGreedyTuned(slots=1).plan(small, small.draw_layout())
 
 
 def _is_behind(candidate: Candidate, best: Candidate) -> bool:
