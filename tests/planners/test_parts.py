@@ -9,18 +9,18 @@ import pytest
 
 from uavaou import Scenario, World
 from uavaou.planners import tuned
-from uavaou.planners.parts import REACHES, WEIGHTS, PartsSearch, _members
+from uavaou.planners.parts import REACHES, WEIGHTS, PartsSearch
 from uavaou.planners.tuned import _SHARES, LocalGreedyTuned, _Search
 from uavaou.world.partition import partition
-from uavaou.world.patrol import fly_part
+from uavaou.world.patrol import fly_part, members_of
 
 PAPER = Scenario.load("paper")
 
 
-def begun(scenario: Scenario) -> tuple[PartsSearch, _Search]:
+def begun(scenario: Scenario, areas: bool = False) -> tuple[PartsSearch, _Search]:
     whole = _Search(scenario, scenario.draw_layout())
     owners = partition(World(scenario))[0]
-    return PartsSearch(scenario, scenario.draw_layout(), owners, whole._steps, 2, whole._can), whole
+    return PartsSearch(scenario, scenario.draw_layout(), owners, whole._steps, 2, whole._can, areas), whole
 
 
 def flown(search: PartsSearch, whole: _Search) -> float:
@@ -31,15 +31,16 @@ def flown(search: PartsSearch, whole: _Search) -> float:
         for device in np.flatnonzero(search.owners == uav):
             weight, reach, share = search.numbers[:, device]
             pull[:, device] = weight * np.exp(-whole._steps[int(share), uav, :, device] / reach)
-        fly_part(area, uav, _members(search.owners, uav, area.draws.shape[2]), pull, 0, ages)
+        fly_part(area, uav, members_of(search.owners, np.array([uav]), area.draws.shape[2])[0], pull, 0, ages)
         total += ages.mean()
     return total
 
 
+@pytest.mark.parametrize("areas", [False, True])
 @pytest.mark.parametrize("changes", [{}, {"devices": 70, "slots": 100}, {"uavs": 1, "altitudes_m": [90]}])
-def test_the_best_parts_are_as_good_as_the_search_says(changes: dict[str, Any]) -> None:
+def test_the_best_parts_are_as_good_as_the_search_says(changes: dict[str, Any], areas: bool) -> None:
     cds = {"cds_m": [[0, 0]]} if "uavs" in changes else {}
-    search, whole = begun(PAPER.replace(**changes | cds))
+    search, whole = begun(PAPER.replace(**changes | cds), areas)
     start = search.age
     assert start == pytest.approx(flown(search, whole), rel=1e-5)
     for k in range(8):

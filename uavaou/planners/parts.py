@@ -14,7 +14,7 @@ from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.compiled import compiled_fast
-from uavaou.world.patrol import PatrolArea, Singles, fly_part, patrol_area
+from uavaou.world.patrol import PatrolArea, Singles, fly_part, members_of, patrol_area
 
 _MOST_MISSIONS, _FLOWN_DEVICES = 16, 1600  # flown for each part, fewer where there are many devices
 _QUARTER = 4  # a change is flown in a quarter of the missions first, and in all if it is not clearly worse there
@@ -24,7 +24,7 @@ _MOVES, _SWAPS = 0.3, 0.4  # share of the changes that give a device to another 
 _TOGETHER = 64  # changes of one call
 _AREAS = 0.4  # fraction of a search for areas of the UAVs, before it changes single devices
 _SPREAD = (0.12, 0.12, 0.08)  # of a change of an area, in sizes of the map
-_DRAWN = 8  # random numbers of a change
+_DRAWN = 5  # random numbers of a change
 # Numbers beyond make hardly another flight, but moves that hardly differ in pull: a learner that samples is lost there.
 WEIGHTS, REACHES = (0.1, 10.0), (0.4, 8.0)
 
@@ -49,14 +49,7 @@ class PartsSearch:
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        layout: Layout,
-        owners: Ints,
-        steps: Singles,
-        share: int,
-        can: Bools,
-        areas: bool = False,
+        self, scenario: Scenario, layout: Layout, owners: Ints, steps: Singles, share: int, can: Bools, areas: bool
     ) -> None:
         world = World(scenario.pinned(layout))
         headroom = (world.channel.mean_snr_above() / world.channel.snr_min[:, None, :])[0]  # (U, I)
@@ -130,27 +123,16 @@ def _write_column(steps: Singles, numbers: Floats, uav: int, device: int, pull: 
 
 
 @compiled_fast
-def _members(owners: Ints, uav: int, columns: int) -> Singles:
-    """1 for the devices of a UAV, else 0, (W,)."""
-    serves = np.zeros(columns, np.float32)
-    for device in range(len(owners)):
-        if owners[device] == uav:
-            serves[device] = 1.0
-    return serves
-
-
-@compiled_fast
 def _fly_all(area: PatrolArea, steps: Singles, owners: Ints, numbers: Floats, pull: Singles, ages: Floats) -> None:
     for device in range(len(owners)):
         _write_column(steps, numbers, owners[device], device, pull[owners[device]])
+    serves = members_of(owners, np.arange(len(ages)), area.draws.shape[2])
     for uav in range(len(ages)):
-        fly_part(area, uav, _members(owners, uav, area.draws.shape[2]), pull[uav], 0, ages[uav])
+        fly_part(area, uav, serves[uav], pull[uav], 0, ages[uav])
 
 
 @compiled_fast
-def _change(
-    drawn: Floats, normal: float, can: Bools, shares: int, owners: Ints, numbers: Floats
-) -> tuple[int, int]:  # fmt: skip
+def _change(drawn: Floats, normal: float, can: Bools, shares: int, owners: Ints, numbers: Floats) -> tuple[int, int]:
     """Make one change at random; return the device, and the one that its new UAV gives for it, else -1.
 
     A device of -1 says that there is no such change.
@@ -198,12 +180,12 @@ def _anneal(
         _write_column(steps, numbers, pair[1], device, pull[pair[1]])
         if other >= 0:
             _write_column(steps, numbers, pair[0], other, pull[pair[0]])
+        serves = members_of(owners, pair, columns)
         first, last, worse = 0, quarter, _WORSE * best
         while first < missions:
             more = 0.0
             for b in range(count):
-                serves = _members(owners, pair[b], columns)
-                fly_part(area, pair[b], serves, pull[pair[b]], first, now[b, first:last])
+                fly_part(area, pair[b], serves[b], pull[pair[b]], first, now[b, first:last])
                 more += (now[b, :last] - ages[pair[b], :last]).mean()
                 flown += (last - first) * slots
             if more > heat[k] + worse:

@@ -178,7 +178,7 @@ def _fly(
 
 
 @compiled_fast
-def _members(plan: Ints, uav: Ints, columns: int) -> Singles:
+def members_of(plan: Ints, uav: Ints, columns: int) -> Singles:
     """1 for the devices that a plan (I,) gives to each of some UAVs (B,), else 0, (B, W)."""
     serves = np.zeros((len(uav), columns), np.float32)
     for b in range(len(uav)):
@@ -194,7 +194,7 @@ def plans_age_sums(area: PatrolArea, plans: Ints, missions: int) -> Floats:
     uavs = np.arange(len(area.start))
     sums = np.zeros(len(plans))
     for p in range(len(plans)):
-        sums[p] = age_sums(area, uavs, _members(plans[p], uavs, area.draws.shape[2]), missions).sum()
+        sums[p] = age_sums(area, uavs, members_of(plans[p], uavs, area.draws.shape[2]), missions).sum()
     return sums
 
 
@@ -236,7 +236,7 @@ def improve_in_flight(area: PatrolArea, plan: Ints, ways: Floats, covered: Bools
         changes: tried in each round.
     """
     uavs, columns, missions = np.arange(len(covered)), area.draws.shape[2], len(area.draws)
-    serves = _members(plan, uavs, columns)
+    serves = members_of(plan, uavs, columns)
     first, sums = age_sums(area, uavs, serves, 1), age_sums(area, uavs, serves, missions)
     accepted = 0
     version, tried = np.zeros(len(covered), np.int64), np.full(covered.T.shape, -1, np.int64)  # of parts, of changes
@@ -251,7 +251,7 @@ def improve_in_flight(area: PatrolArea, plan: Ints, ways: Floats, covered: Bools
             tried[i, v] = max(version[u], version[v])
             plan[i] = v
             pair = np.array([u, v])
-            serves = _members(plan, pair, columns)
+            serves = members_of(plan, pair, columns)
             once = age_sums(area, pair, serves, 1)
             if once.sum() < (1.0 + _WORSE) * (first[u] + first[v]):
                 often = age_sums(area, pair, serves, missions)
