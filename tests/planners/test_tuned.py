@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from tests.strategies import scenarios
 from uavaou import evaluate
+from uavaou.planners import tuned
 from uavaou.planners.plan import PlanningStatus
 from uavaou.planners.rule import make_chart, score
 from uavaou.planners.tuned import LocalGreedyTuned, RulePlan, _Search
@@ -72,19 +73,27 @@ def test_the_same_work_gives_the_same_plan_which_is_no_worse(monkeypatch: pytest
     one = LocalGreedyTuned().plan(QUICK, QUICK.draw_layout(), statuses.append)
     two = LocalGreedyTuned().plan(QUICK, QUICK.draw_layout())
     assert one.to_dict(QUICK) == json.loads(json.dumps(two.to_dict(QUICK)))
-    same_draws = [status.incumbent_s for status in statuses if status.share <= 0.3]
+    # All 32 draws of a second part; before it no set of numbers is scored in whole missions, and later draws differ.
+    same_draws = [status.incumbent_s for status in statuses if tuned._PARTS < status.share <= 0.7]
     assert same_draws == sorted(same_draws, reverse=True)
     assert same_draws[0] > same_draws[-1]
 
 
-def test_areas_are_kept_only_where_they_beat_the_fixed_rules() -> None:
-    search = _Search(QUICK, QUICK.draw_layout())
-    start, tried = search.best_age, []
-    for _ in range(30):
-        search.step(0.1)
-        tried.append(float(search._area_ages.mean()))
-    assert tried == sorted(tried, reverse=True)
-    assert search.best_age == min(start, tried[-1])
+def test_parts_are_kept_only_where_they_beat_the_fixed_rules() -> None:
+    for worse in (False, True):
+        search = _Search(QUICK, QUICK.draw_layout())
+        start, rule = search.best_age, search._best.copy()
+        for _ in range(10):
+            search.step(0.1)
+        found = [each.age for each in search._parts]
+        assert len(found) == 2
+        if worse:  # what they say counts for nothing: they are flown
+            for each in search._parts:
+                each.owners[:], each.age = 0, 0.0
+        search._take_parts()
+        assert search._parts == []
+        assert (search.best_age < start) is not worse
+        assert np.array_equal(search._best, rule) is worse
 
 
 @settings(max_examples=3, deadline=None)
