@@ -34,7 +34,8 @@ from uavaou.studies.study import Study
 from uavaou_cli.main import main
 
 SMALL = (
-    "missions: 8, rollout_slots: 20, batch_rows: 160, hidden: [16], evaluation_missions: 2, evaluate_every_slots: 2000"
+    "missions: 8, rollout_slots: 20, batch_rows: 160, hidden: [16], evaluation_missions: 2, "
+    "evaluate_every_slots: 2000, plan_slots: 0"  # so that both begin at once
 )
 LONG = f"""
 slots: 16000
