@@ -9,7 +9,7 @@ import pytest
 
 from uavaou import Scenario, World
 from uavaou.planners import tuned
-from uavaou.planners.parts import REACHES, WEIGHTS, PartsSearch
+from uavaou.planners.parts import REACHES, WEIGHTS, PartsSearch, parts_area
 from uavaou.planners.tuned import _SHARES, LocalGreedyTuned, _Search
 from uavaou.world.partition import partition
 from uavaou.world.patrol import fly_part, members_of
@@ -20,7 +20,9 @@ PAPER = Scenario.load("paper")
 def begun(scenario: Scenario, areas: bool = False) -> tuple[PartsSearch, _Search]:
     whole = _Search(scenario, scenario.draw_layout())
     owners = partition(World(scenario))[0]
-    return PartsSearch(scenario, scenario.draw_layout(), owners, whole._steps, 2, whole._can, areas), whole
+    places = scenario.draw_layout().positions / [scenario.area_x_m, scenario.area_y_m]
+    area = parts_area(World(scenario))
+    return PartsSearch(area, owners, whole._steps, 2, whole._can, places if areas else None), whole
 
 
 def flown(search: PartsSearch, whole: _Search) -> float:

@@ -11,7 +11,6 @@ import math
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.patrol import PatrolArea, Singles, fly_part, members_of, patrol_area
@@ -29,17 +28,26 @@ _DRAWN = 5  # random numbers of a change
 WEIGHTS, REACHES = (0.1, 10.0), (0.4, 8.0)
 
 
+def parts_area(world: World) -> PatrolArea:
+    """Return what the parts of the first layout are flown over."""
+    scenario = world.scenario
+    headroom = (world.channel.mean_snr_above() / world.channel.snr_min[:, None, :])[0]  # (U, I)
+    missions = int(np.clip(_FLOWN_DEVICES // scenario.devices, _QUARTER, _MOST_MISSIONS))
+    positions = world.device_positions[0] / scenario.grid_step_m
+    return patrol_area(scenario, world.flight.cds, positions, headroom, world.update_period[0], missions)
+
+
 class PartsSearch:
     """A search in progress.
 
     Args:
-        scenario: of the missions.
-        layout: the devices.
+        area: of :func:`parts_area`.
         owners: the UAV that serves each device at first, (I,).
         steps: grid steps to where each device is collected well, for each share of the best probability, (S, U, C, I).
         share: index of the share at first.
         can: whether a UAV can serve a device, (U, I).
-        areas: whether it looks for areas of the UAVs first, and for better parts than ``owners`` there.
+        places: of the devices in sizes of the map, (I, 2), to look for areas of the UAVs first, and for better parts
+            than ``owners`` there; None: not.
 
     Attributes:
         owners: of the best parts so far, (I,).
@@ -49,34 +57,30 @@ class PartsSearch:
     """
 
     def __init__(
-        self, scenario: Scenario, layout: Layout, owners: Ints, steps: Singles, share: int, can: Bools, areas: bool
+        self, area: PatrolArea, owners: Ints, steps: Singles, share: int, can: Bools, places: Floats | None = None
     ) -> None:
-        world = World(scenario.pinned(layout))
-        headroom = (world.channel.mean_snr_above() / world.channel.snr_min[:, None, :])[0]  # (U, I)
-        missions = int(np.clip(_FLOWN_DEVICES // scenario.devices, _QUARTER, _MOST_MISSIONS))
-        positions = layout.positions / scenario.grid_step_m
-        self._area = patrol_area(scenario, world.flight.cds, positions, headroom, layout.update_period, missions)
-        self._steps, self._can, self._rng = steps, can | ~can.any(axis=0), np.random.default_rng(0)
-        self._areas_until = _AREAS if areas and scenario.uavs > 1 else 0.0
-        self._places = layout.positions / [scenario.area_x_m, scenario.area_y_m]  # (I, 2)
+        missions, slots, _ = area.draws.shape
+        self._area, self._steps, self._rng = area, steps, np.random.default_rng(0)
+        self._can = can | ~can.any(axis=0)  # (U, I)
+        self._places = places if len(can) > 1 else None
         self._areas, self._area_age, self._share = np.empty((0, 3)), np.inf, share  # (U, 3), and its score
-        self._owners, self._numbers = owners.copy(), np.ones((3, scenario.devices))
+        self._owners, self._numbers = owners.copy(), np.ones((3, len(owners)))
         self._numbers[2] = share
-        self._pull = np.zeros_like(self._area.pull)  # (U, C, W)
-        self._ages = np.empty((scenario.uavs, missions))
-        self.slots = self._ages.size * scenario.slots
-        _fly_all(self._area, steps, self._owners, self._numbers, self._pull, self._ages)
+        self._pull, self._spare = np.zeros_like(area.pull), np.zeros_like(area.pull)  # (U, C, W)
+        self._ages = np.empty((len(can), missions))
+        self.slots = self._ages.size * slots
+        _fly_all(area, steps, self._owners, self._numbers, self._pull, self._ages)
         self.owners, self.numbers, self.age = self._owners.copy(), self._numbers.copy(), self._ages.mean(axis=1).sum()
 
     def step(self, done: float) -> None:
         """Try some changes when a fraction ``done`` of the search is over."""
-        if done < self._areas_until:
+        if self._places is not None and done < _AREAS:
             for _ in range(_TOGETHER // 4):
-                self._try_areas(done / _AREAS)
+                self._try_areas(done / _AREAS, self._places)
         else:
             self._try_changes(done)
 
-    def _try_areas(self, done: float) -> None:
+    def _try_areas(self, done: float, places: Floats) -> None:
         """Fly one plan of whose device is whose, of which the best so far becomes the start of the changes.
 
         Each UAV has an area: a centre (x, y) in sizes of the map and a handicap. A device belongs to the UAV with the
@@ -89,29 +93,39 @@ class PartsSearch:
             some = rng.random((uavs, 1)) < 0.6
             areas = self._areas[rng.permutation(uavs)] if rng.random() < 0.1 else self._areas
             areas = areas + some * rng.normal(size=(uavs, 3)) * _SPREAD
-        away = np.abs(areas[:, None, :2] - self._places).sum(axis=-1) + areas[:, 2:]  # (U, I)
+        away = np.abs(areas[:, None, :2] - places).sum(axis=-1) + areas[:, 2:]  # (U, I)
         owners, numbers = np.where(self._can, away, np.inf).argmin(axis=0), np.ones_like(self._numbers)
         numbers[1], numbers[2] = rng.choice((1.0, 1.5)), self._share + rng.choice((0, 1))
-        pull, ages = np.zeros_like(self._pull), np.empty_like(self._ages)
-        _fly_all(self._area, self._steps, owners, numbers, pull, ages)
+        ages = np.empty_like(self._ages)
+        _fly_all(self._area, self._steps, owners, numbers, self._spare, ages)
         self.slots += ages.size * self._area.draws.shape[1]
         age = float(ages.mean(axis=1).sum())
         if age < self._area_age:
             self._areas, self._area_age = areas, age
         if age < self.age:
-            self.age, self._pull, self._ages = age, pull, ages
-            for kept, found in ((self._owners, owners), (self._numbers, numbers)):
-                kept[:] = found
-            self.owners, self.numbers = owners, numbers
+            self.age, self.owners, self.numbers = age, owners, numbers
+            self._owners, self._numbers, self._ages = owners.copy(), numbers.copy(), ages
+            self._pull, self._spare = self._spare, self._pull
 
     def _try_changes(self, done: float) -> None:
         """Change the part or the numbers of single devices, and accept or undo that."""
         heat = _HOT * self.age * (1.0 - done) ** 2 * self._rng.exponential(size=_TOGETHER)
         drawn, normal = self._rng.random((_TOGETHER, _DRAWN)), self._rng.normal(size=_TOGETHER)
         self.age, flown = _anneal(
-            self._area, self._steps, self._can, self._owners, self._numbers, self._pull, self._ages, heat, drawn,
-            normal, self.age, self.owners, self.numbers,
-        )  # fmt: skip
+            self._area,
+            self._steps,
+            self._can,
+            self._owners,
+            self._numbers,
+            self._pull,
+            self._ages,
+            heat,
+            drawn,
+            normal,
+            self.age,
+            self.owners,
+            self.numbers,
+        )
         self.slots += flown
 
 
@@ -164,9 +178,20 @@ def _change(drawn: Floats, normal: float, can: Bools, shares: int, owners: Ints,
 
 @compiled_fast
 def _anneal(
-    area: PatrolArea, steps: Singles, can: Bools, owners: Ints, numbers: Floats, pull: Singles, ages: Floats,
-    heat: Floats, drawn: Floats, normal: Floats, best: float, best_owners: Ints, best_numbers: Floats,
-) -> tuple[float, int]:  # fmt: skip
+    area: PatrolArea,
+    steps: Singles,
+    can: Bools,
+    owners: Ints,
+    numbers: Floats,
+    pull: Singles,
+    ages: Floats,
+    heat: Floats,
+    drawn: Floats,
+    normal: Floats,
+    best: float,
+    best_owners: Ints,
+    best_numbers: Floats,
+) -> tuple[float, int]:
     """Try a change for each of the temperatures ``heat``; return the least age sum so far, and the slots flown."""
     missions, slots, columns = area.draws.shape
     quarter, flown, now, pair = missions // _QUARTER, 0, np.empty((2, missions)), np.empty(2, np.int64)

@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from uavaou.arrays import Bools, Floats, Ints
+from uavaou.arrays import Floats, Ints
 from uavaou.planners.local_greedy import LocalGreedy, LocalGreedyParts
-from uavaou.planners.parts import REACHES, WEIGHTS, PartsSearch
+from uavaou.planners.parts import REACHES, WEIGHTS, PartsSearch, parts_area
 from uavaou.planners.plan import AheadPlanner, OnProgress, Plan, PlanningStatus
 from uavaou.planners.rule import make_chart, score
 from uavaou.scenario import Layout, Scenario
@@ -122,20 +122,22 @@ class _Search:
         self._numbers[2] = _SHARES.index(SHARE)
         self._draws, self._ages = 0, np.empty(0)
         self.slots, self._mission_slots = 0, scenario.slots  # simulated so far, and those of a mission
-        owners = self._start(scenario, layout)
-        own = scenario, layout, owners, self._steps, _SHARES.index(SHARE), self._can
-        self._parts = [PartsSearch(*own, areas=areas) for areas in (False, True)]
+        world, reaches = World(scenario.pinned(layout)), best[None, :, 0] > 0.0  # (1, U, I)
+        fixed = [rule.owners(world, reaches)[0] for rule in (LocalGreedy(), LocalGreedyParts())]  # (I,) each
+        self._start(fixed)
+        own = parts_area(world), fixed[-1], self._steps, _SHARES.index(SHARE), self._can
+        places = layout.positions / [scenario.area_x_m, scenario.area_y_m]  # (I, 2)
+        self._parts = [PartsSearch(*own), PartsSearch(*own, places)]
 
-    def _start(self, scenario: Scenario, layout: Layout) -> Ints:
-        """Begin with the better of the two fixed rules; return the parts of ``local-greedy-parts``, (I,)."""
+    def _start(self, fixed: list[Ints]) -> None:
+        """Begin with the better of the fixed rules, by the UAV that each device belongs to, (I,)."""
         starts = []
-        for owners in fixed_owners(scenario, layout):
-            self._numbers[0] = (owners == np.arange(scenario.uavs)[:, None]) & self._can
+        for owners in fixed:
+            self._numbers[0] = (owners == np.arange(len(self._can))[:, None]) & self._can
             self._write_pull()
             starts.append((float(self._score(_DRAWS[0][1]).mean()), self._numbers.copy()))
         _, self._best = min(starts, key=lambda start: start[0])
         self._more_draws(0.0)
-        return owners
 
     def _write_pull(self) -> None:
         uavs, devices = self._can.shape
@@ -262,10 +264,3 @@ class _Search:
             name, slot_length_s * age, weight, reach, np.array(_SHARES)[share.astype(int)], self._pull,
             interrupted=interrupted,
         )  # fmt: skip
-
-
-def fixed_owners(scenario: Scenario, layout: Layout) -> list[Ints]:
-    """Return the UAV that each device belongs to, (I,), in ``local-greedy`` and in ``local-greedy-parts``."""
-    world = World(scenario.pinned(layout))
-    reaches: Bools = cell_coverage(scenario, layout).max(axis=1)[None] > 0.0  # (1, U, I)
-    return [rule.owners(world, reaches)[0] for rule in (LocalGreedy(), LocalGreedyParts())]

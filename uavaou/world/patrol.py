@@ -120,17 +120,13 @@ def fly_part(area: PatrolArea, uav: int, serves: Singles, pull: Singles, first: 
     start, probability, generated = area.start[uav], area.probability[uav], area.generated
     draws = area.draws[first : first + len(ages)]
     columns = max(len(members) + -len(members) % _LANES, _LANES)
-    if columns == len(serves):
-        _fly(start, area.target, probability, pull, generated * serves, draws, serves, ages)
-        return
-    few = np.zeros(columns, np.float32)
-    few[: len(members)] = 1.0
-    _fly(
-        start, area.target, _some(probability, members, columns), _some(pull, members, columns),
-        _some(generated, members, columns), _some(draws.reshape(-1, len(serves)), members, columns).reshape(
-            len(ages), -1, columns
-        ), few, ages,
-    )  # fmt: skip
+    if columns < len(serves):
+        draws = _some(draws.reshape(-1, len(serves)), members, columns).reshape(len(ages), -1, columns)
+        probability, pull = _some(probability, members, columns), _some(pull, members, columns)
+        generated = _some(generated, members, columns)
+        serves = np.zeros(columns, np.float32)
+        serves[: len(members)] = 1.0
+    _fly(start, area.target, probability, pull, generated * serves, draws, serves, ages)
 
 
 @compiled_fast
@@ -145,9 +141,15 @@ def _some(rows: Singles, members: Ints, columns: int) -> Singles:
 
 @compiled_fast
 def _fly(
-    start: int, target: Ints, probability: Singles, pull: Singles, generated: Singles, draws: Singles, serves: Singles,
+    start: int,
+    target: Ints,
+    probability: Singles,
+    pull: Singles,
+    generated: Singles,
+    draws: Singles,
+    serves: Singles,
     ages: Floats,
-) -> None:  # fmt: skip
+) -> None:
     """Do what :func:`fly_part` says, over all columns: the processor computes several at once."""
     slots, columns = generated.shape
     pending, age, total = np.empty((3, columns), np.float32)
