@@ -16,7 +16,7 @@ help:
 	@echo "make test    run all tests"
 	@echo "make docs    the documentation site, into site/"
 	@echo "make lint    ruff; make types: mypy; make bench: speed, side by side"
-	@echo "make zero-shot   measure the released policy any-map (or POLICY=NAME) on all suites: tables, figures, page (10 minutes)"
+	@echo "make zero-shot   measure the released policy any-map (or POLICY=NAME) on all suites: tables, figures, page (half an hour)"
 	@echo "make audit   known vulnerabilities of the locked versions; make fuzz: a night of fuzzing"
 	@echo "make faults  every fault at every write of every command and learner (hours); CI plays some of them"
 

@@ -27,14 +27,15 @@ from uavaou_cli.main import main as uavaou
 
 SUITES = Path("results/suites")
 RULE = "local-greedy-parts"  # the best one that learns nothing and reads local information
+FEWER = ("--episodes", "20")  # where each mission has a map of its own, which is planned for
 # Name of a table -> options of `uavaou eval`, those that take longest first.
 TABLES = {
-    "drawn-uavs": ["--suite", "uavs", "--set", "scenario.layout=resample"],
-    "drawn-devices": ["--suite", "devices", "--set", "scenario.layout=resample"],
+    "drawn-uavs": ["--suite", "uavs", "--set", "scenario.layout=resample", *FEWER],
+    "drawn-devices": ["--suite", "devices", "--set", "scenario.layout=resample", *FEWER],
     "uavs": ["--suite", "uavs"],
     "devices": ["--suite", "devices"],
     "layouts": ["--suite", "layouts"],
-    "areas": ["--suite", "areas"],
+    "areas": ["--suite", "areas", *FEWER],
     "known-layouts": ["--suite", "known-layouts"],
     "unseen-layouts": ["--suite", "unseen-layouts", "--episodes", "8"],
 }
@@ -42,13 +43,14 @@ PAGE_ORDER = ("unseen-layouts", "layouts", "known-layouts", "drawn-uavs", "drawn
 MOST_ROWS = 20  # of a table on the page
 CARD = re.compile(r"(<!-- zero-shot:begin -->\n).*?(<!-- zero-shot:end -->)", re.DOTALL)
 NOTE = f"""\
-Mean AoU in slots with its 95 % interval over missions. All policies of a table fly the same missions: 100 a point, 8 of
-each layout in `unseen-layouts`. *To `{REFERENCE}`* is the ratio of the mean AoU where `{REFERENCE}` has more than
-{RATIO_ABOVE} slots, elsewhere the difference. The *worst mission* has the largest mean AoU as a multiple of
-2 x `{REFERENCE}` + 5 slots. The ratios of the first table are over the points where the other policy has more than
-{RATIO_ABOVE} slots; *elsewhere* has the smallest and the largest difference at the other points. It lists planners, and
-policies that were trained for the points: in `known-layouts` by three trainings of 3M slots (layout 0: ten), else by
-one of 1M. In `layouts`, `mappo` and `qmix` learned layout 0 alone; `mappo+layout=resample` trained on new ones."""
+Mean AoU in slots with its 95 % interval over missions. All policies of a table fly the same missions: 100 a point, 20
+where each mission has a layout of its own, 8 of each layout in `unseen-layouts`. *To `{REFERENCE}`* is the ratio of the
+mean AoU where `{REFERENCE}` has more than {RATIO_ABOVE} slots, elsewhere the difference. The *worst mission* has the
+largest mean AoU as a multiple of 2 x `{REFERENCE}` + 5 slots. The ratios of the first table are over the points where
+the other policy has more than {RATIO_ABOVE} slots; *elsewhere* has the smallest and the largest difference at the other
+points. It lists planners, and policies that were trained for the points: in `known-layouts` by three trainings of 3M
+slots (layout 0: ten), else by one of 1M. In `layouts`, `mappo` and `qmix` learned layout 0 alone;
+`mappo+layout=resample` trained on new ones."""
 
 
 def main() -> None:

@@ -24,6 +24,7 @@ from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_or_file
 _STREAM = 4  # spawn key of the draws, apart from the layouts' (1), the planners' (2) and the policies' (3)
 _TRIED = 64  # draws that are made when a family is read
 _LEAST_SPAN = 0.25  # the part of the range of altitudes that a fleet takes at least
+_CLUSTER = 0.08  # standard deviation of the devices of a cluster along each side, in lengths of the side
 
 Share = Annotated[NonNegative, Field(le=1)]  # of the draws
 Count = Annotated[PositiveWhole, Field(le=100_000)]
@@ -150,6 +151,7 @@ class Family(BaseModel):
     base_share: Share = 0.0  # of the draws: the base itself, on new layouts
     uavs: WholeDraw | None = None
     devices: WholeDraw | None = None
+    clusters: WholeDraw | None = None  # that the devices lie in; without, they lie anywhere
     grid_step_m: LengthDraw | None = None  # a slot takes as long for each step as in the base
     area_m: LengthDraw | None = None  # of a side, rounded to whole grid steps
     square: Share = 1.0  # of the drawn areas have equal sides
@@ -211,9 +213,9 @@ class Family(BaseModel):
         if not isinstance(n, int | np.integer) or n < 0:
             raise InputError(f"draw = {n!r}: expected a whole number from 0 on")
         rng = np.random.default_rng(np.random.SeedSequence(int(n), spawn_key=(_STREAM,)))
-        changes = {} if rng.random() < self.base_share else self._changes(rng)
+        changes = {"devices_m": None} | ({} if rng.random() < self.base_share else self._changes(rng))
         try:
-            return self.base.replace(name=f"{self.name}-{n}", layout="resample", devices_m=None, **changes)
+            return self.base.replace(name=f"{self.name}-{n}", layout="resample", **changes)
         except InputError as error:
             raise type(error)(f"family '{self.name}': draw {n} cannot be flown: {error}") from None
 
@@ -234,7 +236,9 @@ class Family(BaseModel):
     def _changes(self, rng: np.random.Generator) -> dict[str, Any]:
         """Draw the fields that differ from the base's; a field more in a file does not shift the others."""
         base = self.base
-        streams = dict(zip(("fleet", "area", "cds", "altitudes", *_PLAIN), rng.spawn(4 + len(_PLAIN)), strict=True))
+        streams = dict(
+            zip(("fleet", "area", "cds", "altitudes", *_PLAIN, "clusters"), rng.spawn(5 + len(_PLAIN)), strict=True)
+        )
         fleet = streams["fleet"]
         uavs = int(_drawn(self.uavs, fleet, base.uavs))
         devices = int(_drawn(self.devices, fleet, base.devices))
@@ -246,6 +250,7 @@ class Family(BaseModel):
         return plain | {
             "uavs": uavs,
             "devices": devices,
+            "devices_m": self._clustered(streams["clusters"], devices, np.multiply(sides, step)),
             "area_x_m": sides[0] * step,
             "area_y_m": sides[1] * step,
             "cds_m": [(x * step, y * step) for x, y in self.cds.cells(streams["cds"], uavs, sides)],
@@ -263,6 +268,15 @@ class Family(BaseModel):
             sides = (x, x if square else area.value(rng))
         return max(round(sides[0] / step), 1), max(round(sides[1] / step), 1)
 
+    def _clustered(self, rng: np.random.Generator, devices: int, sides: Floats) -> list[tuple[float, ...]] | None:
+        """Draw positions in m in clusters of an area with these ``sides`` in m, (I, 2); None for anywhere."""
+        clusters = int(_drawn(self.clusters, rng, 0))
+        if not clusters:
+            return None
+        centres = rng.random((clusters, 2))[rng.integers(clusters, size=devices)]  # (I, 2)
+        places = (centres + _CLUSTER * rng.normal(size=(devices, 2))).clip(0.0, 1.0) * sides
+        return [tuple(place) for place in places.round(1).clip(0.0, sides).tolist()]
+
     def _altitudes(self, rng: np.random.Generator, uavs: int) -> list[float]:
         """Draw the altitude of each UAV in m, (U,)."""
         low, high = min(self.base.altitudes_m), max(self.base.altitudes_m)
@@ -276,8 +290,8 @@ class Family(BaseModel):
         return [float(altitude) for altitude in rng.permutation(even.round(2))]
 
 
-# Fields drawn on their own, each with a stream; new ones go to the end.
 _PLAIN = ("grid_step_m", "slots", "longest_update_period_slots", "rate_min_bit_s", "rician_factor")
+_STREAMS = ("fleet", "area", "cds", "altitudes", *_PLAIN, "clusters")  # of what is drawn; new ones go to the end
 
 
 def _drawn(draw: Draw | None, rng: np.random.Generator, of_base: Any) -> Any:
@@ -317,15 +331,14 @@ _QUANTITIES: tuple[tuple[str, str, str, Callable[[Scenario], Sequence[float]]], 
 _ROUNDING = 1e-9  # relative
 
 
-def beyond(families: Sequence[Family], scenario: Scenario) -> list[str]:
-    """Return what of ``scenario`` lies outside of all draws of the ``families``, in words; empty if nothing does.
+def beyond(family: Family, scenario: Scenario) -> list[str]:
+    """Return what of ``scenario`` lies outside of all draws of the ``family``, in words; empty if nothing does.
 
     Each quantity is compared by itself: a scenario within all bounds may still be an unusual draw.
     """
     found = []
     for quantity, unit, field, values in _QUANTITIES:
-        ends = [family.ends(field, values(family.base)) for family in families]
-        low, high = min(low for low, _ in ends), max(high for _, high in ends)
+        low, high = family.ends(field, values(family.base))
         drawn_to = scenario.grid_step_m / 2 if field == "area_m" else _ROUNDING * max(abs(low), abs(high))
         own = values(scenario)
         if min(own) < low - drawn_to or max(own) > high + drawn_to:

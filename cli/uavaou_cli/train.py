@@ -39,7 +39,7 @@ _PLANNERS = ("best-first", "local-greedy-parts")  # that a policy is shown besid
 _MOST_WORK = 2e10  # of these planners: slots x UAVs^2 x devices x cells; more takes minutes
 _CLOSE = 0.99  # of its mean AoU: a planner that is nearer is not below it
 _START = "any-map"
-_ALGORITHMS = "mappo, mappo-paper, ippo, vdn, qmix or iql"  # for the help; tested
+_ALGORITHMS = "mappo, mappo-paper, mappo-family, ippo, vdn, qmix or iql"  # for the help; tested
 
 
 def train(
@@ -189,9 +189,8 @@ def _plan(
     if start is not None:
         config = start.training(flown, overrides.changes_of(start.config.algorithm), seed)
     elif isinstance(flown, Family):
-        config = RunConfig(
-            flown.base, overrides.of_algorithm(published_as(algorithm, for_family=True), network="set"), seed, flown
-        )
+        name = published_as(algorithm, overrides.algorithm.get("network", "set"), for_family=True)
+        config = RunConfig(flown.base, overrides.of_algorithm(name, network="set"), seed, flown)
     else:
         config = RunConfig(flown, overrides.of_algorithm(algorithm), seed)
         return config, run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)

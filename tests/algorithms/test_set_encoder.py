@@ -9,7 +9,7 @@ import pytest
 import torch as th
 
 from uavaou import Scenario
-from uavaou.algorithms.nets.set_encoder import SetEncoder, own_part
+from uavaou.algorithms.nets.set_encoder import SetEncoder
 from uavaou.world import World
 from uavaou.world.entities import make_views
 from uavaou.world.views import Columns, RowLayout
@@ -99,22 +99,6 @@ def test_padding_changes_nothing_and_a_row_of_padding_is_finite(compiled: bool) 
     th.testing.assert_close(theirs[there][:, : encoder.size + 10], ours, rtol=1e-4, atol=1e-5)
     assert theirs.isfinite().all()
     assert not theirs[:, encoder.size + 10 :].any()
-
-
-@pytest.mark.parametrize(("uavs", "devices", "most"), [(3, 25, None), (1, 5, None), (3, 10, (5, 17))])
-def test_the_own_part_is_what_a_uav_sees_that_knows_no_other(
-    uavs: int, devices: int, most: tuple[int, int] | None
-) -> None:
-    layout, shared, _ = entity_rows(uavs, devices, most)
-    _, alone, _ = entity_rows(uavs, devices, most, "part")
-    rows = own_part(shared, layout.local)
-    for feature in ("age", "since_collection", "age_over_steps"):  # which others may have changed
-        columns = layout.token_feature("devices", feature)
-        mine = shared[:, layout.token_feature("devices", "own_part")]
-        th.testing.assert_close(rows[:, columns], shared[:, columns] * mine)
-        rows[:, columns] = alone[:, columns]
-    th.testing.assert_close(rows, alone[:, : layout.local[3].stop])
-    assert th.equal(own_part(rows, layout.local), rows)
 
 
 def test_the_weights_do_not_depend_on_the_sizes() -> None:

@@ -15,7 +15,6 @@ from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, InputError, RunConfig, flatten, 
 from uavaou.algorithms.fast.update import FastUpdate
 from uavaou.algorithms.mappo.buffer import ARRAYS, SlotRolloutBuffer
 from uavaou.algorithms.nets import set_encoder
-from uavaou.algorithms.nets.set_encoder import DualSetNetwork
 from uavaou.algorithms.nets.value_norm import ValueScale
 from uavaou.algorithms.qlearning.replay import JointBatch
 from uavaou.algorithms.registry import load_config
@@ -67,11 +66,9 @@ def with_padding(buffer: SlotRolloutBuffer, layout: RowLayout) -> SlotRolloutBuf
 
 @pytest.mark.parametrize("normalization", ["batch", "rollout"])
 @pytest.mark.parametrize("collection", ["select", "auto"])
-@pytest.mark.parametrize(("learner", "network"), [(MAPPO, "set"), (IPPO, "set"), (MAPPO, "dual-set")])
-def test_padding_changes_neither_loss_nor_gradient(
-    learner: type[MAPPO], network: str, collection: str, normalization: str
-) -> None:
-    model = mappo(learner, missions(collection), network, advantage_normalization=normalization)
+@pytest.mark.parametrize("learner", [MAPPO, IPPO])
+def test_padding_changes_neither_loss_nor_gradient(learner: type[MAPPO], collection: str, normalization: str) -> None:
+    model = mappo(learner, missions(collection), advantage_normalization=normalization)
     model.learn(2 * 6 * 12)
     model.rollout_buffer.log_probs += np.random.default_rng(0).normal(0, 0.1, (6, 4, 3)).astype(np.float32)
     indices = np.random.default_rng(1).permutation(24)[:9]
@@ -79,7 +76,7 @@ def test_padding_changes_neither_loss_nor_gradient(
     assert_close(alone)
     layout = make_views(sized(3, 10), "shared", collection, "entities", MOST).layout
     wide_env = flatten(sized(*MOST), 1, observation="shared", collection=collection, rows="entities")
-    wide = mappo(learner, wide_env, network)
+    wide = mappo(learner, wide_env)
     wide.policy.load_state_dict(model.policy.state_dict())
     wide.rollout_buffer = with_padding(model.rollout_buffer, layout)
     wide.advantage_normalization = normalization
@@ -98,13 +95,11 @@ def buffer_samples(buffer: SlotRolloutBuffer) -> Any:
     return buffer.get(7)
 
 
-@pytest.mark.parametrize(("learner", "network"), [(MAPPO, "set"), (IPPO, "set"), (MAPPO, "dual-set")])
-def test_the_networks_see_sets(learner: type[MAPPO], network: str) -> None:
+@pytest.mark.parametrize("learner", [MAPPO, IPPO])
+def test_the_networks_see_sets(learner: type[MAPPO]) -> None:
     layout, rows, states = entity_rows(4, 12)
-    policy = mappo(learner, flatten(sized(4, 12), 1, observation="shared", rows="entities"), network).policy
-    body = policy.actor_body
-    for one in (body.whole, body.part) if isinstance(body, DualSetNetwork) else (body,):
-        one.encoder.rescale_logits(th.tensor(1e3))
+    policy = mappo(learner, flatten(sized(4, 12), 1, observation="shared", rows="entities")).policy
+    policy.actor_body.encoder.rescale_logits(th.tensor(1e3))
     mates, uavs, devices = th.randperm(3), th.randperm(4), th.randperm(12)
     before = policy.logits(rows)
     other = shuffled(shuffled(rows, layout.local[2], mates), layout.local[3], devices)
@@ -198,7 +193,7 @@ def test_a_family_is_trained_on(name: str) -> None:
         config = config.model_copy(update={"rollout_slots": 8, "batch_rows": 40})
     else:
         config = config.model_copy(
-            update={"learning_starts": 8, "batch_slots": 8, "slots_per_update": 4, "missions": 4}
+            update={"learning_starts": 8, "batch_slots": 8, "slots_per_update": 4, "missions": 4, "replay_slots": 4000}
         )
     model = config.build(env, 0, "cpu")
     before = th.nn.utils.parameters_to_vector(model.policy.parameters()).clone()
@@ -300,8 +295,8 @@ def test_a_run_flies_in_another_size(tmp_path: Path) -> None:
 
 
 def test_a_set_needs_rows_of_entities() -> None:
-    with pytest.raises(InputError, match="unknown network 'dual-set'"):
-        VDN("JointQPolicy", missions(), policy_kwargs={"network": "dual-set"}, **JOINT)
+    with pytest.raises(InputError, match="unknown network 'dual'"):
+        VDN("JointQPolicy", missions(), policy_kwargs={"network": "dual"}, **JOINT)
     for learner, policy in ((MAPPO, "CentralizedValuePolicy"), (VDN, "JointQPolicy")):
         with pytest.raises(InputError, match="network = 'set': reads rows of entities"):
             learner(policy, flatten("tiny", missions=2), policy_kwargs={"network": "set"}, device="cpu")  # type: ignore[operator]

@@ -88,7 +88,7 @@ def test_python_runs_the_package(monkeypatch: pytest.MonkeyPatch, capsys: pytest
     [
         ("uavaou sc", ["scenarios"]),
         ("uavaou fly pap", ["paper", "paper-table1"]),
-        ("uavaou export any", ["any-map", "any-map-local"]),
+        ("uavaou export any", ["any-map"]),
         ("uavaou export run --format o", ["onnx"]),
         ("uavaou study run sm", ["smoke"]),
         ("uavaou plot t", ["trajectories"]),

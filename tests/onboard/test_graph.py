@@ -24,7 +24,7 @@ KINDS = [
     for network in ("mlp", "set")
     for observation in ("local", "shared")
     for collection in ("auto", "select")
-] + [("dual-set", "shared", "auto"), ("dual-set", "local", "select")]
+]
 PULLED = [("pulled set", "shared", "select"), ("pulled set", "local", "auto"), ("pulled set", "part", "auto")]
 
 
@@ -67,7 +67,7 @@ def test_vdn_decides_alike(network: str, collection: str, masks: bool) -> None:
 
 
 @pytest.mark.parametrize(("uavs", "devices"), [(1, 1), (1, 6), (4, 12)])
-@pytest.mark.parametrize("network", ["set", "dual-set", "pulled set"])
+@pytest.mark.parametrize("network", ["set", "pulled set"])
 def test_one_graph_serves_any_number_of_uavs_and_devices(network: str, uavs: int, devices: int) -> None:
     small: Any = lively(**network_of(network), observation="shared").model.policy
     scenario = QUICK.replace(

@@ -1,4 +1,4 @@
-"""What the page of results says of other layouts than that of the paper's study, from the tables of three studies."""
+"""What the page of results says of other layouts than that of the paper's study, from the tables of two studies."""
 
 from __future__ import annotations
 
@@ -15,15 +15,13 @@ from uavaou.statistics import Interval, interval_over_trainings, ratio_of_traini
 RESULTS = STUDIES.parent
 LEARNERS = ("mappo", "qmix", "mappo, four candidates", "qmix, four candidates")
 FOUR = (("mappo, four candidates", "mappo"), ("qmix, four candidates", "qmix"))
-TUNED = "fine-tuned"
-PLANNERS = ("any-map-local", "local-greedy-parts", "local-greedy-tuned", "anneal")
+PLANNERS = ("local-greedy-parts", "local-greedy-tuned", "anneal")
 ON_LAYOUTS = ("local-greedy-tuned", "local-greedy-parts", "anneal", "rolling", "best-first", "greedy")  # of the page
 
 
 def trainings(policy: str, place: str, of: str = "fresh-layouts") -> np.ndarray:
     """Where the trainings of a variant end on a layout, in slots."""
-    own = study("fine-tuning-fresh" if policy == TUNED else of)
-    return np.asarray(own.table("runs", policy, place)["mean_aou_slots"])
+    return np.asarray(study(of).table("runs", policy, place)["mean_aou_slots"])
 
 
 def places(of: str = "fresh-layouts") -> list[str]:
@@ -39,7 +37,7 @@ def table() -> list[str]:
     found = []
     for place in places():
         cells = [place.removeprefix("layout ")]
-        cells += [f"{trainings(policy, place).mean():.1f}" for policy in (*LEARNERS, TUNED)]
+        cells += [f"{trainings(policy, place).mean():.1f}" for policy in LEARNERS]
         cells += [f"{planned(policy, place):.1f}" for policy in PLANNERS]
         found.append(f"| {' | '.join(cells)} |")
     return found
@@ -65,16 +63,6 @@ def of_bonus(text: str) -> bool:
 def of_logs(logs: np.ndarray) -> str:
     """The ratio whose logarithm is the mean of (n,) logarithms, with Student's interval over these."""
     return told(Interval(*map(exp, interval_over_trainings(logs))))
-
-
-def tuned_below() -> bool:
-    """Whether fine-tuned trainings are below what was stated in advance, on every layout."""
-    rivals = ("mappo", "mappo, four candidates")
-    return all(
-        trainings(TUNED, place).mean()
-        < min(planned("any-map-local", place), *(trainings(policy, place).mean() for policy in rivals))
-        for place in places()
-    )
 
 
 def over_trainings(policy: str, other: str) -> str:
@@ -151,29 +139,6 @@ def spread(policy: str) -> float:
 def to_the_rule(text: str) -> bool:
     own, theirs = (ratio(name, "local-greedy-parts") for name in LEARNERS[:2])
     return f"MAPPO is {own} and QMIX {theirs}" in text and none_below_the_rule()
-
-
-def tuned_to_qmix(text: str) -> bool:
-    """README: the fine-tuned trainings beside QMIX's."""
-    slots = 5.4 + 0.6  # of any-map-local, whose model card has them, and of the fine-tuning
-    stated = ratio(TUNED, "qmix").replace(" (", " of the mean AoU of QMIX from the start (")
-    return f"{stated}, with {slots:.1f}M slots in all against 3M and" in text
-
-
-def tuned_ratios(text: str) -> bool:
-    stated = [ratio(TUNED, other) for other in ("qmix", "any-map-local", "local-greedy-parts")]
-    return "has {} of QMIX's mean AoU, {} of that of `any-map-local`".format(*stated) in text and (
-        f"and {stated[2]} of that of `local-greedy-parts`" in text
-    )
-
-
-def lower_than_tuned(text: str) -> bool:
-    """Who is below the fine-tuned trainings where."""
-    own = {place: trainings(TUNED, place).mean() for place in places()}
-    rule = [place for place in places() if planned("local-greedy-tuned", place) < own[place]]
-    qmix = [place for place in places() if trainings("qmix", place).mean() < own[place]]
-    stated = f"(ratio {ratio(TUNED, 'local-greedy-tuned').replace(' (', ', ')}"
-    return stated in text and len(rule) == 4 and qmix == ["layout 15"]
 
 
 def gap(policy: str, place: str) -> float:

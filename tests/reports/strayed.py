@@ -15,7 +15,6 @@ from tests import committed
 from tests.committed import study
 from tests.reports.earliness import to_converge
 from uavaou.reports.claims import _by_period
-from uavaou.reports.scores import study_scores
 from uavaou.statistics import geometric_mean, ratio_of_trainings
 from uavaou.statistics.counts import fisher
 from uavaou.studies.folder import PartKey
@@ -301,19 +300,6 @@ def four_converge_sooner(text: str) -> bool:
 def mended_strays(text: str) -> bool:
     strays, others = ends("mappo, four candidates")
     return "four candidates" in text and (len(strays), len(others)) == (1, 9)
-
-
-def fine_tuned(form: str) -> list[str]:
-    """Mean and interval of the trainings that begin with ``any-map-local``, of which none strays."""
-    results = study("fine-tuning")
-    assert strays(structures(results), "fine-tuned", "paper") == (0, 10)
-    (mean,) = (one.mean for one in study_scores(results)["paper"] if one.policy == "fine-tuned")
-    return [form.format(number) for number in mean]
-
-
-def spread_of_fine_tuned() -> str:
-    means = study("fine-tuning").table("runs", "fine-tuned", "paper")["mean_aou_slots"]
-    return f"logarithm is {np.log(means).std(ddof=1):.3f}"
 
 
 def frequencies_of_strays() -> bool:

@@ -162,7 +162,7 @@ def test_parts_that_leave_nothing_to_go_on_with_are_refused(tmp_path: Path) -> N
 
 
 def test_what_follows_on_another_training_has_one_candidate(tmp_path: Path) -> None:
-    released = Start.at("any-map-local")
+    released = Start.at("any-map")
     several = released.training(three_candidates().scenario, {"candidates": 3, "slots": 480}, 0)
     with pytest.raises(InputError, match=r"algorithm\.candidates = 3: expected 1"):
         train(several, tmp_path / "tuned", start=released.folder)

@@ -30,7 +30,7 @@ SIZES = Family.from_dict(
     {"name": "sizes", "base": "tiny", "uavs": {"low": 1, "high": 3}, "devices": {"low": 2, "high": 5}}
     | {"slots": {"low": 8, "high": 20}, "area_m": {"low": 200, "high": 400}}
 )
-TRAININGS = [(LAYOUTS, {}), (SIZES, {"network": "set"}), (SIZES, {"network": "dual-set", "collection": "auto"})]
+TRAININGS = [(LAYOUTS, {}), (SIZES, {"network": "set"}), (SIZES, {"network": "set", "collection": "auto"})]
 trainings = pytest.mark.parametrize(("family", "changes"), TRAININGS, ids=["layouts", "sizes", "sizes auto"])
 
 

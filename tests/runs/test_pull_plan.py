@@ -11,6 +11,7 @@ import pytest
 import torch as th
 
 from uavaou import MAPPO, InputError, RunConfig, Scenario, World, evaluate, flatten, load_run, train
+from uavaou.planners import make_planner
 from uavaou.planners.tuned import LocalGreedyTuned, _Search
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.pull_plan import PlanOfEachMap, plan_of
@@ -140,7 +141,7 @@ def test_where_maps_vary_each_has_a_plan_and_a_longer_one_in_flight(tmp_path: Pa
     plans, longer = (plan_of(config, RunFolder(tmp_path), in_flight=flown) for flown in (False, True))
     assert isinstance(plans, PlanOfEachMap)
     assert isinstance(longer, PlanOfEachMap)
-    assert longer._slots == 4 * plans._slots == 40_000
+    assert longer._slots == 16 * plans._slots == 160_000
     world = World(varied, 3, 5)
     found = plans.for_maps(world)
     assert found is not None
@@ -176,3 +177,26 @@ def test_a_damaged_plan_is_refused_in_a_line(change: dict[str, Any]) -> None:
     assert PullPlan.from_dict(one, "plan.json").serves.all()
     with pytest.raises(InputError, match=r"^'plan\.json' is no plan of pulls: "):
         PullPlan.from_dict(one | change, "plan.json")
+
+
+@pytest.mark.parametrize("planned", [True, False])
+def test_missions_that_each_need_a_plan_first_are_told_a_few_at_a_time(planned: bool) -> None:
+    varied = Scenario.load("tiny").replace(layout="resample")
+    told: list[int] = []
+    policy = LocalGreedyTuned(slots=1) if planned else make_planner("local-greedy-parts")
+    flown = evaluate(policy, varied, 6, after_slot=lambda slots, world: told.append(slots))
+    slots = varied.slots
+    groups = (4, 2) if planned else (6,)
+    ends = np.cumsum(groups) * slots
+    firsts = ends - np.multiply(groups, slots)
+    assert told == [first + n * group for first, group in zip(firsts, groups, strict=True) for n in range(1, slots + 1)]
+    alone = [evaluate(policy, varied, 1, seed=10_000 + n).mean_aou_s for n in range(6)]
+    np.testing.assert_array_equal(flown.values("mean_aou_s"), alone)
+
+
+def test_a_policy_of_varied_maps_says_that_it_plans() -> None:
+    assert load_run("any-map").plans_maps
+
+
+def test_a_policy_of_one_map_says_that_it_has_its_plan(run: RunFolder) -> None:
+    assert not load_run(run).plans_maps

@@ -38,8 +38,8 @@ def test_its_missions_are_its_own() -> None:
 @pytest.mark.parametrize(
     ("knows", "names"),
     [
-        ("local", {"local-greedy-parts", "local-greedy-tuned", "anneal", "any-map-local"}),
-        ("shared", {"local-greedy-parts", "local-greedy-tuned", "anneal", "any-map-local", "any-map"}),
+        ("local", {"local-greedy-parts", "local-greedy-tuned", "anneal", "any-map"}),
+        ("shared", {"local-greedy-parts", "local-greedy-tuned", "anneal", "any-map"}),
     ],
 )
 def test_no_candidate_knows_more_than_it_may(knows: str, names: set[str]) -> None:
@@ -82,7 +82,7 @@ def test_one_that_is_behind_flies_no_more(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_on_new_layouts_nothing_is_planned_ahead() -> None:
     found = rehearse(TINY.replace(layout="resample"), 1.0, "local")
-    assert {one.name for one in found.candidates} | set(found.late) == {"local-greedy-parts", "any-map-local"}
+    assert {one.name for one in found.candidates} | set(found.late) == {"local-greedy-parts", "any-map"}
 
 
 @pytest.mark.slow

@@ -26,15 +26,16 @@ ON_POLICY = {"rollout_slots": 12, "batch_rows": 48}
 REPLAY = {"replay_slots": 96, "learning_starts": 24, "batch_slots": 8, "slots_per_update": 8, "epsilon_fraction": 1.0}
 
 
-def test_a_released_policy_is_fine_tuned_with_the_settings_beside_it() -> None:
-    start, paper = Start.at("any-map"), Scenario.load("paper")
+def test_a_policy_of_a_family_goes_on_with_one_map_by_the_settings_for_one() -> None:
+    start, paper, published = Start.at("any-map"), Scenario.load("paper"), load_config("mappo")
     own, tuned = start.config.algorithm, start.training(paper, {}, 0).algorithm
-    assert (tuned.slots, tuned.gamma, tuned.evaluate_every_slots) == (500_000, 0.98, 100_000)
-    assert tuned.observation == own.observation == "shared"
+    kept = {name: getattr(own, name) for name in ("token_width", "pull", "hidden")}
+    assert tuned == published.model_copy(update=kept)
+    assert tuned.observation == "local"  # of one map all missions have one level
     short = start.training(paper, {"slots": 60_000, "gamma": 0.99}, 0).algorithm
     assert (short.slots, short.gamma, short.evaluate_every_slots) == (60_000, 0.99, 12_000)
     on_draws = start.training(Family.load("any"), {}, 0).algorithm
-    assert (on_draws.slots, on_draws.learning_rate) == (load_config("mappo").slots, own.learning_rate)
+    assert on_draws == own.model_copy(update={"slots": load_config("mappo-family").slots}).with_enough_validations({})
 
 
 def small(algorithm: str = "mappo-paper", **changes: Any) -> RunConfig:
@@ -150,7 +151,7 @@ def test_weights_that_do_not_fit_are_refused_with_their_sizes(finished: RunFolde
 def test_a_network_of_tokens_may_learn_to_know_less() -> None:
     start = Start.at("any-map")
     config = start.training(Scenario.load("tiny"), {"observation": "part"}, seed=0)
-    assert (start.config.algorithm.observation, config.algorithm.observation) == ("shared", "part")
+    assert (start.config.algorithm.observation, config.algorithm.observation) == ("mixed", "part")
 
 
 def test_other_weights_than_those_of_the_configuration_are_refused(finished: RunFolder, tmp_path: Path) -> None:

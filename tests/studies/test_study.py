@@ -136,10 +136,10 @@ def test_the_shipped_studies_are_valid_and_balanced() -> None:
 
 
 def test_a_variant_may_begin_with_a_released_policy(write: Write) -> None:
-    stated: dict[str, Any] = {"tuned": {"from": "any-map-local", "set": {"gamma": 0.9}}}
+    stated: dict[str, Any] = {"tuned": {"from": "any-map", "set": {"gamma": 0.9}}}
     content = BASE | {"scenarios": ["tiny", "paper"], "variants": stated, "slots": 5000}
     study = Study.load(write(yaml.safe_dump(content)))
-    start = Start.at("any-map-local")
+    start = Start.at("any-map")
     for run in study.runs():
         assert run.config == start.training(run.config.scenario, {"gamma": 0.9, "slots": 5000}, run.config.seed)
     assert study.resolved()["starts"] == {"tuned": start.digest}

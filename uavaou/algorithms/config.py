@@ -157,7 +157,6 @@ class IppoConfig(LearnerConfig):
 
     adam = {"fused": True, "eps": 1e-5}
     name: Literal["mappo", "ippo"] = "ippo"
-    network: Literal["mlp", "set", "dual-set"] = "mlp"  # type: ignore[assignment]  # dual-set: also the own part alone
     rollout_slots: Annotated[PositiveWhole, Field(le=1_000_000)]  # slots a mission between updates
     batch_rows: PositiveWhole  # agent steps in a minibatch
     epochs: Annotated[PositiveWhole, Field(le=1000)]

@@ -17,15 +17,18 @@ class LocalPolicy(BasePolicy):
 
     Args:
         averages_views: whether a policy of entities decides in flight by the mean over the symmetries of the square.
-            It should where maps vary in training; the algorithm fills it in from the VecEnv.
+            It should where maps vary in training; the algorithm fills it in from the VecEnv. One that devices pull does
+            not: pulls are turned with the map, and are most of what decides.
 
     Attributes:
         row_layout: which columns of a row hold what.
+        pull: whether devices pull.
         depends_on_sizes: whether the weights fit only the numbers of UAVs and devices that they were trained with.
             The file of a policy that says False is loaded for other numbers too.
     """
 
     row_layout: RowLayout
+    pull: bool = False
     depends_on_sizes: ClassVar[bool] = True
 
     def __init__(self, *args: Any, averages_views: bool = True, **kwargs: Any) -> None:
@@ -36,7 +39,7 @@ class LocalPolicy(BasePolicy):
     @cached_property
     def symmetries(self) -> SquareSymmetries | None:
         """The symmetries that a flying UAV averages its decision over; flat rows have none."""
-        averages = self.averages_views and self.row_layout.rows == "entities"
+        averages = self.averages_views and self.row_layout.rows == "entities" and not self.pull
         return SquareSymmetries(self.row_layout) if averages else None
 
     def predict(

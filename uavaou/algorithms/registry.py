@@ -51,7 +51,7 @@ class Algorithm:
 
 
 _ALGORITHMS: dict[str, Algorithm] = {}
-_LEARNERS = {"mappo-paper": "mappo"}  # of other published settings
+_LEARNERS = {"mappo-paper": "mappo", "mappo-family": "mappo"}  # of other published settings
 _PLUGINS: set[Path] = set()  # files already loaded
 
 
@@ -176,10 +176,10 @@ def learner_of(name: str) -> str:
 def published_as(algorithm: str, network: str = "", for_family: bool = False) -> str:
     """Return the name under which an algorithm's settings are published, for families or with a flat network.
 
-    Those of ``mappo`` are for one map: the others learn from nothing.
+    Those of ``mappo`` are for one map, those of ``mappo-family`` for many; ``mappo-paper`` learns from nothing.
     """
-    name = f"{algorithm}-paper"
-    return name if (for_family or network == "mlp") and name in _ALGORITHMS else algorithm
+    name = f"{algorithm}-paper" if network == "mlp" else f"{algorithm}-family" if for_family else algorithm
+    return name if name in _ALGORITHMS else algorithm
 
 
 def config_from_dict(fields: dict[str, Any], source: Path) -> AlgorithmConfig:
@@ -234,6 +234,7 @@ def make_model(config: AlgorithmConfig, env: MissionVecEnv, seed: int, device: s
 _OWN: tuple[tuple[str, type[LearnerConfig], str], ...] = (
     ("mappo", MappoConfig, "mappo"),
     ("mappo-paper", MappoConfig, "mappo-paper"),
+    ("mappo-family", MappoConfig, "mappo-family"),
     ("ippo", IppoConfig, "ippo"),
     ("vdn", VdnConfig, "vdn"),
     ("qmix", QmixConfig, "qmix"),

@@ -21,7 +21,8 @@ def training_reward(world: World, name: str) -> NDArray[np.float32]:
 
     ``aou`` is the paper's -sum_i S_i and ``root`` is -sum_i sqrt(S_i), where S_i = sum_n A_i^n[t] in
     slots; both are divided by the number of devices and a constant. ``relative`` is -sum_i S_i divided by the mean that
-    the rule ``local-greedy-parts`` leaves on this map in simulation: all maps of a family count alike.
+    the rule ``local-greedy-parts`` leaves on this map in simulation, each UAV alone and without the way home: the
+    maps of a family count about alike, within a factor of two.
     """
     ages = world.ages.age_slots  # (N, I) slots
     if name == "relative":

@@ -16,6 +16,7 @@ from uavaou.scenario import Scenario
 from uavaou.world import MissionMetrics, World
 
 MISSIONS_TOGETHER = 128
+PLANNED_TOGETHER = 4  # of missions that each need a plan first: what is done is told after so many
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,10 @@ def play(
         InputError: the policy refuses the scenario.
     """
     batches, ages, violations = [], [], []
-    for first in range(0, episodes, MISSIONS_TOGETHER):
-        missions = min(MISSIONS_TOGETHER, episodes - first)
+    planned = scenario.layout == "resample" and getattr(policy, "plans_maps", False)
+    together = PLANNED_TOGETHER if planned else MISSIONS_TOGETHER
+    for first in range(0, episodes, together):
+        missions = min(together, episodes - first)
         world = World(scenario, missions, seed + first)
         policy.reset(world, seed + first)
         checker = ViolationCounter(scenario, missions, seed + first)

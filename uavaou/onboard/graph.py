@@ -27,14 +27,14 @@ from uavaou.algorithms.mappo import CentralizedValuePolicy
 from uavaou.algorithms.nets.action_head import FORBIDDEN, MoveAndDeviceLogits
 from uavaou.algorithms.nets.mlp import ACTIVATIONS, Linear, Mlp, is_exactly
 from uavaou.algorithms.nets.pull import CHANGES, Pull
-from uavaou.algorithms.nets.set_encoder import DualSetNetwork, SetEncoder, SetNetwork, without_pulls
+from uavaou.algorithms.nets.set_encoder import SetEncoder, SetNetwork, without_pulls
 from uavaou.algorithms.nets.symmetries import SquareSymmetries
 from uavaou.algorithms.qlearning.branches import SetUtilityNetwork, UtilityNetwork
 from uavaou.algorithms.qlearning.policy import JointQPolicy
 from uavaou.errors import InputError
-from uavaou.world.entities import ALONE, LEAD, PAPER_DEVICES, PAPER_UAVS, local_columns
-from uavaou.world.pull import BACKGROUND, LEAST_AGE, SCORE_RANGE
-from uavaou.world.views import DEVICE, MOVES, OWN, PULL, RowLayout
+from uavaou.world.entities import local_columns
+from uavaou.world.pull import BACKGROUND, LEAST_AGE, SCORE_RANGE, TIE
+from uavaou.world.views import DEVICE, MOVES, PULL, RowLayout
 
 try:
     import onnx
@@ -174,7 +174,7 @@ def _values_of_moves(
 def _of_entities(graph: _Graph, policy: Any) -> Decision:
     """The mean over the eight views of the map, or the row's own view; tensors have the shape (B, 8 or 1, ...)."""
     of_mappo, selects = isinstance(policy, CentralizedValuePolicy), policy.row_layout.selects
-    body: SetNetwork | DualSetNetwork = policy.actor_body if of_mappo else policy.utilities.body
+    body: SetNetwork = policy.actor_body if of_mappo else policy.utilities.body
     views, moves_of_view = _views(graph, 1 if policy.symmetries is None else 8, policy.pull)
     features, devices, pulls = _features(graph, views, body)
     if of_mappo:
@@ -213,12 +213,8 @@ def _views(graph: _Graph, count: int, pulled: bool) -> tuple[dict[str, str], NDA
     return views, symmetries.move[:count].numpy() + MOVES * np.arange(count)[:, None]
 
 
-def _features(graph: _Graph, views: dict[str, str], body: SetNetwork | DualSetNetwork) -> tuple[str, str, str | None]:
+def _features(graph: _Graph, views: dict[str, str], body: SetNetwork) -> tuple[str, str, str | None]:
     """Features (B, 8, size), the devices' logits (B, 8, I) and the moves' pulls (B, 8, 5) of a body."""
-    if isinstance(body, DualSetNetwork):
-        whole, of_whole, _ = _features(graph, views, body.whole)
-        part, of_part, _ = _features(graph, _own_part(graph, views), body.part)
-        return graph("Concat", whole, part, axis=2), graph("Add", of_whole, of_part), None
     features, scores = _encode(graph, views, body.encoder)
     heads = body.encoder.heads
     devices = graph("Gather", scores, np.array(heads if body.selects else 0), axis=2)
@@ -245,40 +241,8 @@ def _pull(graph: _Graph, views: dict[str, str], pull: Pull, scores: str, first: 
     there = graph("Gather", views["devices"], np.array([DEVICE.index("present")]), axis=3)
     total = graph("ReduceSum", graph("Exp", graph.allowed_or_forbidden(felt, there)), np.array([2]), keepdims=0)
     total = graph("Log", graph("Add", total, BACKGROUND))  # (B, 8, 5)
-    return graph("Mul", graph("Sub", total, graph("ReduceMax", total, np.array([2]), keepdims=1)), sharpness)
-
-
-def _own_part(graph: _Graph, views: dict[str, str]) -> dict[str, str]:
-    """The views as :func:`uavaou.algorithms.nets.set_encoder.own_part` makes them."""
-
-    def replaced(tokens: str, names: tuple[str, ...], values: dict[str, str | float]) -> str:
-        places = np.eye(len(names), dtype=np.float32)
-        tokens = graph("Mul", tokens, 1 - sum(places[names.index(name)] for name in values))
-        for name, value in values.items():
-            place = places[names.index(name)]
-            tokens = graph("Add", tokens, place * value if isinstance(value, float) else graph("Mul", value, place))
-        return tokens
-
-    def feature(name: str) -> str:  # (B, 8, I, 1)
-        return graph("Gather", views["devices"], np.array([DEVICE.index(name)]), axis=3)
-
-    lead = graph("Clip", graph("Sub", feature("steps_to_coverage"), ALONE), -LEAD, LEAD)
-    of_others: dict[str, str | float] = {"steps_of_nearest_other": ALONE, "lead_of_nearest_other": lead}
-    tokens = graph("Mul", replaced(views["devices"], DEVICE, of_others), feature("own_part"))
-    members = graph("Max", graph("ReduceSum", feature("own_part"), np.array([2]), keepdims=0), 1.0)  # (B, 8, 1)
-    names = (*OWN, *["allowed_moves"] * MOVES)
-    present = graph("Gather", views["own"], np.array([0]), axis=2)
-    sizes: dict[str, str | float] = {
-        name: graph("Mul", size, present)
-        for name, size in (
-            ("devices", graph("Log", graph("Div", members, float(PAPER_DEVICES)))),
-            ("uavs", -math.log(PAPER_UAVS)),
-        )
-    }
-    return {
-        "own": replaced(views["own"], names, sizes), "teammates": graph("Mul", views["teammates"], 0.0),
-        "devices": tokens,
-    }  # fmt: skip
+    total = graph("Sub", total, graph("ReduceMax", total, np.array([2]), keepdims=1))
+    return graph("Mul", graph("Sub", total, TIE * np.arange(MOVES, dtype=np.float32)), sharpness)
 
 
 def _encode(graph: _Graph, views: dict[str, str], encoder: SetEncoder) -> tuple[str, str]:
@@ -324,11 +288,9 @@ def _check(policy: Any) -> None:
     else:
         bodies, known = [], False
     for body in bodies:
-        networks = [body.whole, body.part] if is_exactly(body, DualSetNetwork) else [body]
-        for network in networks:
-            parts = [network.encoder, network.layers] if isinstance(network, SetNetwork) else [network]
-            known = known and all(is_exactly(part, SetEncoder, Mlp) for part in parts)
-            known = known and (getattr(network, "pull", None) is None or is_exactly(network.pull, Pull))
+        parts = [body.encoder, body.layers] if isinstance(body, SetNetwork) else [body]
+        known = known and all(is_exactly(part, SetEncoder, Mlp) for part in parts)
+        known = known and (getattr(body, "pull", None) is None or is_exactly(body.pull, Pull))
     if not known:
         raise InputError(
             f"--format onnx: a {type(policy).__name__} has networks of its own: this format is for MAPPO, IPPO, VDN, "

@@ -16,7 +16,8 @@ class Planner(Protocol):
     """A policy that is not learned and flies a World of N missions.
 
     Call ``reset`` at the start of a mission, then ``act`` before each ``World.step``. A policy that reads less than the
-    whole World says so by an attribute ``knows``; see :mod:`uavaou.world.knowledge`.
+    whole World says so by an attribute ``knows``; see :mod:`uavaou.world.knowledge`. One that plans for each map before
+    its first flight has an attribute ``plans_maps`` that is True.
     """
 
     def reset(self, world: World, seed: int) -> None:

@@ -147,6 +147,7 @@ class AheadPlanner(ABC, Generic[P]):
     """
 
     name: ClassVar[str]
+    plans_maps: ClassVar[bool] = True  # each before its first flight
 
     def __init__(self, time_limit_s: float | None = None) -> None:
         self.time_limit_s = time_limit_s

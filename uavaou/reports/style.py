@@ -86,7 +86,6 @@ _LOOKS = {
     "qmix": Look(VERMILLION, "D", "-", "QMIX"),
     "iql": Look(PURPLE, "v", "-", "IQL"),
     "any-map": Look(WINE, "h", "-", "any-map"),
-    "any-map-local": Look("#AA4499", "<", (0, (4, 1.5)), "any-map-local"),
     "random": Look(GREY, "x", (0, (1, 1.5)), "random"),
     "stay": Look(GREY, "_", (0, (5, 1.5, 1, 1.5)), "stay"),
     "greedy": Look(BLACK, "*", (0, (4, 1.5)), "greedy"),

@@ -10,7 +10,7 @@ from urllib.parse import unquote
 from uavaou.errors import InputError, unknown
 from uavaou.evaluation.evaluate import Evaluation, play
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou.family import Family, beyond
+from uavaou.family import beyond
 from uavaou.planners import PLANNERS, make_planner, planner_knowledge
 from uavaou.planners.base import Planner
 from uavaou.runs.folder import RunConfig, RunFolder
@@ -20,7 +20,6 @@ from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.coverage import nothing_in_reach
 from uavaou.world.knowledge import Knowledge, level, observed
-from uavaou.zoo import read_yaml_mapping
 
 _UNTRAINED = "local-greedy-parts"  # the best policy that learns nothing and needs no time before take-off
 _AUDIT = "uavaou audit SCENARIO says why"
@@ -153,19 +152,10 @@ def recorded_as(name: str) -> tuple[str, int | None]:
     return unquote(path.parent.name) if named_by_us else config.algorithm.name, config.seed
 
 
-def trained_on(folder: RunFolder) -> list[Family]:
-    """The families that a policy has met in training; empty for one that was trained on a scenario."""
-    stages = folder.path / "families.yaml"  # of a released policy: those of all its stages
-    if stages.exists():
-        return [Family.load(name) for name in read_yaml_mapping(stages)["families"]]
-    family = folder.read_config().family
-    return [] if family is None else [family]
-
-
 def beyond_training(name: str, scenario: Scenario) -> str:
-    """A sentence on how a scenario is unlike the families that a policy has met in training; empty where it is not."""
-    families = [] if name in PLANNERS else trained_on(RunFolder.at(name))
-    outside = beyond(families, scenario) if families else []
+    """A sentence on how a scenario is unlike the family that a policy was trained on; empty where it is not."""
+    family = None if name in PLANNERS else RunFolder.at(name).read_config().family
+    outside = [] if family is None else beyond(family, scenario)
     if not outside:
         return ""
     return f"'{name}' flies beyond what it was trained on: {scenario.name} has {', '.join(outside)}."

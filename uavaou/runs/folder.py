@@ -166,7 +166,6 @@ class RunFolder:
     candidate = PathIn("checkpoints", "candidate.safetensors")  # of several, the best that has ended; until the end
     best = PathIn("checkpoints", "best.safetensors")  # the policy that did best on the validation missions
     weights = PathIn("policy.safetensors")  # of a released policy, which has no checkpoints
-    fine_tuning = PathIn("fine-tuning.yaml")  # of a released policy: the settings to train it on with one scenario
     lock = PathIn(LOCK)  # held by the process that writes the run
 
     def __str__(self) -> str:

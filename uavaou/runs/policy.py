@@ -21,7 +21,7 @@ from uavaou.envs.spaces import action_masks, split_actions
 from uavaou.errors import InputError
 from uavaou.runs.checkpoint_header import open_policy
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.pull_plan import plan_of
+from uavaou.runs.pull_plan import PlanOfEachMap, plan_of
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.knowledge import Knowledge, check_within, level, observed
@@ -48,6 +48,11 @@ class TrainedPolicy:
     def knows(self) -> Knowledge:
         """What its UAVs read in flight."""
         return observed(self.views.observation)
+
+    @property
+    def plans_maps(self) -> bool:
+        """Whether it plans for each map before its first flight."""
+        return isinstance(getattr(self.views, "plan", None), PlanOfEachMap)
 
     def reset(self, world: World, seed: int) -> None:
         """Start missions; mission j samples from a stream seeded with ``seed + j``.

@@ -16,7 +16,7 @@ from uavaou.world.pull import Plans, PullPlan
 _BUDGET = 500_000  # slots of a training
 _DEVICES = 25  # of a map whose plan is searched for as many slots as the settings say
 _LARGEST = 3_000_000  # UAVs x devices x cells, above which a map has no plan: its search would take gigabytes
-_IN_FLIGHT = 4  # slots of a map's plan, of those in a training
+_IN_FLIGHT = 16  # slots of a map's plan, of those in a training
 _KEPT = 256  # plans
 
 
@@ -58,7 +58,7 @@ def plan_of(
 
     The search simulates ``algorithm.plan_slots`` slots of the rule before a training of 500,000 slots. Before another
     one they are in proportion to the root of its first budget: a short training needs much of it, too. Where maps vary,
-    each has a plan of its own, of ``algorithm.map_plan_slots`` in the training and of four times as many in flight.
+    each has a plan of its own, of ``algorithm.map_plan_slots`` in the training and of 16 times as many in flight.
 
     Args:
         config: of the run.

@@ -16,7 +16,6 @@ from uavaou.fields import short
 from uavaou.runs.checkpoint_header import open_policy
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
-from uavaou.zoo import read_yaml_mapping
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -26,6 +25,7 @@ _OF_THE_NETWORK = (
     "network", "token_width", "pull", "observation", "collection", "hidden", "critic_input", "state_value_width",
     "mixer_width", "hypernet_width",
 )  # fmt: skip
+_KEPT = ("activation", "masks", "selection_bias")  # also of a training with other settings
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ class Start:
     def training(self, scenario: Scenario | Family, changes: Mapping[str, Any], seed: int) -> RunConfig:
         """The training that begins with these weights: with the run's settings, and the published budget.
 
-        On one scenario, a released policy has the settings and the budget of its ``fine-tuning.yaml``. Validations are
-        those of the run, and follow a small budget where ``changes`` do not say how often.
+        A policy of a family that devices pull has, on one scenario, the settings published for one map. Validations
+        follow a small budget where ``changes`` do not say how often.
 
         Args:
             scenario: to train on, or the family.
@@ -69,14 +69,15 @@ class Start:
             InputError: the weights do not fit the scenario, or a value cannot be used.
         """
         own = self.config.algorithm.model_dump(mode="json")
-        published = {"slots": load_config(published_as(own["name"], own.get("network", ""))).slots}
-        tunes = self.folder.is_released and not isinstance(scenario, Family) and self.folder.fine_tuning.is_file()
-        fine_tuning = read_yaml_mapping(self.folder.fine_tuning) if tunes else {}
+        name = published_as(own["name"], own.get("network", ""), isinstance(scenario, Family))
+        usual = load_config(name).model_dump(mode="json")
+        settings = own | {"slots": usual["slots"], "candidates": 1}
+        if self.config.family is not None and own.get("pull") and not isinstance(scenario, Family):
+            several = {"observation"} if own["observation"] == "mixed" else set()  # one scenario has one level
+            settings = usual | {field: own[field] for field in {*_OF_THE_NETWORK, *_KEPT} & own.keys() - several}
         if changes.get("network", own.get("network")) != own.get("network"):  # other networks need other fields
             self._refuse("network", own.get("network"), changes["network"])
-        algorithm = changed_config(own | published | fine_tuning | {"candidates": 1}, changes).with_enough_validations(
-            changes
-        )
+        algorithm = changed_config(settings, changes).with_enough_validations(changes)
         family = scenario if isinstance(scenario, Family) else None
         base = scenario.base if isinstance(scenario, Family) else scenario
         self.config.check_fits(base, str(self.folder))

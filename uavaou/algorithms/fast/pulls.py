@@ -15,7 +15,7 @@ from torch.autograd.function import once_differentiable
 from uavaou.algorithms.fast.tokens import supports as supports
 from uavaou.arrays import Floats
 from uavaou.world.compiled import compiled
-from uavaou.world.pull import BACKGROUND, LEAST_AGE, SCORE_RANGE
+from uavaou.world.pull import BACKGROUND, LEAST_AGE, SCORE_RANGE, TIE
 from uavaou.world.views import MOVES, PULL, Rows
 
 _PULL = len(PULL)
@@ -115,7 +115,7 @@ def write_pulls(
         _felt(rows[b], changes[b], columns, reach, parts, score, rate, felt, totals)
         most = totals.max()
         for move in range(MOVES):
-            pulls[b, move] = beta * math.log(max(totals[move] / most, np.float32(LEAST_SHARE)))
+            pulls[b, move] = beta * (math.log(max(totals[move] / most, np.float32(LEAST_SHARE))) - TIE * move)
 
 
 @compiled
@@ -133,7 +133,7 @@ def add_pull_gradient(
         most = totals.max()
         for move in range(MOVES):
             if totals[move] > np.float32(LEAST_SHARE) * most:
-                by_numbers[0] += grads[b, move] * beta * math.log(totals[move] / most)
+                by_numbers[0] += grads[b, move] * beta * (math.log(totals[move] / most) - TIE * move)
         for i in range(devices):
             by_changes[b, i], by_changes[b, devices + i] = 0.0, 0.0
             if row[present + width * i] < 0.5:

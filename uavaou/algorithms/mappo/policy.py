@@ -12,7 +12,7 @@ from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.action_head import MoveAndDeviceLogits, MoveSelectionDistribution
 from uavaou.algorithms.nets.mlp import ACTIVATIONS, mlp
 from uavaou.algorithms.nets.pull import Pull
-from uavaou.algorithms.nets.set_encoder import ACTORS, TOKEN_WIDTH, check_network, make_body
+from uavaou.algorithms.nets.set_encoder import TOKEN_WIDTH, check_network, make_body
 from uavaou.algorithms.nets.value_norm import PopArt, ValueScale
 from uavaou.errors import InputError, unknown
 from uavaou.world.views import RowLayout
@@ -37,8 +37,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         observation_space, action_space, lr_schedule: as SB3 passes them.
         row_layout: names the columns of a row; :class:`~uavaou.MAPPO` takes it from the VecEnv.
         critic_input: ``global`` (MAPPO), ``local`` (IPPO), or ``both``: a UAV's whole row, flat.
-        network: ``mlp``, or for rows of entities ``set``, whose weights fit any number of UAVs and devices, or
-            ``dual-set``, which adds to the actor a second network that sees the UAV's own part of the map alone.
+        network: ``mlp``, or for rows of entities ``set``, whose weights fit any number of UAVs and devices.
         net_arch: hidden layer sizes of actor and critic; of a ``set``, after its encoder.
         activation: ``relu`` or ``tanh``.
         selection_bias: initial logit of selecting a device in range; collecting costs nothing in this model.
@@ -71,7 +70,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
             raise unknown("critic_input", critic_input, CRITIC_INPUTS)
         if activation not in ACTIVATIONS:
             raise unknown("activation", activation, ACTIVATIONS)
-        check_network(network, row_layout, ACTORS)
+        check_network(network, row_layout)
         if critic_input == "both" and network != "mlp":
             raise InputError("critic_input = 'both': expected network = 'mlp'")
         self.row_layout = row_layout
@@ -119,10 +118,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         layout, sizes = self.row_layout, (self._hidden, self._activation)
         if self.critic_input == "both":
             return mlp(layout.local_size + layout.global_size, *sizes)
-        network = "set" if self.network == "dual-set" else self.network  # it has no own part
-        return make_body(
-            layout.state if self.critic_input == "global" else layout.local, network, *sizes, width=self._token_width
-        )
+        columns = layout.state if self.critic_input == "global" else layout.local
+        return make_body(columns, self.network, *sizes, width=self._token_width)
 
     def actor_parameters(self) -> list[nn.Parameter]:
         """Parameters of the actor, which the critic does not share."""

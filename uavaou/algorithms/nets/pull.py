@@ -8,7 +8,8 @@ the device well:
 
 age_i is what the UAV expects at the end of the slot, own_i is 1 for the devices of its part of the map. The set encoder
 gives f and g, numbers of the device's token, which are 0 at first. With lambda = 1 and a large part, the likeliest move
-is then that of the rule ``local-greedy-parts``. The small c makes all moves equal where no device pulls.
+is then that of the rule ``local-greedy-parts``. The small c makes all moves equal where no device pulls. Of equal moves
+the first is the best by a hair, as in that rule.
 
 The sum does not depend on the order of devices, and pulls are turned and mirrored with the map. A learned term on a
 controller is residual policy learning (Silver et al. 2018, arXiv 1812.06298); moves that follow attraction are
@@ -25,7 +26,7 @@ from typing import Any
 import torch as th
 from torch import nn
 
-from uavaou.world.pull import BACKGROUND, LEAST_AGE, SCORE_RANGE
+from uavaou.world.pull import BACKGROUND, LEAST_AGE, SCORE_RANGE, TIE
 from uavaou.world.views import MOVES, PULL, RowLayout
 
 CHANGES = 2  # numbers of a device's token: of its score, and of its reach
@@ -44,7 +45,7 @@ class Pull(nn.Module):
         columns: first column of the pulls, of the flags of own parts and of those of presence, and the way to the next.
     """
 
-    def __init__(self, layout: RowLayout, sharpness: float, part: tuple[float, float] = (40.0, 6.0)) -> None:
+    def __init__(self, layout: RowLayout, sharpness: float, part: tuple[float, float] = (40.0, 40.0)) -> None:
         super().__init__()
         own, present = (layout.token_feature("devices", name) for name in ("own_part", "present"))
         self.columns = layout.token_feature("pulls", PULL[0]).start, own.start, present.start, own.step
@@ -82,7 +83,8 @@ class Pull(nn.Module):
         felt = felt.masked_fill(there[..., None] < 0.5, -th.inf)
         background = felt.new_full((len(rows), 1, MOVES), math.log(BACKGROUND))
         total = th.cat([background, felt], dim=1).logsumexp(dim=1)  # (B, 5)
-        return sharpness * (total - total.amax(dim=1, keepdim=True).detach())
+        order = th.arange(MOVES, device=total.device)
+        return sharpness * (total - total.amax(dim=1, keepdim=True).detach() - TIE * order)
 
 
 @cache

@@ -18,11 +18,9 @@ from uavaou.algorithms.nets.action_head import FORBIDDEN
 from uavaou.algorithms.nets.mlp import Linear, Mlp, mlp
 from uavaou.algorithms.nets.pull import CHANGES, Pull, compiled_module
 from uavaou.errors import InputError, unknown
-from uavaou.world.entities import ALONE, LEAD, PAPER_DEVICES, PAPER_UAVS
-from uavaou.world.views import DEVICE, OWN, Columns, RowLayout
+from uavaou.world.views import Columns, RowLayout
 
 NETWORKS = ("mlp", "set")
-ACTORS = (*NETWORKS, "dual-set")  # of MAPPO and IPPO
 TOKEN_WIDTH = 32
 
 
@@ -142,59 +140,6 @@ class SetNetwork(nn.Module):
         return th.cat(parts, dim=1)
 
 
-class DualSetNetwork(nn.Module):
-    """Two :class:`SetNetwork` side by side: one reads all of a row, the other the UAV's own part of the map alone.
-
-    What a UAV does best in its part, as if there were no other UAV, is easily learned. The first network learns where
-    to depart from it. The heads add what both say.
-
-    Args:
-        columns: of the local observation of entities.
-        hidden, activation, selects, width: of each network.
-
-    Attributes:
-        size: number of features of both.
-    """
-
-    def __init__(
-        self,
-        columns: Sequence[Columns],
-        hidden: list[int],
-        activation: str,
-        selects: bool = False,
-        width: int = TOKEN_WIDTH,
-    ) -> None:
-        super().__init__()
-        self.columns = without_pulls(columns)
-        self.whole = SetNetwork(columns, hidden, activation, selects, width=width)
-        self.part = SetNetwork(columns, hidden, activation, selects, width=width)
-        self.size = self.whole.size + self.part.size
-
-    def forward(self, rows: th.Tensor) -> th.Tensor:
-        """Return features of ``rows`` (B, columns), and behind them the logits, (B, size) or (B, size + I)."""
-        whole, part, end = self.whole(rows), self.part(own_part(rows, self.columns)), self.whole.size
-        features = [whole[:, :end], part[:, :end]]
-        return th.cat([*features, whole[:, end:] + part[:, end:]] if self.whole.selects else features, dim=1)
-
-
-def own_part(rows: th.Tensor, columns: Sequence[Columns]) -> th.Tensor:
-    """Return rows (B, columns) as if the devices of the UAV's own part were all there are, and no other UAV.
-
-    It is the observation ``part``, but for ages and waiting times, which stay as ``rows`` has them.
-    """
-    own, allowed, mates, devices = (rows[:, part.slice] for part in without_pulls(columns))
-    feature = dict(zip(DEVICE, devices.reshape(len(rows), -1, len(DEVICE)).unbind(dim=2), strict=True))  # (B, I) each
-    mine = feature["own_part"]
-    feature["steps_of_nearest_other"] = th.full_like(mine, ALONE)
-    feature["lead_of_nearest_other"] = (feature["steps_to_coverage"] - ALONE).clamp(-LEAD, LEAD)
-    tokens = th.stack([feature[name] * mine for name in DEVICE], dim=2)  # (B, I, device)
-    members = mine.sum(dim=1).clamp_min(1)  # (B,)
-    sizes = {"devices": th.log(members / PAPER_DEVICES), "uavs": th.full_like(members, -math.log(PAPER_UAVS))}
-    of_own = dict(zip(OWN, own.unbind(dim=1), strict=True))
-    own = th.stack([*(of_own | {name: size * of_own["present"] for name, size in sizes.items()}).values()], dim=1)
-    return th.cat([own, allowed, th.zeros_like(mates), tokens.flatten(1)], dim=1)
-
-
 def make_body(
     columns: Sequence[Columns],
     network: str,
@@ -203,12 +148,10 @@ def make_body(
     selects: bool = False,
     pull: Pull | None = None,
     width: int = TOKEN_WIDTH,
-) -> Mlp | SetNetwork | DualSetNetwork:
+) -> Mlp | SetNetwork:
     """Make the layers between rows and heads: an ``mlp``, or a set whose devices have logits if it ``selects``."""
     if network == "mlp":
         return mlp(columns[-1].stop, hidden, activation)
-    if network == "dual-set":
-        return DualSetNetwork(columns, hidden, activation, selects, width)
     return SetNetwork(columns, hidden, activation, selects, pull, width)
 
 
@@ -217,10 +160,10 @@ def without_pulls(columns: Sequence[Columns]) -> tuple[Columns, ...]:
     return tuple(part for part in columns if part.name != "pulls")
 
 
-def check_network(network: str, layout: RowLayout, known: Sequence[str] = NETWORKS) -> None:
+def check_network(network: str, layout: RowLayout) -> None:
     """Raise :class:`~uavaou.errors.InputError` unless the network has a known name and can read the rows."""
-    if network not in known:
-        raise unknown("network", network, known)
+    if network not in NETWORKS:
+        raise unknown("network", network, NETWORKS)
     if network != "mlp" and layout.rows != "entities":
         raise InputError(f"network = '{network}': reads rows of entities: flatten(..., rows='entities')")
 

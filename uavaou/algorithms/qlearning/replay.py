@@ -64,7 +64,7 @@ class JointReplay(BaseBuffer):
         machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         if needed > machine:  # numpy would not refuse: the pages are taken only as the replay fills
             have = f"{needed / 1e9:,.1f} GB, this machine has {machine / 1e9:,.1f}"
-            raise InputError(f"replay of {capacity * missions} slots: needs {have}")
+            raise InputError(f"replay of {capacity * missions} slots: needs {have}: set fewer replay_slots")
         self.local: NDArray[np.float32] = np.zeros((capacity, missions, uavs, row_layout.local_size), np.float32)
         self.states: NDArray[np.float32] = np.zeros((capacity, missions, row_layout.global_size), np.float32)
         self.actions = np.zeros((capacity, missions, uavs, branches), np.min_scalar_type(options))
