@@ -256,7 +256,7 @@ def test_train_on_a_family(capsys: pytest.CaptureFixture[str], workplace: Path) 
     settings += " --set algorithm.hidden=[8]"
     code, out, err = call(capsys, f"train --family two.yaml --seed 3 --slots 192 {settings} --quiet")
     assert (code, err) == (0, "")
-    (run,) = (workplace / "results").glob("family-two~*/mappo-paper+*/seed-3")
+    (run,) = (workplace / "results").glob("family-two~*/mappo-family+*/seed-3")
     assert "trained mappo on family two: " in out
     assert "best validation: geometric mean AoU" in out
     assert f"run folder:      {run.relative_to(workplace)}" in out
