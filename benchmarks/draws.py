@@ -13,10 +13,10 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-from uavaou import Family, evaluate, load_run
-from uavaou.csv_tables import read_csv, write_csv
-from uavaou.planners import PLANNERS
-from uavaou.planners.base import Planner
+from benchmarks.measure import kept_rows
+from uavaou import Family, evaluate
+from uavaou.csv_tables import write_csv
+from uavaou.runs.comparison import make_policy
 from uavaou.statistics import geometric_mean
 from uavaou.threads import use_threads
 
@@ -25,7 +25,6 @@ COLUMNS = ("family", "draw", "uavs", "devices", "cells", "policy", "missions", "
 RULE = "local-greedy-parts"
 POLICIES = (RULE, "best-first", "any-map", "any-map local")  # a released one may be told to use local information alone
 LEAST = 1.0  # slots: where the rule has less, a ratio says nothing
-Row = dict[str, str]
 
 
 def main() -> None:
@@ -37,7 +36,7 @@ def main() -> None:
     parser.add_argument("--missions", type=int, default=2, help="of each draw (default: %(default)s)")
     chosen = parser.parse_args()
     wanted = [(chosen.family, n, chosen.missions) for n in range(chosen.first, chosen.first + chosen.draws)]
-    kept = {tuple(row[name] for name in ("family", "draw", "policy")): row for row in rows(TABLE)}
+    kept = {tuple(row[name] for name in ("family", "draw", "policy")): row for row in kept_rows(TABLE, COLUMNS)}
     left = [(job, [p for p in chosen.policies if (job[0], str(job[1]), p) not in kept]) for job in wanted]
     with ProcessPoolExecutor(os.cpu_count(), get_context("spawn"), use_threads, (1,)) as pool:
         for found in pool.map(measured, left):
@@ -46,37 +45,21 @@ def main() -> None:
     print("\n".join(ratios(row for row in kept.values() if row["family"] == chosen.family)))
 
 
-def rows(path: Path) -> list[Row]:
-    """The rows of a table, none where there is none."""
-    if not path.is_file():
-        return []
-    table = read_csv(path)
-    columns = [table.text(name) for name in COLUMNS]
-    return [dict(zip(COLUMNS, cells, strict=True)) for cells in zip(*columns, strict=True)]
-
-
-def measured(job: tuple[tuple[str, int, int], list[str]]) -> list[Row]:
-    """The rows of some policies on a draw."""
+def measured(job: tuple[tuple[str, int, int], list[str]]) -> list[dict[str, str]]:
+    """The rows of some policies on a draw; ``NAME LEVEL`` reads no more than that in flight."""
     (family, n, missions), policies = job
     scenario = Family.load(family).draw(n)
-    sizes = (scenario.uavs, scenario.devices, scenario.columns * scenario.rows)
-    cells = (family, n, *sizes)
-    return [
-        dict(zip(COLUMNS, map(str, (*cells, name, missions, f"{aou:.5g}")), strict=True))
-        for name in policies
-        for aou in [evaluate(policy(name), scenario, missions).mean_aou_slots]
-    ]
+    cells = (family, n, scenario.uavs, scenario.devices, scenario.columns * scenario.rows)
+    found = []
+    for name in policies:
+        base, _, knows = name.partition(" ")
+        flown = make_policy(base, scenario, knows=knows or "everything")
+        aou = evaluate(flown, scenario, missions).mean_aou_slots
+        found.append(dict(zip(COLUMNS, map(str, (*cells, name, missions, f"{aou:.5g}")), strict=True)))
+    return found
 
 
-def policy(name: str) -> Planner | str:
-    """The policy of that name; ``NAME LEVEL`` reads no more than that in flight."""
-    if name in PLANNERS:
-        return name
-    run, _, knows = name.partition(" ")
-    return load_run(run, knows=knows or "everything")
-
-
-def ratios(table: Iterable[Row]) -> list[str]:
+def ratios(table: Iterable[dict[str, str]]) -> list[str]:
     """A line for each policy: its mean AoU to that of the rule, over the draws where that has more than a slot."""
     aou: dict[str, dict[str, float]] = {}
     for row in table:

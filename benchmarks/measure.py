@@ -7,6 +7,9 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+
+from uavaou.csv_tables import read_csv
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,12 @@ class Stopwatch:
             else:
                 delattr(owner, function)
         self._wrapped.clear()
+
+
+def kept_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    """The rows of a table that holds what was measured before; none where there is none."""
+    rows = read_csv(path, columns, exact=True).rows if path.is_file() else []
+    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 def report(title: str, measurements: list[Measurement], reference: str | None = None) -> list[str]:

@@ -11,8 +11,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from benchmarks.measure import kept_rows
 from uavaou import evaluate
-from uavaou.csv_tables import read_csv, write_csv
+from uavaou.csv_tables import write_csv
 from uavaou.files import write_json
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal
@@ -51,15 +52,9 @@ def main() -> None:
 
 def _keep(new: dict[str, str]) -> None:
     """Put a row in its place in gap.csv."""
-    rows = {(row["scenario"], row["policy"]): row for row in [*_rows(), new]}
+    rows = {(row["scenario"], row["policy"]): row for row in [*kept_rows(RESULTS / "gap.csv", COLUMNS), new]}
     order = sorted(rows, key=lambda key: (list(SCENARIOS).index(key[0]), POLICIES.index(key[1])))
     write_csv(RESULTS / "gap.csv", COLUMNS, [rows[key] for key in order])
-
-
-def _rows() -> list[dict[str, str]]:
-    path = RESULTS / "gap.csv"
-    rows = read_csv(path, COLUMNS, exact=True).rows if path.is_file() else []
-    return [dict(zip(COLUMNS, row, strict=True)) for row in rows]
 
 
 def measured(name: str, scenario: Scenario, chosen: argparse.Namespace) -> Iterator[dict[str, str]]:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import write
-from benchmarks.draws import COLUMNS, RULE, measured, ratios, rows
+from benchmarks.draws import COLUMNS, RULE, measured, ratios
 from benchmarks.endurance import Endurance, repeated, trained
 from benchmarks.environment import scaling, stepping
-from benchmarks.measure import Measurement, Stopwatch, exponent, report
+from benchmarks.measure import Measurement, Stopwatch, exponent, kept_rows, report
 from benchmarks.training import ALGORITHMS, memory, parts, training
 from uavaou.csv_tables import write_csv
 
@@ -37,8 +37,8 @@ def test_policies_on_draws_are_compared_with_the_rule(tmp_path: Path) -> None:
     found = [row for n in range(3) for row in measured(((str(tmp_path / "few.yaml"), n, 2), [RULE, "stay"]))]
     aou = [float(row["mean_aou_slots"]) for row in found]
     write_csv(tmp_path / "draws.csv", COLUMNS, found)
-    assert rows(tmp_path / "draws.csv") == found
-    assert rows(tmp_path / "none.csv") == []
+    assert kept_rows(tmp_path / "draws.csv", COLUMNS) == found
+    assert kept_rows(tmp_path / "none.csv", COLUMNS) == []
     apart = [stay / rule for rule, stay in zip(aou[::2], aou[1::2], strict=True)]
     mean = np.exp(np.log(apart).mean())
     assert min(apart) > 1

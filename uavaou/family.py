@@ -236,9 +236,7 @@ class Family(BaseModel):
     def _changes(self, rng: np.random.Generator) -> dict[str, Any]:
         """Draw the fields that differ from the base's; a field more in a file does not shift the others."""
         base = self.base
-        streams = dict(
-            zip(("fleet", "area", "cds", "altitudes", *_PLAIN, "clusters"), rng.spawn(5 + len(_PLAIN)), strict=True)
-        )
+        streams = dict(zip(_OWN_STREAMS, rng.spawn(len(_OWN_STREAMS)), strict=True))
         fleet = streams["fleet"]
         uavs = int(_drawn(self.uavs, fleet, base.uavs))
         devices = int(_drawn(self.devices, fleet, base.devices))
@@ -291,7 +289,7 @@ class Family(BaseModel):
 
 
 _PLAIN = ("grid_step_m", "slots", "longest_update_period_slots", "rate_min_bit_s", "rician_factor")
-_STREAMS = ("fleet", "area", "cds", "altitudes", *_PLAIN, "clusters")  # of what is drawn; new ones go to the end
+_OWN_STREAMS = ("fleet", "area", "cds", "altitudes", *_PLAIN, "clusters")  # of what is drawn; new ones go to the end
 
 
 def _drawn(draw: Draw | None, rng: np.random.Generator, of_base: Any) -> Any:

@@ -90,6 +90,10 @@ BAD_INPUTS = [
     ("train --set scenario.bandwidth_hz.low=9e9", "must not exceed"),
     ("train --set algorithm.learning_rte=1e-4", "did you mean 'learning_rate'?"),
     ("train --set algorithm.learning_rate=-1e-4", "learning_rate = -0.0001"),
+    ("train --set algorithm.plan_slots=-1", "plan_slots = -1: must be greater than or equal to 0"),
+    ("train --family any --set algorithm.map_plan_slots=-1", "map_plan_slots = -1"),
+    ("train --set algorithm.critic_rollouts=-1", "critic_rollouts = -1"),
+    ("train --algorithm mappo-family", "observation = 'mixed'"),
     ("train --set algorithm.name=ippo", "--algorithm"),
     ("train --set algorithm.missions=7 --set algorithm.processes=2", "divide"),
     # eval

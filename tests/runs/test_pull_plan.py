@@ -11,9 +11,11 @@ import pytest
 import torch as th
 
 from uavaou import MAPPO, InputError, RunConfig, Scenario, World, evaluate, flatten, load_run, train
+from uavaou.algorithms.registry import load_config, make_model
 from uavaou.planners import make_planner
 from uavaou.planners.tuned import LocalGreedyTuned, _Search
 from uavaou.runs.folder import RunFolder
+from uavaou.runs.policy import TrainedPolicy
 from uavaou.runs.pull_plan import PlanOfEachMap, plan_of
 from uavaou.runs.start import Start
 from uavaou.world.pull import PullPlan, planned_steps, steps_left
@@ -196,6 +198,20 @@ def test_missions_that_each_need_a_plan_first_are_told_a_few_at_a_time(planned: 
 
 def test_a_policy_of_varied_maps_says_that_it_plans() -> None:
     assert load_run("any-map").plans_maps
+
+
+@pytest.mark.parametrize("name", ["paper", "quickstart"])
+def test_hearing_the_others_takes_no_uav_off_its_plan(name: str) -> None:
+    """Before anything is learned: true ages of foreign devices once drew UAVs there, which cost 8 %."""
+    scenario, layout = Scenario.load(name), Scenario.load(name).draw_layout()
+    plan = LocalGreedyTuned(slots=300_000).plan(scenario, layout).of_map(scenario, layout)
+    aou = []
+    for level in ("local", "shared"):
+        config = load_config("mappo", {"observation": level})
+        env = flatten(scenario, 1, observation=level, collection=config.collection, rows=config.rows, plan=plan)
+        policy = TrainedPolicy(make_model(config, env, seed=0, device="cpu"), env.views)
+        aou.append(evaluate(policy, scenario, 8).mean_aou_slots)
+    assert aou[1] == pytest.approx(aou[0], rel=0.03)
 
 
 def test_a_policy_of_one_map_says_that_it_has_its_plan(run: RunFolder) -> None:

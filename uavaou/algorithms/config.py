@@ -19,6 +19,7 @@ FEWEST_MISSIONS = 8  # of a validation, where its settings do not say how many
 
 Observation = Literal["location", "part", "local", "shared", "mixed"]  # mixed: local and shared, of a family
 Fraction = Annotated[NonNegative, Field(le=1)]
+Count = Annotated[Whole, Field(ge=0, le=10**12)]  # 0 for none
 HiddenSizes = Annotated[tuple[Annotated[PositiveWhole, Field(le=65_536)], ...], Field(min_length=1, max_length=16)]
 
 
@@ -107,8 +108,8 @@ class LearnerConfig(AlgorithmConfig):
     activation: Literal["relu", "tanh"]
     token_width: Annotated[PositiveWhole, Field(le=1024)] = 32  # of network: set: features of a device
     pull: Annotated[NonNegative, Field(le=1000)] = 0  # of network: set: how sharply devices pull at first; 0: not
-    plan_slots: Whole = 0  # of a pull: slots of the search for a plan before a training of 500,000 slots
-    map_plan_slots: Whole = 0  # of a pull, where maps vary: slots of the search for the plan of each
+    plan_slots: Count = 0  # of a pull: slots of the search for a plan before a training of 500,000 slots
+    map_plan_slots: Count = 0  # of a pull, where maps vary: slots of the search for the plan of each
     masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
     selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit or advantage of selecting a device in range
 
@@ -163,7 +164,7 @@ class IppoConfig(LearnerConfig):
     learning_rate: Positive
     final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
     critic_learning_rate: Positive  # as a multiple of learning_rate
-    critic_rollouts: Whole = 0  # the first of a training, in which the critic alone learns
+    critic_rollouts: Count = 0  # the first of a training, in which the critic alone learns
     gamma: Fraction
     gae_lambda: Fraction
     clip_range: Positive

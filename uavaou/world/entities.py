@@ -45,11 +45,10 @@ STATE_DEVICE = (
 )  # fmt: skip
 
 _TEAMMATE, _DEVICE, _PULL, _STATE_UAV, _STATE_DEVICE = map(len, (TEAMMATE, DEVICE, PULL, STATE_UAV, STATE_DEVICE))
-PAPER_DEVICES, PAPER_UAVS = 25, 3  # the logarithms of these sizes are 0
+_PAPER_DEVICES, _PAPER_UAVS = 25, 3  # the logarithms of these sizes are 0
 _STEPS = 5.0  # grid steps that become 1
 _FAR = 20.0  # grid steps from which another UAV is as good as absent
-ALONE = _FAR / _STEPS  # what a token says of the nearest other UAV where there is none
-LEAD = 2.0  # the most that a token says of the lead of another UAV
+_LEAD = 2.0  # the most that a token says of the lead of another UAV
 _LEFT_SLOTS = 100.0  # the slots left have their best resolution around this many
 _AGE = RECENT_SLOTS  # the root of an age sum in slots that becomes 1
 
@@ -145,7 +144,7 @@ class EntityViews(RowViews):
         self.layout = RowLayout(uavs, devices, collection, local, state, "entities")
         self._pads = (uavs, devices) != own
         cells = scenario.columns * scenario.rows
-        self._sizes = np.log([own[1] / PAPER_DEVICES, own[0] / PAPER_UAVS, cells / 121]).astype(np.float32)  # (3,)
+        self._sizes = np.log([own[1] / _PAPER_DEVICES, own[0] / _PAPER_UAVS, cells / 121]).astype(np.float32)  # (3,)
         self._altitudes = scenario.altitudes  # (U,) m
         self.plan = plan
         self._placed: Floats | None = None  # the positions of the devices that the arrays below are of
@@ -169,8 +168,8 @@ class EntityViews(RowViews):
         if alone:
             own = at["own"][:, :uavs]  # (N, U, features)
             members = self._own.sum(axis=-1)  # (L, U)
-            own[..., OWN.index("devices")] = np.log(np.maximum(members, 1) / PAPER_DEVICES)
-            own[..., OWN.index("uavs")] = np.log(1 / PAPER_UAVS)
+            own[..., OWN.index("devices")] = np.log(np.maximum(members, 1) / _PAPER_DEVICES)
+            own[..., OWN.index("uavs")] = np.log(1 / _PAPER_UAVS)
             at["teammates"][...] = 0.0
         else:
             _write_teammates(world.cells, cds, self._altitudes, shared, at["teammates"])
@@ -333,7 +332,7 @@ def _write_devices(
                 token[9] = age
                 token[10] = waiting[min(slot - (last[n, i] if shared else own_last), len(waiting) - 1)]
                 token[11] = other / _STEPS
-                token[12] = min(max(away - other, -LEAD * _STEPS), LEAD * _STEPS) / _STEPS
+                token[12] = min(max(away - other, -_LEAD * _STEPS), _LEAD * _STEPS) / _STEPS
                 token[13] = age / (1.0 + away)
                 token[14] = own[layout, u, i]
 
