@@ -144,3 +144,22 @@ model.learn(150 * 16)
 model.train()
 """
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+
+
+def test_a_process_ends_after_its_helpers() -> None:
+    # A helper that frees tensors while the interpreter is torn down ends the process by "terminate called".
+    program = """
+import time, threading
+from uavaou.threads import Tasks, use_threads
+use_threads(2)
+class Slow:
+    def __init__(self, barrier): self.barrier = barrier
+    def __call__(self): self.barrier.wait(60)
+    def __del__(self):
+        time.sleep(0.5)
+        print("freed", flush=True)
+barrier = threading.Barrier(2)
+Tasks(Slow(barrier), Slow(barrier)).run()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout == "freed\n" * 2

@@ -14,9 +14,9 @@ import os
 import sys
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from queue import SimpleQueue
-from threading import Condition, Thread
+from threading import Condition
 
 from uavaou.errors import InputError
 
@@ -83,7 +83,8 @@ class Tasks:
     def __init__(self, *tasks: Task, alone: bool = False) -> None:
         self._waiting: deque[Task] = deque()
         self._helpers = 0  # asked for
-        self._most_helpers = 0 if alone else threads() - 1
+        self._most_helpers = 0  # none before `run`, which is what ends them
+        self._alone = alone
         self._helping = 0  # in a task
         self._ended = False
         self._error: BaseException | None = None
@@ -96,14 +97,20 @@ class Tasks:
         with self._changed:
             self._waiting.append(task)
             self._changed.notify()
-            asks = self._helpers < min(len(self._waiting) + self._helping - 1, self._most_helpers)
-            self._helpers += asks
-        if asks:
-            _helpers.ask(self)
+            self._ask()
+
+    def _ask(self) -> None:
+        wanted = min(len(self._waiting) + self._helping - 1, self._most_helpers)
+        while self._helpers < wanted:
+            self._helpers += 1
+            _helpers(self._most_helpers).submit(self.help)
 
     def run(self) -> None:
         """Run the tasks, and those that they add; after an exception in one, those not yet begun are left out."""
         try:
+            with self._changed:
+                self._most_helpers = 0 if self._alone else threads() - 1
+                self._ask()
             while (task := self._next()) is not None:
                 task()
         finally:
@@ -140,31 +147,11 @@ class Tasks:
                 self._changed.notify_all()
 
 
-class _Helpers:
-    """Threads of this process that wait for tasks; they are started when they are needed, and end with the process."""
-
-    def __init__(self) -> None:
-        self._asked: SimpleQueue[Tasks] = SimpleQueue()
-        self._threads = 0
-
-    def ask(self, tasks: Tasks) -> None:
-        self._asked.put(tasks)
-        if self._threads < threads() - 1:
-            self._threads += 1
-            Thread(target=self._help, name=f"uavaou-{self._threads}", daemon=True).start()
-
-    def _help(self) -> None:
-        while True:
-            self._asked.get().help()
-
-
-_helpers = _Helpers()
-
-
-def _forget_helpers() -> None:
-    global _helpers
-    _helpers = _Helpers()  # a forked process has none of its parent's threads
+@cache
+def _helpers(number: int) -> ThreadPoolExecutor:
+    # It is joined before the interpreter is torn down: a thread that frees a tensor after that ends the process in C++.
+    return ThreadPoolExecutor(number, thread_name_prefix="uavaou")
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_helpers)
+    os.register_at_fork(after_in_child=_helpers.cache_clear)  # a forked process has none of its parent's threads
