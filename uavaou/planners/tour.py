@@ -29,6 +29,7 @@ from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import coverage_probability
 from uavaou.world.flight import Flight
 
+_DISTANCES_A_SECOND = 5_000_000  # between stops, that reach the solver at most
 _SOLVER = Path(__file__).with_name("ortools_process.py")
 # P(R >= R_min) from which a cell covers a device, as a fraction of the best of any cell; each is tried.
 _THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
@@ -233,8 +234,10 @@ def _local_optima(coverages: tuple[tuple[tuple[int, ...], bytes], ...], give_up_
 def _solve(coverages: list[Bools], seconds: float | None, give_up_at: float) -> list[tuple[Ints, Ints]]:
     """Run the solver in its own process, for so many seconds a tour."""
     nodes = [_nodes(covered) for covered in coverages]
-    problems = [(np.abs(cells[:, None] - cells).sum(axis=-1), device) for cells, device in nodes]  # (N, N) steps, (N,)
     left = None if math.isinf(give_up_at) else max(give_up_at - time.monotonic(), 0.0)
+    if left is not None and sum(len(cells) ** 2 for cells, _ in nodes) > _DISTANCES_A_SECOND * left:
+        raise TimeoutError
+    problems = [(np.abs(cells[:, None] - cells).sum(axis=-1), device) for cells, device in nodes]  # (N, N) steps, (N,)
     command = [sys.executable, "-P", str(_SOLVER)]  # -P: no import from the script's own folder
     try:
         solved = subprocess.run(command, input=pickle.dumps((problems, seconds)), capture_output=True, timeout=left)

@@ -227,7 +227,10 @@ def _legend_of_communications(figure: Figure, scenario: Scenario) -> None:
 
 
 def _draw_strip(axes: Axes, recording: Recording, ages: Floats, scale: LogNorm) -> None:
-    """The age of each device over the slots, (K, I): devices in rows by update period, a tick a communication."""
+    """The age of each device over the slots, (K, I): devices in rows by update period, a tick a communication.
+
+    The ticks of a UAV are one broken line, which is drawn faster than as many lines.
+    """
     slots, devices = ages.shape
     order = np.argsort(recording.layout.update_period, kind="stable")  # (I,)
     extent = (0.5, slots + 0.5, devices - 0.5, -0.5)
@@ -236,7 +239,10 @@ def _draw_strip(axes: Axes, recording: Recording, ages: Floats, scale: LogNorm) 
     for u in np.unique(recording.collected_by[recording.communications]):
         at, device = np.nonzero(recording.communications & (recording.collected_by == u))
         look: dict[str, Any] = {"color": maps.uav_colour(int(u)), "linestyle": maps.uav_dash(int(u)), "linewidth": 0.5}
-        axes.vlines(at + 1, rows[device] + 0.12, rows[device] + 0.42, **look)
+        ticks = np.stack(
+            [rows[device] + 0.12, rows[device] + 0.42, np.full(len(at), np.nan)], axis=1
+        )  # one line is drawn faster
+        axes.plot(np.repeat(at + 1, 3), ticks.ravel(), solid_capstyle="butt", **look)
     _label_periods(axes, recording.layout.update_period[order])
     axes.grid(False)
     axes.spines[["top", "right"]].set_visible(True)

@@ -22,7 +22,7 @@ from uavaou.evaluation.evaluate import Evaluation, play
 from uavaou.evaluation.seeds import REHEARSAL_SEEDS
 from uavaou.planners import make_planner
 from uavaou.planners.base import Planner
-from uavaou.planners.tuned import LocalGreedyTuned
+from uavaou.planners.tuned import LocalGreedyTuned, load_kernels
 from uavaou.runs.comparison import known_by, make_policy
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.released import released_names
@@ -38,9 +38,12 @@ _AT_ONCE = ("local-greedy-parts", "best-first")  # planners that need no time be
 _AHEAD = {"local-greedy-tuned": 0.35, "anneal": 0.15}  # shares of the time
 _TRAINS_FROM_S, _TRAINING = 30.0, 0.4  # with so much time there is a training, which has this share of it
 _RATE = 150_000.0  # devices that a learner's UAVs look at in a second, at least
+_TORCH_S, _FLIGHT_RATE = 3.0, 600_000.0  # to import torch; devices that a learner's UAVs look at in a second, in flight
+_GREEDY_RATE = 500e6  # devices that the UAVs of `best-first` look at in a second, each from each cell for each choice
 _CHECKS = 4  # of the policy in training
 _FIRST, _MOST = 4, 128  # missions that each flies at first, and at most
 _WORK = 8_000_000  # slots x UAVs x devices of a candidate's first missions, of which at least one is flown
+_SOON, _HOPELESS = 0.1, 2.0  # after this share of its time, one that would need so many times as much is given up
 _QUICK, _QUICK_S = 0.25, 0.6  # share of the time that one of them may take, and the least for each, s
 
 
@@ -151,9 +154,9 @@ class _Rehearsal:
         self._began = time.monotonic()
         self._candidates: list[Candidate] = []
         self._late: list[str] = []
-        work = scenario.slots * scenario.uavs * scenario.devices
+        self._work = scenario.slots * scenario.uavs * scenario.devices  # of a mission
         self._quick_s = max(_QUICK * seconds, _QUICK_S)
-        self._missions = int(np.clip(_WORK // work, 1, _FIRST))
+        self._missions = int(np.clip(_WORK // self._work, 1, _FIRST))
 
     def result(self, folder: Path | None) -> Rehearsal:
         fixed = self.scenario.layout == "fixed"
@@ -162,7 +165,7 @@ class _Rehearsal:
         for name, share in _AHEAD.items() if fixed else ():
             self._plan_ahead(name, share)
         for name in released_names():  # last: to import torch takes longer than most missions
-            self._enter_by_name(name)
+            self._enter_by_name(name, _TORCH_S + self._missions * self._work / _FLIGHT_RATE)
         if folder is not None and fixed and self.seconds >= _TRAINS_FROM_S:
             self._train(folder)
         self._fly_the_best()
@@ -170,12 +173,12 @@ class _Rehearsal:
         ordered = sorted(self._candidates, key=lambda one: (one not in finalists, float(one.ages.mean())))
         return Rehearsal(self.scenario, tuple(ordered), tuple(self._late))
 
-    def _enter_by_name(self, name: str) -> None:
-        """Let a policy fly that needs no time before take-off, if it may."""
+    def _enter_by_name(self, name: str, needs_s: float = 0.0) -> None:
+        """Let a policy fly that is given no time before take-off, if it may; it takes about ``needs_s`` at least."""
         limit_s = min(self._quick_s, self._left_s) if self._candidates else float("inf")
         if not within(known_by(name, self.knows), self.knows):
             return
-        if limit_s <= 0:
+        if limit_s <= 0 or needs_s > self._left_s:
             self._late.append(name)
             return
         self._enter(Candidate(name, make_policy(name, self.scenario, knows=self.knows)), limit_s)
@@ -194,10 +197,11 @@ class _Rehearsal:
         Raises:
             _Late: they take more than ``limit_s``.
         """
-        until = time.monotonic() + limit_s
+        began, all_slots = time.monotonic(), missions * self.scenario.slots
 
         def watch(slots: int, world: World) -> None:
-            if time.monotonic() > until:
+            taken = time.monotonic() - began
+            if taken > limit_s or (taken > _SOON * limit_s and taken * all_slots > _HOPELESS * limit_s * slots):
                 raise _Late
             self._tell(candidate.name)
 
@@ -218,7 +222,7 @@ class _Rehearsal:
         limit_s = min(share * self.seconds, self._left_s)
         with suppress(InputError):  # it needs to know more, or cannot plan for such a scenario
             planner: Any = make_planner(name, limit_s, self.knows)
-            if limit_s <= 0:
+            if limit_s <= 0 or (name == "anneal" and self._first_routes_s() > self._left_s):
                 self._late.append(name)
                 return
             layout = self.scenario.draw_layout()
@@ -227,6 +231,10 @@ class _Rehearsal:
                 raise KeyboardInterrupt
             planner.keep(plan, self.scenario, layout)
             self._enter(Candidate(name, planner), max(self._left_s, self._quick_s))
+
+    def _first_routes_s(self) -> float:
+        """How long the flight of ``best-first`` takes, with which ``anneal`` begins whatever its limit, s."""
+        return self._work * self.scenario.uavs * self.scenario.columns * self.scenario.rows / _GREEDY_RATE
 
     def _train(self, folder: Path) -> None:
         """Train a policy that begins with the numbers of ``local-greedy-tuned``, and let it fly."""
@@ -282,7 +290,7 @@ def _load_kernels() -> None:
     small = Scenario.load("tiny")
     for name in _AT_ONCE:
         play(make_planner(name), small, 1, REHEARSAL_SEEDS.start, None)
-    LocalGreedyTuned(slots=1).plan(small, small.draw_layout())
+    load_kernels()
 
 
 def _is_behind(candidate: Candidate, best: Candidate) -> bool:

@@ -6,7 +6,11 @@ degrees of freedom and noncentrality 2 Phi, so that P(R >= R_min) = Q_1(sqrt(2 P
 Q_1 being the Marcum Q function.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import i0e
@@ -15,9 +19,13 @@ from uavaou.arrays import Floats
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.channel import Channel, minimum_snr
 
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
 _TAIL = 9.0  # standard deviations of the Rice amplitude; the probability beyond is below 1e-17
 _BLOCK = 2_000_000  # probabilities in memory at a time
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
+_KNOTS, _END = 12_000, 12.0  # of the interpolation, and of the quadrature
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(128)
 
 
 def grid_positions(scenario: Scenario) -> Floats:
@@ -103,9 +111,8 @@ def cell_coverage(scenario: Scenario, layout: Layout) -> Floats:
 def rician_exceedance(power_gain: Floats, rician_factor: float) -> Floats:
     """Return P(|g|^2 >= power_gain) for Rician fading of mean power 1, elementwise.
 
-    Q_1(a, b) = int_b^oo x exp(-(x - a)^2 / 2) [exp(-a x) I_0(a x)] dx, by Gauss-Legendre quadrature over
-    |x - a| < 9. The error is about 1e-14 for every Phi >= 0 (0 is Rayleigh); SciPy's ``ncx2.sf`` overflows for
-    Phi >= 200.
+    Its logarithm is interpolated, by :func:`_log_exceedance`. The error is about 1e-14 for every Phi >= 0 (0 is
+    Rayleigh); SciPy's ``ncx2.sf`` overflows for Phi >= 200.
 
     Args:
         power_gain: q, linear, >= 0.
@@ -113,14 +120,26 @@ def rician_exceedance(power_gain: Floats, rician_factor: float) -> Floats:
     """
     line_of_sight = np.sqrt(2.0 * rician_factor)  # a
     offset = np.sqrt(2.0 * (rician_factor + 1.0) * np.asarray(power_gain, dtype=np.float64)) - line_of_sight  # b - a
-    probability: Floats = (offset < 0.0).astype(np.float64)
+    probability = np.array(offset < 0.0, dtype=np.float64)
     near = np.abs(offset) < _TAIL
-    start = offset[near]
-    half_width = (_TAIL - start) / 2.0
+    probability[near] = np.exp(_log_exceedance(rician_factor)(offset[near]))
+    return probability
+
+
+@lru_cache(maxsize=16)
+def _log_exceedance(rician_factor: float) -> CubicSpline:
+    """Return log Q_1(a, b), a = sqrt(2 Phi), as a function of b - a in [-9, 9].
+
+    Q_1(a, b) = int_b^oo x exp(-(x - a)^2 / 2) [exp(-a x) I_0(a x)] dx, by Gauss-Legendre quadrature over x - a < 12.
+    """
+    from scipy.interpolate import CubicSpline  # takes half a second to import
+
+    line_of_sight = np.sqrt(2.0 * rician_factor)  # a
+    start = np.linspace(max(-_TAIL, -line_of_sight), _TAIL, _KNOTS)  # b - a
+    half_width = (_END - start) / 2.0
     total = np.zeros_like(start)
     for node, weight in zip(_NODES, _WEIGHTS, strict=True):
         beyond = start + half_width * (node + 1.0)  # x - a
         amplitude = line_of_sight + beyond
         total += weight * amplitude * np.exp(-0.5 * beyond * beyond) * i0e(line_of_sight * amplitude)
-    probability[near] = np.clip(total * half_width, 0.0, 1.0)
-    return probability
+    return CubicSpline(start, np.log(np.minimum(total * half_width, 1.0)))

@@ -4,14 +4,17 @@ The plan that is wanted is the one whose parts can be served well. So the best o
 (:mod:`uavaou.world.patrol`). What makes a plan worth that is the lengths of the tours through its parts.
 """
 
+from functools import partial
+from hashlib import sha256
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
+from uavaou.threads import Tasks
 from uavaou.world.compiled import compiled
-from uavaou.world.patrol import PatrolArea, improve_in_flight, patrol_area, plans_age_sums
+from uavaou.world.patrol import improve_in_flight, patrol_area, plans_age_sums
 from uavaou.world.world import World
 
 _ROUNDS = 25  # of Lloyd's algorithm, and of the search on lengths of tours
@@ -21,9 +24,11 @@ _SCREENED, _FLOWN = 1, 2  # missions that tell the best of them, and how many of
 _TRIES, _CHANGES, _OF_DEVICES = 10, 12, 8  # rounds in flight; each tries so many changes, or one for so many devices
 # Of the search on lengths of tours, chosen on layouts 1000 to 1023 of `paper`.
 REACH = 0.3  # a device is served from this share of its coverage radius, in each direction of the grid
-_LAST: WeakKeyDictionary[World, tuple[Floats, Ints, Floats]] = WeakKeyDictionary()  # the parts of each World's map
 STOP = 0.75  # slots that a device adds to a tour beside the way
 POWER = 4  # of the length of a tour in the cost: an age sum grows with its square, and long tours wait more
+_MOST_PLANS = 1024
+_PLANS: dict[bytes, tuple[Ints, float]] = {}  # those made last
+_LAST: WeakKeyDictionary[World, tuple[Floats, Ints, Floats]] = WeakKeyDictionary()  # the parts of each World's map
 
 
 def partition(world: World) -> Ints:
@@ -54,16 +59,26 @@ def parts_in_flight(world: World) -> tuple[Ints, Floats]:
         order = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=-1))
         # Rows lie one after the other in memory, always: compiled functions are compiled anew for another order.
         devices = positions[order], above[:, order].copy(order="C"), world.update_period[layout, order]
-        area = patrol_area(scenario, world.flight.cds, *devices)
-        owner[layout, order], age_sums[layout] = _best_plan(area, *devices, world.flight.cds, scenario)
+        owner[layout, order], age_sums[layout] = _known_plan(*devices, world.flight.cds, scenario)
     _LAST[world] = world.device_positions, owner, age_sums
     return owner, age_sums
 
 
-def _best_plan(
-    area: PatrolArea, positions: Floats, headroom: Floats, period: Ints, cds: Ints, scenario: Scenario
-) -> tuple[Ints, float]:
+def _known_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, scenario: Scenario) -> tuple[Ints, float]:
+    """Return :func:`_best_plan`, once found: the same map is in the scenario that is flown and in those of planners."""
+    arrays = positions, headroom, period, cds, scenario.altitudes / scenario.grid_step_m
+    numbers = scenario.columns, scenario.rows, scenario.slots, scenario.fading, scenario.rician_factor
+    key = sha256(b"".join(array.tobytes() for array in arrays) + repr(numbers).encode()).digest()
+    if key not in _PLANS:
+        if len(_PLANS) == _MOST_PLANS:
+            del _PLANS[next(iter(_PLANS))]
+        _PLANS[key] = _best_plan(positions, headroom, period, cds, scenario)
+    return _PLANS[key]
+
+
+def _best_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, scenario: Scenario) -> tuple[Ints, float]:
     """Return the plan (I,) with the least age sum in flight, and that, in slots."""
+    area = patrol_area(scenario, cds, positions, headroom, period)
     if scenario.uavs == 1:
         plan = np.zeros(len(period), dtype=np.int64)
         return plan, float(plans_age_sums(area, plan[None], len(area.draws))[0])
@@ -74,7 +89,7 @@ def _best_plan(
     reach = REACH * (radius[:, :, None] + radius[:, None])  # (U, I, I)
     by_uav = np.ascontiguousarray(np.maximum(ways - reach, 0.0))  # (U, I, I)
     plans = _plans_to_begin_with(positions, cds, covered)  # (P, I)
-    _improve_all(plans, by_uav, covered, 1.0 / period)
+    Tasks(*(partial(_improve, plan, by_uav, covered, 1.0 / period) for plan in plans)).run()
     plans = np.unique(plans, axis=0)
     best = plans[plans_age_sums(area, plans, _SCREENED).argsort(kind="stable")[:_FLOWN]]
     changes = max(_CHANGES, len(period) // _OF_DEVICES)
@@ -99,12 +114,6 @@ def _plans_to_begin_with(positions: Floats, cds: Ints, covered: Bools) -> Ints:
     distance[anywhere] = 0.0
     plans: Ints = np.where(covered, distance, np.inf).argmin(axis=2).reshape(-1, devices)
     return plans
-
-
-@compiled
-def _improve_all(plans: Ints, ways: Floats, covered: Bools, weight: Floats) -> None:
-    for p in range(len(plans)):
-        _improve(plans[p], ways, covered, weight)
 
 
 @compiled

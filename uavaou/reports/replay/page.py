@@ -168,7 +168,7 @@ def _packed_mission(mission: RecordedMission) -> dict[str, str]:
 def _packed(values: ArrayLike) -> str:
     """Whole numbers as 32-bit words, the lowest byte first; zlib, base64."""
     words = np.ascontiguousarray(values).astype("<i4")
-    return base64.b64encode(zlib.compress(words.tobytes(), 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(words.tobytes(), 6)).decode("ascii")
 
 
 def _rounded(values: Floats) -> list[float]:

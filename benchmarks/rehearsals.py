@@ -1,0 +1,81 @@
+"""What ``fly`` serves, beside the best of the quick candidates in hindsight: ``python -m benchmarks.rehearsals``.
+
+Each draw of a family is rehearsed, as ``fly`` does it, and then the policy that is served and those that need no time
+before take-off fly missions that the rehearsal has not seen. Writes results/benchmarks/rehearsals.csv, a row for each
+draw; what is there is not measured again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+from benchmarks.measure import kept_rows
+from uavaou import Family, evaluate, rehearse
+from uavaou.csv_tables import write_csv
+from uavaou.statistics import geometric_mean
+
+TABLE = Path("results/benchmarks/rehearsals.csv")
+COLUMNS = (
+    "family", "draw", "uavs", "devices", "cells", "slots", "seconds", "served", "missions", "served_slots",
+    "rule_slots", "best_first_slots",
+)  # fmt: skip
+QUICK = ("local-greedy-parts", "best-first")
+FAMILIES = {"any": range(8000, 8100), str(Path(__file__).with_name("beyond.yaml")): range(8100, 8200)}
+LEAST = 1.0  # slots: where the best has less, a ratio says nothing
+WORK = 8_000_000  # slots x UAVs x devices that a policy's missions have, of which there are 2 to 16
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each rehearsal (default: %(default)s)")
+    parser.add_argument("--draws", type=int, default=100, help="of each family (default: %(default)s)")
+    chosen = parser.parse_args()
+    kept = {(row["family"], row["draw"]): row for row in kept_rows(TABLE, COLUMNS)}
+    for place in range(chosen.draws):
+        for family, numbers in FAMILIES.items():
+            key = (Path(family).stem, str(numbers[place]))
+            if key not in kept:
+                kept[key] = measured(family, numbers[place], chosen.seconds)
+                write_csv(TABLE, COLUMNS, kept.values())
+    print("\n".join(ratios(kept.values())))
+
+
+def measured(family: str, n: int, seconds: float) -> dict[str, str]:
+    """The row of a draw; a quick candidate that is too slow for the time given has no mean."""
+    scenario = Family.load(family).draw(n).replace(layout="fixed", layout_seed=n)
+    began = time.monotonic()
+    found = rehearse(scenario, seconds)
+    taken = time.monotonic() - began
+    missions = max(2, min(16, WORK // (scenario.slots * scenario.uavs * scenario.devices)))
+    policies = {one.name: one.policy for one in found.candidates if one.name in {found.served.name, *QUICK}}
+    means = {name: f"{evaluate(policy, scenario, missions).mean_aou_slots:.5g}" for name, policy in policies.items()}
+    values = (
+        Path(family).stem, n, scenario.uavs, scenario.devices, scenario.columns * scenario.rows, scenario.slots,
+        f"{taken:.1f}", found.served.name, missions, means[found.served.name], *(means.get(name, "") for name in QUICK),
+    )  # fmt: skip
+    return dict(zip(COLUMNS, map(str, values), strict=True))
+
+
+def ratios(table: Iterable[dict[str, str]]) -> list[str]:
+    """A line for each family: the policy served to the best of the quick ones, where that has more than a slot."""
+    by_family: dict[str, dict[str, float]] = {}
+    for row in table:
+        quick = min(float(row[name]) for name in ("rule_slots", "best_first_slots") if row[name])
+        if quick > LEAST:
+            by_family.setdefault(row["family"], {})[row["draw"]] = float(row["served_slots"]) / quick
+    lines = []
+    for family, of_draw in by_family.items():
+        above = max(of_draw, key=lambda n: of_draw[n])
+        over = sum(ratio > 1.03 for ratio in of_draw.values())
+        lines.append(
+            f"{family}: {geometric_mean(list(of_draw.values())):.3f} of the best quick one over {len(of_draw)} draws, "
+            f"at most {of_draw[above]:.3f} (draw {above}), above 1.03 on {over}"
+        )
+    return lines
+
+
+if __name__ == "__main__":
+    main()
