@@ -181,7 +181,7 @@ def _status_lines(study: Study, parts: Sequence[PartStatus]) -> list[str]:
     """A row for each run, planner and bound, and the time left."""
     from uavaou.studies.status import seconds_left
 
-    states = ("finished", "trained", "running", "stopped", "failed", "waiting", "not needed")
+    states = ("finished", "trained", "running", "stopped", "failed", "waiting")
     counts = [(state, sum(part.state == state for part in parts)) for state in states]
     summary = ", ".join(f"{count} {state}" for state, count in counts if count)
     left_s = seconds_left(list(parts))

@@ -6,10 +6,8 @@ import numpy as np
 from scipy.stats import levene, mannwhitneyu
 
 from tests.committed import ends, mean_of, rows, study, told
-from tests.reports.strayed import states
+from tests.reports.candidates import states
 from uavaou.reports.ablations import Ablation, ablations
-from uavaou.statistics.counts import fisher
-from uavaou.studies.structure import strays, structures
 
 NAME = "ablations"
 
@@ -61,14 +59,6 @@ def of_shared(text: str) -> bool:
     medians = f"{np.median(own) / np.median(published):.2f} by medians"
     told = f"and {medians} (p = {mannwhitneyu(own, published).pvalue:.3f} by ranks)"
     return told in text and all(one in text for one in _ratio("observation shared", 3))
-
-
-def of_global_critic(text: str) -> bool:
-    """How many trainings stray with a critic of the global state alone and as published, and Fisher's p."""
-    held = structures(study(NAME))
-    counts = [strays(held, name, "paper") for name in ("global critic", "published")]
-    numbers = [*("{} of {}".format(*one) for one in counts), f"p = {fisher(*counts[0], *counts[1]):.2f}"]
-    return all(one in text for one in numbers) and len(found()) == 8
 
 
 def of_spread(text: str) -> bool:

@@ -54,12 +54,6 @@ def ratio(policy: str, other: str, of: str = "fresh-layouts") -> str:
     return of_logs(logs(policy) - logs(other))
 
 
-def of_bonus(text: str) -> bool:
-    """What a larger entropy bonus does on the layouts that choose settings."""
-    told = [ratio(f"{name}, entropy 0.027", name, "choosing-entropy") for name in ("mappo", "ippo")]
-    return all(one in text and "(0." in one and "–1." in one for one in told)
-
-
 def of_logs(logs: np.ndarray) -> str:
     """The ratio whose logarithm is the mean of (n,) logarithms, with Student's interval over these."""
     return told(Interval(*map(exp, interval_over_trainings(logs))))

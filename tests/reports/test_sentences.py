@@ -18,9 +18,8 @@ import pytest
 import yaml
 
 from tests.committed import RESULTS, ends, rows, study, told
-from tests.reports import ablated, earliness, fresh, strayed, trunks
+from tests.reports import ablated, candidates, fresh, trunks
 from uavaou.reports.scores import study_scores
-from uavaou.studies.structure import HELD
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -144,39 +143,14 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "flies `paper` with shared information": as_released,
     "which has no such plan and less information": beside_the_rule,
     "have one trunk of 128-128 units": widths,
-    "do not hold device 22 and end": strayed.half_strays,
-    "1 of 10 such trainings strays": strayed.mended_strays,
     "and settings searched for it, ends at": valued,
-    "MAPPO with four candidates has 1.04 times": strayed.four_converge_sooner,
-    "Four against four have": strayed.four_against_four,
-    "MAPPO with four against QMIX with one": strayed.four_against_qmix,
+    "MAPPO with four candidates has 1.04 times": candidates.four_converge_sooner,
+    "Four against four have": candidates.four_against_four,
+    "MAPPO with four against QMIX with one": candidates.four_against_qmix,
     "1 slot is 6.67 s": lambda _: f"{study('paper').scenarios['paper']['slot_length_s']:.2f}" == "6.67",
     "Each has ten trainings of 3M slots": lambda _: trainings("paper", 8, 10, 3_000_000),
     "minutes of CPU time": lambda text: f"{study('paper').table('runs')['cpu_s'].sum() / 60:.0f} minutes" in text,
-    "A team holds a device if": lambda text: f"{100 * HELD:.0f} %" in text,
-    "one that does not hold device 22 strays": lambda _: study("paper").settings["held"] == [22],
-    "In this study alone": strayed.fewer_strays,
-    "Where no training strays, they cost": strayed.cost_of_four,
-    "In `paper`, 1 of 10 strays": strayed.of_ten,
-    "Pooled afterwards": strayed.pooled,
-    "In the mean AoU of these no gain": strayed.pooled_ends,
-    "Four candidates make the spread": strayed.of_four,
-    "explore until 0.9M slots": lambda _: (
-        {study("paper").settings["variants"][name]["epsilon_fraction"] for name in ("qmix", "vdn")} == {0.3}
-    ),
-    "with a third of the budget, 1M slots": lambda _: trainings("earliness-short", 5, 5, 1_000_000),
-    "Five seeds each, 100 missions a training": lambda _: (
-        study("earliness").settings["episodes"] == 100 and trainings("earliness", 5, 5, 3_000_000)
-    ),
-    "MAPPO's slots until convergence are": earliness.of_convergence,
-    "By the validation AoU itself": earliness.ahead,
-    "A lead in AoU [while they train]": earliness.leads,
-    "MAPPO is the earlier one at first": earliness.earliest,
-    "From 400,000 slots on, no difference to QMIX": earliness.no_longer_ahead,
-    "After 1M slots QMIX has": earliness.level_at_the_end,
-    "The short ε falls until 100,000": earliness.short_schedule,
-    "It delayed QMIX": lambda text: earliness.delayed(text) and earliness.behind(earliness.SHORT),
-    "have their lowest validation AoU": earliness.still_improving,
+    "Four candidates make the spread": candidates.of_four,
     "(3M slots, three seeds each), on five layouts": lambda _: trainings("layouts", 5, 3, 3_000_000),
     "By geometric means over the five layouts, MAPPO has": fresh.on_layouts,
     "On layouts 1 to 5, three trainings each": lambda text: (
@@ -186,7 +160,6 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "To `rolling`, on the 64 missions of both": fresh.to_rolling,
     "and with one part changed: 1M slots": lambda _: trainings("ablations", 8, 10, 1_000_000),
     "With local observation alone, which is IPPO": ablated.of_local_critic,
-    "With the global state alone 0 of 10": ablated.of_global_critic,
     "The standard deviation of the logarithm is 0.022 and": ablated.of_spread,
     "With the paper's own, `aou`": ablated.of_reward,
     "Without more than its own position": ablated.of_location,
@@ -194,23 +167,6 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "were trained at 10 dB and 150 kbit/s": of_the_scenario,
     "So each point has one training of MAPPO with the": each_point_trained,
     "on 64 unseen layouts": lambda _: len(any_map("unseen-layouts")) == 64,
-    "in which [four candidates] begin": lambda _: trainings("strays-fresh", 8, 5, 3_000_000),
-    "With one candidate 5 of 20": strayed.stray_counts,
-    "cost the best of them three eighths": strayed.candidates_cost,
-    "Over the four layouts the geometric": strayed.over_layouts,
-    "which learns nothing, has a lower": strayed.rule_ahead,
-    "With four candidates and 20 fresh seeds": strayed.none_strays,
-    "They end at": strayed.mended,
-    "with one candidate and the same settings": strayed.with_masks,
-    "and the test is Fisher's": strayed.masks_stray,
-    "Without masks they end at": strayed.masks_end,
-    "lower by ranks": strayed.masks_ranked,
-    "crosses bonuses of 0.01, 0.027 and 0.05": lambda _: trainings("strays-entropy", 7, 5, 3_000_000),
-    "Of these 30, 1 strays": strayed.bonus_strays,
-    "Beside these five no difference": strayed.bonus_beside,
-    "The other 29 end": strayed.bonus_ends,
-    "that have the frozen settings and one candidate": strayed.bonus_pooled,
-    "with a bonus of 0.027, MAPPO has": fresh.of_bonus,
     "trains MAPPO and QMIX there for 3M slots": lambda _: trainings("fresh-layouts", 20, 3, 3_000_000),
     "With one candidate each, MAPPO to QMIX is": fresh.to_qmix,
     "With four each it is": fresh.four_to_four,
@@ -250,17 +206,8 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "The settings were chosen on layouts 6 to 9": "what was searched: results/tuning",
     "Earlier ones were looked for on layouts 0": "what was searched: results/tuning",
     "Nothing was chosen on layouts 3, 4 and 5": "what was searched: results/tuning",
-    "up to 20 of each": "the study's file",
-    "A training strays here if": "the study's file: behind",
-    "are that study's": "the history of the study: seeds taken over",
     "on 64 of the 100 missions": "the option of the command that wrote planners/gap.csv",
 }
-
-
-def test_the_table_of_the_earlier_learner_is_that_of_its_study() -> None:
-    page = (RESULTS / "README.md").read_text(encoding="utf-8")
-    for row in (*earliness.table("earliness"), *earliness.table("earliness-short")):
-        assert f" | {row} |" in page
 
 
 def test_the_table_of_ablations_is_that_of_its_study() -> None:
@@ -276,13 +223,6 @@ def test_the_table_of_the_set_network_is_that_of_its_studies() -> None:
     assert trunks.better_for_three()
 
 
-def test_the_table_of_strays_on_paper_is_that_of_its_study() -> None:
-    page = (RESULTS / "README.md").read_text(encoding="utf-8")
-    assert "Between MAPPO's trainings that do not stray and QMIX's no difference is shown;" in page
-    assert strayed.level_apart_from_strays()
-    assert [row for row in strayed.structure_rows() if f"{row}\n" not in page] == []
-
-
 def test_the_table_of_layouts_1_to_5_is_that_of_its_study() -> None:
     page = (RESULTS / "README.md").read_text(encoding="utf-8")
     assert len(fresh.layouts_table()) == 5
@@ -293,13 +233,6 @@ def test_the_table_of_layouts_1_to_5_is_that_of_its_study() -> None:
 def test_the_table_of_fresh_layouts_is_that_of_its_studies() -> None:
     page = (RESULTS / "README.md").read_text(encoding="utf-8")
     assert [row for row in fresh.table() if f"{row}\n" not in page] == []
-
-
-def test_the_table_of_strays_is_that_of_its_study() -> None:
-    page = (RESULTS / "README.md").read_text(encoding="utf-8")
-    assert len(strayed.layouts()) == 4
-    for layout, one in strayed.layouts().items():
-        assert f"| {layout} | {' | '.join(one['row'])} |" in page
 
 
 def test_a_plain_mlp_that_meets_new_layouts_is_between_greedy_and_those_of_layout_0() -> None:

@@ -7,7 +7,6 @@ list says what the number is.
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Callable
 from math import exp, log
 from statistics import fmean
@@ -17,7 +16,7 @@ import pytest
 
 from tests.committed import study
 from tests.reports import fresh, planned, trunks
-from tests.reports.strayed import states
+from tests.reports.candidates import states
 from tests.reports.test_sentences import (
     ROOT,
     beside_the_rule,
@@ -32,7 +31,6 @@ from uavaou.plain_yaml import parse_yaml
 from uavaou.planners import decomposition, fleet, parts, rolling, tuned
 from uavaou.planners.exact import LARGEST
 from uavaou.reports.scores import study_scores
-from uavaou.studies.structure import HELD
 
 CARDS = [ROOT / "zoo_configs" / "policies" / "any-map" / "README.md"]
 PAGES = ["planners", "policies", "studies", "tuning", "coming-from", "composite-actions"]
@@ -87,32 +85,6 @@ def learned(name: str) -> Callable[[str], bool]:
     return lambda text: states(text, f"{rate:,.0f}", f"{rate / 3 / 128:.0f} gradient steps")
 
 
-def seeds_apart(text: str) -> bool:
-    """Where trainings of the same settings end, against ``runs.csv``."""
-    means = study("strays-fresh").table("runs", "frozen", "layout 7")["mean_aou_slots"]
-    return states(text, "five trainings", f"{means.min():.1f}", f"{means.max():.1f}") and len(means) == 5
-
-
-def structured(text: str) -> bool:
-    found = rows("studies/paper/trainings.csv")
-    held = {name: Counter(row["structure"] for row in found if row["variant"] == name) for name in ("mappo", "qmix")}
-    none = {row["structure"] for row in found if row["variant"] in ("ippo", "vdn")}
-    own, theirs = ([f"{found[devices]} hold" for devices in ("17 18 22", "18")] for found in held.values())
-    theirs[1] = theirs[1].replace("hold", "holds")
-    whole = all(set(found) == {"17 18 22", "18"} and found.total() == 10 for found in held.values())
-    return whole and none == {""} and states(text, own[0].split()[0], *own[1:], *theirs)
-
-
-def in_range_of_much(text: str) -> bool:
-    """How often two policies collect device 18 in the slots in which it has a new update."""
-    found = []
-    for policy in ("random", "greedy"):
-        table = study("paper").table("devices", policy)
-        (row,) = np.flatnonzero(table["device"] == 18)
-        found.append(f"{100 * table['communications'][row] * table['update_period_slots'][row] / 500:.0f} %")
-    return states(text, "18", *found)
-
-
 def with_a_value(text: str) -> bool:
     """VDN with a value of the state and without, else as published, in the first stage of the search."""
     trials = [row for row in rows("tuning/local/search.csv") if row["stage"] == "1"]
@@ -155,9 +127,6 @@ CHECKED: dict[str, Callable[[str], bool]] = {
         for name, config in study("choosing").settings["variants"].items()
         if name != "vdn found"
     ),
-    "asks the layouts 6 to 9": lambda _: trainings("choosing-entropy", 20, 3, 3_000_000),
-    "The larger one has": fresh.of_bonus,
-    "The number was chosen for MAPPO": lambda text: fresh.ratio("four candidates", "frozen", "strays-fresh") in text,
     # planners
     "`local-greedy` reaches 39.9": planned.rules_on_paper,
     "Every set meets the same draws": lambda text: (
@@ -198,16 +167,12 @@ CHECKED: dict[str, Callable[[str], bool]] = {
         zero_shot("any-map", "unseen-layouts", 2)(text) and to_the_rule("unseen-layouts") in text
     ),
     # studies, and projects that users come from
-    "collects device 18": in_range_of_much,
     "settings that a search chose for that, VDN ends": lambda text: states(
         text, f"{means('paper', 'paper')['vdn with value']:.1f}"
     ),
     "With all other settings equal, one training": with_a_value,
     "used 144 to 246": used_seconds,
     "Equal CPU seconds are not equal slots": searched_slots,
-    "It differs from seed to seed": seeds_apart,
-    "A device is held if": lambda text: f"{100 * HELD:.0f} %" in text,
-    "trainings hold the devices 17, 18 and 22": structured,
     "QMIX reaches 38.5 slots": of_paper,
     "at most 2.1 % above the validation": kept_policies,
     "Flattened stepping": stepped,
@@ -290,8 +255,6 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "Made with": "versions: the run's meta.json",
     "the exit code is 130 or 143": "tests/cli/test_interrupted.py",
     "The exit code is then 1": "tests/studies/test_runner.py",
-    "With `behind: 0.1` instead": "the example above it",
-    "Fisher's test over all": "tests/studies/test_structure.py",
     "VDN and QMIX send their replay": "docs/reliability.md",
     "the lease time": "a property of NFSv4",
     "less than 10 MB for eighty runs": "the committed study: its folder",

@@ -54,20 +54,6 @@ def test_what_is_frozen_is_lower_in_the_study_that_chose_it_and_stated_in_the_on
     assert stated == found
 
 
-def test_the_frozen_bonus_is_the_lower_one_for_each_learner() -> None:
-    page = (ROOT / "docs" / "tuning.md").read_text(encoding="utf-8")
-    ages = [means("choosing-entropy", f"layout {seed}") for seed in (6, 7, 8, 9)]
-    variants = {name: config for name, config in Study.load("choosing-entropy").variants.items() if "four" not in name}
-    for learner in ("mappo", "ippo"):
-        own = {name: [age[name] for age in ages] for name, config in variants.items() if config.name == learner}
-        lowest = min(own, key=lambda name: geometric_mean(own[name]))
-        for name, found in own.items():
-            mark = "**" if name == lowest else ""
-            cells = [learner.upper(), f"{variants[name].entropy:.2g}", *(f"{age:.1f}" for age in found)]
-            assert f"| {' | '.join(cells)} | {mark}{geometric_mean(found):.1f}{mark} |" in page
-        assert variants[lowest].entropy == Study.load("paper").variants[learner].entropy
-
-
 def test_the_rates_of_the_page_on_speed_are_those_of_the_tables() -> None:
     page = (ROOT / "docs" / "speed.md").read_text(encoding="utf-8")
     tables = page[page.index("agent steps a second, medians of three") : page.index("**Limit.**")]

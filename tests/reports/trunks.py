@@ -7,12 +7,11 @@ import re
 import numpy as np
 
 from tests.committed import STUDIES, ends, mean_of, study, told
+from tests.reports.candidates import states
 from tests.reports.fresh import of_logs, planned, spans_one
-from tests.reports.strayed import states
 from uavaou.reports.claims import judge
 from uavaou.statistics import ratio_of_trainings
 from uavaou.statistics.intervals import Interval
-from uavaou.studies.structure import strays, structures
 
 LEARNERS = ("mappo", "ippo", "vdn", "qmix")
 FLAT, SET = "paper", "paper-set"
@@ -47,12 +46,10 @@ def spread(name: str, variant: str) -> float:
 
 def table() -> list[str]:
     """The rows of the table."""
-    found = structures(study(SET))
     cells = {
         "`mlp`, ten trainings": [mean_of(FLAT, name) for name in LEARNERS],
         "`set`, ten trainings": [mean_of(SET, name) for name in LEARNERS],
         "ratio of `set` to `mlp`": [told(ratio(ends(SET, name), ends(FLAT, name))) for name in LEARNERS],
-        "stray with `set`": ["{} of {}".format(*strays(found, name, "paper")) for name in LEARNERS],
         "sd of log AoU with `set`": [f"{spread(SET, name):.3f}" for name in LEARNERS],
         **{
             f"CPU minutes a training with `set`, {where}": [f"{minutes(name, *ran):.0f}" for name in LEARNERS]

@@ -12,7 +12,6 @@ import pytest
 
 from tests.studies.tiny_study import TINY, Inline, Write, rewritten, run_inline, tables
 from uavaou import InputError
-from uavaou.reports.study_report import write_report
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import holder, one_writer
 from uavaou.studies.condense import update_results
@@ -56,23 +55,6 @@ def test_a_study_resumes_from_its_condensed_results_alone(copied: tuple[Study, P
     for name in ("missions.csv", "runs.csv", "curves.csv"):
         assert set(before[name].splitlines()) < set(after[name].splitlines())
     assert list(study.scenarios) == ["tiny"]
-
-
-def test_seeds_that_can_change_no_verdict_are_left_out(copied: tuple[Study, Path], finished: Any) -> None:
-    """Fisher's test of three trainings against three is never significant: a third seed of each changes nothing."""
-    _, out = copied
-    rule = "seeds: [0, 1, 5]\nreference: mappo\nheld: [0]\nuntil_decided: true"
-    more = Study.load(rewritten(finished[0] / "mine.yaml", out.parent / "mine.yaml", "seeds: 2", rule))
-    engine = Inline()
-    ended = run_inline(more, out, engine)
-    assert (engine.keys, ended.done, ended.total, ended.left) == ([], 7, 7, 0)
-    states = [part.state for part in study_status(more, out)]
-    assert states.count("not needed") == 2
-    assert "waiting" not in states
-    write_report(out / "studies" / "mine", out / "README.md")
-    page = (out / "studies" / "mine" / "README.md").read_text()
-    assert "2 trainings are not needed" in page
-    assert "Not finished" not in page
 
 
 def test_a_finished_study_says_that_nothing_was_trained_and_how_to_train_again(

@@ -28,7 +28,6 @@ from uavaou.studies.condense import gather, refuse_another, update_results
 from uavaou.studies.folder import PartKey, StudyFolder
 from uavaou.studies.marl_eval import to_marl_eval
 from uavaou.studies.results import StudyResults, read_begun, read_study
-from uavaou.studies.structure import not_needed
 from uavaou.studies.study import Study
 
 _NOTE = """\
@@ -157,14 +156,8 @@ def _unfinished(results: StudyResults) -> str:
     """How many trainings there are of how many, where some are missing, and which parts have failed."""
     stated = [results.settings.get(field) for field in ("variants", "scenarios", "seeds")]
     wanted = set(product(*(part if isinstance(part, dict | list) else () for part in stated)))
-    unneeded = not_needed(results, results.settings)
-    wanted -= unneeded
     done = wanted & results.parts.keys()
     lines = []
-    if unneeded:
-        lines.append(
-            f"{len(unneeded):,} trainings are not needed: whatever they did, no verdict on strays would change."
-        )
     if done != wanted:
         lines.append(f"**Not finished: {len(done):,} of {len(wanted):,} trainings are done.** This page covers these.")
     failures = results.folder.read_failures()

@@ -20,7 +20,6 @@ from uavaou.studies.best import keep_best
 from uavaou.studies.borrowed import borrow
 from uavaou.studies.condense import condense_run, evaluation_rows, trained_so_far, update_results
 from uavaou.studies.folder import ANNEALED, BOUND, PLAN, PartKey, StudyFolder
-from uavaou.studies.structure import not_needed
 from uavaou.studies.study import Study
 
 
@@ -107,21 +106,11 @@ class _Work:
         self._trained = {key: trained_so_far(folder)[0] for key, folder in folders.items()}
         found = len(order) - len(todo)
         self.state = StudyState(len(order), found, found, left=sum(map(self._slots_left, self._trained)))
-        self._leave_out()
         self._results.folder.write_failures({})
         self._note_working()  # none yet: a note that is there is of a killed command
 
     def _slots_left(self, key: PartKey) -> int:
         return max(self._runs[key].config.algorithm.slots - self._trained[key], 0)
-
-    def _leave_out(self) -> None:
-        """Leave out the trainings that cannot change a verdict any more."""
-        unneeded = not_needed(self._results, self._study.resolved())
-        for key in [key for key in self._todo if key in unneeded]:
-            self._todo.remove(key)
-            self.state.total -= 1
-            self.state.left -= self._slots_left(key)
-            self.state.news.append(f"{key}: not needed, as it can change no verdict")
 
     def take(self) -> jobs.Job | None:
         """The next job that can start: one that needs no plan, or whose plan is made."""
@@ -243,4 +232,3 @@ class _Work:
         self._results.write(self._study)
         if key in self._runs:
             keep_best(self._results, self._study, self._out)
-            self._leave_out()

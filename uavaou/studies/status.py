@@ -8,7 +8,6 @@ from uavaou.runs.lock import holder
 from uavaou.studies.condense import is_trained, refuse_another, trained_so_far
 from uavaou.studies.folder import ANNEALED, PLAN, PartKey, StudyFolder
 from uavaou.studies.results import StudyResults, read_begun
-from uavaou.studies.structure import not_needed
 from uavaou.studies.study import Study, StudyRun
 
 
@@ -17,7 +16,7 @@ class PartStatus:
     """The state of a training, a planner or a bound."""
 
     key: PartKey
-    state: str  # finished, trained (but not evaluated), running, failed, stopped, waiting or not needed
+    state: str  # finished, trained (but not evaluated), running, failed, stopped or waiting
     slots: int | None = None  # trained; None for planners and bounds
     budget: int | None = None  # slots of the training
     rate: float = 0.0  # slots a second while it runs
@@ -34,11 +33,7 @@ def study_status(study: Study, out: Path) -> list[PartStatus]:
     results = read_begun(folder)
     refuse_another(study, results)
     failures, working = folder.read_failures(), folder.read_working()
-    unneeded = not_needed(results, study.resolved())
-    parts = [
-        PartStatus(run.key, "not needed") if run.key in unneeded else _run_status(study, out, run, results, failures)
-        for run in study.runs()
-    ]
+    parts = [_run_status(study, out, run, results, failures) for run in study.runs()]
     for key in study.planner_parts():
         if key in results.parts:
             parts.append(PartStatus(key, "finished"))
@@ -74,7 +69,7 @@ def _run_status(
 def seconds_left(parts: list[PartStatus]) -> float | None:
     """Until the trainings of a study end at the rate of those that run now; None where none does."""
     rate = sum(part.rate for part in parts)
-    open_parts = [part for part in parts if part.state not in ("finished", "failed", "not needed")]
+    open_parts = [part for part in parts if part.state not in ("finished", "failed")]
     left = sum(max((part.budget or 0) - (part.slots or 0), 0) for part in open_parts)
     if not left and any(part.state == "running" for part in parts):
         return 0.0  # a short training may not have a rate yet

@@ -17,7 +17,7 @@ from pydantic import BaseModel, BeforeValidator, Field, StrictBool, StrictStr
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.errors import InputError, nearest, unknown
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED, MOST_EPISODES
-from uavaou.fields import Positive, PositiveWhole, Whole, short, validated
+from uavaou.fields import Positive, PositiveWhole, short, validated
 from uavaou.plain_yaml import to_yaml
 from uavaou.planners import PLAN_AHEAD, PLANNERS
 from uavaou.runs.folder import RunConfig, RunFolder, config_folder
@@ -68,9 +68,6 @@ class StudySettings(BaseModel, frozen=True, extra="forbid"):
     reference: StrictStr | None = None  # the variant that the report compares the others with; None: no such table
     claims: StrictBool = False  # whether the report judges the paper's claims
     drawn: Annotated[list[StrictStr] | None, Field(min_length=1)] = None  # variants in figures 3 to 8; None: all
-    held: Annotated[list[Annotated[Whole, Field(ge=0)]] | None, Field(min_length=1)] = None  # devices; see structure.py
-    behind: Positive | None = None  # by how much of the best training's mean AoU another one strays; see structure.py
-    until_decided: StrictBool = False  # whether seeds are left out that cannot change a verdict on strays
 
 
 class StudyFile(StudySettings):
@@ -183,9 +180,6 @@ class Study(StudySettings):
             "against": self.against,
             **({"starts": self.starts} if self.starts else {}),
             **({"drawn": self.drawn} if self.drawn else {}),
-            **({"held": self.held} if self.held else {}),
-            **({"behind": self.behind} if self.behind else {}),
-            **({"until_decided": True} if self.until_decided else {}),
             "variants": {name: config.model_dump(mode="json") for name, config in self.variants.items()},
             "scenarios": {name: scenario.to_dict() for name, scenario in self.scenarios.items()},
         }
@@ -213,7 +207,6 @@ def _check(study: Study, source: str) -> None:
             raise InputError(f"{source}: planners: {unknown('planner', planner, [*PLANNERS, *released])}")
     _check_distinct(study.planners, f"{source}: planners")
     _check_comparisons(study, source)
-    _check_structure(study, source)
     planned = ["bound: true"] if study.bound else []
     planned += [f"planners: {name}" for name in study.planners if name in PLAN_AHEAD]
     for name, scenario in study.scenarios.items():
@@ -225,20 +218,6 @@ def _check(study: Study, source: str) -> None:
         if same != run.key:
             names = " and ".join(f"'{a}' and '{b}'" for a, b in zip(run.key, same, strict=True) if a != b)
             raise InputError(f"{source}: {names} are the same training under two names: leave one out")
-
-
-def _check_structure(study: Study, source: str) -> None:
-    """The devices that are to be held must be there, and a rule that ends a study needs them and a reference."""
-    for name, scenario in study.scenarios.items() if study.held else ():
-        if max(study.held or ()) >= scenario.devices or scenario.layout == "resample":
-            expected = f"expected devices from 0 to {scenario.devices - 1} of a fixed layout, on scenario '{name}'"
-            raise InputError(f"{source}: held = {study.held}: {expected}")
-    if study.behind and any(scenario.layout == "resample" for scenario in study.scenarios.values()):
-        raise InputError(f"{source}: behind = {study.behind}: expected scenarios of fixed layouts alone")
-    if study.held and study.behind:
-        raise InputError(f"{source}: behind = {study.behind}: beside held, which says what strays: leave one out")
-    if study.until_decided and not (study.held and study.reference):
-        raise InputError(f"{source}: until_decided = True: needs held and reference, which say what is decided")
 
 
 def _check_comparisons(study: Study, source: str) -> None:
