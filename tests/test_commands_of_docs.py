@@ -67,7 +67,6 @@ def small(config: RunConfig) -> RunConfig:
         "batch_rows": 50,
         "epochs": 1,
         "evaluation_missions": 1,
-        "candidates": 1,
         "learning_starts": 20,
         "batch_slots": 8,
         "replay_slots": 100,

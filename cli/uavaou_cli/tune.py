@@ -176,7 +176,7 @@ def _start(name: str, space: Path | None, overrides: Overrides) -> Start:
     for field in RESERVED:
         if field in overrides.algorithm:
             raise InputError(f"--set algorithm.{field}: the search sets it itself")
-    settings = overrides.of_algorithm(name, candidates=1)
+    settings = overrides.of_algorithm(name)
     varied = SearchSpace.load(settings.name, space, getattr(settings, "network", "mlp")).without(overrides.algorithm)
     varied.check(settings)
     return settings, varied, (varied.values(settings),)

@@ -69,17 +69,6 @@ def own(name: str = "own", **changes: Any) -> RunConfig:
     return RunConfig(scenario, registry.load_config(name, SMALL | changes), 0)
 
 
-@pytest.mark.parametrize("name", ["mappo-paper", "ippo", "vdn", "qmix", "iql"])
-def test_several_candidates_begin_in_the_published_budget_and_one_in_less(name: str) -> None:
-    several = 4 if name in ("mappo-paper", "ippo") else 1
-    assert registry.load_config(name).candidates == several
-    assert registry.load_config(name, {"slots": 3_000_000}).candidates == several
-    for slots in (1, 2_999_999):
-        assert registry.load_config(name, {"slots": slots}).candidates == 1
-    assert registry.load_config(name, {"slots": 1_000_000, "candidates": 2}).candidates == 2
-    assert registry.load_config(name, {"network": "set"}).candidates == 1  # not measured
-
-
 def call(capsys: pytest.CaptureFixture[str], command: str) -> tuple[int, str, str]:
     capsys.readouterr()
     code = main(shlex.split(command))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import levene, mannwhitneyu
 
 from tests.committed import ends, mean_of, rows, study, told
-from tests.reports.candidates import states
+from tests.reports.convergence import states
 from uavaou.reports.ablations import Ablation, ablations
 
 NAME = "ablations"

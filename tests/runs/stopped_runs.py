@@ -29,11 +29,6 @@ def small(algorithm: str = "mappo-paper", **changes: Any) -> RunConfig:
     return RunConfig(Scenario.load("tiny"), load_config(algorithm, SMALL | own | changes), seed=0)
 
 
-def three_candidates(algorithm: str = "mappo-paper", **changes: Any) -> RunConfig:
-    """Three candidates of 96 slots each; 192 slots are left for the best."""
-    return small(algorithm, slots=480, evaluate_every_slots=960, candidates=3, candidate_fraction=0.2, **changes)
-
-
 def every_update(config: RunConfig, folder: RunFolder, **options: Any) -> Any:
     return train(config, folder, checkpoint_every_s=0, **options)
 

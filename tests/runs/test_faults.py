@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from tests.faults import Trial, assert_ended_well, ended, play, sites_of
-from tests.runs.stopped_runs import assert_ends_as, every_update, small, stopped_at, three_candidates
+from tests.runs.stopped_runs import assert_ends_as, every_update, small, stopped_at
 from uavaou.family import Family
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.start import Start, continued
@@ -31,7 +31,6 @@ LEARNERS: dict[str, RunConfig] = {
     "qmix": small("qmix"),
     "family": RunConfig(FAMILY.base, small(**TOKENS).algorithm, 0, FAMILY),
     "two processes": small(processes=2),
-    "candidates": three_candidates(),
 }
 IN_CI = {
     "mappo": 12,
@@ -40,7 +39,6 @@ IN_CI = {
     "qmix": 4,
     "family": 3,
     "two processes": 1,
-    "candidates": 4,
     "from": 4,
     "continue": 4,
 }

@@ -75,11 +75,10 @@ def test_a_training_begins_with_the_weights_of_another(finished: RunFolder, tmp_
     assert outcome.folder.read_config() == read_config(outcome.folder.config) == config
 
 
-def test_its_settings_are_those_of_the_run_but_for_a_published_budget_and_one_candidate(run: RunFolder) -> None:
-    own = small(candidates=3).algorithm
-    run.config.write_text(small(candidates=3).to_yaml())
+def test_its_settings_are_those_of_the_run_but_for_a_published_budget(run: RunFolder) -> None:
+    own = small().algorithm
     config = Start.at(run).training(Scenario.load("tiny"), {}, seed=0)
-    assert config.algorithm == own.model_copy(update={"slots": load_config("mappo-paper").slots, "candidates": 1})
+    assert config.algorithm == own.model_copy(update={"slots": load_config("mappo-paper").slots})
 
 
 def test_validations_follow_the_budget(finished: RunFolder) -> None:

@@ -26,7 +26,7 @@ def configs(*stated: dict[str, Any]) -> dict[Path, RunConfig]:
     for number, given in enumerate(stated):
         fields = dict(given)
         name, seed = fields.pop("algorithm", "mappo-paper"), fields.pop("seed", 0)
-        own = {key: fields.pop(key) for key in list(fields) if key in ("observation", "gamma", "slots", "candidates")}
+        own = {key: fields.pop(key) for key in list(fields) if key in ("observation", "gamma", "slots")}
         found[Path(f"run-{number}")] = RunConfig(Scenario.load("tiny").replace(**fields), load_config(name, own), seed)
     return found
 
@@ -137,8 +137,6 @@ def test_settings_make_another_policy_and_budgets_do_not(by_devices: Suite) -> N
     found = assigned(by_devices, {"gamma": 0.9}, {"gamma": 0.99, "slots": 1000})
     assert {policy for _, policy in found} == {"mappo+gamma=0.9", "mappo+gamma=0.99"}
     assert {policy for _, policy in assigned(by_devices, {"seed": 0}, {"slots": 1000, "seed": 1})} == {"mappo"}
-    found = assigned(by_devices, {}, {"candidates": 1})  # a budget of 3M has four
-    assert {policy for _, policy in found} == {"mappo", "mappo+candidates=1"}
 
 
 def test_a_point_with_an_observation_is_flown_by_runs_that_have_it() -> None:

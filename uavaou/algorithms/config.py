@@ -41,17 +41,6 @@ class AlgorithmConfig(BaseModel):
     evaluate_every_slots: PositiveWhole  # an evaluation on validation missions, and a checkpoint, this often
     evaluation_missions: Annotated[PositiveWhole, Field(le=10_000)] = 32
     worlds: Annotated[PositiveWhole, Field(le=1024)] = 8  # of a family's members, that are trained on side by side
-    candidates: Annotated[PositiveWhole, Field(le=64)] = 1  # that begin; the best of them goes on
-    candidate_fraction: Annotated[Fraction, Field(gt=0)] = 0.125  # of the budget, that each of several learns for
-
-    @property
-    def candidate_slots(self) -> int:
-        """Slots that each of several candidates learns for."""
-        return max(round(self.candidate_fraction * self.slots), 1)
-
-    def budget_left(self, slots: int) -> float:
-        """The argument of SB3's schedules, from 1 to 0, of a learner that has had ``slots``: others have theirs."""
-        return 1 - slots / (self.slots - (self.candidates - 1) * self.candidate_slots)
 
     @property
     def depends_on_sizes(self) -> bool:
@@ -82,15 +71,6 @@ class AlgorithmConfig(BaseModel):
     def _processes_divide_missions(self) -> Self:
         if self.missions % self.processes:
             raise ValueError(f"processes = {self.processes}: must divide missions = {self.missions}")
-        return self
-
-    @model_validator(mode="after")
-    def _slots_are_left_for_the_best(self) -> Self:
-        if self.candidates > 1 and self.candidates * self.candidate_slots >= self.slots:
-            least = f"candidates = {self.candidates} learn for {self.candidate_slots:,} slots each"
-            raise ValueError(
-                f"candidate_fraction = {self.candidate_fraction}: {least}, which leaves none to go on with"
-            )
         return self
 
 

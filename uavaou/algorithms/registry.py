@@ -145,8 +145,7 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
 
     Where ``overrides`` choose another network than the published one, a file such as ``vdn-set.yaml`` replaces some of
     the fields, or ``mappo-paper.yaml`` all. Where they change the budget, validations follow it
-    (:meth:`AlgorithmConfig.with_enough_validations`), and below the published one a single candidate learns: a share of
-    less tells too little of which one to go on with.
+    (:meth:`AlgorithmConfig.with_enough_validations`).
 
     Raises:
         InputError: the algorithm or a field is unknown, or a value cannot be used.
@@ -160,11 +159,8 @@ def load_config(algorithm: str, overrides: dict[str, Any] | None = None) -> Algo
         path = entry.defaults.with_name(f"{entry.defaults.stem}-{suffix}.yaml")
         of_network = read_yaml_mapping(path) if path.is_file() else {}
         published = of_network if "name" in of_network else published | of_network
-    several = published.pop("candidates", None)
     fields = published | {"name": learner_of(algorithm)} | overrides
     config = validated(entry.config, fields, f"algorithm '{algorithm}'")
-    if several and "candidates" not in overrides and config.slots >= published["slots"]:
-        config = config.model_copy(update={"candidates": several})
     return config.with_enough_validations(overrides) if "slots" in overrides else config
 
 

@@ -59,11 +59,6 @@ def save_training(
     newest.replace(folder.last)
 
 
-def save_candidate(folder: RunFolder, model: BaseAlgorithm, progress: TrainingProgress, world: Arrays) -> None:
-    """Write the same to the file of the best candidate so far; arguments as above."""
-    _write(folder.candidate, _training_arrays(model, world, replay=True), progress)
-
-
 def _training_arrays(model: BaseAlgorithm, world: Arrays, replay: bool) -> Arrays:
     arrays = policy_arrays(model) | optimizer_arrays(model)
     arrays |= {_WORLD + name: array for name, array in world.items()}
@@ -76,12 +71,9 @@ def _training_arrays(model: BaseAlgorithm, world: Arrays, replay: bool) -> Array
 def copy_last(folder: RunFolder) -> None:
     """Replace the previous checkpoint of a finished training, which has a replay, by a copy of the last, if any.
 
-    That of the best candidate is deleted.
-
     Raises:
         OSError: it cannot be written; what was there before is untouched.
     """
-    folder.candidate.unlink(missing_ok=True)
     if not folder.last.exists() or (folder.previous.exists() and cmp(folder.last, folder.previous, shallow=False)):
         return
     with folder.last.open("rb") as last, replacing(folder.previous, "wb") as previous:
@@ -127,38 +119,6 @@ def restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config:
     """
     progress, missions = load_training(folder, model, config)
     _resume(model, env, progress, missions, folder.last)
-    return progress
-
-
-def open_candidate(folder: RunFolder, progress: TrainingProgress) -> tuple[ArrayFile, TrainingProgress]:
-    """Open the file of the best candidate so far, of a training at ``progress``; returns also where that one ended.
-
-    Raises:
-        InputError: it is lost, damaged, or another one.
-    """
-    remedy = "restore it, or train anew in another folder"
-    if not folder.candidate.is_file():
-        raise InputError(f"{folder.candidate}: the best candidate so far is missing: {remedy}")
-    file = ArrayFile(folder.candidate)
-    ended = read_header(file, oldest=SCHEMA)
-    if ended.candidate_score != progress.candidate_score:
-        raise InputError(f"{folder.candidate}: is not the best candidate of this training: {remedy}")
-    return file, ended
-
-
-def restore_candidate(
-    folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig, progress: TrainingProgress
-) -> TrainingProgress:
-    """Let the best candidate go on where it ended, after all have; ``progress`` is that of the whole training.
-
-    Raises:
-        InputError: its file is lost, damaged, or another one.
-    """
-    file, ended = open_candidate(folder, progress)
-    own = {name: getattr(ended, name) for name in ("updates", "budget_left", "recent")}
-    own |= {"candidate": config.algorithm.candidates, "set_aside": progress.slots - (ended.slots - ended.set_aside)}
-    progress = progress.model_copy(update=own)
-    _resume(model, env, progress, _load_state(file, model), file.path)
     return progress
 
 

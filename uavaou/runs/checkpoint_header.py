@@ -17,6 +17,8 @@ ROWS_AN_EVALUATION = 50  # of progress.csv at most; learners that update every f
 
 Count = Annotated[Whole, Field(ge=0, le=10**15)]
 
+_FORMER = ("candidate", "candidate_score", "set_aside")  # fields of trainings in which the best of several went on
+
 # What people read: `greedy` is the name of a planner too.
 ACTIONS = {"greedy": "likeliest", "sample": "sampled"}
 
@@ -41,9 +43,6 @@ class TrainingProgress(BaseModel):
     progress_sha256: str | None = None
     figures: dict[str, StrictInt | StrictFloat] = {}  # logged since; may be nan
     budget_left: Number = 1.0  # the argument of SB3's schedules, from 1 to 0
-    candidate: Count = 0  # that learns, of several; as many as there are: the best of all goes on
-    candidate_score: NonNegative | None = None  # the lowest of those that ended, on the validation missions, s
-    set_aside: Count = 0  # slots that the others had
     cpu_s: NonNegative | None = None  # of the training processes so far, playing and learning; None: not measured
 
     def fits(self, config: RunConfig, longest: int) -> str | None:
@@ -60,14 +59,11 @@ class TrainingProgress(BaseModel):
         steps = 0 if self.agent_steps is None else self.agent_steps
         uavs = (1, family.most[0]) if family else (config.scenario.uavs,) * 2  # the fewest and the most of a mission
         ended = slots // together // config.scenario.slots * together  # where all missions are equally long
-        left = {algorithm.budget_left(slots - self.set_aside)} | ({0.0} if config.budgets else set())  # 0: beyond
+        left = {1 - slots / algorithm.slots} | ({0.0} if config.budgets else set())  # 0: beyond
         agree = {
             "slots": slots % together == 0 and slots < config.slots + longest,
             "agent_steps": self.agent_steps is None or slots * uavs[0] <= steps <= slots * uavs[1],
-            "candidate": self.candidate <= algorithm.candidates and (self.candidate == 0 or algorithm.candidates > 1),
-            "candidate_score": self.candidate_score is not None or self.candidate == 0,
-            "set_aside": self.set_aside <= slots if self.candidate else self.set_aside == 0,
-            "missions": self.missions <= slots if family or self.candidate else self.missions == ended,
+            "missions": self.missions <= slots if family else self.missions == ended,
             "recent": len(self.recent) <= min(self.missions, together),
             "next_evaluation": self.next_evaluation in {(slots // one + 1) * one for one in intervals},
             "best_score": self.best_score is not None or slots < every,
@@ -122,8 +118,13 @@ def read_header(file: ArrayFile, oldest: int = 1) -> TrainingProgress:
         raise InputError(f"{file.path}: written with checkpoint schema {schema:.20}, this version {verb} {SCHEMA}")
     if int(schema) > 1 and CHECKSUM not in file.text:
         raise InputError(f"{file.path}: damaged: its checksum is missing")
+    stated = file.json("progress")
+    if isinstance(stated, dict):
+        begun = [stated.pop(name, None) for name in _FORMER]
+        if oldest == SCHEMA and begun[0]:
+            raise InputError(f"{file.path}: of a training of several candidates, which this version lacks: train anew")
     try:
-        return TrainingProgress.model_validate(file.json("progress"))
+        return TrainingProgress.model_validate(stated)
     except ValidationError as error:
         reason = all_faults("progress", explain_validation(error, list(TrainingProgress.model_fields)))
         raise InputError(f"{file.path}: not a checkpoint of this software ({reason})") from None

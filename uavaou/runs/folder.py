@@ -163,7 +163,6 @@ class RunFolder:
     progress = PathIn("progress.csv")  # what the learner logs
     last = PathIn("checkpoints", "last.safetensors")  # what resuming needs
     previous = PathIn("checkpoints", "previous.safetensors")  # the ``last`` before: taken where that one is damaged
-    candidate = PathIn("checkpoints", "candidate.safetensors")  # of several, the best that has ended; until the end
     best = PathIn("checkpoints", "best.safetensors")  # the policy that did best on the validation missions
     weights = PathIn("policy.safetensors")  # of a released policy, which has no checkpoints
     lock = PathIn(LOCK)  # held by the process that writes the run
@@ -230,6 +229,9 @@ def _runs_below(folder: Path) -> str:
     return f"; runs below it: {names}{more}" if found else ""
 
 
+_FORMER = ("candidates", "candidate_fraction")  # settings of earlier versions, which do not change what is flown
+
+
 class ConfigFile(BaseModel):
     """A file that states a scenario and the settings of an algorithm, each in full."""
 
@@ -246,7 +248,8 @@ class ConfigFile(BaseModel):
     def config(self, path: Path) -> RunConfig:
         """What the file at ``path`` states; an InputError where a field cannot be used."""
         scenario = Scenario.from_dict(self.scenario, source=f"{path}: scenario")
-        algorithm, budgets = config_from_dict(self.algorithm, path), self.budgets or ()
+        settings = {name: value for name, value in self.algorithm.items() if name not in _FORMER}
+        algorithm, budgets = config_from_dict(settings, path), self.budgets or ()
         if budgets and (budgets[0] != algorithm.slots or any(a >= b for a, b in pairwise(budgets))):
             expected = f"algorithm.slots = {algorithm.slots}, then larger and larger ones"
             raise InputError(f"{path}: budgets = {short(list(budgets))}: expected {expected}")
@@ -353,7 +356,7 @@ def train_command(
 def published_settings(algorithm: AlgorithmConfig, for_family: bool = False) -> tuple[str, dict[str, Any]]:
     """The published settings that these start from, and their name: with their network, or for families.
 
-    Validations and candidates follow the budget (:func:`load_config`): they differ only where they were set.
+    Validations follow the budget (:func:`load_config`): they differ only where they were set.
     """
     name = published_as(algorithm.name, network := getattr(algorithm, "network", ""), for_family)
     fields = load_config(name).model_dump(mode="json")
@@ -362,7 +365,7 @@ def published_settings(algorithm: AlgorithmConfig, for_family: bool = False) -> 
         fields = load_config(name, chosen).model_dump(mode="json") | {"network": None}
     follows = load_config(name, chosen | {"slots": algorithm.slots})
     alike = algorithm.evaluate_every_slots == follows.evaluate_every_slots
-    names = ["candidates", *(["evaluate_every_slots", "evaluation_missions"] if alike else [])]
+    names = ["evaluate_every_slots", "evaluation_missions"] if alike else []
     return name, fields | {field: getattr(follows, field) for field in names}
 
 

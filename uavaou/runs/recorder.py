@@ -17,8 +17,7 @@ from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
 from uavaou.files import write_json
 from uavaou.planners.plan import PlanningStatus
-from uavaou.runs.candidates import CandidateEnded, candidate_ends
-from uavaou.runs.checkpoint import Arrays, copy_last, open_candidate, save_candidate, save_policy, save_training
+from uavaou.runs.checkpoint import Arrays, copy_last, save_policy, save_training
 from uavaou.runs.checkpoint_header import ACTIONS, ROWS_AN_EVALUATION, TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
 from uavaou.runs.interrupt import Interrupted, Interrupts
@@ -176,17 +175,14 @@ class Recorder(BaseCallback):
         if self._display is not None:
             self._display.update(self._slots, self._mean_aou_s)
         scores: dict[str, float] = {}
-        ended = candidate_ends(self._config, self.progress, self._slots)
-        if finished or ended or self._slots >= self.progress.next_evaluation:
+        if finished or self._slots >= self.progress.next_evaluation:
             self._served = False
             scores = {action: self._validate(action) for action in ACTIONS}
         self._log(bool(scores))
         if scores:
             self._note(scores)
         asked = self._interrupts.received is not None
-        if ended:
-            self._end_candidate(min(scores.values()))
-        elif finished or asked or time.monotonic() >= self._next_checkpoint:
+        if finished or asked or time.monotonic() >= self._next_checkpoint:
             self._save(finished)
         if self._callback is not None:
             updates, best = getattr(self.model, "_n_updates", 0), (self.progress.best_score, self.progress.best_action)
@@ -194,21 +190,6 @@ class Recorder(BaseCallback):
         self._cpu_before = time.process_time() - self._cpu_s
         if asked and not finished:
             self._stop()
-        if ended:
-            raise CandidateEnded
-
-    def _end_candidate(self, score: float) -> None:
-        """Keep the candidate that has ended if it is the best so far, by its ``score``, mean AoU in s."""
-        best, number, of = self.progress.candidate_score, self.progress.candidate + 1, self._config.algorithm.candidates
-        if best is None or score < best:
-            self._advance(candidate_score=score)
-            state = self._checkpoint()
-            save_candidate(self._folder, self.model, self.progress, state)
-        self._save(finished=False)
-        if self._display is not None:
-            best_number = open_candidate(self._folder, self.progress)[1].candidate + 1
-            then = f"candidate {number + 1} begins" if number < of else f"candidate {best_number} goes on"
-            self._display.message(f"{self._slots:,} slots: candidate {number} of {of} has had its part; {then}")
 
     def _stop(self) -> None:
         self.stopped_by = self._interrupts.received

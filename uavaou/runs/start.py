@@ -71,7 +71,7 @@ class Start:
         own = self.config.algorithm.model_dump(mode="json")
         name = published_as(own["name"], own.get("network", ""), isinstance(scenario, Family))
         usual = load_config(name).model_dump(mode="json")
-        settings = own | {"slots": usual["slots"], "candidates": 1}
+        settings = own | {"slots": usual["slots"]}
         if self.config.family is not None and own.get("pull") and not isinstance(scenario, Family):
             several = {"observation"} if own["observation"] == "mixed" else set()  # one scenario has one level
             settings = usual | {field: own[field] for field in {*_OF_THE_NETWORK, *_KEPT} & own.keys() - several}

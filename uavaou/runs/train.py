@@ -17,8 +17,7 @@ from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import training_seeds
 from uavaou.files import refuse_links, replacing, write_json, writing
-from uavaou.runs.candidates import CandidateEnded, candidate_ends, check_parts, next_candidate
-from uavaou.runs.checkpoint import copy_last, longest_rollout, open_candidate, restore
+from uavaou.runs.checkpoint import copy_last, longest_rollout, restore
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.interrupt import Interrupted, Interrupts
@@ -90,16 +89,11 @@ def train(
     source = None if start is None else Start.at(start)
     if source is not None and config.start is None:
         config = replace(config, start=source.digest)
-    candidates = config.algorithm.candidates
-    if candidates > 1 and config.start:
-        raise InputError(f"algorithm.candidates = {candidates}: expected 1 for a training that follows on another")
     stages = config.stages()
     held = folder.read_config() if resume and folder.exists() else None
     for stage in stages[stages.index(held) if held in stages else 0 :]:
         arguments = folder, source, device, backend, plan
         outcome = _train(stage, *arguments, resume, checkpoint_every_s, display, after_update)
-        while outcome.stopped_by is None and candidate_ends(stage, outcome.progress, outcome.progress.slots):
-            outcome = _train(stage, *arguments, True, checkpoint_every_s, display, after_update)
         if outcome.stopped_by is not None:
             break
         resume = True
@@ -131,7 +125,6 @@ def _train(
         raise InputError(f"not enough memory for missions = {algorithm.missions}: lower it") from error
     try:
         model = _make_learner(config, env, device)
-        check_parts(config, longest_rollout(model) * algorithm.missions)
         if not resuming and config.start is not None:
             _begin_with(config.start, source, model)
         with one_writer(folder.path):
@@ -146,10 +139,6 @@ def _train(
             cpu_s = 0.0 if algorithm.processes == 1 else None
             started = TrainingProgress(next_evaluation=config.evaluate_every_slots, cpu_s=cpu_s)
             progress = restore(folder, model, env, config) if resuming else started
-            if progress.candidate_score is not None and progress.candidate < algorithm.candidates:
-                open_candidate(folder, progress)
-            if candidate_ends(config, progress, progress.slots):
-                model, progress = next_candidate(folder, model, env, config, progress)
             return _learn(config, folder, model, env, progress, checkpoint_every_s, display, after_update)
     finally:
         env.close()
@@ -229,7 +218,7 @@ def _learn(
         if not folder.finished:  # killed between its last checkpoint and its meta.json
             write_meta(folder, config, progress, describe_machine(), str(model.device), {})
         return Outcome(folder, progress, agent_steps(progress, config), update_slots=update_slots)
-    _follow_schedules(model, config, progress, rows)
+    _follow_schedules(model, config, rows)
     if folder.finished:  # with a smaller budget
         write_meta(folder, config, progress, describe_machine(), str(model.device), {})
     with Interrupts(quiet=display is None) as interrupts, closing(display) if display is not None else nullcontext():
@@ -242,7 +231,7 @@ def _learn(
         try:
             # No logging by SB3: it would write a row before the update that the row is about.
             model.learn(remaining * rows, callback=recorder, log_interval=sys.maxsize, reset_num_timesteps=False)
-        except (Interrupted, CandidateEnded):
+        except Interrupted:
             pass
         except (EOFError, ConnectionError) as error:
             raise InputError(f"a worker process has ended (out of memory?); {recorder.kept}") from error
@@ -261,19 +250,18 @@ def _mean_uavs(config: RunConfig) -> float:
     return fmean([scenario.uavs for scenario in draws] or [config.scenario.uavs])
 
 
-def _follow_schedules(model: BaseAlgorithm, config: RunConfig, progress: TrainingProgress, rows: int) -> None:
-    """Let the schedules of a learner run over the slots that are its own, of ``rows`` steps each.
+def _follow_schedules(model: BaseAlgorithm, config: RunConfig, rows: int) -> None:
+    """Let the schedules of a learner stay where its first budget ended, of ``rows`` steps a slot.
 
-    SB3 would spread them over all slots: also over those of other candidates, and of the budgets before. Beyond the
-    first budget they stay where it ended, and a replay, which the checkpoint of a finished run lacks, is filled anew.
+    SB3 would spread them over all slots, also over those of the budgets before. A replay, which the checkpoint of a
+    finished run lacks, is filled anew.
     """
-    if not config.budgets and config.algorithm.candidates == 1:
+    if not config.budgets:
         return
 
     def update(num_timesteps: int, total_timesteps: int) -> None:
-        own = num_timesteps // rows - progress.set_aside
-        model._current_progress_remaining = 0.0 if config.budgets else config.algorithm.budget_left(own)
+        model._current_progress_remaining = 0.0
 
     model._update_current_progress_remaining = update  # type: ignore[method-assign]
     if isinstance(model, OffPolicyAlgorithm):
-        model.learning_starts += rows * (config.budgets[-2] if config.budgets else progress.set_aside)
+        model.learning_starts += rows * config.budgets[-2]

@@ -15,7 +15,7 @@ from urllib.parse import quote
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
-from uavaou.runs.folder import RunConfig, RunFolder, published_settings, train_command
+from uavaou.runs.folder import RunConfig, RunFolder, train_command
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.suites.suite import ResolvedPoint, Suite
@@ -73,7 +73,7 @@ def name_runs(configs: Mapping[Path, RunConfig], suite: Suite) -> list[SuiteRun]
     varied = any(point.observation for point in suite.points)
     apart = {*_BUDGET, *(["observation"] if varied else [])}
     settings = {
-        path: {k: v for k, v in _without_usual_candidates(config.algorithm).items() if k not in apart}
+        path: {k: v for k, v in config.algorithm.model_dump(mode="json").items() if k not in apart}
         | ({"family": config.family.name} if config.family else {})
         for path, config in configs.items()
         if not RunFolder(path).is_released
@@ -84,12 +84,6 @@ def name_runs(configs: Mapping[Path, RunConfig], suite: Suite) -> list[SuiteRun]
         for path, config in configs.items()
         for folder in (RunFolder(path),)
     ]
-
-
-def _without_usual_candidates(algorithm: AlgorithmConfig) -> dict[str, Any]:
-    """The settings, without the number of candidates where it is the one that is published for the budget."""
-    settings, usual = algorithm.model_dump(mode="json"), published_settings(algorithm)[1]["candidates"]
-    return {k: v for k, v in settings.items() if k != "candidates" or v != usual}
 
 
 def _policy_name(own: Mapping[str, Any], every: Iterable[Mapping[str, Any]]) -> str:

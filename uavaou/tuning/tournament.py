@@ -148,7 +148,7 @@ class Tournament:
 def _arm(name: str, content: Any, source: str) -> tuple[AlgorithmConfig, SearchSpace]:
     arm = validated(Arm, {} if content is None else content, source)
     try:
-        config = load_config(arm.algorithm or name, {"candidates": 1} | arm.set)
+        config = load_config(arm.algorithm or name, arm.set)
         network = getattr(config, "network", "mlp")
         space = SearchSpace.load(config.name, network=network).without(arm.set)
         space.check(config)
