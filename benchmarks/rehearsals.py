@@ -24,7 +24,6 @@ COLUMNS = (
 )  # fmt: skip
 QUICK = ("local-greedy-parts", "best-first")
 FAMILIES = {"any": range(8000, 8100), str(Path(__file__).with_name("beyond.yaml")): range(8100, 8200)}
-LEAST = 1.0  # slots: where the best has less, a ratio says nothing
 WORK = 8_000_000  # slots x UAVs x devices that a policy's missions have, of which there are 2 to 16
 
 
@@ -40,7 +39,9 @@ def main() -> None:
             if key not in kept:
                 kept[key] = measured(family, numbers[place], chosen.seconds)
                 write_csv(TABLE, COLUMNS, kept.values())
-    print("\n".join(ratios(kept.values())))
+    for name, of_draw in ratios(kept.values()).items():
+        mean, most = geometric_mean(list(of_draw.values())), max(of_draw.values())
+        print(f"{name}: {mean:.3f} of the best quick one over {len(of_draw)} draws, at most {most:.3f}")
 
 
 def measured(family: str, n: int, seconds: float) -> dict[str, str]:
@@ -59,22 +60,13 @@ def measured(family: str, n: int, seconds: float) -> dict[str, str]:
     return dict(zip(COLUMNS, map(str, values), strict=True))
 
 
-def ratios(table: Iterable[dict[str, str]]) -> list[str]:
-    """A line for each family: the policy served to the best of the quick ones, where that has more than a slot."""
-    by_family: dict[str, dict[str, float]] = {}
+def ratios(table: Iterable[dict[str, str]]) -> dict[str, dict[str, float]]:
+    """Family -> draw -> the policy served to the best of the quick ones."""
+    found: dict[str, dict[str, float]] = {}
     for row in table:
         quick = min(float(row[name]) for name in ("rule_slots", "best_first_slots") if row[name])
-        if quick > LEAST:
-            by_family.setdefault(row["family"], {})[row["draw"]] = float(row["served_slots"]) / quick
-    lines = []
-    for family, of_draw in by_family.items():
-        above = max(of_draw, key=lambda n: of_draw[n])
-        over = sum(ratio > 1.03 for ratio in of_draw.values())
-        lines.append(
-            f"{family}: {geometric_mean(list(of_draw.values())):.3f} of the best quick one over {len(of_draw)} draws, "
-            f"at most {of_draw[above]:.3f} (draw {above}), above 1.03 on {over}"
-        )
-    return lines
+        found.setdefault(row["family"], {})[row["draw"]] = float(row["served_slots"]) / quick
+    return found
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import rehearsals
 from benchmarks.__main__ import write
 from benchmarks.draws import COLUMNS, RULE, measured, ratios
 from benchmarks.endurance import Endurance, repeated, trained
@@ -102,6 +103,17 @@ def test_the_stopwatch_counts_calls_and_iterators_and_leaves_no_trace() -> None:
     assert watch.seconds["call"] >= 0.03
     assert 0.04 <= watch.seconds["items"] <= elapsed - 2 * 0.05  # the caller's own time is not the iterator's
     assert vars(sleeper) == {}
+
+
+def test_what_is_served_is_compared_with_the_quick_ones_on_other_missions() -> None:
+    row = rehearsals.measured("any", 1001, 0.01)  # no time for anything else
+    assert tuple(row) == rehearsals.COLUMNS
+    assert row["served"] in rehearsals.QUICK
+    ratio = rehearsals.ratios([row])["any"]["1001"]
+    assert 0.9 < ratio <= float(row["rule_slots"]) / float(row["served_slots"]) or ratio >= 1
+    assert rehearsals.ratios([row | {"served_slots": "3", "rule_slots": "2", "best_first_slots": ""}]) == {
+        "any": {"1001": 1.5}
+    }
 
 
 def test_exponents() -> None:
