@@ -256,8 +256,8 @@ def read_study(folder: str | Path) -> StudyResults:
             one.
 
     >>> from uavaou import read_study
-    >>> read_study("results/studies/layouts").name
-    'layouts'
+    >>> read_study("results/studies/default").name
+    'default'
     """
     place = StudyFolder(Path(folder))
     if not place.study.is_file():
