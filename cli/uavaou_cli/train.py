@@ -210,7 +210,7 @@ def _again(path: Path, out: Path) -> tuple[RunConfig, RunFolder]:
     """The training of a ``config.yaml``, and its folder: that of the file, where it is a run of ``out``."""
     from uavaou.runs.folder import RunFolder, config_folder, read_config
 
-    config, own = read_config(path), RunFolder(path.parent)
+    config, own = read_config(path, to_train=True), RunFolder(path.parent)
     if own.episodes.is_file() and realpath(own.path / "../../..") == realpath(out):
         return config, own  # its name may spell the settings otherwise: --slots as published, 1e-4 for 0.0001
     return config, config_folder(out, config)

@@ -18,7 +18,7 @@ from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
 from uavaou.family import Family
 from uavaou.runs.checkpoint import DamagedCheckpointWarning
 from uavaou.runs.checkpoint_header import TrainingProgress, read_header
-from uavaou.runs.folder import RunFolder
+from uavaou.runs.folder import RunFolder, read_config
 from uavaou.runs.policy import load_run
 from uavaou.runs.start import Start
 
@@ -138,13 +138,15 @@ def test_a_policy_that_is_not_finite_is_not_flown(runs: Runs, tmp_path: Path) ->
 
 def test_a_training_of_several_candidates_is_flown_and_not_resumed(stopped: RunFolder) -> None:
     """Earlier versions had them; their settings and headers say so."""
-    former = "algorithm:\n  candidates: 4\n  candidate_fraction: 0.125\n"
-    stopped.config.write_text(stopped.config.read_text().replace("algorithm:\n", former))
+    text, former = stopped.config.read_text(), "algorithm:\n  candidates: 4\n  candidate_fraction: 0.125\n"
+    stopped.config.write_text(text.replace("algorithm:\n", former))
     for path, number in ((stopped.last, 2), (stopped.previous, 1)):
         rewrite(path, candidate=number, candidate_score=1.0, set_aside=48)
     assert load_run(stopped).digest
     said = refusal(lambda: every_update(small(), stopped, resume=True))
     assert "of a training of several candidates, which this version lacks: train anew" in said
+    assert refusal(lambda: read_config(stopped.config, to_train=True)) == said  # as `train --config` reads it
+    stopped.config.write_text(text.replace("algorithm:\n", former.replace("4", "1")))
     for path in (stopped.last, stopped.previous):
         rewrite(path, candidate=0, candidate_score=None, set_aside=0)
     assert every_update(small(), stopped, resume=True).progress.slots == 240  # of one candidate, which was the default

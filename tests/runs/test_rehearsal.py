@@ -71,8 +71,14 @@ def test_a_lead_is_clear_by_the_differences_on_common_missions(second: list[floa
     assert Rehearsal(TINY, (first, candidate("second", second)), ()).is_clear == clear
 
 
+def test_without_any_time_the_rule_is_served() -> None:
+    found = rehearse("tiny", seconds=1e-6)
+    assert [candidate.name for candidate in found.candidates] == ["local-greedy-parts"]
+    assert {*found.late} == {"best-first", "local-greedy-tuned", "anneal", "any-map"}
+
+
 def test_one_that_is_behind_flies_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rehearsal, "_AT_ONCE", ("local-greedy-parts", "stay"))
+    monkeypatch.setattr(rehearsal, "AT_ONCE", ("local-greedy-parts", "stay"))
     monkeypatch.setattr(rehearsal, "_AHEAD", {})
     monkeypatch.setattr(rehearsal, "released_names", list)
     found = rehearse(TINY.replace(slots=100), 5.0)

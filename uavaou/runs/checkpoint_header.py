@@ -120,9 +120,7 @@ def read_header(file: ArrayFile, oldest: int = 1) -> TrainingProgress:
         raise InputError(f"{file.path}: damaged: its checksum is missing")
     stated = file.json("progress")
     if isinstance(stated, dict):
-        begun = [stated.pop(name, None) for name in _FORMER]
-        if oldest == SCHEMA and begun[0]:
-            raise InputError(f"{file.path}: of a training of several candidates, which this version lacks: train anew")
+        stated = {name: value for name, value in stated.items() if name not in _FORMER}
     try:
         return TrainingProgress.model_validate(stated)
     except ValidationError as error:

@@ -259,13 +259,16 @@ class ConfigFile(BaseModel):
         return RunConfig(scenario, algorithm, self.seed, family, self.start, budgets)
 
 
-def read_config(path: Path) -> RunConfig:
-    """Read a ``config.yaml``.
+def read_config(path: Path, to_train: bool = False) -> RunConfig:
+    """Read a ``config.yaml``, to fly what it trained, or ``to_train`` it again or further.
 
     Raises:
-        InputError: the file is none, or its configuration cannot be used.
+        InputError: the file is none, or its configuration cannot be used so.
     """
-    return validated(ConfigFile, read_yaml_mapping(path), str(path)).config(path)
+    file = validated(ConfigFile, read_yaml_mapping(path), str(path))
+    if to_train and file.algorithm.get("candidates", 1) != 1:
+        raise InputError(f"{path}: of a training of several candidates, which this version lacks: train anew")
+    return file.config(path)
 
 
 def run_folder(

@@ -34,7 +34,7 @@ from uavaou.world.knowledge import Knowledge, check_within, knowledge, within
 if TYPE_CHECKING:
     from uavaou.runs.recorder import TrainingStatus
 
-_AT_ONCE = ("local-greedy-parts", "best-first")  # planners that need no time before take-off
+AT_ONCE = ("local-greedy-parts", "best-first")  # planners that need no time before take-off
 _AHEAD = {"local-greedy-tuned": 0.35, "anneal": 0.15}  # shares of the time
 _TRAINS_FROM_S, _TRAINING = 30.0, 0.4  # with so much time there is a training, which has this share of it
 _RATE = 150_000.0  # devices that a learner's UAVs look at in a second, at least
@@ -160,12 +160,12 @@ class _Rehearsal:
 
     def result(self, folder: Path | None) -> Rehearsal:
         fixed = self.scenario.layout == "fixed"
-        for name in _AT_ONCE:
+        for name in AT_ONCE:
             self._enter_by_name(name)
         for name, share in _AHEAD.items() if fixed else ():
             self._plan_ahead(name, share)
         for name in released_names():  # last: to import torch takes longer than most missions
-            self._enter_by_name(name, _TORCH_S + self._missions * self._work / _FLIGHT_RATE)
+            self._enter_by_name(name)
         if folder is not None and fixed and self.seconds >= _TRAINS_FROM_S:
             self._train(folder)
         self._fly_the_best()
@@ -173,12 +173,12 @@ class _Rehearsal:
         ordered = sorted(self._candidates, key=lambda one: (one not in finalists, float(one.ages.mean())))
         return Rehearsal(self.scenario, tuple(ordered), tuple(self._late))
 
-    def _enter_by_name(self, name: str, needs_s: float = 0.0) -> None:
-        """Let a policy fly that is given no time before take-off, if it may; it takes about ``needs_s`` at least."""
+    def _enter_by_name(self, name: str) -> None:
+        """Let a policy fly that is given no time before take-off, if it may."""
         limit_s = min(self._quick_s, self._left_s) if self._candidates else float("inf")
         if not within(known_by(name, self.knows), self.knows):
             return
-        if limit_s <= 0 or needs_s > self._left_s:
+        if limit_s <= 0 or self._least_s(name) > max(self._left_s, 0.0):
             self._late.append(name)
             return
         self._enter(Candidate(name, make_policy(name, self.scenario, knows=self.knows)), limit_s)
@@ -222,7 +222,7 @@ class _Rehearsal:
         limit_s = min(share * self.seconds, self._left_s)
         with suppress(InputError):  # it needs to know more, or cannot plan for such a scenario
             planner: Any = make_planner(name, limit_s, self.knows)
-            if limit_s <= 0 or (name == "anneal" and self._first_routes_s() > self._left_s):
+            if limit_s <= 0 or self._least_s(name) > max(self._left_s, 0.0):
                 self._late.append(name)
                 return
             layout = self.scenario.draw_layout()
@@ -232,9 +232,13 @@ class _Rehearsal:
             planner.keep(plan, self.scenario, layout)
             self._enter(Candidate(name, planner), max(self._left_s, self._quick_s))
 
-    def _first_routes_s(self) -> float:
-        """How long the flight of ``best-first`` takes, with which ``anneal`` begins whatever its limit, s."""
-        return self._work * self.scenario.uavs * self.scenario.columns * self.scenario.rows / _GREEDY_RATE
+    def _least_s(self, name: str) -> float:
+        """About how long a candidate takes whatever its limit, s; 0 for one that can be given up at any time."""
+        if name in released_names():
+            return _TORCH_S + self._missions * self._work / _FLIGHT_RATE
+        if name == "anneal":  # it begins with a flight of `best-first`
+            return self._work * self.scenario.uavs * self.scenario.columns * self.scenario.rows / _GREEDY_RATE
+        return 0.0
 
     def _train(self, folder: Path) -> None:
         """Train a policy that begins with the numbers of ``local-greedy-tuned``, and let it fly."""
@@ -288,7 +292,7 @@ class _Rehearsal:
 def _load_kernels() -> None:
     """Load what is compiled, or compile it, by a rehearsal of a small map: that takes none of the time given."""
     small = Scenario.load("tiny")
-    for name in _AT_ONCE:
+    for name in AT_ONCE:
         play(make_planner(name), small, 1, REHEARSAL_SEEDS.start, None)
     load_kernels()
 

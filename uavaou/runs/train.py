@@ -19,7 +19,7 @@ from uavaou.evaluation.seeds import training_seeds
 from uavaou.files import refuse_links, replacing, write_json, writing
 from uavaou.runs.checkpoint import copy_last, longest_rollout, restore
 from uavaou.runs.checkpoint_header import TrainingProgress
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.folder import RunConfig, RunFolder, read_config
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.lock import one_writer
 from uavaou.runs.machine import describe_machine
@@ -183,7 +183,7 @@ def _check_folder(folder: RunFolder, config: RunConfig, resume: bool) -> bool:
         return False
     if not resume:
         raise InputError(f"'{folder.path}' already holds a run: add --resume to go on with it, or choose another --out")
-    held = folder.read_config()
+    held = read_config(folder.config, to_train=True)
     if config != held and config in held.stages():
         raise InputError(f"'{folder.path}' went on to {held.slots:,} slots; that one goes on with: {_going_on(folder)}")
     if held not in config.stages()[-2:]:  # as it is, or as it was at the budget before
