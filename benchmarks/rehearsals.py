@@ -18,11 +18,9 @@ from uavaou.csv_tables import write_csv
 from uavaou.statistics import geometric_mean
 
 TABLE = Path("results/benchmarks/rehearsals.csv")
-COLUMNS = (
-    "family", "draw", "uavs", "devices", "cells", "slots", "seconds", "served", "missions", "served_slots",
-    "rule_slots", "best_first_slots",
-)  # fmt: skip
-QUICK = ("local-greedy-parts", "best-first")
+MEANS = {"local-greedy-parts": "rule_slots", "best-first": "best_first_slots"}  # of those that need no time
+SIZES = ("uavs", "devices", "cells", "slots")
+COLUMNS = ("family", "draw", *SIZES, "seconds", "served", "missions", "served_slots", *MEANS.values())
 FAMILIES = {"any": range(8000, 8100), str(Path(__file__).with_name("beyond.yaml")): range(8100, 8200)}
 WORK = 8_000_000  # slots x UAVs x devices that a policy's missions have, of which there are 2 to 16
 
@@ -51,12 +49,11 @@ def measured(family: str, n: int, seconds: float) -> dict[str, str]:
     found = rehearse(scenario, seconds)
     taken = time.monotonic() - began
     missions = max(2, min(16, WORK // (scenario.slots * scenario.uavs * scenario.devices)))
-    policies = {one.name: one.policy for one in found.candidates if one.name in {found.served.name, *QUICK}}
+    policies = {one.name: one.policy for one in found.candidates if one.name in {found.served.name, *MEANS}}
     means = {name: f"{evaluate(policy, scenario, missions).mean_aou_slots:.5g}" for name, policy in policies.items()}
-    values = (
-        Path(family).stem, n, scenario.uavs, scenario.devices, scenario.columns * scenario.rows, scenario.slots,
-        f"{taken:.1f}", found.served.name, missions, means[found.served.name], *(means.get(name, "") for name in QUICK),
-    )  # fmt: skip
+    sizes = (scenario.uavs, scenario.devices, scenario.columns * scenario.rows, scenario.slots)
+    served = (f"{taken:.1f}", found.served.name, missions, means[found.served.name])
+    values = (Path(family).stem, n, *sizes, *served, *(means.get(name, "") for name in MEANS))
     return dict(zip(COLUMNS, map(str, values), strict=True))
 
 
@@ -64,7 +61,7 @@ def ratios(table: Iterable[dict[str, str]]) -> dict[str, dict[str, float]]:
     """Family -> draw -> the policy served to the best of the quick ones."""
     found: dict[str, dict[str, float]] = {}
     for row in table:
-        quick = min(float(row[name]) for name in ("rule_slots", "best_first_slots") if row[name])
+        quick = min(float(row[name]) for name in MEANS.values() if row[name])
         found.setdefault(row["family"], {})[row["draw"]] = float(row["served_slots"]) / quick
     return found
 

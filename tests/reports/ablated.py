@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import levene, mannwhitneyu
 
-from tests.committed import ends, mean_of, rows, study, told
-from tests.reports.convergence import states
+from tests.committed import ends, mean_of, rows, states, study, told
 from uavaou.reports.ablations import Ablation, ablations
 
 NAME = "ablations"

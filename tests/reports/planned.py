@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from tests.committed import RESULTS, rows
-from tests.reports.convergence import states
+from tests.committed import RESULTS, rows, states
 from tests.reports.test_sentences import means
 from uavaou.planners.exact import program_size
 from uavaou.scenario import Scenario

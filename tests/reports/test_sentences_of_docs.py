@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 from benchmarks.rehearsals import ratios
-from tests.committed import study
+from tests.committed import states, study
 from tests.reports import planned, trunks
-from tests.reports.convergence import states
 from tests.reports.test_sentences import (
     ROOT,
     beside_the_rule,

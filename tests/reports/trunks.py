@@ -6,8 +6,7 @@ import re
 
 import numpy as np
 
-from tests.committed import STUDIES, ends, mean_of, study, told
-from tests.reports.convergence import states
+from tests.committed import STUDIES, ends, mean_of, states, study, told
 from tests.reports.fresh import of_logs, planned, spans_one
 from uavaou.reports.claims import judge
 from uavaou.statistics import ratio_of_trainings

@@ -20,6 +20,7 @@ from uavaou.threads import Tasks, threads
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import neighbours
+from uavaou.world.patrol import Singles
 from uavaou.world.pull import SHARE, PullPlan, steps_to
 
 PROPOSALS = 4000  # without a time limit
@@ -151,14 +152,12 @@ class _Search:
     def _write_pull(self) -> None:
         weight, reach, share = self._numbers[:, :, None]  # (U, 1, I) each
         steps = np.take_along_axis(self._steps, share[None].astype(np.int64), axis=0)[0]  # (U, C, I)
-        self._pull = np.where(weight > 0.0, weight * np.exp(-steps / reach), 0.0)  # (U, C, I)
+        self._pull = _pull(weight, reach, steps)  # (U, C, I)
 
     def _column(self, uav: int, device: int) -> Floats:
         """Return the pull of a device on a UAV in each cell, (C,)."""
         weight, reach, share = self._numbers[:, uav, device]
-        steps = self._steps[int(share), uav, :, device]
-        column: Floats = weight * np.exp(-steps / reach) if weight else np.zeros(len(steps))
-        return column
+        return _pull(weight, reach, self._steps[int(share), uav, :, device])
 
     def _score(self, missions: int, first_draw: int = 0) -> Floats:
         """Return the mean age of the present numbers in each mission, (missions,) slots."""
@@ -272,3 +271,9 @@ class _Search:
             name, slot_length_s * age, weight, reach, np.array(_SHARES)[share.astype(int)], self._pull,
             interrupted=interrupted,
         )  # fmt: skip
+
+
+def _pull(weight: Floats, reach: Floats, steps: Floats | Singles) -> Floats:
+    """The pull of devices at so many steps, elementwise; 0 where the weight is."""
+    pull: Floats = np.where(weight > 0.0, weight * np.exp(-steps / reach), 0.0)
+    return pull

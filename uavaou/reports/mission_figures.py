@@ -239,9 +239,8 @@ def _draw_strip(axes: Axes, recording: Recording, ages: Floats, scale: LogNorm) 
     for u in np.unique(recording.collected_by[recording.communications]):
         at, device = np.nonzero(recording.communications & (recording.collected_by == u))
         look: dict[str, Any] = {"color": maps.uav_colour(int(u)), "linestyle": maps.uav_dash(int(u)), "linewidth": 0.5}
-        ticks = np.stack(
-            [rows[device] + 0.12, rows[device] + 0.42, np.full(len(at), np.nan)], axis=1
-        )  # one line is drawn faster
+        row = rows[device]  # (E,)
+        ticks = np.stack([row + 0.12, row + 0.42, np.full(len(at), np.nan)], axis=1)  # (E, 3)
         axes.plot(np.repeat(at + 1, 3), ticks.ravel(), solid_capstyle="butt", **look)
     _label_periods(axes, recording.layout.update_period[order])
     axes.grid(False)
