@@ -14,13 +14,13 @@ from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
 from uavaou.threads import Tasks
 from uavaou.world.compiled import compiled
-from uavaou.world.patrol import improve_in_flight, patrol_area, plans_age_sums
+from uavaou.world.patrol import improve_in_flight, patrol_area, plans_age_sums, without_return
 from uavaou.world.world import World
 
 _ROUNDS = 25  # of Lloyd's algorithm, and of the search on lengths of tours
 _STARTS = 8  # runs of k-means
 _CHANGED = 0.3  # share of devices that two of three starts give to any UAV
-_SCREENED, _FLOWN = 1, 2  # missions that tell the best of them, and how many of these are improved in flight
+_SCREENED, _FLOWN = 1, 6  # missions that tell the best of them, and how many of these are improved in flight
 _TRIES, _CHANGES, _OF_DEVICES = 10, 12, 8  # rounds in flight; each tries so many changes, or one for so many devices
 # Of the search on lengths of tours, chosen on layouts 1000 to 1023 of `paper`.
 REACH = 0.3  # a device is served from this share of its coverage radius, in each direction of the grid
@@ -78,7 +78,7 @@ def _known_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, sc
 
 def _best_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, scenario: Scenario) -> tuple[Ints, float]:
     """Return the plan (I,) with the least age sum in flight, and that, in slots."""
-    area = patrol_area(scenario, cds, positions, headroom, period)
+    area = without_return(patrol_area(scenario, cds, positions, headroom, period))
     if scenario.uavs == 1:
         plan = np.zeros(len(period), dtype=np.int64)
         return plan, float(plans_age_sums(area, plan[None], len(area.draws))[0])
@@ -93,8 +93,10 @@ def _best_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, sce
     plans = np.unique(plans, axis=0)
     best = plans[plans_age_sums(area, plans, _SCREENED).argsort(kind="stable")[:_FLOWN]]
     changes = max(_CHANGES, len(period) // _OF_DEVICES)
-    sums = [improve_in_flight(area, plan, ways, covered, _TRIES, changes) for plan in best]
-    return np.array(best[np.argmin(sums)], dtype=np.int64), min(sums)
+    sums = np.empty(len(best))
+    flights = (area, ways, covered, _TRIES, changes)
+    Tasks(*(partial(improve_in_flight, *flights, plan, sums[p : p + 1]) for p, plan in enumerate(best))).run()
+    return np.array(best[sums.argmin()], dtype=np.int64), float(sums.min())
 
 
 def _plans_to_begin_with(positions: Floats, cds: Ints, covered: Bools) -> Ints:

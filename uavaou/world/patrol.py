@@ -1,10 +1,12 @@
-"""Parts of a map flown in simulation: what age sums does a UAV leave that serves some devices alone?
+"""The rule flown in simulation: what ages do UAVs leave that go where the pull of their devices is largest?
 
-It follows the pull of old devices and waits until they answer, as :mod:`uavaou.planners.local_greedy` does. All parts
-meet the same draws of fading, so that two plans differ by what they are and not by luck.
+This is the one kernel of :mod:`uavaou.planners.local_greedy` with any pull. As no UAV hears of another, each flies
+alone, on its own draws of fading; a device is collected in a slot if any UAV has it in range. All plans meet the same
+draws, so that two of them differ by what they are and not by luck.
 """
 
 from functools import lru_cache
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -13,15 +15,15 @@ from numpy.typing import NDArray
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled_fast
-from uavaou.world.flight import neighbours
-from uavaou.world.pull import SHARE, exceedance
+from uavaou.world.flight import Flight, first_step, grid_cells, neighbours
+from uavaou.world.pull import SHARE, chance, gain_exceeded, gain_needed
 
-_MISSIONS, _FLOWN_DEVICES = 4, 400  # flown for each part, fewer where there are many devices
+_MISSIONS, _FLOWN_DEVICES = 8, 800  # flown for each part, fewer where there are many devices
 _WORSE = 0.02  # in one mission, from which a change is not flown in more
 _LANES = 32  # columns are a multiple of it: whole vectors of the processor
-_POINTS = 600  # of the law of fading
 
 Singles = NDArray[np.float32]
+Cells = NDArray[np.int32]
 
 
 class PatrolArea(NamedTuple):
@@ -29,9 +31,12 @@ class PatrolArea(NamedTuple):
 
     start: Ints  # (U,) cell of each CDS
     target: Ints  # (C, 5) the cell that each move leads to, or the same where that is outside
+    home: Ints  # (U, C) grid steps to the CDS
+    step_home: Ints  # (U, C) the move towards it
+    budget: Ints  # (U,) grid steps that the flight time allows
     probability: Singles  # (U, C, W) to collect a device in a slot
-    pull: Singles  # (U, C, W) exp(-grid steps to where it can be collected well)
-    generated: Singles  # (slots, W) 1 where a device generates an update at the end of a slot
+    pull: Singles  # (U, C, W) exp(-way as the crow flies to where it can be collected well): no two cells are equal
+    generated: Singles  # (slots, W) updates that a device holds from this slot on
     draws: Singles  # (missions, slots, W) uniform
 
 
@@ -48,32 +53,54 @@ def patrol_area(
         period: (I,) slots.
         missions: of which fading is drawn; None: fewer where there are many devices.
     """
-    cells = np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T.astype(np.float64)  # (C, 2) grid steps
-    distance = np.linalg.norm(cells[:, None] - positions, axis=-1)  # (C, I) grid steps
-    altitude = scenario.altitudes[:, None] / scenario.grid_step_m  # (U, 1) grid steps
-    gain, exceeded = exceedance(scenario.fading, scenario.rician_factor, _POINTS)
+    slots = np.arange(1, scenario.slots + 1)[:, None]  # (slots, 1)
     missions = missions or min(max(_FLOWN_DEVICES // len(period), 1), _MISSIONS)
     with np.errstate(divide="ignore"):
-        least = 1.0 / headroom  # (U, I) the power gain that a UAV right above needs
-    needed = (1.0 + (distance / altitude[:, None]) ** 2) * least[:, None]  # (U, C, I)
-    probability, possible = np.zeros(needed.shape), needed < gain[-1]
-    probability[possible] = np.interp(needed[possible], gain, exceeded)
-    best = np.interp(least, gain, exceeded)  # (U, I)
-    enough = np.interp(-SHARE * best, -exceeded, gain)  # (U, I) the gain that is exceeded so much more seldom
-    near = altitude * np.sqrt(np.maximum(enough / least - 1.0, 0.0))  # (U, I) grid steps
+        needed = gain_needed(scenario, positions, 1.0 / headroom)  # (U, C, I)
+    probability = _padded(chance(scenario, needed))
+    distance = np.linalg.norm(grid_cells(scenario)[:, None] - positions, axis=-1)  # (C, I) grid steps
+    altitude = scenario.altitudes[:, None] / scenario.grid_step_m  # (U, 1) grid steps
+    best = chance(scenario, 1.0 / headroom)  # (U, I)
+    near = altitude * np.sqrt(np.maximum(gain_exceeded(scenario, SHARE * best) * headroom - 1.0, 0.0))  # (U, I)
     pull = np.exp(-np.maximum(distance - near[:, None], 0.0)) * (best > 0)[:, None]  # (U, C, I)
+    ways = cds[:, None] - grid_cells(scenario)  # (U, C, 2)
     return PatrolArea(
-        cds @ np.array([scenario.rows, 1]), np.ascontiguousarray(neighbours(scenario)[0], dtype=np.int64),
-        _padded(probability), _padded(pull),
-        _padded(np.arange(1, scenario.slots + 1)[:, None] % period == 0),
-        _draws(scenario.slots, missions, len(period)),
-    )  # fmt: skip
+        start=cds @ np.array([scenario.rows, 1]),
+        target=np.ascontiguousarray(neighbours(scenario)[0], dtype=np.int64),
+        home=np.abs(ways).sum(axis=-1),
+        step_home=first_step(ways),
+        budget=Flight(scenario).budget,
+        probability=probability,
+        pull=_padded(pull),
+        generated=_padded((slots % period == 0) + 1.0 * (slots == 1)),  # update 0 waits from the beginning
+        draws=_draws((missions, scenario.slots, probability.shape[2])),
+    )
+
+
+def _draws(shape: tuple[int, ...], seed: int = 0) -> Singles:
+    """Uniform numbers, (missions, slots, W)."""
+    size = prod(shape)
+    drawn: Singles = _uniform(seed, 1 << (size - 1).bit_length())[:size].reshape(shape)
+    return drawn
 
 
 @lru_cache(maxsize=4)
-def _draws(slots: int, missions: int, devices: int) -> Singles:
-    drawn = np.random.default_rng(0).random((slots, missions, devices), dtype=np.float32)
-    return _padded(drawn.swapaxes(0, 1))
+def _uniform(seed: int, size: int) -> Singles:
+    return np.random.default_rng(seed).random(size, dtype=np.float32)
+
+
+def without_return(area: PatrolArea) -> PatrolArea:
+    """Return the same where UAVs need not end at their CDS: then nothing depends on the side that a map is seen from.
+
+    On the way home equal moves are told apart by their order.
+    """
+    slots = len(area.generated)
+    return area._replace(home=np.zeros_like(area.home), budget=np.full_like(area.budget, slots))
+
+
+def fresh(area: PatrolArea) -> PatrolArea:
+    """Return the same with draws that no flight has met."""
+    return area._replace(draws=_draws(area.draws.shape, seed=1))
 
 
 def _padded(columns: Floats | Singles) -> Singles:
@@ -105,9 +132,6 @@ def age_sums(area: PatrolArea, uav: Ints, serves: Singles, missions: int) -> Flo
 def fly_part(area: PatrolArea, uav: int, serves: Singles, pull: Singles, first: int, ages: Floats) -> None:
     """Write the age sum in slots that a UAV leaves which serves some devices alone, in each of some missions.
 
-    In each slot it collects what fading lets it, and makes the move to the cell with the largest sum of ages, each
-    times its pull there.
-
     Args:
         area: what it flies over.
         uav: which one.
@@ -116,17 +140,32 @@ def fly_part(area: PatrolArea, uav: int, serves: Singles, pull: Singles, first: 
         first: number of the first draw.
         ages: (missions,), written.
     """
-    members = np.flatnonzero(serves)
-    start, probability, generated = area.start[uav], area.probability[uav], area.generated
-    draws = area.draws[first : first + len(ages)]
+    route = np.empty((len(ages), len(area.generated)), np.int32)
+    fly(area, uav, serves, pull, first, route, ages)
+
+
+@compiled_fast
+def fly(area: PatrolArea, uav: int, serves: Singles, pull: Singles, first: int, route: Cells, ages: Floats) -> None:
+    """Write the cells (missions, slots) that a UAV flies over, and the age sums in slots, (missions,), that it alone
+    leaves of the devices that it serves.
+
+    In each slot it collects what fading lets it, and makes the allowed move to the cell with the largest sum of ages,
+    each times its pull there; of equal ones to the first. Draws begin anew where they end.
+    """
+    members, cells = np.flatnonzero(serves), (area.target, area.home[uav], area.step_home[uav])
+    start, budget, probability, generated = area.start[uav], area.budget[uav], area.probability[uav], area.generated
     columns = max(len(members) + -len(members) % _LANES, _LANES)
     if columns < len(serves):
-        draws = _some(draws.reshape(-1, len(serves)), members, columns).reshape(len(ages), -1, columns)
         probability, pull = _some(probability, members, columns), _some(pull, members, columns)
         generated = _some(generated, members, columns)
         serves = np.zeros(columns, np.float32)
         serves[: len(members)] = 1.0
-    _fly(start, area.target, probability, pull, generated * serves, draws, serves, ages)
+    generated = generated * serves
+    for mission in range(len(ages)):
+        draws = area.draws[(first + mission) % len(area.draws)]
+        if columns < draws.shape[1]:
+            draws = _some(draws, members, columns)
+        ages[mission] = _fly(start, budget, cells, probability, pull, generated, draws, route[mission])
 
 
 @compiled_fast
@@ -141,42 +180,81 @@ def _some(rows: Singles, members: Ints, columns: int) -> Singles:
 
 @compiled_fast
 def _fly(
-    start: int,
-    target: Ints,
-    probability: Singles,
-    pull: Singles,
-    generated: Singles,
-    draws: Singles,
-    serves: Singles,
-    ages: Floats,
-) -> None:
-    """Do what :func:`fly_part` says, over all columns: the processor computes several at once."""
-    slots, columns = generated.shape
-    pending, age, total = np.empty((3, columns), np.float32)
-    for mission in range(len(ages)):
-        cell = start
+    start: int, budget: int, cells: tuple[Ints, Ints, Ints], probability: Singles, pull: Singles, generated: Singles,
+    draws: Singles, route: Cells,
+) -> float:  # fmt: skip
+    """Do what :func:`fly` says in one mission, over all columns: the processor computes several at once."""
+    (slots, columns), (target, home, step_home) = generated.shape, cells
+    pending, age, total = np.zeros((3, columns), np.float32)
+    cell, flown = start, 0
+    for slot in range(slots):
+        route[slot] = cell
         for i in range(columns):
-            pending[i], age[i], total[i] = serves[i], 0.0, 0.0
+            kept = np.float32(draws[slot, i] >= probability[cell, i])
+            pending[i] = (pending[i] + generated[slot, i]) * kept
+            age[i] = age[i] * kept + pending[i]
+            total[i] += age[i]
+        stay, up, down, right, left = target[cell]
+        stays = ups = downs = rights = lefts = np.float32(0.0)
+        for i in range(columns):
+            stays += age[i] * pull[stay, i]
+            ups += age[i] * pull[up, i]
+            downs += age[i] * pull[down, i]
+            rights += age[i] * pull[right, i]
+            lefts += age[i] * pull[left, i]
+        time_left, steps_left = max(slots - slot - 2, 0), budget - flown
+        best, there = np.float32(-1.0), target[cell, step_home[cell]]
+        for to, value in ((stay, stays), (up, ups), (down, downs), (right, rights), (left, lefts)):
+            if value > best and home[to] <= time_left and home[to] + (to != cell) <= steps_left:
+                best, there = value, to
+        flown += there != cell
+        cell = there
+    left: float = total.sum() / slots
+    return left
+
+
+@compiled_fast
+def fly_fleet(
+    area: PatrolArea, changed: Ints, serves: Singles, pull: Singles, first: int, routes: Cells, ages: Floats
+) -> None:
+    """Write the age sum of all devices in slots that a fleet leaves in each of some missions, (missions,).
+
+    Args:
+        area: what it flies over.
+        changed: the UAVs whose routes are written; those of the others are read.
+        serves: 1 for the devices that each UAV is drawn to, else 0, (U, W).
+        pull: of each device on a UAV in each cell, (U, C, W).
+        first: number of the first mission.
+        routes: of all UAVs in all missions, (U, all missions, slots) cells.
+        ages: written.
+    """
+    for uav in changed:
+        route = routes[uav, first : first + len(ages)]
+        fly(area, uav, serves[uav], pull[uav], _draw_of(area, uav, first), route, ages)
+    generated, probability, draws = area.generated, area.probability, area.draws
+    slots, columns = generated.shape
+    kept, pending, age, total = np.empty((4, columns), np.float32)
+    for mission in range(len(ages)):
+        for i in range(columns):
+            pending[i], age[i], total[i] = 0.0, 0.0, 0.0
         for slot in range(slots):
             for i in range(columns):
-                kept = np.float32(draws[mission, slot, i] >= probability[cell, i])
-                waiting = pending[i] * kept
-                age[i] = age[i] * kept + waiting
-                total[i] += age[i]
-                pending[i] = waiting + generated[slot, i]
-            stay, up, down, right, left = target[cell]
-            stays = ups = downs = rights = lefts = np.float32(0.0)
+                kept[i] = 1.0
+            for uav in range(len(routes)):
+                cell, drawn = routes[uav, first + mission, slot], _draw_of(area, uav, first + mission)
+                for i in range(columns):
+                    kept[i] *= np.float32(draws[drawn, slot, i] >= probability[uav, cell, i])
             for i in range(columns):
-                stays += age[i] * pull[stay, i]
-                ups += age[i] * pull[up, i]
-                downs += age[i] * pull[down, i]
-                rights += age[i] * pull[right, i]
-                lefts += age[i] * pull[left, i]
-            most = stays
-            for there, value in ((up, ups), (down, downs), (right, rights), (left, lefts)):
-                if value > most:
-                    cell, most = there, value
+                pending[i] = (pending[i] + generated[slot, i]) * kept[i]
+                age[i] = age[i] * kept[i] + pending[i]
+                total[i] += age[i]
         ages[mission] = total.sum() / slots
+
+
+@compiled_fast
+def _draw_of(area: PatrolArea, uav: int, mission: int) -> int:
+    """The number of a UAV's draw in a fleet's mission: no two UAVs have the same, if there are draws enough."""
+    return (mission + uav * max(len(area.draws) // len(area.start), 1)) % len(area.draws)
 
 
 @compiled_fast
@@ -223,19 +301,22 @@ def _changes(plan: Ints, ways: Floats, covered: Bools) -> Floats:
 
 
 @compiled_fast
-def improve_in_flight(area: PatrolArea, plan: Ints, ways: Floats, covered: Bools, rounds: int, changes: int) -> float:
-    """Give single devices to other UAVs, in place, as long as the sum of the age sums falls; return the sum.
+def improve_in_flight(
+    area: PatrolArea, ways: Floats, covered: Bools, rounds: int, changes: int, plan: Ints, age_sum: Floats
+) -> None:
+    """Give single devices to other UAVs, in place, as long as the sum of the age sums falls.
 
     Each round tries the changes that bring devices nearest to others of their part. One that is clearly worse in one
     mission is not flown in more.
 
     Args:
         area: what the plan is flown over.
-        plan: (I,), written.
         ways: between devices, (I, I) grid steps.
         covered: whether a UAV can serve a device, (U, I).
         rounds: at most.
         changes: tried in each round.
+        plan: (I,), written.
+        age_sum: (1,) slots, written.
     """
     uavs, columns, missions = np.arange(len(covered)), area.draws.shape[2], len(area.draws)
     serves = members_of(plan, uavs, columns)
@@ -266,4 +347,4 @@ def improve_in_flight(area: PatrolArea, plan: Ints, ways: Floats, covered: Bools
             plan[i] = u
         if not improved:
             break
-    return float(sums.sum())
+    age_sum[0] = sums.sum()

@@ -16,6 +16,7 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError
+from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.coverage import rician_exceedance
 from uavaou.world.flight import grid_cells
@@ -98,11 +99,11 @@ class PullPlan:
 
 
 @lru_cache(maxsize=16)
-def exceedance(fading: str, rician_factor: float, points: int) -> tuple[Floats, Floats]:
+def exceedance(fading: str, rician_factor: float) -> tuple[Floats, Floats]:
     """Power gains that rise, (G,), and how probable it is that fading exceeds each, (G,)."""
     if fading == "none":
         return np.array([0.0, 1.0, 1.0 + 1e-9]), np.array([1.0, 1.0, 0.0])
-    gain = np.linspace(0.0, _MOST_GAIN**0.5, points) ** 2
+    gain = np.linspace(0.0, _MOST_GAIN**0.5, _POINTS) ** 2
     return gain, rician_exceedance(gain, rician_factor)
 
 
@@ -113,23 +114,58 @@ def steps_left(world: World, share: float | Floats = SHARE) -> Floats:
     collects the device.
     """
     scenario = world.scenario
-    cells = grid_cells(scenario).astype(np.float64)  # (C, 2)
-    altitude = scenario.altitudes[:, None] / scenario.grid_step_m  # (U, 1) grid steps
-    gain, exceeded = exceedance(scenario.fading, scenario.rician_factor, _POINTS)
     with np.errstate(divide="ignore"):
         above = world.channel.snr_min[:, None, :] / world.channel.mean_snr_above()  # (L, U, I) power gain needed there
-    tables = []
     shares: Floats = np.broadcast_to(share, above.shape)
-    for positions, least, fair in zip(world.device_positions / scenario.grid_step_m, above, shares, strict=True):
-        squared = ((cells[:, None] - positions) ** 2).sum(axis=-1)  # (C, I)
-        nearest = (1.0 + squared.min(axis=0) / altitude**2) * least  # (U, I) power gain needed in the nearest cell
-        best = np.interp(nearest, gain, exceeded, right=0.0)  # (U, I)
-        # The gain that is exceeded so much more seldom; the nearest cell is always good enough, whatever the rounding.
-        enough = np.maximum(np.interp(-fair * best, -exceeded, gain), nearest)
-        good = ((1.0 + squared / altitude[:, :, None] ** 2) * least[:, None] <= enough[:, None]) & (best > 0.0)[:, None]
-        grid = (scenario.uavs, scenario.columns, scenario.rows, scenario.devices)
-        tables.append(steps_to(good.reshape(grid)).reshape(good.shape).astype(np.float32))
-    return np.stack(tables)
+    each = zip(world.device_positions / scenario.grid_step_m, above, shares, strict=True)
+    tables = [steps_where(scenario, gain_needed(scenario, at, least), fair) for at, least, fair in each]
+    return np.stack(tables).astype(np.float32)
+
+
+def gain_needed(scenario: Scenario, positions: Floats, above: Floats) -> Floats:
+    """Return the power gain that fading must have for a UAV in a cell to collect a device, (U, C, I).
+
+    Args:
+        scenario: grid and altitudes.
+        positions: of the devices, (I, 2) grid steps.
+        above: the gain that a UAV right above needs, (U, I).
+    """
+    cells = grid_cells(scenario).astype(np.float64)  # (C, 2)
+    altitude = scenario.altitudes[:, None] / scenario.grid_step_m  # (U, 1) grid steps
+    squared = ((cells[:, None] - positions) ** 2).sum(axis=-1)  # (C, I)
+    needed: Floats = (1.0 + squared / altitude[:, :, None] ** 2) * above[:, None]
+    return needed
+
+
+def chance(scenario: Scenario, needed: Floats) -> Floats:
+    """Return how probable a power gain above ``needed`` is, elementwise."""
+    gain, exceeded = exceedance(scenario.fading, scenario.rician_factor)
+    probability: Floats = np.interp(needed, gain, exceeded, right=0.0)
+    return probability
+
+
+def gain_exceeded(scenario: Scenario, probability: Floats) -> Floats:
+    """Return the power gain that fading exceeds with a ``probability``, elementwise."""
+    gain, exceeded = exceedance(scenario.fading, scenario.rician_factor)
+    least: Floats = np.interp(-probability, -exceeded, gain)
+    return least
+
+
+def steps_where(scenario: Scenario, needed: Floats, share: float | Floats) -> Floats:
+    """Return the steps of :func:`steps_left` in one layout, (U, C, I).
+
+    Args:
+        scenario: grid and fading.
+        needed: of :func:`gain_needed`.
+        share: one for all, or (U, I).
+    """
+    nearest = needed.min(axis=1)  # (U, I)
+    best = chance(scenario, nearest)  # (U, I)
+    # The gain that is exceeded so much more seldom; the nearest cell is always good enough, whatever the rounding.
+    enough = np.maximum(gain_exceeded(scenario, share * best), nearest)
+    good = (needed <= enough[:, None]) & (best > 0.0)[:, None]
+    grid = (len(needed), scenario.columns, scenario.rows, needed.shape[2])
+    return steps_to(good.reshape(grid)).reshape(good.shape)
 
 
 def planned_steps(world: World, plans: Sequence[PullPlan]) -> Floats:
