@@ -21,6 +21,20 @@ def begun(scenario: Scenario) -> tuple[Chain, Chain]:
     return first, second
 
 
+def test_areas_are_kept_where_they_are_better() -> None:
+    search, _ = begun(PAPER.replace(slots=60))
+    places = np.random.default_rng(0).random((PAPER.devices, 2))  # not those of the devices: areas are no good there
+    best, age = search.best.copy(), search.best_age
+    search.try_areas(0.0, places, 2)
+    assert (search.best_age, search._area_age > age) == (age, True)
+    np.testing.assert_array_equal(search.best, best)
+    assert search._ages.mean() == age
+    layout = PAPER.draw_layout()
+    for _ in range(20):
+        search.try_areas(0.0, layout.positions / PAPER.area_x_m, 2)
+    assert search.best_age == search._area_age < age
+
+
 @pytest.mark.parametrize("changes", [{}, {"devices": 70, "slots": 100}, {"uavs": 1, "altitudes_m": [90]}])
 def test_the_best_numbers_are_as_good_as_the_search_says(changes: dict[str, Any]) -> None:
     cds = {"cds_m": [[0, 0]]} if "uavs" in changes else {}

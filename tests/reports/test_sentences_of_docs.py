@@ -193,7 +193,6 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "On layout seeds 101 to 110": "tests/planners/test_planners_docs.py",
     "So `local-greedy-parts` has": "tests/planners/test_planners_docs.py",
     "a share of the best coverage probability": "the rule",
-    "is that of 64 further draws": "what was seen in searches by hand; in no table",
     "are for choosing": "layout seeds",
     "was also used to choose": "a layout seed",
     "Areas gained most": "measured by hand once: the table above it",

@@ -18,6 +18,7 @@ _TOGETHER, _WORK = 64, 400_000_000  # changes of one call at most, fewer where o
 _TWICE = 0.3  # share of the changes that are two at once
 _WEIGHT, _DROP, _ADD, _REACH, _SHARE = np.cumsum([0.25, 0.1, 0.1, 0.15, 0.1])  # odds of each; the rest swaps
 _DRAWN = 4  # random numbers of a change
+_SPREAD = (0.12, 0.12, 0.08)  # of a change of an area, in sizes of the map
 # Numbers beyond make hardly another flight, but moves that hardly differ in pull: a learner that samples is lost there.
 WEIGHTS, REACHES = (0.1, 10.0), (0.4, 8.0)
 
@@ -48,6 +49,7 @@ class Chain:
         self._spare = np.zeros_like(self._routes)
         self.best, self.best_age, self.changes, self.flown = numbers, np.inf, 0, 0
         self._numbers, self._ages = numbers, np.empty(0)  # (missions,) slots
+        self._areas, self._area_age = np.empty((0, 3)), np.inf  # (U, 3), and its mean AoU
 
     def begin(self, numbers: Floats, missions: int, area: PatrolArea | None = None) -> float:
         """Go on from other numbers, or score with more missions; return their mean AoU in slots."""
@@ -58,6 +60,38 @@ class Chain:
         self.flown += _work(self._routes, missions, len(everyone))
         self.best, self.best_age = numbers.copy(), float(self._ages.mean())
         return self.best_age
+
+    def try_areas(self, done: float, places: Floats, share: int) -> None:
+        """Try some plans of whose device is whose, when a fraction ``done`` of that is over.
+
+        Each UAV has an area: a centre (x, y) in sizes of the map and a handicap. A device belongs to the UAV with the
+        least sum of distance and handicap. Areas are drawn anew, ever more rarely, or near the best ones so far.
+
+        Args:
+            done: 0 to 1.
+            places: of the devices in sizes of the map, (I, 2).
+            share: index of the share from which a cell is good enough, or of the next.
+        """
+        rng, (uavs, devices), missions = self._rng, self._can.shape, len(self._ages)
+        for _ in range(_TOGETHER // 8):
+            if not len(self._areas) or rng.random() < 0.6 * (1.0 - done):
+                areas = rng.random((uavs, 3)) * [1.0, 1.0, 0.0]
+            else:
+                some = rng.random((uavs, 1)) < 0.6
+                areas = self._areas[rng.permutation(uavs)] if rng.random() < 0.1 else self._areas
+                areas = areas + some * rng.normal(size=(uavs, 3)) * _SPREAD
+            away = np.abs(areas[:, None, :2] - places).sum(axis=-1) + areas[:, 2:]  # (U, I)
+            owner = np.where(self._can, away, np.inf).argmin(axis=0)  # (I,)
+            numbers = np.ones((3, uavs, devices))
+            numbers[0] = (owner == np.arange(uavs)[:, None]) & self._can
+            numbers[1], numbers[2] = rng.choice((1.0, 1.5)), share + rng.choice((0, 1))
+            best, least = self.best, self.best_age
+            if (age := self.begin(numbers, missions)) < self._area_age:
+                self._areas, self._area_age = areas, age
+            if age >= least:
+                self.best, self.best_age = best, least
+            self.changes += 1
+        self.begin(self.best, missions)
 
     def step(self, done: float) -> None:
         """Try some changes when a fraction ``done`` of the search is over."""

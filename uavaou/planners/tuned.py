@@ -25,6 +25,7 @@ PROPOSALS = 4000  # without a time limit
 _SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the best coverage probability, from which a cell is good enough
 _FLIGHTS = 60  # slots that one UAV flies, of which the search counts one
 _LARGEST = 8_000_000  # draws of all missions together, for which there are fewer on a large map
+_AREAS = 0.2  # fraction of the search in which one of two chains looks for areas of the UAVs
 _DRAWS = ((0.4, 16), (0.7, 64), (1.0, 256))  # missions that score a rule, up to a fraction of the search
 _LEAST_COVERAGE = 0.02  # best probability below which a UAV does not serve a device
 
@@ -131,6 +132,7 @@ class _Search:
         numbers[:, 2] = _SHARES.index(SHARE)
         numbers[:, 0] = (np.stack(starts)[:, None] == np.arange(scenario.uavs)[:, None]) & can
         self._chains = [Chain(self._area, self._steps, can, start, seed) for seed, start in enumerate(numbers)]
+        self._places = layout.positions / [scenario.area_x_m, scenario.area_y_m]  # (I, 2)
         self._draws = 0
         self._go_on(0.0)
 
@@ -165,7 +167,10 @@ class _Search:
     def step(self, done: float) -> None:
         """Try some changes when a fraction ``done`` of the search is over."""
         self._go_on(done)
-        Tasks(*(partial(chain.step, done) for chain in self._chains)).run()
+        steps = [partial(chain.step, done) for chain in self._chains]
+        if done < _AREAS and len(self._area.start) > 1:
+            steps[-1] = partial(self._chains[-1].try_areas, done / _AREAS, self._places, _SHARES.index(SHARE))
+        Tasks(*steps).run()
 
     def best_plan(self, name: str, slot_length_s: float, interrupted: bool) -> RulePlan:
         """Return the best numbers found."""

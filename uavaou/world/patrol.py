@@ -209,8 +209,8 @@ def _fly(
                 best, there = value, to
         flown += there != cell
         cell = there
-    left: float = total.sum() / slots
-    return left
+    mean: float = total.sum() / slots
+    return mean
 
 
 @compiled_fast
