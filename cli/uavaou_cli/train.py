@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -60,7 +61,9 @@ def train(
     slots: Annotated[
         int | None, budget("Budget, in slots of all missions, such as 60k or 1e6. [default: as published]")
     ] = None,
-    config: Annotated[Path | None, option("Train the config.yaml of a run again as it was.", "FILE")] = None,
+    config: Annotated[
+        Path | None, option("Train the config.yaml of a run again as it was, or with another --seed.", "FILE")
+    ] = None,
     from_: Annotated[
         str | None, option("Begin with the weights of a run or a released policy, and its settings.", "RUN", "--from")
     ] = None,
@@ -103,8 +106,8 @@ def train(
         _refuse("--continue", given | {"--from": from_, "--config": config}, "the run goes on with its own settings")
         plan, folder = _continued(continue_, slots, resume)
     elif config is not None:
-        _refuse("--config", given | {"--slots": slots}, "the file says everything")
-        plan, folder = _again(config, out)
+        _refuse("--config", given | {"--slots": slots, "--seed": None}, "the file says everything else")
+        plan, folder = _again(config, seed, out)
     else:
         if family is not None:
             _refuse("--family", {"--scenario": scenario}, "a family has a base scenario")
@@ -206,12 +209,14 @@ def _overrides(items: list[str] | None, slots: int | None) -> Overrides:
     return overrides
 
 
-def _again(path: Path, out: Path) -> tuple[RunConfig, RunFolder]:
+def _again(path: Path, seed: int | None, out: Path) -> tuple[RunConfig, RunFolder]:
     """The training of a ``config.yaml``, and its folder: that of the file, where it is a run of ``out``."""
     from uavaou.runs.folder import RunFolder, config_folder, read_config
 
     config, own = read_config(path, to_train=True), RunFolder(path.parent)
-    if own.episodes.is_file() and realpath(own.path / "../../..") == realpath(out):
+    if seed is not None and seed != config.seed:
+        config = replace(config, seed=seed)
+    elif own.episodes.is_file() and realpath(own.path / "../../..") == realpath(out):
         return config, own  # its name may spell the settings otherwise: --slots as published, 1e-4 for 0.0001
     return config, config_folder(out, config)
 

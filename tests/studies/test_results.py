@@ -152,8 +152,8 @@ def test_the_kept_policy_stays_while_the_folder_of_a_better_one_is_missing(copie
 
 def test_training_from_a_kept_configuration_gives_the_same_results(copied: tuple[Study, Path], tmp_path: Path) -> None:
     study, out = copied
-    config = out / "studies/mine/configs/tiny/own critic/seed-1.yaml"
-    assert main(["train", "--config", str(config), "--out", str(tmp_path / "again"), "--quiet"]) == 0
+    config = out / "studies/mine/configs/tiny/own critic.yaml"
+    assert main(["train", "--config", str(config), "--seed", "1", "--out", str(tmp_path / "again"), "--quiet"]) == 0
     run = next(run for run in study.runs() if (run.key.variant, run.key.seed) == ("own critic", 1))
     ours, theirs = (study.folder(place, run) for place in (tmp_path / "again", out))
     for name in ("episodes.csv", "progress.csv"):

@@ -107,7 +107,7 @@ def test_a_study_that_cannot_be_run_is_refused_in_one_line(
         ("study run smoke --out file", "not a folder"),
         ("study run nowhere.yaml", "nowhere.yaml"),
         ("train --config nowhere.yaml", "nowhere.yaml"),
-        ("train --config x.yaml --seed 3", "--config and --seed"),
+        ("train --config x.yaml --slots 300", "--config and --slots"),
         ("train --config x.yaml --set algorithm.gamma=0.5", "--config and --set"),
     ],
 )

@@ -8,7 +8,7 @@ from typing import Any
 
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou.runs.folder import RunConfig, read_config
+from uavaou.runs.folder import RunConfig
 from uavaou.studies.folder import PLANNED, PartKey, StudyFolder
 from uavaou.studies.results import COLUMNS, Rows, StudyResults, read_begun
 from uavaou.studies.study import Study
@@ -92,7 +92,7 @@ def _configs(results: StudyResults) -> Iterator[tuple[PartKey, RunConfig]]:
     for key in results.parts:
         if key.seed is not None and results.folder.config(key).is_file():
             with suppress(InputError):
-                yield key, read_config(results.folder.config(key))
+                yield key, results.folder.read_config(key)
 
 
 def _renamed(rows: Rows, key: PartKey) -> Rows:

@@ -8,7 +8,7 @@ import numpy as np
 from uavaou.csv_tables import number, read_csv
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
-from uavaou.runs.folder import RunFolder, read_config
+from uavaou.runs.folder import RunFolder
 from uavaou.runs.results import PolicyResult, find_evaluation
 from uavaou.scenario import Scenario
 from uavaou.statistics import interval_over_missions
@@ -77,8 +77,7 @@ def refuse_another(study: Study, results: StudyResults) -> None:
     planner_parts, scenarios = set(study.planner_parts()), held.get("scenarios") or {}
     for key in results.parts:
         if key in configs:
-            path = results.folder.config(key)
-            if not path.is_file() or read_config(path) != configs[key]:
+            if not results.folder.config(key).is_file() or results.folder.read_config(key) != configs[key]:
                 raise InputError(f"{where} {key.variant} on {key.scenario} with other settings: {advice}")
         elif key not in planner_parts:
             raise InputError(f"{where} {key}, which the study lacks: {advice}")

@@ -6,13 +6,14 @@ Parts are trainings, planners, certified bounds, and the plans that some planner
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 from uavaou.csv_tables import CsvTable, read_csv, write_csv
 from uavaou.errors import InputError
 from uavaou.files import PathIn, folder_name, writing
+from uavaou.runs.folder import RunConfig, read_config
 from uavaou.runs.lock import LOCK, holder
 
 BOUND = "bound"
@@ -74,8 +75,17 @@ class StudyFolder:
         return self.path / f"{name}.csv"
 
     def config(self, key: PartKey) -> Path:
-        """The ``config.yaml`` of a training."""
-        return self.path / "configs" / folder_name(key.scenario) / folder_name(key.variant) / f"seed-{key.seed}.yaml"
+        """The ``config.yaml`` of the trainings of a variant on a scenario, which differ in the seed alone."""
+        return self.path / "configs" / folder_name(key.scenario) / f"{folder_name(key.variant)}.yaml"
+
+    def read_config(self, key: PartKey) -> RunConfig:
+        """Read the configuration of a training.
+
+        Raises:
+            InputError: there is none, or it cannot be used.
+        """
+        assert key.seed is not None, "planners have no configuration"
+        return replace(read_config(self.config(key)), seed=key.seed)
 
     def best(self, key: PartKey) -> Path:
         """Where the best run of a variant on a scenario is kept."""

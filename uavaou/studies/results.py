@@ -7,7 +7,7 @@ Reading needs neither torch nor the run folders.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -235,7 +235,7 @@ class StudyResults:
         """
         parts = [self.parts[key] for key in study.table_order() if key in self.parts]
         for key, config in self._new_configs.items():
-            write_text(self.folder.config(key), config.to_yaml())
+            write_text(self.folder.config(key), replace(config, seed=0).to_yaml())
         self._new_configs.clear()
         write_text(self.folder.study, "# The study as resolved: every setting of every run.\n" + study.to_yaml())
         for name, columns in COLUMNS.items():
