@@ -21,11 +21,9 @@ def test_there_are_committed_studies() -> None:
 @pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
 def test_the_committed_page_comes_out_of_the_committed_tables(tmp_path: Path, folder: Path) -> None:
     copy = tmp_path / folder.name
-    shutil.copytree(
-        folder, copy, ignore=shutil.ignore_patterns("figures", "best", "configs", "README.md", "marl-eval*")
-    )
+    shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("figures", "best", "configs", "README.md"))
     assert write_report(copy, tmp_path / "README.md") == []
-    for name in ("README.md", "trainings.csv", "marl-eval.json"):
+    for name in ("README.md", "trainings.csv"):
         assert (copy / name).read_text(encoding="utf-8") == (folder / name).read_text(encoding="utf-8"), name
 
 
