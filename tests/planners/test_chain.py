@@ -101,6 +101,6 @@ def test_the_search_gains_more_than_either_rule_has() -> None:
     for seed in (8, 1000, 1002):
         scenario = PAPER.replace(layout_seed=seed)
         starts = [search.best_age for search in begun(scenario)]
-        plan = LocalGreedyTuned(slots=250_000).plan(scenario, scenario.draw_layout())
+        plan = LocalGreedyTuned(slots=500_000).plan(scenario, scenario.draw_layout())
         gains.append(plan.mean_aou_s / scenario.slot_length_s / min(starts))
     assert np.exp(np.log(gains).mean()) < 0.95

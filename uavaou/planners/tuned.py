@@ -23,7 +23,7 @@ from uavaou.world.pull import SHARE, PullPlan, gain_needed, steps_where
 
 PROPOSALS = 4000  # without a time limit
 _SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the best coverage probability, from which a cell is good enough
-_FLIGHTS = 60  # slots that one UAV flies, of which the search counts one
+_FLIGHTS = 24  # slots that one UAV flies, of which the search counts one
 _LARGEST = 8_000_000  # draws of all missions together, for which there are fewer on a large map
 _AREAS = 0.2  # fraction of the search in which one of two chains looks for areas of the UAVs
 _DRAWS = ((0.4, 16), (0.7, 64), (1.0, 256))  # missions that score a rule, up to a fraction of the search
@@ -59,7 +59,7 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
 
     Args:
         time_limit_s: of the planning.
-        slots: that are simulated, in the place of a time, of which 60 that one UAV flies count as one: the plan is then
+        slots: that are simulated, in the place of a time, of which 24 that one UAV flies count as one: the plan is then
             the same on every run.
     """
 
