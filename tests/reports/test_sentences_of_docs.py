@@ -266,7 +266,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "29 kills of two MAPPO runs": "docs/reliability.md",
     "are subclasses of SB3's classes": "the name of a package",
     "4 to 10 times as fast as SB3's": "docs/pipeline.md",
-    "a graph of 155 to 466 kB": "docs/on-board.md",
+    "a graph of 134 to 156 kB": "docs/on-board.md",
     "In 1,440 of 1,440 rows": "docs/on-board.md",
     "168 million actions": "5 x 2^25",
     "1/M Σ_b": "a formula",
