@@ -13,7 +13,7 @@ from uavaou.arrays import Bools, Floats, Ints
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.patrol import Cells, PatrolArea, Singles, fly_fleet
 
-_HOT = 0.001  # first temperature, in mean AoU; it falls to 0
+_HOT = 0.003  # first temperature, in mean AoU; it falls to 0
 _TOGETHER, _WORK = 64, 400_000_000  # changes of one call at most, fewer where one flies over so many columns in slots
 _TWICE = 0.3  # share of the changes that are two at once
 _WEIGHT, _DROP, _ADD, _REACH, _SHARE = np.cumsum([0.25, 0.1, 0.1, 0.15, 0.1])  # odds of each; the rest swaps
