@@ -45,8 +45,8 @@ def test_the_best_numbers_are_as_good_as_the_search_says(changes: dict[str, Any]
     best, age, present = search.best.copy(), search.best_age, search._ages.mean()
     assert age < start
     assert present > age - 1e-9
-    assert present == search.begin(search._numbers, 16)  # the routes that were kept are those of the present numbers
-    assert age == search.begin(best, 16) == other.begin(best, 16)
+    assert present == search.score(search._numbers, 16)  # the routes that were kept are those of the present numbers
+    assert age == search.score(best, 16) == other.score(best, 16)
     assert search._can[best[0] > 0].all()
     assert set(best[2].ravel()) <= set(range(len(_SHARES)))
 

@@ -74,7 +74,7 @@ def literal_patrol(area: PatrolArea, uav: int, members: list[int], missions: int
             moves = [
                 (sum(sum(waiting[i]) * float(area.pull[uav, to, i]) for i in members), -move)
                 for move, to in enumerate(area.target[cell])
-                if area.home[uav, to] <= max(slots - slot - 2, 0)
+                if area.home[uav, to] <= slots - slot - 2
                 and area.home[uav, to] + (to != cell) <= area.budget[uav] - flown
             ]
             to = area.target[cell, -max(moves)[1] if moves else area.step_home[uav, cell]]

@@ -23,6 +23,14 @@ _SPREAD = (0.12, 0.12, 0.08)  # of a change of an area, in sizes of the map
 WEIGHTS, REACHES = (0.1, 10.0), (0.4, 8.0)
 
 
+def numbers_of(owner: Ints, can: Bools, share: int) -> Floats:
+    """Return the numbers, (3, U, I), with which each UAV is drawn to the devices (I,) that it owns, and can serve."""
+    numbers = np.ones((3, *can.shape))
+    numbers[0] = (owner == np.arange(len(can))[:, None]) & can
+    numbers[2] = share
+    return numbers
+
+
 class Chain:
     """A search in progress.
 
@@ -51,15 +59,18 @@ class Chain:
         self._numbers, self._ages = numbers, np.empty(0)  # (missions,) slots
         self._areas, self._area_age = np.empty((0, 3)), np.inf  # (U, 3), and its mean AoU
 
-    def begin(self, numbers: Floats, missions: int, area: PatrolArea | None = None) -> float:
-        """Go on from other numbers, or score with more missions; return their mean AoU in slots."""
+    def begin(self, numbers: Floats, missions: int) -> None:
+        """Go on from other numbers, or score with more missions."""
+        self.best, self.best_age = numbers.copy(), self.score(numbers, missions)
+
+    def score(self, numbers: Floats, missions: int, area: PatrolArea | None = None) -> float:
+        """Make these the present numbers; return their mean AoU in slots, in an area of this size."""
         self._numbers, self._ages = numbers.copy(), np.empty(missions)
         _write_pulls(self._steps, self._numbers, self._pull, self._serves)
         everyone = np.arange(len(self._can))
         fly_fleet(area or self._area, everyone, self._serves, self._pull, 0, self._routes, self._ages)
         self.flown += _work(self._routes, missions, len(everyone))
-        self.best, self.best_age = numbers.copy(), float(self._ages.mean())
-        return self.best_age
+        return float(self._ages.mean())
 
     def try_areas(self, done: float, places: Floats, share: int) -> None:
         """Try some plans of whose device is whose, when a fraction ``done`` of that is over.
@@ -72,7 +83,7 @@ class Chain:
             places: of the devices in sizes of the map, (I, 2).
             share: index of the share from which a cell is good enough, or of the next.
         """
-        rng, (uavs, devices), missions = self._rng, self._can.shape, len(self._ages)
+        rng, uavs, missions = self._rng, len(self._can), len(self._ages)
         for _ in range(_TOGETHER // 8):
             if not len(self._areas) or rng.random() < 0.6 * (1.0 - done):
                 areas = rng.random((uavs, 3)) * [1.0, 1.0, 0.0]
@@ -82,14 +93,13 @@ class Chain:
                 areas = areas + some * rng.normal(size=(uavs, 3)) * _SPREAD
             away = np.abs(areas[:, None, :2] - places).sum(axis=-1) + areas[:, 2:]  # (U, I)
             owner = np.where(self._can, away, np.inf).argmin(axis=0)  # (I,)
-            numbers = np.ones((3, uavs, devices))
-            numbers[0] = (owner == np.arange(uavs)[:, None]) & self._can
-            numbers[1], numbers[2] = rng.choice((1.0, 1.5)), share + rng.choice((0, 1))
-            best, least = self.best, self.best_age
-            if (age := self.begin(numbers, missions)) < self._area_age:
+            reach, wider = rng.choice((1.0, 1.5)), rng.choice((0, 1))
+            numbers = numbers_of(owner, self._can, share + wider)
+            numbers[1] = reach
+            if (age := self.score(numbers, missions)) < self._area_age:
                 self._areas, self._area_age = areas, age
-            if age >= least:
-                self.best, self.best_age = best, least
+            if age < self.best_age:
+                self.best, self.best_age = numbers, age
             self.changes += 1
         self.begin(self.best, missions)
 
@@ -100,9 +110,21 @@ class Chain:
         heat = _HOT * self.best_age * (1.0 - done) ** 2 * self._rng.exponential(size=count)
         drawn, normal = self._rng.random((count, 2, _DRAWN)), self._rng.normal(size=(count, 2))
         self.best_age, flown = _anneal(
-            self._area, self._steps, self._can, self._numbers, self._pull, self._serves, self._routes, self._spare,
-            self._ages, heat, drawn, normal, self.best_age, self.best,
-        )  # fmt: skip
+            self._area,
+            self._steps,
+            self._can,
+            self._numbers,
+            self._pull,
+            self._serves,
+            self._routes,
+            self._spare,
+            self._ages,
+            heat,
+            drawn,
+            normal,
+            self.best_age,
+            self.best,
+        )
         self.changes += count
         self.flown += flown
 
@@ -176,9 +198,15 @@ def _change(drawn: Floats, normal: float, can: Bools, shares: int, numbers: Floa
 
 @compiled_fast
 def _race(
-    area: PatrolArea, changed: Ints, serves: Singles, pull: Singles, routes: Cells, rival: Floats, margin: float,
+    area: PatrolArea,
+    changed: Ints,
+    serves: Singles,
+    pull: Singles,
+    routes: Cells,
+    rival: Floats,
+    margin: float,
     ages: Floats,
-) -> tuple[bool, int]:  # fmt: skip
+) -> tuple[bool, int]:
     """Fly missions until it is clear that their mean age is above that of the ``rival`` by the margin.
 
     Returns:
@@ -199,9 +227,21 @@ def _race(
 
 @compiled_fast
 def _anneal(
-    area: PatrolArea, steps: Singles, can: Bools, numbers: Floats, pull: Singles, serves: Singles, routes: Cells,
-    spare: Cells, ages: Floats, heat: Floats, drawn: Floats, normal: Floats, best_age: float, best: Floats,
-) -> tuple[float, int]:  # fmt: skip
+    area: PatrolArea,
+    steps: Singles,
+    can: Bools,
+    numbers: Floats,
+    pull: Singles,
+    serves: Singles,
+    routes: Cells,
+    spare: Cells,
+    ages: Floats,
+    heat: Floats,
+    drawn: Floats,
+    normal: Floats,
+    best_age: float,
+    best: Floats,
+) -> tuple[float, int]:
     """Try a change for each of the temperatures ``heat``; return the least mean AoU so far, and the slots flown."""
     now, flown, pairs = np.empty_like(ages), 0, np.empty((4, 2), np.int64)
     for k in range(len(heat)):

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from uavaou.arrays import Floats, Ints
-from uavaou.planners.chain import Chain
+from uavaou.planners.chain import Chain, numbers_of
 from uavaou.planners.local_greedy import LocalGreedy, LocalGreedyParts
 from uavaou.planners.plan import AheadPlanner, OnProgress, Plan, PlanningStatus
 from uavaou.scenario import Layout, Scenario
@@ -19,7 +19,7 @@ from uavaou.threads import Tasks
 from uavaou.world import World
 from uavaou.world.flight import neighbours
 from uavaou.world.patrol import fresh, patrol_area
-from uavaou.world.pull import SHARE, PullPlan, gain_needed, steps_where
+from uavaou.world.pull import SHARE, PullPlan, steps_left
 
 PROPOSALS = 4000  # without a time limit
 _SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the best coverage probability, from which a cell is good enough
@@ -53,9 +53,9 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
     """The rule of :class:`LocalGreedy` with free weights, reaches and shares for each pair of a UAV and a device.
 
     They are found before take-off, by the mean AoU of simulated missions on common draws of fading. The search begins
-    with areas of the UAVs, which have to beat ``local-greedy`` and ``local-greedy-parts``, and goes on with the numbers
-    of single pairs. In flight, each UAV remembers when each device was last in its own range. Several UAVs may serve a
-    device.
+    with the numbers of ``local-greedy-parts``, and side by side with those of ``local-greedy`` and with areas of the
+    UAVs, and changes the numbers of single pairs. In flight, each UAV remembers when each device was last in its own
+    range. Several UAVs may serve a device.
 
     Args:
         time_limit_s: of the planning.
@@ -121,17 +121,12 @@ class _Search:
         missions = min(_DRAWS[-1][1], max(_LARGEST // (scenario.slots * scenario.devices), _DRAWS[0][1]))
         missions = max(missions, scenario.uavs)
         self._area = patrol_area(scenario, world.flight.cds, positions, headroom, layout.update_period, missions)
-        with np.errstate(divide="ignore"):
-            needed = gain_needed(scenario, positions, 1.0 / headroom)  # (U, C, I)
-        steps = [steps_where(scenario, needed, share).astype(np.float32) for share in _SHARES]
-        self._steps = np.stack(steps)  # (S, U, C, I)
+        self._steps = np.concatenate([steps_left(world, share) for share in _SHARES])  # (S, U, C, I)
         best = self._area.probability[..., : scenario.devices].max(axis=1)  # (U, I)
         can = best >= _LEAST_COVERAGE
-        starts = [rule.owners(world, best[None] > 0.0)[0] for rule in (LocalGreedyParts(), LocalGreedy())]  # (I,) each
-        numbers = np.ones((len(starts), 3, scenario.uavs, scenario.devices))  # weight, reach, index of the share
-        numbers[:, 2] = _SHARES.index(SHARE)
-        numbers[:, 0] = (np.stack(starts)[:, None] == np.arange(scenario.uavs)[:, None]) & can
-        self._chains = [Chain(self._area, self._steps, can, start, seed) for seed, start in enumerate(numbers)]
+        fixed = [rule.owners(world, best[None] > 0.0)[0] for rule in (LocalGreedyParts(), LocalGreedy())]  # (I,) each
+        starts = [numbers_of(owner, can, _SHARES.index(SHARE)) for owner in fixed]
+        self._chains = [Chain(self._area, self._steps, can, start, seed) for seed, start in enumerate(starts)]
         self._places = layout.positions / [scenario.area_x_m, scenario.area_y_m]  # (I, 2)
         self._draws = 0
         self._go_on(0.0)
@@ -175,11 +170,16 @@ class _Search:
     def best_plan(self, name: str, slot_length_s: float, interrupted: bool) -> RulePlan:
         """Return the best numbers found."""
         weight, reach, share = numbers = self._best()
-        age = self._chains[0].begin(numbers, len(self._area.draws), fresh(self._area))
+        age = self._chains[0].score(numbers, len(self._area.draws), fresh(self._area))
         steps = np.take_along_axis(self._steps, share[None, :, None].astype(np.int64), axis=0)[0]  # (U, C, I)
         with np.errstate(divide="ignore"):
             pull = np.exp(np.log(weight)[:, None] - steps / reach[:, None])  # (U, C, I)
         return RulePlan(
-            name, slot_length_s * age, weight, reach, np.array(_SHARES)[share.astype(int)], pull,
+            name,
+            slot_length_s * age,
+            weight,
+            reach,
+            np.array(_SHARES)[share.astype(int)],
+            pull,
             interrupted=interrupted,
-        )  # fmt: skip
+        )

@@ -180,9 +180,15 @@ def _some(rows: Singles, members: Ints, columns: int) -> Singles:
 
 @compiled_fast
 def _fly(
-    start: int, budget: int, cells: tuple[Ints, Ints, Ints], probability: Singles, pull: Singles, generated: Singles,
-    draws: Singles, route: Cells,
-) -> float:  # fmt: skip
+    start: int,
+    budget: int,
+    cells: tuple[Ints, Ints, Ints],
+    probability: Singles,
+    pull: Singles,
+    generated: Singles,
+    draws: Singles,
+    route: Cells,
+) -> float:
     """Do what :func:`fly` says in one mission, over all columns: the processor computes several at once."""
     (slots, columns), (target, home, step_home) = generated.shape, cells
     pending, age, total = np.zeros((3, columns), np.float32)
@@ -202,7 +208,7 @@ def _fly(
             downs += age[i] * pull[down, i]
             rights += age[i] * pull[right, i]
             lefts += age[i] * pull[left, i]
-        time_left, steps_left = max(slots - slot - 2, 0), budget - flown
+        time_left, steps_left = slots - slot - 2, budget - flown
         best, there = np.float32(-1.0), target[cell, step_home[cell]]
         for to, value in ((stay, stays), (up, ups), (down, downs), (right, rights), (left, lefts)):
             if value > best and home[to] <= time_left and home[to] + (to != cell) <= steps_left:
@@ -244,7 +250,7 @@ def fly_fleet(
                 cell, drawn = routes[uav, first + mission, slot], _draw_of(area, uav, first + mission)
                 for i in range(columns):
                     kept[i] *= np.float32(draws[drawn, slot, i] >= probability[uav, cell, i])
-            for i in range(columns):
+            for i in range(columns):  # as above: a function of slices would take three times as long
                 pending[i] = (pending[i] + generated[slot, i]) * kept[i]
                 age[i] = age[i] * kept[i] + pending[i]
                 total[i] += age[i]
