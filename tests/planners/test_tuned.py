@@ -71,6 +71,15 @@ def test_with_fading_simulated_missions_have_the_world_s_mean() -> None:
     assert abs(flown.mean() - simulated.mean()) < 4.0 * error < 0.3 * flown.mean()
 
 
+def test_uavs_over_the_same_devices_have_draws_of_their_own() -> None:
+    hovering = QUICK.replace(cds_m=[[300, 300]] * QUICK.uavs)
+    rule = drawn_rule(hovering, 0)
+    still = RulePlan(rule.planner, 0.0, rule.weight, rule.reach, rule.share, np.zeros_like(rule.pull))
+    flown, simulated = flown_and_simulated(hovering, still, 400)
+    error = np.hypot(flown.std(), simulated.std()) / 20.0
+    assert abs(flown.mean() - simulated.mean()) < 4.0 * error
+
+
 def test_the_same_work_gives_the_same_plan_which_is_no_worse(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uavaou.planners.tuned.PROPOSALS", 1200)
     statuses: list[PlanningStatus] = []
