@@ -31,8 +31,9 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@touch $@
 
 $(VENV)/.compiled: $(VENV)/.installed
-	@echo "Compiling what every command needs (half a minute, once) ..."
+	@echo "Compiling what every command needs (one to two minutes, once) ..."
 	@$(BIN)/uavaou fly tiny --quiet --out $(VENV)/first-flight > /dev/null
+	@$(BIN)/uavaou train tiny --slots 100 --set algorithm.critic_rollouts=0 --quiet --out $(VENV)/first-flight > /dev/null
 	@touch $@
 
 demo: install

@@ -275,7 +275,7 @@ def test_help_names_every_algorithm(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize("name", ["mappo", "ippo", "vdn", "qmix"])
 def test_fields_keep_the_order_of_the_committed_configurations(name: str) -> None:
-    path = Path(__file__).resolve().parents[2] / f"results/studies/paper/configs/paper/{name}/seed-0.yaml"
+    path = Path(__file__).resolve().parents[2] / f"results/studies/paper/configs/paper/{name}.yaml"
     committed = yaml.safe_load(path.read_text())["algorithm"]
     fields = list(RunConfig.load(name).algorithm.model_dump())
     assert [field for field in fields if field in committed] == list(committed)  # newer ones have defaults
