@@ -22,10 +22,12 @@ QUICK = Scenario.load("quickstart")
 
 
 @cache
-def local_rows(rows: str, observation: str, scenario: Scenario = QUICK, missions: int = 168) -> NDArray[np.float32]:
+def local_rows(
+    rows: str, observation: str, scenario: Scenario = QUICK, missions: int = 168, collection: str = "auto"
+) -> NDArray[np.float32]:
     """What UAVs saw in 30 slots of missions that they flew at random, (30 * N * U, local)."""
     world, rng = World(scenario, missions, seed=5), np.random.default_rng(0)
-    views, seen = make_views(scenario, observation, "auto", rows), []
+    views, seen = make_views(scenario, observation, collection, rows), []
     while world.slot <= 30:
         seen.append(views.local(world).reshape(-1, views.layout.local_size).copy())
         world.step(rng.integers(0, MOVES, (missions, scenario.uavs)), rng.random(world.in_range.shape) < 0.5)
@@ -61,7 +63,8 @@ def lively(
         for parameter in policy.parameters():
             width = parameter.shape[-1] if parameter.dim() else 1
             parameter.add_(th.randn(parameter.shape, generator=generator) / width**0.5)
-        usual = scores(policy, local_rows(config.rows, config.observation, scenario, 5))[:, :MOVES].mean(axis=0)
+        rows = local_rows(config.rows, config.observation, scenario, 5, config.collection)
+        usual = scores(policy, rows)[:, :MOVES].mean(axis=0)
         head = policy.action_net if algorithm.startswith("mappo") else policy.utilities.advantage
         getattr(head, "moves", head).bias[:MOVES] -= th.from_numpy(usual)
     policy.set_training_mode(False)

@@ -46,7 +46,13 @@ def fly(trained: TrainedPolicy, pilots: list[Pilot]) -> list[list[int]]:
         others = [np.delete(at, pilot.uav, axis=0) if pilot.shared else () for pilot in pilots]
         decided = [pilot.decide(at[pilot.uav], world.in_range[0, pilot.uav], others[pilot.uav]) for pilot in pilots]
         for name, rows in inputs_of(local, trained.views.layout, trained.model.policy.pull).items():
-            np.testing.assert_allclose([pilot.session.rows[name][0] for pilot in pilots], rows, atol=1e-6, rtol=1e-6)
+            for pilot, expected in zip(pilots, rows, strict=True):
+                given = pilot.session.rows[name][0]
+                if len(expected) < len(given):  # of its part alone: the pilot has tokens of the others, all zero
+                    there = pilot.session.rows["devices"][0, :, 0] > 0.5
+                    assert not given[~there].any() and not expected[there.sum() :].any()
+                    given, expected = given[there], expected[: there.sum()]
+                np.testing.assert_allclose(given, expected, atol=1e-6, rtol=1e-6)
         moves, selections = trained.act(world)
         wanted = world.flight.resolve(moves, world.cells, world.allowed_moves, world._on_grid)[0]
         if pilots[0].action == "greedy":

@@ -161,6 +161,26 @@ def test_a_uav_sees_its_own_part_as_if_it_were_alone() -> None:
     np.testing.assert_array_equal(mine[..., : OWN.index("devices")], known[..., : OWN.index("devices")])
 
 
+def test_on_a_fixed_map_a_row_of_auto_has_no_more_tokens_than_the_largest_part() -> None:
+    scenario = SCENARIO.replace(layout="fixed", devices=9)
+    world = played(scenario)
+    short, long = EntityViews(scenario, "part", "auto"), EntityViews(scenario, "part", "auto", most=(3, 9))
+    rows, whole = short.rows(world), long.rows(world)
+    for kind in ("devices", "pulls"):
+        seen, among = tokens(short, rows, kind), tokens(long, whole, kind)  # (N * U, P, features), (N * U, 9, features)
+        own = tokens(long, whole, "devices")[..., 0] > 0.5
+        counts = own.sum(axis=1)
+        assert seen.shape[1] == counts.max() < 9
+        for row in range(len(rows)):
+            np.testing.assert_array_equal(seen[row, : counts[row]], among[row, own[row]])
+            assert not seen[row, counts[row] :].any()
+    for name in ("own", "allowed_moves"):
+        np.testing.assert_array_equal(tokens(short, rows, name), tokens(long, whole, name))
+    state = short.layout.local_size, long.layout.local_size
+    np.testing.assert_array_equal(rows[:, state[0] :], whole[:, state[1] :])
+    assert EntityViews(scenario, "part", "select").layout.devices == 9  # an action names each device
+
+
 @pytest.mark.parametrize("observation", ["part", "local", "shared"])
 def test_padding_changes_nothing_and_is_zero(observation: str) -> None:
     world = played(SCENARIO)

@@ -137,16 +137,20 @@ class EntityViews(RowViews):
         uavs, devices = most or own
         if uavs < own[0] or devices < own[1]:
             raise InputError(f"most = {(uavs, devices)}: the scenario has {own[0]} UAVs and {own[1]} devices")
-        local = local_columns(uavs, devices)
+        self.plan, seen = plan, devices
+        if observation == "part" and collection == "auto" and scenario.layout == "fixed" and most is None:
+            # No action names a device: a row has tokens for those of a part alone, as many as the largest part has.
+            seen = int(told_before_take_off(World(scenario), plan)[1].sum(axis=-1).max())
+        local = local_columns(uavs, seen)
         state = consecutive(
             ("mission", 1, len(STATE_MISSION)), ("uavs", uavs, _STATE_UAV), ("devices", devices, _STATE_DEVICE)
         )
-        self.layout = RowLayout(uavs, devices, collection, local, state, "entities")
-        self._pads = (uavs, devices) != own
+        self.layout = RowLayout(uavs, seen, collection, local, state, "entities")
+        self._parts = seen < devices
+        self._pads = (uavs, devices) != own or observation == "part"
         cells = scenario.columns * scenario.rows
         self._sizes = np.log([own[1] / _PAPER_DEVICES, own[0] / _PAPER_UAVS, cells / 121]).astype(np.float32)  # (3,)
         self._altitudes = scenario.altitudes  # (U,) m
-        self.plan = plan
         self._placed: Floats | None = None  # the positions of the devices that the arrays below are of
         self._devices: Floats = np.empty(0)  # (L, I, 2) grid steps
         self._middle: Floats = np.empty(0)  # (L, 2) of the devices, grid steps
@@ -154,6 +158,7 @@ class EntityViews(RowViews):
         self._steps: Floats = np.empty(0)  # (L, U, C, I) grid steps to where a UAV collects a device well
         self._target = neighbours(scenario)[0]  # (C, 5)
         self._own: Bools = np.empty(0, dtype=np.bool_)  # (L, U, I) whether a device is in a UAV's part of the map
+        self._places: Ints = np.empty(0, dtype=np.int64)  # (L, U, I) of a device's token in a row, or -1
 
     def local(self, world: World, out: Rows | None = None) -> Rows:
         """Return the local observations, (N, U, local), or write them into the first columns of ``out``."""
@@ -170,20 +175,18 @@ class EntityViews(RowViews):
             members = self._own.sum(axis=-1)  # (L, U)
             own[..., OWN.index("devices")] = np.log(np.maximum(members, 1) / _PAPER_DEVICES)
             own[..., OWN.index("uavs")] = np.log(1 / _PAPER_UAVS)
-            at["teammates"][...] = 0.0
         else:
             _write_teammates(world.cells, cds, self._altitudes, shared, at["teammates"])
         _write_devices(
-            self._devices, world.cells, cds, self._radius, self._own, world.in_range, world.update_period, world.slot,
-            world.last_collection_by, world.last_collection, world.ages.age_slots, self._waiting, shared,
+            self._devices, world.cells, cds, self._radius, self._own, self._places, world.in_range, world.update_period,
+            world.slot, world.last_collection_by, world.last_collection, world.ages.age_slots, self._waiting, shared,
             alone, at["devices"],
         )  # fmt: skip
         # Where every device in range is collected, by whichever UAV, all that have it in range know.
         last = world.last_in_range if self.collection == "auto" else world.last_collection_by
         write_pulls(
-            self._steps, self._target, world.cells @ np.array([self.scenario.rows, 1]), self._own, world.in_range,
-            world.update_period, world.slot, last, world.pending, world.ages.age_slots, shared,
-            alone, at["pulls"],
+            self._steps, self._target, world.cells @ np.array([self.scenario.rows, 1]), self._places, world.in_range,
+            world.update_period, world.slot, last, world.pending, world.ages.age_slots, shared, at["pulls"],
         )  # fmt: skip
         return out
 
@@ -223,6 +226,9 @@ class EntityViews(RowViews):
         self._middle = self._devices.mean(axis=1)
         self._radius, self._own, steps = told_before_take_off(world, self.plan)
         self._steps = np.minimum(steps, MOST_STEPS)
+        shown = self._own if self.observation == "part" else np.ones_like(self._own)
+        order = shown.cumsum(axis=-1) - 1 if self._parts else np.arange(self.scenario.devices)
+        self._places = np.where(shown, order, -1)
 
 
 @compiled
@@ -294,23 +300,23 @@ def _own_age(slot: int, last: int, period: int) -> float:
 
 @compiled
 def _write_devices(
-    devices: Floats, cells: Ints, cds: Ints, radius: Floats, own: Bools, in_range: Bools, period: Ints, slot: int,
-    last_by: Ints, last: Ints, age_slots: Ints, waiting: Rows, shared: bool, alone: bool, tokens: Rows,
+    devices: Floats, cells: Ints, cds: Ints, radius: Floats, own: Bools, places: Ints, in_range: Bools, period: Ints,
+    slot: int, last_by: Ints, last: Ints, age_slots: Ints, waiting: Rows, shared: bool, alone: bool, tokens: Rows,
 ) -> None:  # fmt: skip
-    """Write (N, U, I * features): what each UAV knows of each device; ``alone``, of its ``own`` (L, U, I)."""
+    """Write (N, U, I * features): what each UAV knows of each device that has a place in its row, (L, U, I)."""
     missions, uavs = cells.shape[:2]
     steps = np.empty(uavs)  # until each UAV, seen from where the others know it to be, covers the device
     for n in range(missions):
         layout = min(n, len(devices) - 1)  # a common one, or one for each mission
         for i in range(devices.shape[1]):
             device, k = devices[layout, i], period[layout, i]
-            for v in range(uavs):
+            for v in range(0 if alone else uavs):
                 steps[v] = _steps_to_coverage(device, cells[n, v] if shared else cds[v], radius[layout, v, i])
             for u in range(uavs):
-                token = tokens[n, u, _DEVICE * i : _DEVICE * (i + 1)]
-                if alone and not own[layout, u, i]:
-                    token[:] = 0.0
+                place = places[layout, u, i]
+                if place < 0:
                     continue
+                token = tokens[n, u, _DEVICE * place : _DEVICE * (place + 1)]
                 x, y = device[0] - cells[n, u, 0], device[1] - cells[n, u, 1]
                 distance = math.sqrt(x * x + y * y)
                 away = max(distance - radius[layout, u, i], 0.0)

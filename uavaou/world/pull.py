@@ -209,12 +209,12 @@ def estimated_age(slot: Any, last: Any, period: Any) -> Any:
 
 @compiled
 def write_pulls(
-    steps: Floats, target: Ints, cells: Ints, own: Bools, in_range: Bools, period: Ints, slot: int, last_by: Ints,
-    pending: Ints, age_slots: Ints, shared: bool, alone: bool, pulls: Rows,
+    steps: Floats, target: Ints, cells: Ints, places: Ints, in_range: Bools, period: Ints, slot: int, last_by: Ints,
+    pending: Ints, age_slots: Ints, shared: bool, pulls: Rows,
 ) -> None:  # fmt: skip
     """Write (N, U, I * features): what the pull of each device is made of, for UAVs in ``cells`` (N, U).
 
-    ``own`` (L, U, I) says which devices a UAV serves.
+    ``places`` (L, U, I) says which of the pulls in a row is that of a device; those below 0 are left out.
     """
     missions, uavs = cells.shape
     moves = target.shape[1]
@@ -222,10 +222,10 @@ def write_pulls(
         layout = min(n, len(steps) - 1)
         for u in range(uavs):
             for i in range(steps.shape[3]):
-                pull = pulls[n, u, (2 + moves) * i : (2 + moves) * (i + 1)]
-                if alone and not own[layout, u, i]:
-                    pull[:] = 0.0
+                place = places[layout, u, i]
+                if place < 0:
                     continue
+                pull = pulls[n, u, (2 + moves) * place : (2 + moves) * (place + 1)]
                 k = period[layout, i]
                 if in_range[n, u, i]:  # collected in this slot
                     pull[0] = 0.0
