@@ -13,13 +13,14 @@ import torch
 
 from benchmarks.environment import scaling, stepping
 from benchmarks.measure import Measurement, report
-from benchmarks.training import STOCK, memory, parts, training
+from benchmarks.training import STOCK, memory, networks, parts, training
 from uavaou.csv_tables import write_csv
 from uavaou.runs.machine import describe_machine
 
 Part = Callable[[], list[Measurement]]
 PARTS: dict[str, Part] = {
-    "stepping": stepping, "scaling": scaling, "parts": parts, "training": training, "memory": memory,
+    "stepping": stepping, "scaling": scaling, "parts": parts, "training": training, "networks": networks,
+    "memory": memory,
 }  # fmt: skip
 QUICK: dict[str, Part] = {
     "stepping": lambda: stepping(slots=20, repeats=1),
@@ -28,6 +29,7 @@ QUICK: dict[str, Part] = {
     ),
     "parts": lambda: parts(repeats=1, rollout_slots=25),
     "training": lambda: training(repeats=1, rollout_slots=25),
+    "networks": lambda: networks(repeats=1, rollout_slots=5),
     "memory": lambda: memory(rollouts=2),
 }
 REFERENCES = ("supersuit stage, 1 process",)

@@ -87,7 +87,11 @@ def _cores(repeats: int) -> list[Measurement]:
 
 
 def _label(name: str, threads: int) -> str:
-    return f"uavaou {name}, {threads} thread{'s' if threads > 1 else ''}"
+    return f"uavaou {name}, {_threads(threads)}"
+
+
+def _threads(number: int) -> str:
+    return f"{number} thread{'s' if number > 1 else ''}"
 
 
 def _training(repeats: int, rollout_slots: int | None, hidden: list[int]) -> list[Measurement]:
@@ -106,6 +110,44 @@ def _training(repeats: int, rollout_slots: int | None, hidden: list[int]) -> lis
             model = _ours(scenario, config if name == "mappo" else load_config(name, {"hidden": hidden}))
             contestants[_label(name, threads)] = (_learner(model, ROLLOUTS * rows, threads), ROLLOUTS * rows)
     return side_by_side(f"training on paper, 64 missions, networks {hidden[0]}-{hidden[1]}", contestants, repeats)
+
+
+def networks(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:
+    """Agent steps a second with updates, of the flat network and of the set whose devices pull, for the same work.
+
+    Both are as `mappo-paper` and `mappo` have them, with `auto`, on `paper` and on a map of 10 UAVs and 500 devices.
+    """
+    corners = [(x, y) for x in (0, 1000, 2000) for y in (0, 1000, 2000)]
+    large = Scenario.load("paper").replace(
+        area_x_m=2000,
+        area_y_m=2000,
+        uavs=10,
+        devices=500,
+        altitudes_m=tuple(range(80, 100, 2)),
+        cds_m=(*corners, (500, 500)),
+    )
+    contestants = {
+        "flat": ("mappo-paper", {"collection": "auto"}),
+        "set with pulls": ("mappo", {"critic_rollouts": 0}),
+        "set with pulls, part": ("mappo", {"critic_rollouts": 0, "observation": "part"}),
+    }
+    measured = []
+    for title, scenario, missions, epochs in (
+        ("paper", Scenario.load("paper"), MISSIONS, WORK["epochs"]),
+        ("10 UAVs and 500 devices", large, 16, 1),
+    ):
+        work: dict[str, Any] = WORK | {"missions": missions, "rollout_slots": rollout_slots or 60, "epochs": epochs}
+        rows = ROLLOUTS * missions * scenario.uavs * work["rollout_slots"]
+        learners = {
+            f"{name}, {_threads(threads)}": (
+                _learner(_ours(scenario, load_config(published, work | changes)), rows, threads),
+                rows,
+            )
+            for name, (published, changes) in contestants.items()
+            for threads in sorted({1, available_threads()})
+        }
+        measured += side_by_side(f"networks on {title}, {missions} missions, {epochs} epochs", learners, repeats)
+    return measured
 
 
 def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:
@@ -216,7 +258,8 @@ def _mappo(rollout_slots: int | None, **changes: Any) -> MappoConfig:
 
 
 def _ours(scenario: Scenario, config: AlgorithmConfig) -> BaseAlgorithm:
-    env = flatten(scenario, missions=config.missions, collection=config.collection)
+    missions, collection = config.missions, config.collection
+    env = flatten(scenario, missions, observation=config.observation, collection=collection, rows=config.rows)
     return make_model(config, env, seed=0, device="cpu")
 
 

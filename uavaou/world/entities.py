@@ -368,29 +368,34 @@ def _write_state(
 ) -> None:  # fmt: skip
     """Write (N, I * features): a token of the state for each device."""
     missions, uavs = cells.shape[:2]
+    count = devices.shape[1]
+    x, y = devices[..., 0].copy(), devices[..., 1].copy()  # (L, I): loops over devices run in vectors
+    nearest, second, widest = np.empty(count), np.empty(count), np.empty(count)
     for n in range(missions):
         layout = min(n, len(devices) - 1)
-        for i in range(devices.shape[1]):
-            nearest, second, widest, served = _FAR, _FAR, 0.0, False
+        nearest[:], second[:], widest[:] = _FAR, _FAR, 0.0
+        for u in range(uavs):
+            for i in range(count):
+                to_x, to_y, reach = x[layout, i] - cells[n, u, 0], y[layout, i] - cells[n, u, 1], radius[layout, u, i]
+                away = max(math.sqrt(to_x * to_x + to_y * to_y) - reach, 0.0)
+                second[i] = min(second[i], max(nearest[i], away))
+                nearest[i] = min(nearest[i], away)
+                widest[i] = max(widest[i], reach)
+        for i in range(count):
+            served = False
             for u in range(uavs):
-                away = _steps_to_coverage(devices[layout, i], cells[n, u], radius[layout, u, i])
-                if away < nearest:
-                    nearest, second = away, nearest
-                elif away < second:
-                    second = away
-                widest = max(widest, radius[layout, u, i])
                 served = served or in_range[n, u, i]
             age = math.sqrt(float(age_slots[n, i])) / _AGE
             token = tokens[n, _STATE_DEVICE * i : _STATE_DEVICE * (i + 1)]
             token[0] = 1.0
             token[1] = (devices[layout, i, 0] - middle[layout, 0]) / _STEPS
             token[2] = (devices[layout, i, 1] - middle[layout, 1]) / _STEPS
-            token[3] = widest / 2.0
+            token[3] = widest[i] / 2.0
             token[4] = period[layout, i] / 5.0
             token[5] = age
             token[6] = math.sqrt(float(pending[n, i])) / 4.0
             token[7] = waiting[min(slot - last[n, i], len(waiting) - 1)]
-            token[8] = nearest / _STEPS
-            token[9] = second / _STEPS
+            token[8] = nearest[i] / _STEPS
+            token[9] = second[i] / _STEPS
             token[10] = served
-            token[11] = age / (1.0 + nearest)
+            token[11] = age / (1.0 + nearest[i])

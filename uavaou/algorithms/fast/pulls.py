@@ -20,6 +20,7 @@ from uavaou.world.views import MOVES, PULL, Rows
 
 _PULL = len(PULL)
 LEAST_SHARE = 1e-30  # of the largest sum, that a number in single precision still holds
+MOST_LOG = 80.0  # of what is felt: its exponential is a number in single precision
 Places = tuple[int, int, int, int]
 Parts = tuple[float, float]
 
@@ -36,7 +37,7 @@ def pull(rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Place
     if th.is_grad_enabled():
         pulls: th.Tensor = _Pull.apply(rows, changes, numbers, columns)  # type: ignore[no-untyped-call]
         return pulls
-    return _pulled(rows, changes, numbers, columns)
+    return _pulled(rows, changes, numbers, columns)[0]
 
 
 class _Pull(th.autograd.Function):
@@ -44,110 +45,106 @@ class _Pull(th.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Places) -> th.Tensor:
+        pulls, *kept = _pulled(rows, changes, numbers, columns)
         ctx.columns = columns
-        ctx.save_for_backward(rows, changes, numbers)
-        return _pulled(rows, changes, numbers, columns)
+        ctx.save_for_backward(rows, numbers, *kept)
+        return pulls
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: th.Tensor) -> tuple[th.Tensor | None, ...]:
-        rows, changes, numbers = ctx.saved_tensors
-        by_changes, by_numbers = th.empty(changes.shape), np.zeros(4)
-        beta, reach, *parts = numbers.exp().tolist()
-        read, changed, by_pulls = (tensor.detach().contiguous().numpy() for tensor in (rows, changes, grad))
-        add_pull_gradient(
-            read, changed, by_pulls, ctx.columns, beta, reach, (parts[0], parts[1]), by_changes.numpy(), by_numbers
-        )
+        rows, numbers, turned, rate, felt = ctx.saved_tensors
+        by_changes, by_numbers = th.empty(turned.shape), np.zeros(4)
+        beta, _, *parts = numbers.exp().tolist()
+        read, by_pulls = (tensor.detach().contiguous().numpy() for tensor in (rows, grad))
+        kept = turned.numpy(), rate.numpy(), felt.numpy()
+        add_pull_gradient(read, by_pulls, *kept, ctx.columns, beta, by_changes.numpy(), by_numbers)
+        by_numbers[2:] *= parts
         return None, by_changes, th.from_numpy(by_numbers.astype(np.float32)), None
 
 
-def _pulled(rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Places) -> th.Tensor:
-    pulls = th.empty(len(rows), MOVES)
-    beta, reach, *parts = numbers.detach().exp().tolist()
-    read, changed = (tensor.detach().contiguous().numpy() for tensor in (rows, changes))
-    write_pulls(read, changed, columns, beta, reach, (parts[0], parts[1]), pulls.numpy())
-    return pulls
+def _pulled(rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Places) -> tuple[th.Tensor, ...]:
+    """Return the pulls, (B, 5), and what their gradient needs; torch takes exponentials in vectors.
 
-
-@compiled
-def _felt(
-    row: Rows, changes: Rows, columns: Places, reach: float, parts: Parts, score: Rows, rate: Rows, felt: Rows,
-    totals: Rows,
-) -> None:  # fmt: skip
-    """Write what each move feels of each device, (I, 5), and the sums, (5,), both in units of the largest.
-
-    Also writes tanh of the change of each score, (I,), and the steps' factor 1 / reach_i, (I,).
+    That is tanh of the changes, (B, 2 I), the steps' factor 1 / reach_i, (B, I), and what each move feels of each
+    device, (B, I, 5).
     """
-    devices = len(score)
-    first, own, present, width = columns
-    highest = np.float32(math.log(BACKGROUND))
-    for i in range(devices):
-        if row[present + width * i] < 0.5:
-            continue
-        score[i] = math.tanh(changes[i])
-        rate[i] = math.exp(-math.tanh(changes[devices + i])) / reach
-        at = first + _PULL * i
-        age = math.log(max(row[at], np.float32(LEAST_AGE)))
-        part = np.float32(parts[1] if row[at + 1 + MOVES] > 0.5 else parts[0])
-        base = age + part * (row[own + width * i] - np.float32(1)) + np.float32(SCORE_RANGE) * score[i]
-        for move in range(MOVES):
-            felt[i, move] = base - row[at + 1 + move] * rate[i]
-            highest = max(highest, felt[i, move])
-    for move in range(MOVES):
-        totals[move] = math.exp(np.float32(math.log(BACKGROUND)) - highest)
-    for i in range(devices):
-        if row[present + width * i] < 0.5:
-            continue
-        for move in range(MOVES):
-            felt[i, move] = math.exp(felt[i, move] - highest)
-            totals[move] += felt[i, move]
+    devices, first = changes.shape[1] // 2, columns[0]
+    beta, reach, *parts = numbers.detach().exp().tolist()
+    rows, turned = rows.detach().contiguous(), changes.detach().tanh()
+    rate = turned[:, devices:].neg().exp_().div_(reach)
+    score = rows[:, first : first + _PULL * devices : _PULL].clamp_min(LEAST_AGE).log_()
+    score.add_(turned[:, :devices], alpha=SCORE_RANGE)
+    felt, pulls = th.empty(len(rows), devices, MOVES), th.empty(len(rows), MOVES)
+    write_logs(rows.numpy(), score.numpy(), rate.numpy(), columns, (parts[0], parts[1]), felt.numpy())
+    write_pulls(felt.exp_().numpy(), beta, pulls.numpy())
+    return pulls, turned, rate, felt
 
 
 @compiled
-def write_pulls(
-    rows: Rows, changes: Rows, columns: Places, beta: float, reach: float, parts: Parts, pulls: Rows
-) -> None:
-    """Write the pull of each move, (B, 5), at most 0."""
-    devices = changes.shape[1] // 2
-    score, rate = np.empty(devices, np.float32), np.empty(devices, np.float32)
-    felt, totals = np.empty((devices, MOVES), np.float32), np.empty(MOVES, np.float32)
+def write_logs(rows: Rows, score: Rows, rate: Rows, columns: Places, parts: Parts, logs: Rows) -> None:
+    """Write the logarithm of what each move feels of each device, (B, I, 5), but for the part in ``score`` (B, I)."""
+    first, own, present, width = columns
+    other, told = np.float32(parts[0]), np.float32(parts[1])
     for b in range(len(rows)):
-        _felt(rows[b], changes[b], columns, reach, parts, score, rate, felt, totals)
-        most = totals.max()
+        row = rows[b]
+        for i in range(score.shape[1]):
+            at = first + _PULL * i
+            part = told if row[at + 1 + MOVES] > 0.5 else other
+            base = score[b, i] + part * (row[own + width * i] - np.float32(1))
+            base = base if row[present + width * i] > 0.5 else np.float32(-np.inf)
+            for move in range(MOVES):
+                logs[b, i, move] = min(base - row[at + 1 + move] * rate[b, i], np.float32(MOST_LOG))
+
+
+@compiled
+def _sum(felt: Rows, totals: Rows) -> float:
+    """Write the sums over devices of what is felt of each, (I, 5), and of the background; return the largest."""
+    for move in range(MOVES):
+        totals[move] = BACKGROUND
+    for i in range(len(felt)):
+        for move in range(MOVES):
+            totals[move] += felt[i, move]
+    most: float = totals.max()
+    return most
+
+
+@compiled
+def write_pulls(felt: Rows, beta: float, pulls: Rows) -> None:
+    """Write the pull of each move, (B, 5), at most 0."""
+    totals = np.empty(MOVES, np.float32)
+    for b in range(len(felt)):
+        most = _sum(felt[b], totals)
         for move in range(MOVES):
             pulls[b, move] = beta * (math.log(max(totals[move] / most, np.float32(LEAST_SHARE))) - TIE * move)
 
 
 @compiled
 def add_pull_gradient(
-    rows: Rows, changes: Rows, grads: Rows, columns: Places, beta: float, reach: float, parts: Parts, by_changes: Rows,
+    rows: Rows, grads: Rows, turned: Rows, rate: Rows, felt: Rows, columns: Places, beta: float, by_changes: Rows,
     by_numbers: Floats,
 ) -> None:  # fmt: skip
-    """Write the gradient by the changes, (B, 2 I), and add that by the logarithms of all numbers, (4,)."""
-    devices, (first, own, present, width) = changes.shape[1] // 2, columns
-    score, rate = np.empty(devices, np.float32), np.empty(devices, np.float32)
-    felt, totals = np.empty((devices, MOVES), np.float32), np.empty(MOVES, np.float32)
+    """Write the gradient by the changes, (B, 2 I), and add that by log beta, by log lambda and by both parts, (4,)."""
+    devices, (first, own, _, width) = rate.shape[1], columns
+    totals, weights = np.empty(MOVES, np.float32), np.empty(MOVES, np.float32)
     for b in range(len(rows)):
-        row = rows[b]
-        _felt(row, changes[b], columns, reach, parts, score, rate, felt, totals)
-        most = totals.max()
+        row, most = rows[b], _sum(felt[b], totals)
         for move in range(MOVES):
+            weights[move] = 0.0
             if totals[move] > np.float32(LEAST_SHARE) * most:
+                weights[move] = beta * grads[b, move] / totals[move]
                 by_numbers[0] += grads[b, move] * beta * (math.log(totals[move] / most) - TIE * move)
         for i in range(devices):
-            by_changes[b, i], by_changes[b, devices + i] = 0.0, 0.0
-            if row[present + width * i] < 0.5:
-                continue
+            at = first + _PULL * i
             by_score, by_reach = np.float32(0), np.float32(0)
             for move in range(MOVES):
-                if totals[move] > np.float32(LEAST_SHARE) * most:
-                    weight = grads[b, move] * felt[i, move] / totals[move]
-                    by_score += weight
-                    by_reach += weight * row[first + _PULL * i + 1 + move]
-            by_score, by_reach = by_score * beta, by_reach * beta * rate[i]
-            turned = math.tanh(changes[b, devices + i])
-            by_changes[b, i] = by_score * SCORE_RANGE * (1 - score[i] * score[i])
-            by_changes[b, devices + i] = by_reach * (1 - turned * turned)
+                weight = weights[move] * felt[b, i, move]
+                by_score += weight
+                by_reach += weight * row[at + 1 + move]
+            by_reach *= rate[b, i]
+            score, reach = turned[b, i], turned[b, devices + i]
+            by_changes[b, i] = by_score * np.float32(SCORE_RANGE) * (np.float32(1) - score * score)
+            by_changes[b, devices + i] = by_reach * (np.float32(1) - reach * reach)
             by_numbers[1] += by_reach
-            which = 1 if row[first + _PULL * i + 1 + MOVES] > 0.5 else 0
-            by_numbers[2 + which] += by_score * (row[own + width * i] - 1) * parts[which]
+            which = 1 if row[at + 1 + MOVES] > 0.5 else 0
+            by_numbers[2 + which] += by_score * (row[own + width * i] - 1)

@@ -281,9 +281,7 @@ def write_encoded(
 def _add(x: Rows, grad: Rows, by_weight: Rows, by_bias: Rows) -> None:
     """Add the gradient by weight and bias of a layer with inputs (T, f) and gradient by its outputs (T, w)."""
     by_weight += np.dot(x.T, grad)
-    for i in range(len(grad)):
-        for j in range(len(by_bias)):
-            by_bias[j] += grad[i, j]
+    by_bias += np.dot(np.ones(len(grad), np.float32), grad)
 
 
 @compiled_fast
