@@ -147,7 +147,7 @@ class EntityViews(RowViews):
         )
         self.layout = RowLayout(uavs, seen, collection, local, state, "entities")
         self._parts = seen < devices
-        self._pads = (uavs, devices) != own or observation == "part"
+        self._pads = (uavs, devices) != own
         cells = scenario.columns * scenario.rows
         self._sizes = np.log([own[1] / _PAPER_DEVICES, own[0] / _PAPER_UAVS, cells / 121]).astype(np.float32)  # (3,)
         self._altitudes = scenario.altitudes  # (U,) m
@@ -175,6 +175,8 @@ class EntityViews(RowViews):
             members = self._own.sum(axis=-1)  # (L, U)
             own[..., OWN.index("devices")] = np.log(np.maximum(members, 1) / _PAPER_DEVICES)
             own[..., OWN.index("uavs")] = np.log(1 / _PAPER_UAVS)
+            for name in ("teammates", "devices", "pulls"):  # most of them are of others
+                at[name][:, :uavs] = 0.0
         else:
             _write_teammates(world.cells, cds, self._altitudes, shared, at["teammates"])
         _write_devices(
