@@ -126,7 +126,7 @@ def networks(repeats: int = 3, rollout_slots: int | None = None) -> list[Measure
         altitudes_m=tuple(range(80, 100, 2)),
         cds_m=(*corners, (500, 500)),
     )
-    contestants = {
+    contestants: dict[str, tuple[str, dict[str, Any]]] = {
         "flat": ("mappo-paper", {"collection": "auto"}),
         "set with pulls": ("mappo", {"critic_rollouts": 0}),
         "set with pulls, part": ("mappo", {"critic_rollouts": 0, "observation": "part"}),

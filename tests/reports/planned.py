@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from tests.committed import RESULTS, rows, states
-from tests.reports.test_sentences import means
+from tests.committed import RESULTS, means, rows, states
 from uavaou.planners.exact import program_size
 from uavaou.scenario import Scenario
 

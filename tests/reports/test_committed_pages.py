@@ -15,7 +15,7 @@ STUDIES = sorted(path.parent for path in RESULTS.glob("studies/*/study.yaml"))
 
 
 def test_there_are_committed_studies() -> None:
-    assert {folder.name for folder in STUDIES} >= {"paper", "ablations", "default"}
+    assert {folder.name for folder in STUDIES} >= {"paper", "default"}
 
 
 @pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)

@@ -121,13 +121,6 @@ def test_a_bound_that_is_broken_is_told(tmp_path: Path) -> None:
         assert f"**Something is wrong: {remark}.**" in (folder / "README.md").read_text()
 
 
-def test_a_variant_is_held_against_another_where_the_study_says_so(tmp_path: Path) -> None:
-    text = page(study_with(tmp_path / "paper", reference="mappo", against={"qmix": "vdn"}))
-    assert "| ratio to mappo | ratio to another |" in text
-    assert "| vdn: 1." in text
-    assert "worse with qmix than with vdn" in text
-
-
 def test_a_study_that_is_not_finished_has_a_page(tmp_path: Path) -> None:
     """A scenario without the reference, a variant with one seed, a name that would end a cell, no bound."""
     folder = write_study(tmp_path / "own 1", {"published": MAPPO, "a|b": VDN}, {}, 2, ("paper", "b"), bound=None)
@@ -175,28 +168,6 @@ def test_the_claims_are_about_three_variants(tmp_path: Path) -> None:
         InputError, match=r"claims = True: .* mappo, vdn, qmix, there is no 'qmix'; did you mean 'qmix2'"
     ):
         Study.load(path)
-
-
-@pytest.mark.parametrize(
-    ("vdn", "more", "words"),
-    [
-        ("mapo", "reference: mappo", r"variants.'vdn': against: no variant 'mapo'; did you mean 'mappo'\?"),
-        ("vdn", "reference: mappo", r"variants.'vdn': against = 'vdn': expected another variant"),
-        ("qmix", "", r"variants.'vdn': against = 'qmix': needs the study to name a reference"),
-        ("qmix", "reference: vdn", r"against = 'qmix': the others are compared with the reference"),
-        ("3", "reference: mappo", r"variants.'vdn': against = 3"),
-    ],
-)
-def test_what_a_variant_is_held_against_is_another(tmp_path: Path, vdn: str, more: str, words: str) -> None:
-    path = tmp_path / "own.yaml"
-    variants = f"variants: {{mappo: {{}}, vdn: {{against: {vdn}}}, qmix: {{}}}}"
-    path.write_text(f"seeds: 1\nscenarios: [tiny]\n{variants}\n{more}\n")
-    with pytest.raises(InputError, match=words):
-        Study.load(path)
-
-
-def test_the_ablations_hold_location_against_masks_off(tmp_path: Path) -> None:
-    assert Study.load("ablations").against == {"observation location": "masks off"}
 
 
 def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:

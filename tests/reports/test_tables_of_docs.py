@@ -4,54 +4,7 @@ from __future__ import annotations
 
 import re
 
-from tests.reports.test_sentences import ROOT, means, rows
-from tests.reports.test_sentences_of_docs import speeds
-from uavaou.statistics import geometric_mean
-from uavaou.studies.study import Study
-
-
-def test_what_the_search_found_on_the_page_on_tuning_is_in_its_table() -> None:
-    page = (ROOT / "docs" / "tuning.md").read_text(encoding="utf-8")
-    table = page[page.index("| learner | best |") : page.index("The settings are in `results/tuning")]
-    stated = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.strip().splitlines()[2:]]
-    names = {"VDN with a value of the state": "vdn-with-value"}
-    ranks, found = ["first", "second", "third", "fourth", "fifth", "sixth"], []
-    for name, *_ in stated:
-        arm = [row for row in rows("tuning/local/search.csv") if row["arm"] == names.get(name, name.lower())]
-        first, last = ([row for row in arm if row["stage"] == stage] for stage in "12")
-        here = [row["settings"] for row in last].count("as published")
-        at = [row["settings"] for row in (last if here else first)].index("as published")
-        place = f"the {ranks[at]} here" if here else f"{ranks[at]} in the first stage"
-        found.append([name, *(f"{float(row['mean_aou_slots']):.1f}" for row in last), place])
-        assert {row["trainings"] for row in last} == {"9"}
-    assert stated == found
-    assert stated == sorted(stated, key=lambda row: float(row[1]))
-
-
-def test_what_is_frozen_is_lower_in_the_study_that_chose_it_and_stated_in_the_one_that_follows() -> None:
-    page = (ROOT / "docs" / "tuning.md").read_text(encoding="utf-8")
-    table = page[page.index("| learner | settings |") : page.index("The lower geometric mean is frozen")]
-    stated = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.strip().splitlines()[2:]]
-    chosen, following = Study.load("choosing").variants, Study.load("paper").variants
-    found = []
-    for name, (first, second) in {
-        "MAPPO": ("mappo 128-128", "mappo found"),
-        "IPPO": ("ippo 128-128", "ippo found"),
-        "QMIX": ("qmix", "qmix found"),
-        "VDN with a value of the state": ("vdn with value", "vdn with value found"),
-        "VDN": ("vdn", "vdn found"),
-    }.items():
-        ages = {
-            variant: [means("choosing", f"layout {seed}")[variant] for seed in (6, 7)] for variant in (first, second)
-        }
-        scores = {variant: geometric_mean(own) for variant, own in ages.items()}
-        frozen = min(scores, key=lambda variant: scores[variant])
-        for variant, settings in ((first, "published"), (second, "found")):
-            mark = "**" if variant == frozen else ""
-            cells = [f"{age:.1f}" for age in ages[variant]]
-            found.append([name, settings, *cells, f"{mark}{scores[variant]:.1f}{mark}"])
-        assert following[first.removesuffix(" 128-128")] == chosen[frozen]
-    assert stated == found
+from tests.reports.test_sentences_of_docs import ROOT, speeds
 
 
 def test_the_rates_of_the_page_on_speed_are_those_of_the_tables() -> None:

@@ -322,7 +322,7 @@ def test_a_part_cut_off_between_two_tables_is_done_again(copied: tuple[Study, Pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["paper", "ablations", "default"])
+@pytest.mark.parametrize("name", ["paper", "default"])
 def test_committed_tables_are_rewritten_to_the_same_bytes(name: str, tmp_path: Path) -> None:
     committed = Path(__file__).resolve().parents[2] / "results/studies" / name
     results = read_study(committed)

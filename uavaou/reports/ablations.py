@@ -1,13 +1,12 @@
-"""The table of an ablation study: each variant against the published settings, with a computed finding.
+"""The variants of a study against one of them, with a computed finding.
 
 Each training seed counts with the mean AoU of its missions. The ratio of two variants and its interval are those of
-:mod:`uavaou.statistics.trainings`. A variant that changes more than one thing may name another variant to compare with;
-the finding is then about that ratio.
+:mod:`uavaou.statistics.trainings`.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from uavaou.arrays import Floats
 from uavaou.errors import unknown
@@ -23,10 +22,8 @@ class Ablation:
         variant, scenario: as the study names them.
         seeds: trainings, n.
         aou: mean AoU in slots over the seeds.
-        ratio: to the published settings, with its 95 % interval; None for these themselves.
+        ratio: to the reference, with its 95 % interval; None for the reference itself.
         finding: what follows, in words.
-        against: the other variant to compare with; None where it is the published settings.
-        other_ratio: to that variant; None where there is none, or it has no trainings.
     """
 
     variant: str
@@ -35,59 +32,41 @@ class Ablation:
     aou: float
     ratio: Interval | None = None
     finding: str = "the reference"
-    against: str | None = None
-    other_ratio: Interval | None = None
 
 
-def ablations(
-    means: Mapping[str, Mapping[str, Floats]], published: str, against: Mapping[str, str] | None = None
-) -> list[Ablation]:
-    """Compare every variant with the published settings, scenario by scenario, in the order given.
+def ablations(means: Mapping[str, Mapping[str, Floats]], reference: str) -> list[Ablation]:
+    """Compare every variant with the reference, scenario by scenario, in the order given.
 
     Args:
         means: scenario -> variant -> (n,) mean AoU in slots of each training seed, over its missions.
-        published: the variant to compare with.
-        against: variant -> another to compare it with as well.
+        reference: the variant to compare with.
 
     Raises:
         InputError: there is no such variant on a scenario.
     """
     found = []
     for scenario, variants in means.items():
-        if published not in variants:
-            raise unknown(f"variant on scenario '{scenario}'", published, variants)
-        names = [published, *(name for name in variants if name != published)]
-        found += [_ablation(name, scenario, variants, published, (against or {}).get(name)) for name in names]
+        if reference not in variants:
+            raise unknown(f"variant on scenario '{scenario}'", reference, variants)
+        base = variants[reference]
+        found.append(Ablation(reference, scenario, len(base), float(base.mean())))
+        for name, own in variants.items():
+            if name != reference:
+                ratio = ratio_of_trainings({"": own}, {"": base})
+                finding = _finding(name, ratio, min(len(own), len(base)))
+                found.append(Ablation(name, scenario, len(own), float(own.mean()), ratio, finding))
     return found
 
 
-def _ablation(
-    variant: str, scenario: str, means: Mapping[str, Floats], published: str, against: str | None
-) -> Ablation:
-    own = means[variant]
-    found = Ablation(variant, scenario, len(own), float(own.mean()))
-    if variant == published:
-        return found
-    other = None if against == published else against
-    compared = other or published
-    ratios = {name: ratio_of_trainings({"": own}, {"": means[name]}) for name in {published, compared} & means.keys()}
-    finding = f"none yet: {compared} has no trainings here"
-    if compared in ratios:
-        finding = _finding(variant, ratios[compared], min(len(own), len(means[compared])), other)
-    return replace(found, ratio=ratios[published], finding=finding, against=other, other_ratio=ratios.get(other or ""))
-
-
-def _finding(variant: str, ratio: Interval, fewest: int, against: str | None = None) -> str:
-    """What a ratio says in words; ``fewest`` is the smaller number of trainings, ``against`` the other variant."""
+def _finding(variant: str, ratio: Interval, fewest: int) -> str:
+    """What a ratio says in words; ``fewest`` is the smaller number of trainings."""
     if math.isnan(ratio.value):
         return "no ratio: an AoU of 0"
-    than = f" than with {against}" if against else ""
     if math.isnan(ratio.low):
-        return f"×{rounded(ratio.value)}{f' of {against}' if against else ''}; one seed has no interval"
+        return f"×{rounded(ratio.value)}; one seed has no interval"
     if ratio.low <= 1 <= ratio.high:
-        return f"no significant difference{f' from {against}' if against else ''} with {fewest} seeds"
-    word = "worse" if ratio.value > 1 else "better"
-    return f"×{with_interval(*ratio)}: {word} with {variant}{than}"
+        return f"no significant difference with {fewest} seeds"
+    return f"×{with_interval(*ratio)}: {'worse' if ratio.value > 1 else 'better'} with {variant}"
 
 
 def ablation_table(found: Sequence[Ablation]) -> str:
@@ -97,12 +76,9 @@ def ablation_table(found: Sequence[Ablation]) -> str:
     for scenario in scenarios:
         some = [one for one in found if one.scenario == scenario]
         parts += [f"### {scenario}"] if len(scenarios) > 1 else []
-        others = any(one.against for one in some)  # most studies hold all against one: no column for that
         head = ["variant", "seeds", "mean AoU (slots)", f"ratio to {some[0].variant}", "finding"]
-        if others:
-            head.insert(4, "ratio to another")
-        parts.append(table(head, [_cells(one, others) for one in some]))
-        most = max(most, sum(one.ratio is not None for one in some) + sum(one.other_ratio is not None for one in some))
+        parts.append(table(head, map(_cells, some)))
+        most = max(most, len(some) - 1)
     parts.append(
         "Ratio: of geometric means over training seeds, with Welch's 95 % interval on the logarithms; below 1 is "
         f"better. Each interval stands by itself: of {most} comparisons, one in twenty differs by chance."
@@ -110,13 +86,6 @@ def ablation_table(found: Sequence[Ablation]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _cells(one: Ablation, others: bool) -> list[str]:
-    cells = [one.variant, str(one.seeds), rounded(one.aou), "1" if one.ratio is None else _told(one.ratio), one.finding]
-    if others:
-        told = "" if one.against is None else "–" if one.other_ratio is None else _told(one.other_ratio)
-        cells.insert(4, f"{one.against}: {told}" if told else "")
-    return cells
-
-
-def _told(ratio: Interval) -> str:
-    return "–" if math.isnan(ratio.value) else with_interval(*ratio)
+def _cells(one: Ablation) -> list[str]:
+    ratio = "1" if one.ratio is None else "–" if math.isnan(one.ratio.value) else with_interval(*one.ratio)
+    return [one.variant, str(one.seeds), rounded(one.aou), ratio, one.finding]

@@ -204,9 +204,7 @@ def _comparison(results: StudyResults) -> list[str]:
             means[scenario] = found
     if not means or reference is None:
         return []
-    against = results.settings.get("against")
-    compared = ablations(means, reference, against if isinstance(against, dict) else None)
-    return [f"## Against `{reference}`", ablation_table(compared)]
+    return [f"## Against `{reference}`", ablation_table(ablations(means, reference))]
 
 
 def claims_markdown(claims: Sequence[Claim]) -> str:

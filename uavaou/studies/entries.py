@@ -58,7 +58,6 @@ class VariantEntry(BaseModel, frozen=True, extra="forbid"):
     algorithm: StrictStr | None = None  # None: that of the variant's name
     from_: StrictStr | None = Field(None, alias="from")  # the released policy that its trainings begin with
     set: Annotated[dict[StrictStr, Any], expecting(dict, "{gamma: 0.9}")] = {}
-    against: StrictStr | None = None  # the variant that the report compares it with, beside the reference
 
 
 class Variant(NamedTuple):
@@ -66,7 +65,6 @@ class Variant(NamedTuple):
 
     algorithm: AlgorithmConfig
     start: str | None = None  # digest of the weights that its trainings begin with
-    against: str | None = None  # another variant
 
 
 def resolve_scenarios(entry: Any, source: str, path: Path) -> list[tuple[str, Scenario]]:
@@ -125,13 +123,13 @@ def resolve_variant(
     changes = _changes(name, stated, slots, source)
     if stated.from_ is not None:
         algorithm, digest = _beginning(stated, changes, scenarios, source)
-        return Variant(algorithm, start=digest, against=stated.against)
+        return Variant(algorithm, digest)
     try:
         algorithm = load_config(stated.algorithm or name, changes)
     except InputError as error:
         hint = "" if stated.algorithm else "; a variant of another name states its algorithm"
         raise InputError(f"{source}: {error}{hint if 'unknown algorithm' in str(error) else ''}") from None
-    return Variant(algorithm, against=stated.against)
+    return Variant(algorithm)
 
 
 def _beginning(

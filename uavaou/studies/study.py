@@ -97,7 +97,6 @@ class Study(StudySettings):
     name: str  # of its results' folder
     scenarios: dict[str, Scenario]  # by their names in the study
     variants: dict[str, AlgorithmConfig]  # the settings of each variant
-    against: dict[str, str]  # variant -> the one that the report compares it with, beside the reference
     starts: dict[str, str]  # variant -> digest of the weights that its trainings begin with
 
     @classmethod
@@ -124,7 +123,6 @@ class Study(StudySettings):
             "name": name_of_file(path),
             "scenarios": scenarios,
             "variants": {name: one.algorithm for name, one in resolved.items()},
-            "against": {name: one.against for name, one in resolved.items() if one.against is not None},
             "starts": {name: one.start for name, one in resolved.items() if one.start is not None},
         }
         study = cls.model_construct(**values)  # validated above
@@ -177,7 +175,6 @@ class Study(StudySettings):
             "planning_seconds": self.planning_seconds,
             "reference": self.reference,
             "claims": self.claims,
-            "against": self.against,
             **({"starts": self.starts} if self.starts else {}),
             **({"drawn": self.drawn} if self.drawn else {}),
             "variants": {name: config.model_dump(mode="json") for name, config in self.variants.items()},
@@ -224,19 +221,10 @@ def _check_comparisons(study: Study, source: str) -> None:
     """The variants that the report compares and the figures show must be there."""
     known = f"(variants: {', '.join(study.variants)})"
     named = {"reference": study.reference} if study.reference is not None else {}
-    named |= {f"variants.{short(name)}: against": other for name, other in study.against.items()}
     drawn = [("drawn", name) for name in study.drawn or ()]
     for field, name in [*named.items(), *drawn]:
         if name not in study.variants:
             raise InputError(f"{source}: {field}: no variant {short(name)}{nearest(name, study.variants)} {known}")
-    for name, other in study.against.items():
-        where = f"{source}: variants.{short(name)}: against = {short(other)}"
-        if other == name:
-            raise InputError(f"{where}: expected another variant {known}")
-        if study.reference is None:
-            raise InputError(f"{where}: needs the study to name a reference {known}")
-        if name == study.reference:
-            raise InputError(f"{where}: the others are compared with the reference: leave it out")
     for name in JUDGED if study.claims else ():
         if name not in study.variants:
             expected = f"expected variants named {', '.join(JUDGED)}, there is no '{name}'"

@@ -1,0 +1,141 @@
+"""Numbers of the pages, from the committed tables: ``make results`` writes them between the markers of each block.
+
+``python -m benchmarks.pages --check`` changes nothing, and ends with code 1 where a block is not that of the tables.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from uavaou.planners import planner_knowledge
+from uavaou.reports.markdown import rounded, table, with_interval
+from uavaou.reports.scores import PolicyScores, study_scores
+from uavaou.reports.suites import SuiteRow, read_suite
+from uavaou.statistics import interval_over_trainings
+from uavaou.studies.results import StudyResults, read_study
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = ("README.md", "results/README.md", "docs/policies.md", "zoo_configs/policies/any-map/README.md")
+BLOCK = re.compile(r"(<!-- numbers:(\S+) -->\n).*?(<!-- /numbers -->)", re.DOTALL)
+RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
+HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")
+
+
+def study(name: str) -> StudyResults:
+    """A committed study."""
+    return read_study(ROOT / "results" / "studies" / name)
+
+
+def scores(name: str) -> dict[str, PolicyScores]:
+    """Policy -> its scores on ``paper`` in a study."""
+    return {one.policy: one for one in study_scores(study(name))["paper"]}
+
+
+def flown(suite: str, policy: str) -> list[SuiteRow]:
+    """The rows of a policy in a table of the released one, by point."""
+    found = read_suite(ROOT / "results" / "suites" / RELEASED / f"{suite}.csv").rows
+    return [row for row in found if row.policy == policy]
+
+
+def minutes(name: str, variant: str) -> str:
+    """The mean CPU time of a training."""
+    return f"{study(name).table('runs', variant, 'paper')['cpu_s'].mean() / 60:.0f} min"
+
+
+def trained(name: str, variant: str, who: str) -> tuple[float, tuple[str, ...]]:
+    """The mean of a learned variant, and its row."""
+    found = scores(name)[variant]
+    return found.mean.value, (who, with_interval(*found.mean, digits=3), minutes(name, variant), found.knows)
+
+
+def policies() -> str:
+    """The table of README."""
+    (here,) = (row for row in flown("known-layouts", RELEASED) if row.point == "0")
+    rule = scores("paper")[RULE].mean
+    rows = [
+        trained("default", "mappo", "MAPPO, as `uavaou train` has it"),
+        trained("paper", "mappo", "MAPPO from nothing, as in the paper"),
+        trained("paper", "qmix", "QMIX"),
+        trained("paper", "vdn", "VDN"),
+        (here.aou.value, ("`any-map`, a policy for every map", with_interval(*here.aou, digits=3), "none", "shared")),
+        (rule.value, (f"`{RULE}`, a rule", with_interval(*rule, digits=3), "none", planner_knowledge(RULE))),
+    ]
+    return table(HEAD, [cells for _, cells in sorted(rows)])
+
+
+def paper() -> str:
+    """Every policy of the study ``paper`` and its bound."""
+    rows = [
+        (
+            one.policy if one.seeds else f"`{one.policy}`" if one.knows else one.policy,
+            with_interval(*one.mean, digits=3), minutes("paper", one.policy) if one.seeds else "", one.knows,
+        )
+        for one in scores("paper").values()
+    ]  # fmt: skip
+    return table(HEAD, rows)
+
+
+def default() -> str:
+    """What the trainings of ``uavaou train`` gain over the plan that they begin with."""
+    results = study("default")
+    ends = np.asarray(results.table("runs", "mappo", "paper")["mean_aou_slots"])
+    validation = results.table("validation", "mappo", "paper")
+    plan = float(validation["mean_aou_slots"][validation["slots"] == 0].mean())
+    best = float(np.mean(results.table("runs", "mappo", "paper")["best_slots"]))
+    rows = [
+        ("trainings", str(len(ends))),
+        ("slots of each", f"{int(results.table('runs')['slots'].min()):,}"),
+        ("CPU time of each, with the plan", minutes("default", "mappo")),
+        ("mean AoU in evaluation, slots", with_interval(*scores("default")["mappo"].mean, digits=4)),
+        ("lowest and highest", f"{rounded(ends.min(), 4)} and {rounded(ends.max(), 4)}"),
+        ("on validation missions: the plan alone", rounded(plan, 4)),
+        ("on validation missions: after training", rounded(best, 4)),
+    ]
+    return table(("`uavaou train` on `paper`", ""), rows)
+
+
+def released() -> str:
+    """The released policy on maps that it has never seen, to two that learn nothing."""
+    rows = []
+    for suite, where in (("unseen-layouts", "64 layouts, seeds 200 to 263"), ("layouts", "layout seeds 101 to 110")):
+        own = [row.aou.value for row in flown(suite, RELEASED)]
+        cells = [where]
+        for other in (REFERENCE, RULE):
+            logs = np.log(own) - np.log([row.aou.value for row in flown(suite, other)])
+            value, low, high = np.exp(interval_over_trainings(logs)).tolist()
+            cells.append(with_interval(value, low, high, digits=2))
+        rows.append(cells)
+    return table((f"mean AoU of `{RELEASED}`, ratio to", f"`{REFERENCE}`", f"`{RULE}`"), rows)
+
+
+BLOCKS: dict[str, Callable[[], str]] = {
+    "policies": policies, "paper": paper, "default": default, "released": released,
+}  # fmt: skip
+
+
+def rendered(text: str) -> str:
+    """A page with the numbers of the tables in its blocks."""
+    return BLOCK.sub(lambda block: f"{block[1]}{BLOCKS[block[2]]()}\n{block[3]}", text)
+
+
+def main() -> int:
+    """Write the blocks of all pages, or compare them."""
+    stale = []
+    for page in PAGES:
+        held = (ROOT / page).read_text(encoding="utf-8")
+        if (now := rendered(held)) != held:
+            stale.append(page)
+            if "--check" not in sys.argv:
+                (ROOT / page).write_text(now, encoding="utf-8")
+    for page in stale:
+        print(f"{page}: its numbers are not those of the tables: make results" if "--check" in sys.argv else page)
+    return int(bool(stale) and "--check" in sys.argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
