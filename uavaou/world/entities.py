@@ -112,8 +112,8 @@ class EntityViews(RowViews):
     Args:
         scenario: the scenario of the Worlds.
         observation: ``local`` (what a UAV measures, or is told before take-off), ``part`` (of that, the devices in its
-            own part of the map alone, as if there were no other UAV) or ``shared`` (also the positions of the other
-            UAVs and the true age sum of every device).
+            own part of the map alone, as if there were no other UAV; with ``auto`` on a fixed layout, a row has tokens
+            for the largest part) or ``shared`` (also the positions of the other UAVs and all true age sums).
         collection: ``select`` (the agent chooses devices) or ``auto`` (it collects every device in range).
         most: UAVs and devices that a row holds, for rows of several scenarios side by side; the rest is padding. A UAV
             of padding may stay, its row is zero otherwise.
@@ -146,7 +146,6 @@ class EntityViews(RowViews):
             ("mission", 1, len(STATE_MISSION)), ("uavs", uavs, _STATE_UAV), ("devices", devices, _STATE_DEVICE)
         )
         self.layout = RowLayout(uavs, seen, collection, local, state, "entities")
-        self._parts = seen < devices
         self._pads = (uavs, devices) != own
         cells = scenario.columns * scenario.rows
         self._sizes = np.log([own[1] / _PAPER_DEVICES, own[0] / _PAPER_UAVS, cells / 121]).astype(np.float32)  # (3,)
@@ -198,9 +197,7 @@ class EntityViews(RowViews):
         out = self._new(world.missions, self.layout.global_size)
         at = {columns.name: out[:, columns.slice] for columns in self.layout.state}
         at["mission"][...] = self._mission(world)
-        _write_uavs(
-            world.cells, world.flight.cds, *self._left(world), self._altitudes, self._middle, at["uavs"]
-        )  # fmt: skip
+        _write_uavs(world.cells, world.flight.cds, *self._left(world), self._altitudes, self._middle, at["uavs"])
         _write_state(
             self._devices, self._middle, world.cells, self._radius, world.in_range, world.update_period, world.slot,
             world.last_collection, world.pending, world.ages.age_slots, self._waiting, at["devices"],
@@ -229,8 +226,8 @@ class EntityViews(RowViews):
         self._radius, self._own, steps = told_before_take_off(world, self.plan)
         self._steps = np.minimum(steps, MOST_STEPS)
         shown = self._own if self.observation == "part" else np.ones_like(self._own)
-        order = shown.cumsum(axis=-1) - 1 if self._parts else np.arange(self.scenario.devices)
-        self._places = np.where(shown, order, -1)
+        count, room = self.scenario.devices, self.layout.devices
+        self._places = np.where(shown, shown.cumsum(axis=-1) - 1 if room < count else np.arange(count), -1)
 
 
 @compiled
@@ -369,8 +366,7 @@ def _write_state(
     pending: Ints, age_slots: Ints, waiting: Rows, tokens: Rows,
 ) -> None:  # fmt: skip
     """Write (N, I * features): a token of the state for each device."""
-    missions, uavs = cells.shape[:2]
-    count = devices.shape[1]
+    (missions, uavs), count = cells.shape[:2], devices.shape[1]
     x, y = devices[..., 0].copy(), devices[..., 1].copy()  # (L, I): loops over devices run in vectors
     nearest, second, widest = np.empty(count), np.empty(count), np.empty(count)
     for n in range(missions):
