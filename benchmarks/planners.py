@@ -22,7 +22,7 @@ from uavaou.planners.bound import lower_bound
 from uavaou.planners.exact import LARGEST, program_size
 from uavaou.planners.plan import RoutePlan
 from uavaou.planners.rolling import Rolling
-from uavaou.runs.folder import scenario_folder
+from uavaou.runs.names import scenario_folder
 from uavaou.scenario import Scenario
 from uavaou.statistics import interval_over_missions
 

@@ -9,16 +9,14 @@ from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou_cli.options import (
-    RUNS,
     Changes,
     Episodes,
     Knows,
     Quiet,
+    RunNames,
     Seed,
     choice,
     option,
@@ -47,7 +45,7 @@ _PLANNER_NAMES = (
 
 
 def evaluate(
-    run: Annotated[list[str] | None, typer.Argument(help=RUNS)] = None,
+    run: RunNames = None,
     policy: Annotated[list[str] | None, option(f"Also play {_PLANNER_NAMES}. Repeatable.", "PLANNER")] = None,
     scenario: Annotated[str | None, option("A preset or a YAML file. [default: the runs' own, else paper]")] = None,
     episodes: Episodes = 100,

@@ -62,7 +62,7 @@ def fly(
     """
     from uavaou.planners import planner_knowledge
     from uavaou.runs.comparison import make_policy
-    from uavaou.runs.folder import flight_folder, scenario_folder
+    from uavaou.runs.names import flight_folder, scenario_folder
     from uavaou.scenario import Scenario
     from uavaou.world.knowledge import within
 

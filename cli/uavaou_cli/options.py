@@ -74,13 +74,19 @@ def shipped(kind: str) -> Callable[[str], list[str]]:
     """What a shell completes: the names of a kind that come with the package; files, where none begins like that."""
 
     def complete(incomplete: str) -> list[str]:
-        from uavaou.runs.released import released_names
         from uavaou.zoo import zoo_names
 
-        names = released_names() if kind == "policies" else zoo_names(kind)
-        return [name for name in names if name.startswith(incomplete)]
+        return [name for name in zoo_names(kind) if name.startswith(incomplete)]
 
     return complete
+
+
+def trained(incomplete: str) -> list[str]:
+    """What a shell completes: released policies, and the trainings in the folder of results."""
+    from uavaou.runs.released import released_names
+
+    runs = (str(path.parent) for path in sorted(Path("results").glob("*/*/seed-*/config.yaml")))
+    return [name for name in (*released_names(), *runs) if name.startswith(incomplete)]
 
 
 def choice(help: str, *allowed: str, values: Collection[str] = ()) -> Any:
@@ -104,13 +110,18 @@ def choice(help: str, *allowed: str, values: Collection[str] = ()) -> Any:
     return typer.Option(metavar="|".join(allowed), help=help, callback=check, autocompletion=complete)
 
 
-RUNS = "Folders of training runs, or names of released policies."
+RunNames = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="RUN", help="Folders of training runs, or names of released policies.", autocompletion=trained
+    ),
+]
 RunName = Annotated[
     str,
     typer.Argument(
         metavar="RUN",
         help="The folder of a training run, or the name of a released policy.",
-        autocompletion=shipped("policies"),
+        autocompletion=trained,
     ),
 ]
 ScenarioName = Annotated[

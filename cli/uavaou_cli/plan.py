@@ -13,10 +13,10 @@ from uavaou.errors import InputError, unknown
 from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
 from uavaou_cli.evaluate import evaluation_lines
 from uavaou_cli.options import (
-    RUNS,
     Changes,
     Episodes,
     Quiet,
+    RunNames,
     ScenarioName,
     ScenarioOption,
     Seed,
@@ -65,7 +65,7 @@ def plan(
     Writes plan.json, and the pictures of the first mission, as PNG and PDF.
     """
     from uavaou.planners import PLANNERS_WITH_PLAN
-    from uavaou.runs.folder import name_with
+    from uavaou.runs.names import name_with
 
     if planner not in PLANNERS_WITH_PLAN:
         raise unknown("--planner", planner, PLANNERS_WITH_PLAN)
@@ -81,7 +81,7 @@ def plan(
 
 def gap(
     scenario: ScenarioName = None,
-    run: Annotated[list[str] | None, typer.Argument(help=RUNS)] = None,
+    run: RunNames = None,
     scenario_option: ScenarioOption = None,
     time_limit: Annotated[
         float | None, seconds("Seconds that each search may take. [default: a fixed amount of work]")
@@ -151,7 +151,7 @@ def _bound(scenario: Scenario, limit_s: float | None, certificate: Path | None, 
 
 def _fixed_scenario(name: str, items: list[str] | None, refusal: str) -> tuple[Scenario, Path]:
     """The scenario, and the folder of its results."""
-    from uavaou.runs.folder import scenario_folder
+    from uavaou.runs.names import scenario_folder
     from uavaou.scenario import Scenario
 
     overrides = parse_overrides(items or [])

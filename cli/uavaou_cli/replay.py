@@ -11,7 +11,18 @@ import typer
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED
 from uavaou_cli.evaluate import evaluation_lines
-from uavaou_cli.options import Changes, Knows, Quiet, choice, number, option, refuse_scenarios, seconds, writable_file
+from uavaou_cli.options import (
+    Changes,
+    Knows,
+    Quiet,
+    choice,
+    number,
+    option,
+    refuse_scenarios,
+    seconds,
+    trained,
+    writable_file,
+)
 from uavaou_cli.overrides import Overrides, parse_overrides
 from uavaou_cli.progress import Display, RecordingDisplay
 from uavaou_cli.tables import show
@@ -27,7 +38,9 @@ def replay(
     policy: Annotated[
         list[str],
         typer.Argument(
-            metavar="RUN|POLICY", help="Runs, released policies, planners, or missions as `uavaou fly` records them."
+            metavar="RUN|POLICY",
+            help="Runs, released policies, planners, or missions as `uavaou fly` records them.",
+            autocompletion=trained,
         ),
     ],
     scenario: Annotated[str | None, option("A preset or a YAML file. [default: the runs' own, else paper]")] = None,
@@ -48,7 +61,7 @@ def replay(
     The page is one file that needs no server and no network. It shows the map, the AoU and every device, slot by slot.
     mp4 needs `pip install 'uavaou[video]'`.
     """
-    from uavaou.runs.folder import flight_folder, scenario_folder
+    from uavaou.runs.names import flight_folder, scenario_folder
 
     names = list(dict.fromkeys(policy))
     refuse_scenarios(names)

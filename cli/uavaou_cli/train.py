@@ -177,7 +177,8 @@ def _plan(
     """The training that the options describe, from the weights of ``run`` where there is one, and its folder."""
     from uavaou.algorithms.registry import published_as
     from uavaou.family import Family
-    from uavaou.runs.folder import RunConfig, config_folder, run_folder
+    from uavaou.runs.folder import RunConfig
+    from uavaou.runs.names import config_folder
     from uavaou.runs.start import Start
     from uavaou.scenario import Scenario
 
@@ -196,7 +197,6 @@ def _plan(
         config = RunConfig(flown.base, overrides.of_algorithm(name, network="set"), seed, flown)
     else:
         config = RunConfig(flown, overrides.of_algorithm(algorithm), seed)
-        return config, run_folder(out, base, overrides.scenario, algorithm, overrides.algorithm, seed)
     return config, config_folder(out, config)
 
 
@@ -211,7 +211,8 @@ def _overrides(items: list[str] | None, slots: int | None) -> Overrides:
 
 def _again(path: Path, seed: int | None, out: Path) -> tuple[RunConfig, RunFolder]:
     """The training of a ``config.yaml``, and its folder: that of the file, where it is a run of ``out``."""
-    from uavaou.runs.folder import RunFolder, config_folder, read_config
+    from uavaou.runs.folder import RunFolder, read_config
+    from uavaou.runs.names import config_folder
 
     config, own = read_config(path, to_train=True), RunFolder(path.parent)
     if seed is not None and seed != config.seed:

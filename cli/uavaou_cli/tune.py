@@ -90,15 +90,15 @@ def tune(
                 raise InputError(f"{option} and --from: give one of them; --top says how many trials run")
         top = top or DEFAULT_TOP
         settings, varied, first = _best(from_, top, algorithm, overrides)
-    from uavaou.runs.folder import run_folder
+    from uavaou.runs.folder import RunConfig
+    from uavaou.runs.names import config_folder
     from uavaou.scenario import Scenario
     from uavaou.tuning.search import Search, SearchFolder
 
     source = stated_scenario(scenario, scenario_option) or DEFAULT_SCENARIO
     base = Scenario.load(source)
     searched = Search(overrides.of_scenario(base), settings, varied, seconds, slots, seed, first)
-    run = run_folder(out, base, overrides.scenario, settings.name, overrides.algorithm, seed)
-    folder = SearchFolder(run.path.parent)
+    folder = SearchFolder(config_folder(out, RunConfig(searched.scenario, settings, seed)).path.parent)
     if from_ is not None and realpath(folder.path) == realpath(from_):
         raise InputError(f"--from {from_}: the best of it would go into its own folder: choose another --out")
     wanted = top or trials or DEFAULT_TRIALS
@@ -204,7 +204,7 @@ def _lines(
 ) -> list[str]:
     """The best trials of a search, what they changed, and the command that trains with the best."""
     from uavaou.runs.checkpoint_header import ACTIONS
-    from uavaou.runs.folder import train_command
+    from uavaou.runs.names import train_command
     from uavaou.tuning.search import ranked
 
     best = ranked(records)

@@ -19,7 +19,7 @@ from uavaou.algorithms.nets.value_norm import ValueScale
 from uavaou.algorithms.qlearning.replay import JointBatch
 from uavaou.algorithms.registry import load_config
 from uavaou.family import Family
-from uavaou.runs.folder import config_folder, train_command
+from uavaou.runs.names import config_folder, train_command
 from uavaou.world.entities import make_views
 from uavaou.world.views import RowLayout
 

@@ -31,6 +31,7 @@ COMMANDS = {
     "gap": "SCENARIO RUN --scenario --time-limit --bound-limit --certificate --episodes --seed --set --quiet",
     "audit": "SCENARIO --scenario --set",
     "export": "RUN --out --format --scenario",
+    "runs": "--out",
     "scenarios": "",
     "plot": "",
     "plot figures": "RUN --out",

@@ -14,7 +14,7 @@ from tests.cli.commands import TINY, call, contents, runs
 from uavaou import evaluate
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.reports import mission_figures
-from uavaou.runs.folder import scenario_folder
+from uavaou.runs.names import scenario_folder
 from uavaou.runs.released import released_folder, released_names
 from uavaou.scenario import Scenario
 from uavaou_cli.tables import WIDTH
@@ -226,7 +226,7 @@ def test_train_begins_with_a_released_policy(capsys: pytest.CaptureFixture[str],
     code, out, err = call(capsys, "train --from any-map --set scenario.layout_seed=9 --slots 96 --quiet")
     assert (code, err) == (0, "")
     assert "short training: 8 missions end together, every 96 slots" in out
-    (folder,) = released.glob("results/tiny+layout_seed=9/mappo-paper+*from=*/seed-0")
+    (folder,) = released.glob("results/tiny+layout_seed=9/mappo-paper-from-*/seed-0")
     assert str(folder.relative_to(released)) in out
     for place, start in (("found", ""), ("named", " --from any-map")):  # found by the digest of its weights
         assert call(capsys, f"train --config {folder}/config.yaml --quiet --out {place}{start}")[0] == 0

@@ -194,7 +194,6 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "slots over draws 8000 to 8031 of `any`": "seen in that training by hand",
     "Maps with more than 3,000,000": "uavaou/runs/pull_plan.py: tests/runs/test_pull_plan.py",
     "--slots 300000`": "an example's option",
-    "The first 12 digits": "tests/runs/test_start.py",
     "[3000000, 6000000]": "an example's options",
     "the mean costs 2 to 4 %": "measured by hand once",
     "over validation draws 8000": "tests/runs/test_family_training.py",

@@ -14,7 +14,8 @@ from tests.scenario_files import refusal
 from uavaou import Family, Scenario, evaluate, flatten, load_run
 from uavaou.algorithms.registry import load_config
 from uavaou.evaluation.seeds import VALIDATION_DRAWS, VALIDATION_SEED
-from uavaou.runs.folder import RunConfig, RunFolder, config_folder
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.names import config_folder
 from uavaou.runs.start import Start, continued
 from uavaou.runs.train import train
 from uavaou.runs.validation import family_score

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,8 @@ from uavaou.evaluation.seeds import VALIDATION_SEED, training_seeds
 from uavaou.planners import make_planner
 from uavaou.runs import train as train_module
 from uavaou.runs.checkpoint_header import read_header
-from uavaou.runs.folder import RunConfig, RunFolder, flight_folder, run_folder
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.names import config_folder, flight_folder
 from uavaou.runs.policy import load_run
 from uavaou.runs.recorder import Recorder
 from uavaou.runs.train import train
@@ -209,27 +212,30 @@ def test_a_run_that_cannot_be_built_leaves_nothing_behind(tmp_path: Path) -> Non
 
 
 def test_names_of_folders_need_no_quotes() -> None:
-    own = Scenario.load("paper").replace(name="my valley's (2) map")
-    run = run_folder(Path("r"), own, {"devices_m": "[[0, 0]]"}, "mappo", {"hidden": "[8, 8]"}, 0).path
+    own = Scenario.load("paper").replace(name="my valley's (2) map", devices_m=[[0, 0]], devices=1)
+    run = config_folder(Path("r"), RunConfig(own, load_config("mappo-paper", {"hidden": [8, 8]}))).path
     for path in (run, Path(flight_folder([str(run), "any-map"]))):
         assert command_line([path]) == str(path)
     assert run.parts[1].startswith("my%20valley%27s%20%282%29%20map~")
 
 
-def test_different_runs_have_different_folders() -> None:
+def test_different_runs_have_different_folders_with_names_for_people() -> None:
     paper = Scenario.load("paper")
+    fields = ({}, {"slots": 5}, {"slots": 50}, {"slots": 5, "devices": 5}, {"description": "a/b,c=1"})
     names = {
-        run_folder(Path("r"), scenario, changed, algorithm, tuned, seed).path
-        for scenario in (paper, paper.replace(layout_seed=5), Scenario.load("tiny"))
-        for changed in ({}, {"slots": "5"}, {"slots": "50"}, {"slots": "5", "devices": "5"}, {"description": "a/b,c=1"})
-        for algorithm in ("mappo", "ippo")
-        for tuned in ({}, {"learning_rate": "1e-4"}, {"learning_rate": "0.0001"}, {"hidden": "[" + "64, " * 90 + "64]"})
+        config_folder(Path("r"), RunConfig(scenario, load_config(algorithm, settings), seed)).path
+        for scenario in (base.replace(**each) for base in (paper, Scenario.load("tiny")) for each in fields)
+        for algorithm in ("mappo-paper", "ippo")
+        for settings in ({}, {"learning_rate": 1e-4}, {"hidden": [64] * 9}, {"learning_rate": 1e-4, "hidden": [64] * 9})
         for seed in (0, 1)
     }
-    assert len(names) == 3 * 5 * 2 * 4 * 2
-    assert all(len(part) < 200 and "/" not in part for name in names for part in name.parts)
-    folder = run_folder(Path("results"), paper, {"layout_seed": "7"}, "mappo", {"slots": "1000", "gamma": "0.9"}, 3)
-    assert str(folder.path) == "results/paper+layout_seed=7/mappo+gamma=0.9,slots=1000/seed-3"
+    assert len(names) == 2 * 5 * 2 * 4 * 2
+    assert all(len(part) < 40 and "/" not in part for name in names for part in name.parts)
+    config = RunConfig(paper.replace(layout_seed=7), load_config("ippo", {"slots": 1000, "gamma": 0.9}), 3)
+    path = config_folder(Path("results"), config).path
+    assert str(path) == "results/paper+layout_seed=7/ippo+gamma=0.9,slots=1000/seed-3"
+    many = replace(config, algorithm=load_config("ippo", {"slots": 1000, "gamma": 0.9, "epochs": 3, "clip_range": 0.3}))
+    assert re.fullmatch(r"ippo\+[0-9a-f]{6}", config_folder(Path("results"), many).path.parent.name)
 
 
 @pytest.mark.parametrize("damage", ["truncated", "garbage", "missing"])

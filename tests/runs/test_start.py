@@ -15,7 +15,8 @@ from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from tests.scenario_files import refusal
 from uavaou import Family, Scenario
 from uavaou.algorithms.registry import load_config
-from uavaou.runs.folder import RunConfig, RunFolder, config_folder, read_config
+from uavaou.runs.folder import RunConfig, RunFolder, read_config
+from uavaou.runs.names import config_folder
 from uavaou.runs.start import Start, continued
 from uavaou.runs.train import train
 
@@ -105,12 +106,16 @@ def test_a_released_policy_is_found_by_the_digest_of_its_weights(tmp_path: Path)
         np.testing.assert_array_equal(found[name], array)
 
 
-def test_the_digest_of_the_weights_is_in_the_name_of_the_folder(finished: RunFolder) -> None:
+def test_what_a_training_begins_with_is_in_the_name_of_its_folder(finished: RunFolder) -> None:
     config = Start.at(finished).training(Scenario.load("tiny"), {}, seed=0)
     assert config.start is not None
-    assert f"from={config.start[:12]}" in config_folder(Path("r"), config).path.parent.name
+    assert f"mappo-paper-from-{config.start[:6]}" in config_folder(Path("r"), config).path.parent.name
     plain = config_folder(Path("r"), replace(config, start=None))
-    assert "from=" not in str(plain.path)
+    assert "from" not in str(plain.path)
+    named = Start.at("any-map").training(Scenario.load("tiny"), {}, seed=0)
+    assert config_folder(Path("r"), named).path.parent.name == "mappo-from-any-map"
+    other = Start.at("any-map").training(Scenario.load("tiny"), {"observation": "shared"}, seed=0)
+    assert config_folder(Path("r"), other).path.parent.name == "mappo-from-any-map+observation=shared"
 
 
 def test_a_stopped_one_resumes_as_if_it_had_not_stopped(finished: RunFolder, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from tests.suites.small_suites import GOOD, POINT
 from uavaou.errors import InfeasibleError, InputError
-from uavaou.runs.folder import name_with
+from uavaou.runs.names import name_with
 from uavaou.scenario import Scenario
 from uavaou.suites.suite import Suite, resolve_points
 from uavaou.zoo import zoo_names

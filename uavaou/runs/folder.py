@@ -5,19 +5,15 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
-from urllib.parse import quote
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from uavaou.algorithms.config import AlgorithmConfig
-from uavaou.algorithms.registry import config_from_dict, load_config, published_as
+from uavaou.algorithms.registry import config_from_dict, load_config
 from uavaou.errors import InputError
 from uavaou.family import Family
 from uavaou.fields import Number, PositiveWhole, Whole, reads_schema, short, validated
@@ -28,10 +24,9 @@ from uavaou.runs.released import nearest_released, released_folder, run_path
 from uavaou.scenario import Scenario
 from uavaou.world.entities import make_views
 from uavaou.world.knowledge import level
-from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
+from uavaou.zoo import read_yaml_mapping
 
 SCHEMA = 1
-_LONGEST_NAME = 120
 _MOST_NAMED = 5  # runs in a hint
 _MOST_VALIDATIONS = 100  # of a later budget: the interval suits the first one
 EPISODE_COLUMNS = ("mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
@@ -269,132 +264,3 @@ def read_config(path: Path, to_train: bool = False) -> RunConfig:
     if to_train and file.algorithm.get("candidates", 1) != 1:
         raise InputError(f"{path}: of a training of several candidates, which this version lacks: train anew")
     return file.config(path)
-
-
-def run_folder(
-    out: Path, scenario: Scenario, scenario_overrides: Mapping[str, str], algorithm: str,
-    algorithm_overrides: Mapping[str, str], seed: int,
-) -> RunFolder:  # fmt: skip
-    """Name the folder of a run; two different runs never share one.
-
-    Args:
-        out: the folder of all results.
-        scenario: before the overrides are applied; one read from a file is told apart by its content.
-        scenario_overrides, algorithm_overrides: as given to ``--set``, without their prefix.
-        algorithm: its name.
-        seed: of the training.
-    """
-    place = out / scenario_folder(scenario, scenario_overrides)
-    return RunFolder(place / _folder_name(algorithm, algorithm_overrides) / f"seed-{seed}")
-
-
-def config_folder(out: Path, config: RunConfig) -> RunFolder:
-    """The folder that ``uavaou train`` gives a run: named by what differs from the preset and the published settings.
-
-    Raises:
-        InputError: the algorithm is not registered.
-    """
-    name, published = published_settings(config.algorithm, config.family is not None)
-    overrides = _differences(published, config.algorithm.model_dump(mode="json"))
-    overrides |= {"from": config.start[:12]} if config.start else {}
-    place = family_folder(config.family) if config.family else scenario_folder(config.scenario)
-    return RunFolder(out / place / _folder_name(name, overrides) / f"seed-{config.seed}")
-
-
-def family_folder(family: Family) -> str:
-    """The name of the folder of a family's runs, such as ``family-any``; one of your own is told apart by content."""
-    shipped = family.name in zoo_names("families") and Family.load(zoo_path("families", family.name)) == family
-    return _folder_name(f"family-{family.name}" + ("" if shipped else _content_digest(family.to_dict())), {})
-
-
-def _content_digest(content: Mapping[str, Any]) -> str:
-    return f"~{hashlib.sha256(to_yaml(content).encode()).hexdigest()[:8]}"
-
-
-def scenario_folder(scenario: Scenario, overrides: Mapping[str, str] | None = None) -> str:
-    """The name of the folder of a scenario's results, such as ``paper+layout_seed=1``.
-
-    Args:
-        scenario: one read from a file is told apart by its content.
-        overrides: fields that ``scenario`` does not have yet, as given to ``--set``; None: what differs from the preset
-            of its name.
-    """
-    base = scenario.name
-    preset = Scenario.load(zoo_path("scenarios", base)) if base in zoo_names("scenarios") else None
-    if overrides is None:
-        overrides = _differences(preset.to_dict(), scenario.to_dict()) if preset else {}
-    elif preset is not None and preset != scenario:
-        preset = None
-    return _folder_name(base + ("" if preset else _content_digest(scenario.to_dict())), overrides)
-
-
-def train_command(
-    source: str, scenario: Scenario, algorithm: AlgorithmConfig, plugins: Sequence[str] = ()
-) -> list[str]:
-    """The words of the ``uavaou train`` command that trains with these settings.
-
-    Args:
-        source: the preset or file that the command starts from.
-        scenario: that is trained on; what differs from ``source`` is set.
-        algorithm: its settings; what differs from the published ones is set.
-        plugins: what registers the algorithm, where it is not this package's.
-
-    Raises:
-        InputError: ``source`` cannot be read, or the algorithm is not registered.
-    """
-    command = ["uavaou", *(word for place in plugins for word in ("--plugin", place)), "train"]
-    name, published = published_settings(algorithm)
-    command += ["--scenario", source, "--algorithm", name]
-    changes = {
-        "scenario": _differences(Scenario.load(source).to_dict(), scenario.to_dict()),
-        "algorithm": _differences(published, algorithm.model_dump(mode="json")),
-    }
-    for part, fields in changes.items():
-        for name, value in fields.items():
-            if name not in ("name", "description"):
-                command += ["--set", f"{part}.{name}={value}"]
-    return command
-
-
-def published_settings(algorithm: AlgorithmConfig, for_family: bool = False) -> tuple[str, dict[str, Any]]:
-    """The published settings that these start from, and their name: with their network, or for families.
-
-    Validations follow the budget (:func:`load_config`): they differ only where they were set.
-    """
-    name = published_as(algorithm.name, network := getattr(algorithm, "network", ""), for_family)
-    fields = load_config(name).model_dump(mode="json")
-    chosen = {"network": network} if network != fields.get("network", "") else {}
-    if chosen:
-        fields = load_config(name, chosen).model_dump(mode="json") | {"network": None}
-    follows = load_config(name, chosen | {"slots": algorithm.slots})
-    alike = algorithm.evaluate_every_slots == follows.evaluate_every_slots
-    names = ["evaluate_every_slots", "evaluation_missions"] if alike else []
-    return name, fields | {field: getattr(follows, field) for field in names}
-
-
-def _differences(base: Mapping[str, Any], fields: Mapping[str, Any]) -> dict[str, str]:
-    """The fields that differ from ``base``, as one would type them after ``--set``."""
-    changed = {name: value for name, value in fields.items() if name not in base or base[name] != value}
-    return {
-        name: value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
-        for name, value in changed.items()
-    }
-
-
-def _folder_name(base: str, overrides: Mapping[str, str]) -> str:
-    return name_with(quote(base, safe="~"), overrides)
-
-
-def name_with(base: str, changes: Mapping[str, str]) -> str:
-    """A name for files, with the changed fields and their values, such as ``paper+layout_seed=1,uavs=2``."""
-    parts = [f"{key}={quote(value, safe='.-_')}" for key, value in sorted(changes.items())]
-    name = f"{base}+{','.join(parts)}" if parts else base
-    if len(name) > _LONGEST_NAME:  # file systems end at 255 bytes
-        name = f"{name[:_LONGEST_NAME]}~{hashlib.sha256(name.encode()).hexdigest()[:12]}"
-    return name
-
-
-def flight_folder(policies: Sequence[str]) -> str:
-    """The name of the folder of what these policies flew, given by planner, released policy or path of a run."""
-    parts = ["-".join(Path(name).relative_to(Path(name).anchor).parts) for name in policies]
-    return name_with(quote(",".join(parts), safe="+=,.-_~%"), {})

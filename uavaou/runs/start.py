@@ -21,10 +21,11 @@ if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 # The settings that the shapes of the weights follow from, and the pull, whose sharpness is one of them.
-_OF_THE_NETWORK = (
+OF_THE_NETWORK = (
     "network", "token_width", "pull", "observation", "collection", "hidden", "critic_input", "state_value_width",
     "mixer_width", "hypernet_width",
 )  # fmt: skip
+OF_THE_WEIGHTS = frozenset({*OF_THE_NETWORK} - {"observation"})  # a training that begins with them cannot change these
 _KEPT = ("activation", "masks", "selection_bias")  # also of a training with other settings
 
 
@@ -74,7 +75,7 @@ class Start:
         settings = own | {"slots": usual["slots"]}
         if self.config.family is not None and own.get("pull") and not isinstance(scenario, Family):
             several = {"observation"} if own["observation"] == "mixed" else set()  # one scenario has one level
-            settings = usual | {field: own[field] for field in {*_OF_THE_NETWORK, *_KEPT} & own.keys() - several}
+            settings = usual | {field: own[field] for field in {*OF_THE_NETWORK, *_KEPT} & own.keys() - several}
         if changes.get("network", own.get("network")) != own.get("network"):  # other networks need other fields
             self._refuse("network", own.get("network"), changes["network"])
         algorithm = changed_config(settings, changes).with_enough_validations(changes)
@@ -82,7 +83,7 @@ class Start:
         base = scenario.base if isinstance(scenario, Family) else scenario
         self.config.check_fits(base, str(self.folder))
         tokens = algorithm.rows == self.config.algorithm.rows == "entities"  # of the same features at every level
-        for field in _OF_THE_NETWORK:
+        for field in OF_THE_NETWORK:
             if field == "observation" and tokens:
                 continue
             held, wanted = own.get(field), algorithm.model_dump(mode="json").get(field)

@@ -11,9 +11,9 @@ from uavaou.csv_tables import number
 from uavaou.errors import InputError
 from uavaou.files import read_json, write_json
 from uavaou.planners.plan import RoutePlan
-from uavaou.runs.folder import scenario_folder
 from uavaou.runs.interrupt import Interrupts
 from uavaou.runs.lock import one_writer
+from uavaou.runs.names import scenario_folder
 from uavaou.runs.results import PolicyResult
 from uavaou.studies import jobs
 from uavaou.studies.best import keep_best

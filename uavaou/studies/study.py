@@ -20,7 +20,8 @@ from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED, MOST_EPISODES
 from uavaou.fields import Positive, PositiveWhole, short, validated
 from uavaou.plain_yaml import to_yaml
 from uavaou.planners import PLAN_AHEAD, PLANNERS
-from uavaou.runs.folder import RunConfig, RunFolder, config_folder
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.names import config_folder
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.studies.entries import expecting, resolve_scenarios, resolve_variant

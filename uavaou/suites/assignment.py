@@ -15,7 +15,8 @@ from urllib.parse import quote
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
-from uavaou.runs.folder import RunConfig, RunFolder, train_command
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.names import train_command
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 from uavaou.suites.suite import ResolvedPoint, Suite

@@ -17,7 +17,8 @@ from uavaou.csv_tables import write_csv
 from uavaou.errors import InputError
 from uavaou.planners.base import Planner
 from uavaou.runs.comparison import Display, evaluate
-from uavaou.runs.folder import RunConfig, RunFolder, name_with
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.names import name_with
 from uavaou.runs.results import PolicyResult, SuiteEvaluationFile, SuitePoint, keep_evaluation, write_evaluation
 from uavaou.scenario import Scenario
 from uavaou.statistics import Interval, interval_over_missions
