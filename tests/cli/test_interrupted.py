@@ -93,7 +93,6 @@ def test_a_configuration_goes_on_in_the_folder_that_it_lies_in(
 ) -> None:
     assert call(capsys, f"{TINY} --set algorithm.learning_rate=5e-4")[0] == 0
     (config,) = workplace.glob("results/*/*/seed-0/config.yaml")
-    assert "learning_rate=5e-4" in str(config)  # not 0.0005
     again = f"train --quiet --config {shlex.quote(str(config))}"
     code, out, _ = call(capsys, f"{again} --resume")
     assert code == 0
