@@ -92,8 +92,7 @@ def _plain(value: Any) -> str:
 
 
 def _fits(config: RunConfig, point: ResolvedPoint) -> bool:
-    assert point.scenario is not None
-    return point.stated.observation in (None, config.algorithm.observation) and config.fits(point.scenario)
+    return point.stated.observation in (None, config.algorithm.observation) and config.fits(point.played)
 
 
 def _trained_slots(folder: RunFolder, config: RunConfig) -> int:
@@ -159,15 +158,13 @@ def missing_trainings(
         algorithm, observation = own[0].config.algorithm if own else load_config(policy), point.stated.observation
         if observation:
             algorithm = algorithm.model_copy(update={"observation": observation})
-        command = tuple(train_command(source, _training_scenario(point, base), algorithm))
+        command = tuple(train_command(source, _training_scenario(point.played, base), algorithm))
         wanted.setdefault((policy, command), []).append(point.label)
     return [MissingTraining(policy, tuple(labels), command) for (policy, command), labels in wanted.items()]
 
 
-def _training_scenario(point: ResolvedPoint, base: Scenario) -> Scenario:
-    scenario = point.scenario
-    assert scenario is not None
-    if point.stated.observation or (scenario.uavs, scenario.devices) != (base.uavs, base.devices):
+def _training_scenario(scenario: Scenario, base: Scenario) -> Scenario:
+    if (scenario.uavs, scenario.devices) != (base.uavs, base.devices):
         return scenario
     own, other = ((one.layout, one.layout_seed, one.devices_m) for one in (base, scenario))
     return base if own == other or base.layout == "resample" else base.replace(layout="resample")

@@ -52,8 +52,7 @@ class PolicyAtPoint:
     @property
     def scenario(self) -> Scenario:
         """What is played."""
-        assert self.point.scenario is not None
-        return self.point.scenario
+        return self.point.played
 
 
 class Compared(NamedTuple):
@@ -174,8 +173,7 @@ def plan_suite(
 
 
 def _flight(point: ResolvedPoint, run: SuiteRun) -> PolicyAtPoint:
-    assert point.scenario is not None
-    if run.trained_for(point.scenario):
+    if run.trained_for(point.played):
         return PolicyAtPoint(point, run.policy, "trained", run)
     return PolicyAtPoint(point, run.zero_shot_name, "zero-shot", run)
 
