@@ -313,9 +313,9 @@ def _unplayed(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
 
     found = [(policy, point, why_unfit(policy, point, plan.runs)) for point, policy in plan.unflown]
     found += [(one.flown.policy, one.flown.point, one.refusal) for one in results if one.refusal]
-    labels: dict[tuple[str, str], dict[str, None]] = {}
+    labels: dict[tuple[str, str], list[str]] = {}
     for policy, point, reason in found:
-        labels.setdefault((policy, reason.removeprefix(f"{policy}: ")), {})[point.label] = None
+        labels.setdefault((policy, reason.removeprefix(f"{policy}: ")), []).append(point.label)
     return paragraphs(f"{policy} does not fly {', '.join(at)}: {reason}" for (policy, reason), at in labels.items())
 
 
