@@ -232,7 +232,7 @@ def write_suite(
         results: of all of it.
         episodes: missions of each policy at each point.
         seed: of mission 0.
-        table: the CSV table, one row for each point, policy and training seed.
+        table: the CSV table, one row for each point and run or planner.
         json: one file with every policy and mission.
 
     Returns:
