@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from uavaou.planners.base import Planner
     from uavaou.runs.comparison import Comparison
     from uavaou.runs.folder import RunConfig
-    from uavaou.suites.assignment import MissingTraining
+    from uavaou.suites.given_runs import MissingTraining
     from uavaou.suites.play import PointResult, SuitePlan
     from uavaou.suites.suite import ResolvedPoint
 
@@ -213,7 +213,7 @@ def _point_lines(plan: SuitePlan) -> list[str]:
 
 
 def _suite_lines(plan: SuitePlan, results: Sequence[PointResult], episodes: int, seed: int) -> list[str]:
-    """The table of a suite, with missing trainings, infeasible points and how zero-shot runs were trained."""
+    """The table of a suite, with missing trainings, infeasible points and what the runs were trained on."""
     count = "1 mission" if episodes == 1 else f"{episodes:,} missions"
     head = f"{plan.name} on {plan.base.name}: {plan.suite.axis.title}; {count} each, seeds from {seed}"
     heads = (plan.suite.axis.label, "policy", "how", "knows", "mean AoU", "interval", "comm.", "served")
@@ -221,7 +221,7 @@ def _suite_lines(plan: SuitePlan, results: Sequence[PointResult], episodes: int,
     lines = [*wrapped(head), "", *aligned([heads, units, *_suite_rows(plan, results)], left=4)]
     lines += [*_beside_reference(plan, results), *_violations(results), *_budgets(results), *_reasons(plan.points)]
     unplayed = _unplayed(plan, results)
-    lines += [*unplayed, *_elsewhere(plan, results), *_missing_lines(plan.missing), *_unused(plan)]
+    lines += [*unplayed, *_trained_on(plan), *_missing_lines(plan.missing), *_unused(plan)]
     if any(point.scenario is None for point in plan.points) or unplayed:
         lines += ["", "- not played, see above"]
     return lines
@@ -234,8 +234,7 @@ def _suite_rows(plan: SuitePlan, results: Sequence[PointResult]) -> list[tuple[s
         if point.scenario is None:
             rows.append((point.label, "-", "infeasible", "", "-", "", "", ""))
             continue
-        missing = [one for one in plan.assignments if one.point is point and one.kind is None]
-        rows += [(point.label, one.policy, "-", "", "-", "", "", "") for one in missing]
+        rows += [(point.label, policy, "-", "", "-", "", "", "") for at, policy in plan.unflown if at is point]
         here = [result for result in results if result.flown.point is point]
         rows += [(point.label, *_suite_cells(result, len(seeds) > 1)) for result in here]
     return rows
@@ -288,7 +287,7 @@ def _violations(results: Sequence[PointResult]) -> list[str]:
 
 def _budgets(results: Sequence[PointResult]) -> list[str]:
     """The training slots of the policies, where they differ."""
-    from uavaou.suites.assignment import budget_lines
+    from uavaou.suites.given_runs import budget_lines
 
     flights = [one.flown for one in results]
     flown = [(one.policy, one.point.label, one.run.slots) for one in flights if one.run is not None]
@@ -308,34 +307,22 @@ def _reasons(points: Sequence[ResolvedPoint]) -> list[str]:
 
 def _unplayed(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
     """Why policies do not fly feasible points; the points of one policy with one reason together."""
-    from uavaou.suites.assignment import why_unfit
+    from uavaou.suites.given_runs import why_unfit
 
-    unfit = [(one.policy, one.point) for one in plan.assignments if one.kind is None]
-    found = [(policy, point, why_unfit(policy, point, plan.runs)) for policy, point in unfit]
+    found = [(policy, point, why_unfit(policy, point, plan.runs)) for point, policy in plan.unflown]
     found += [(one.flown.policy, one.flown.point, one.refusal) for one in results if one.refusal]
-    labels: dict[tuple[str, str], dict[str, None]] = {}
+    labels: dict[tuple[str, str], list[str]] = {}
     for policy, point, reason in found:
-        labels.setdefault((policy, reason.removeprefix(f"{policy}: ")), {})[point.label] = None
+        labels.setdefault((policy, reason.removeprefix(f"{policy}: ")), []).append(point.label)
     return paragraphs(f"{policy} does not fly {', '.join(at)}: {reason}" for (policy, reason), at in labels.items())
 
 
-def _elsewhere(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
-    """How the training scenario of each zero-shot run differs from the suite's, apart from what all points set."""
-    from uavaou.suites.assignment import differences
-
-    texts = []
-    set_everywhere = set.intersection(*(set(point.set) for point in plan.suite.points))
-    for run in {id(one.flown.run): one.flown.run for one in results if one.flown.kind == "zero-shot"}.values():
-        if run is None:
-            continue
-        if run.config.family is not None:
-            texts.append(f"{run.folder} was trained on the family '{run.config.family.name}'")
-            continue
-        changed = differences(run.config.scenario, plan.base).items()
-        parts = ", ".join(f"{k} = {there} (here {here})" for k, (there, here) in changed if k not in set_everywhere)
-        if parts:
-            texts.append(textwrap.shorten(f"{run.folder} was trained with {parts}", 400))
-    return paragraphs(texts)
+def _trained_on(plan: SuitePlan) -> list[str]:
+    """What the runs of each policy were trained on."""
+    places: dict[str, dict[str, None]] = {}
+    for run in plan.runs:
+        places.setdefault(run.policy, {})[run.trained_on] = None
+    return paragraphs(f"{policy}: trained on {', '.join(found)}" for policy, found in places.items())
 
 
 def _missing_lines(missing: Sequence[MissingTraining]) -> list[str]:
@@ -347,5 +334,4 @@ def _missing_lines(missing: Sequence[MissingTraining]) -> list[str]:
 
 
 def _unused(plan: SuitePlan) -> list[str]:
-    flown = {id(run) for assignment in plan.assignments for run in assignment.runs}
-    return [f"not used: {run.folder}" for run in plan.runs if id(run) not in flown]
+    return [f"not used: {run.folder}" for run in plan.runs if not run.flies]

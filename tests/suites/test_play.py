@@ -46,11 +46,15 @@ def test_a_suite_is_played_printed_and_written(capsys: pytest.CaptureFixture[str
     assert {(row["trained"], row["training_slots"]) for row in rows} == {
         ("trained", "96"), ("zero-shot", "96"), ("planner", "")
     }  # fmt: skip
+    assert [row["trained_on"] for row in rows if row["policy"] == "mappo"] == ["tiny"] * 3
+    assert {row["trained_on"] for row in rows if row["policy"] == "greedy"} == {""}
+    assert "mappo: trained on tiny" in out
     assert "trained with slots" not in out
     own = json.loads((place / "run" / "eval" / "own.json").read_text())
     assert [point["label"] for point in own["points"]] == ["150", "100", "new layouts"]
     assert [point["how"]["mappo"] for point in own["points"]] == ["trained", "zero-shot", "zero-shot"]
     assert set(own["points"][0]["policies"]) == {"mappo", "greedy"}
+    assert own["points"][0]["trained_on"] == {"mappo": "tiny"}
     assert own["points"][1]["set"] == {"rate_min_bit_s": 100000}
     whole = json.loads((place / "all.json").read_text())
     assert [set(point["policies"]) for point in whole["points"]][2] == {"greedy"}
@@ -127,19 +131,37 @@ def test_changes_of_the_scenario_are_part_of_every_name(capsys: pytest.CaptureFi
     assert code == 0
     assert (place / "run" / "eval" / "own+layout_seed=3.json").is_file()
     assert {row["suite"] for row in csv.DictReader((place / "own.csv").open())} == {"own+layout_seed=3"}
-    assert "run was trained with layout_seed = 0 (here 3)" in out
+    assert "mappo: trained on tiny" in out
 
 
-def test_budgets_that_differ_stand_below_the_table(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+def test_all_runs_fly_and_names_and_lines_tell_them_apart(capsys: pytest.CaptureFixture[str], place: Path) -> None:
     shutil.copytree(place / "run", place / "other")
     config = yaml.safe_load((place / "other" / "config.yaml").read_text())
     config["algorithm"]["slots"], config["scenario"]["rate_min_bit_s"] = 48, 100000.0
     (place / "other" / "config.yaml").write_text(yaml.safe_dump(config))
     code, out, _ = call(capsys, "eval run other --suite own.yaml --episodes 2 --quiet --out own.csv")
     assert code == 0
-    assert "mappo: trained with slots = 96 at 150, new layouts; 48 at 100" in out
-    played = [(row["point"], row["training_slots"]) for row in csv.DictReader((place / "own.csv").open())]
-    assert played == [("150", "96"), ("100", "48"), ("new layouts", "96")]
+    for words in (
+        "mappo+slots=96: trained with slots = 96",
+        "mappo+slots=48: trained with slots = 48",
+        "mappo+slots=96: trained on tiny",
+        "mappo+slots=48: trained on tiny+rate_min_bit_s=100000.0",
+    ):
+        assert words in out, words
+    played = [
+        (row["point"], row["policy"], row["trained"], row["training_slots"], row["trained_on"])
+        for row in csv.DictReader((place / "own.csv").open())
+    ]
+    short, long = ("48", "tiny+rate_min_bit_s=100000.0"), ("96", "tiny")
+    assert played == [
+        ("150", "mappo+slots=96", "trained", *long),
+        ("150", "mappo+slots=48", "zero-shot", *short),
+        ("100", "mappo+slots=96", "zero-shot", *long),
+        ("100", "mappo+slots=48", "trained", *short),
+        ("new layouts", "mappo+slots=96", "zero-shot", *long),
+        ("new layouts", "mappo+slots=48", "zero-shot", *short),
+    ]
+    assert call(capsys, "plot suite own.csv --out .")[0] == 0
 
 
 def test_an_evaluation_of_more_missions_is_kept(capsys: pytest.CaptureFixture[str], place: Path) -> None:

@@ -16,7 +16,7 @@ from uavaou.csv_tables import CsvTable, read_csv
 from uavaou.errors import InputError
 from uavaou.reports import style
 from uavaou.statistics import Interval, interval_over_trainings
-from uavaou.suites.assignment import budget_lines
+from uavaou.suites.given_runs import budget_lines
 from uavaou.suites.play import Compared
 
 _COLUMNS = (

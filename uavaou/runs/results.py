@@ -121,6 +121,7 @@ class SuitePoint(_Model):
     set: dict[str, Any]  # scenario fields that the point changes
     observation: str | None = None
     how: dict[str, str]  # policy -> trained, zero-shot or planner
+    trained_on: dict[str, str] = {}  # trained policy -> its scenario or family, named as its folder of results
     policies: dict[str, PolicyResult]
 
 

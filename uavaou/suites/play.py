@@ -1,6 +1,6 @@
-"""A suite's play: every policy at every point, on the same missions.
+"""A suite's play: every policy at every point that it fits, on the same missions.
 
-:func:`plan_suite` says who flies where, :func:`play_suite` plays it, :func:`write_suite` writes ``eval/<suite>.json``
+:func:`plan_suite` lists the flights, :func:`play_suite` plays it, :func:`write_suite` writes ``eval/<suite>.json``
 of each run, one JSON file of all, and the CSV table.
 """
 
@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from uavaou.arrays import Floats
 from uavaou.csv_tables import write_csv
@@ -22,17 +22,18 @@ from uavaou.runs.names import name_with
 from uavaou.runs.results import PolicyResult, SuiteEvaluationFile, SuitePoint, keep_evaluation, write_evaluation
 from uavaou.scenario import Scenario
 from uavaou.statistics import Interval, interval_over_missions
-from uavaou.suites import assignment
-from uavaou.suites.assignment import Assignment, MissingTraining, PolicyKind, SuiteRun
+from uavaou.suites.given_runs import MissingTraining, SuiteRun, missing_trainings, name_runs
 from uavaou.suites.suite import ResolvedPoint, Suite, resolve_points
 
 CSV_COLUMNS = (
     "suite", "point", "x", "policy", "trained", "seed", "training_slots", "missions", "mean_aou_slots", "low", "high",
     "communications", "devices_served", "violations", "ratio", "difference", "worst_mission", "axis", "scale", "joined",
-    "knows",
+    "knows", "trained_on",
 )  # fmt: skip
 REFERENCE = "best-first"  # a planner; the others are compared with it where it plays
 RATIO_ABOVE = 20  # slots of mean AoU: below, a ratio to the reference says less than the difference
+
+PolicyKind = Literal["trained", "zero-shot", "planner"]  # trained: on this very point
 
 
 @dataclass(frozen=True)
@@ -40,21 +41,19 @@ class PolicyAtPoint:
     """One policy at one feasible point."""
 
     point: ResolvedPoint
-    policy: str
+    policy: str  # its name in the table
     kind: PolicyKind
-    run: SuiteRun | None  # None: a planner
+    run: SuiteRun | None = None  # None: a planner
 
     @property
     def name(self) -> str:
         """Its name in displays, unique within the suite."""
-        seed = "" if self.run is None else f" seed {self.run.config.seed}"
-        return f"{self.point.label}: {self.policy}{seed}"
+        return f"{self.point.label}: {self.policy if self.run is None else self.run.folder}"
 
     @property
     def scenario(self) -> Scenario:
         """What is played."""
-        assert self.point.scenario is not None
-        return self.point.scenario
+        return self.point.played
 
 
 class Compared(NamedTuple):
@@ -118,9 +117,9 @@ class SuitePlan:
     base: Scenario  # which the points change
     points: list[ResolvedPoint]
     runs: list[SuiteRun]
-    assignments: list[Assignment]
-    missing: list[MissingTraining]
     flights: list[PolicyAtPoint]  # everything to be played, point by point: runs, then planners
+    unflown: list[tuple[ResolvedPoint, str]]  # feasible points, each with a policy of which no run fits it
+    missing: list[MissingTraining]
 
     def check_runs(self, action: str | None = None) -> None:
         """Load every run that will play once, so that a damaged one is found before hours are spent.
@@ -128,8 +127,8 @@ class SuitePlan:
         Raises:
             InputError: a run cannot be loaded.
         """
-        for run in {id(flight.run): flight.run for flight in self.flights}.values():
-            if run is not None:
+        for run in self.runs:
+            if run.flies:
                 _load(run, run.config.scenario, action)
 
 
@@ -137,9 +136,10 @@ def plan_suite(
     suite: Suite, configs: Mapping[str, RunConfig], planners: Sequence[str] = (), scenario: str | None = None,
     base: Scenario | None = None, changes: Mapping[str, str] | None = None,
 ) -> SuitePlan:  # fmt: skip
-    """Assign runs and planners to the points of a suite, and find the trainings that are missing.
+    """List the flights of runs and planners at the points of a suite, and find the trainings that are missing.
 
-    Without runs and planners, the missing trainings are those that MAPPO needs.
+    Every run flies each point that it fits, and every planner each feasible one. Without runs and planners, the missing
+    trainings are those that MAPPO needs.
 
     Args:
         suite: which one.
@@ -159,20 +159,24 @@ def plan_suite(
         if key.split(".")[0] in varied:
             raise InputError(f"scenario.{key} cannot be changed: the points of the suite '{suite.name}' set it")
     points = resolve_points(suite, base)
-    runs = assignment.name_runs({RunFolder.at(folder).path: config for folder, config in configs.items()}, suite)
-    assignments = assignment.assign(points, runs, base)
-    every = [Assignment(point, "mappo", (), None) for point in points if point.scenario]
-    wanted = assignments if configs or planners else every
-    missing = assignment.missing_trainings(wanted, runs, source, base)
-    named = name_with(suite.name, {**({"scenario": Scenario.load(source).name} if scenario else {}), **changes})
+    feasible = [point for point in points if point.scenario]
+    runs = name_runs({RunFolder.at(folder).path: config for folder, config in configs.items()}, suite, points)
     flights: list[PolicyAtPoint] = []
-    for point in points:
-        for one in assignments:
-            if one.point is point and one.kind is not None:
-                flights += [PolicyAtPoint(point, one.policy, one.kind, run) for run in one.runs]
-        if point.scenario:
-            flights += [PolicyAtPoint(point, name, "planner", None) for name in planners]
-    return SuitePlan(suite, named, base, points, runs, assignments, missing, flights)
+    for point in feasible:
+        flights += [_flight(point, run) for run in runs if point.label in run.flies]
+        flights += [PolicyAtPoint(point, name, "planner") for name in planners]
+    policies = dict.fromkeys(run.policy for run in runs) if configs or planners else ["mappo"]
+    flown = {(label, run.policy) for run in runs for label in run.flies}
+    unflown = [(point, policy) for point in feasible for policy in policies if (point.label, policy) not in flown]
+    missing = missing_trainings(unflown, runs, source, base)
+    named = name_with(suite.name, {**({"scenario": Scenario.load(source).name} if scenario else {}), **changes})
+    return SuitePlan(suite, named, base, points, runs, flights, unflown, missing)
+
+
+def _flight(point: ResolvedPoint, run: SuiteRun) -> PolicyAtPoint:
+    if run.trained_for(point.played):
+        return PolicyAtPoint(point, run.policy, "trained", run)
+    return PolicyAtPoint(point, run.zero_shot_name, "zero-shot", run)
 
 
 def play_suite(
@@ -229,7 +233,7 @@ def write_suite(
         results: of all of it.
         episodes: missions of each policy at each point.
         seed: of mission 0.
-        table: the CSV table, one row for each point, policy and training seed.
+        table: the CSV table, one row for each point and run or planner.
         json: one file with every policy and mission.
 
     Returns:
@@ -262,28 +266,31 @@ def suite_evaluation(
     """
     points = []
     for point in plan.points:
-        here = [result for result in results if result.flown.point is point and not result.refusal]
-        own = [result for result in here if run is None or result.flown.run is run]
-        beside = [
-            one for one in here if run is not None and (one.flown.run is None or one.flown.run.folder.is_released)
-        ]
-        if not own:
+        shown = {
+            name: result
+            for result in results
+            if result.flown.point is point and not result.refusal and (name := _name_in_file(result.flown, run))
+        }
+        if not shown or (run is not None and point.label not in run.flies):
             continue
-        shown = {_policy_key(result, run): result for result in [*own, *beside]}
         how = {name: result.flown.kind for name, result in shown.items()}
+        trained_on = {name: result.flown.run.trained_on for name, result in shown.items() if result.flown.run}
         policies = {name: result.played for name, result in shown.items()}
-        points.append(SuitePoint(**point.stated.model_dump(exclude={"joined"}), how=how, policies=policies))
+        stated = point.stated.model_dump(exclude={"joined"})
+        points.append(SuitePoint(**stated, how=how, trained_on=trained_on, policies=policies))
     return SuiteEvaluationFile(
         suite=plan.suite.name, scenario=plan.base.name, episodes=episodes, seed=seed, points=points
     )
 
 
-def _policy_key(result: PointResult, own: SuiteRun | None) -> str:
-    """The name of a policy within a point."""
-    run = result.flown.run
+def _name_in_file(flown: PolicyAtPoint, own: SuiteRun | None) -> str | None:
+    """The name of a policy in the file of the run ``own``, or in that of all runs; None where it is not there."""
+    run = flown.run
     if run is None:
-        return result.flown.policy
-    return run.config.algorithm.name if run is own else str(run.folder)
+        return flown.policy
+    if run is own:
+        return run.config.algorithm.name
+    return str(run.folder) if own is None or run.folder.is_released else None
 
 
 def _row(plan: SuitePlan, result: PointResult, every: Sequence[PointResult]) -> list[Any]:
@@ -294,4 +301,5 @@ def _row(plan: SuitePlan, result: PointResult, every: Sequence[PointResult]) -> 
     aou = len(result.played.mean_aou_s), *result.mean_aou_slots
     counts = result.mean("communications"), result.mean("devices_served"), result.violations
     drawn = axis.title, axis.scale, "yes" if point.joined else "no", result.played.knows
-    return [*which, *training, *aou, *counts, *result.compared(every), *drawn]
+    trained_on = None if flown.run is None else flown.run.trained_on
+    return [*which, *training, *aou, *counts, *result.compared(every), *drawn, trained_on]

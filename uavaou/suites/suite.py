@@ -126,6 +126,12 @@ class ResolvedPoint:
         """The point's label."""
         return self.stated.label
 
+    @property
+    def played(self) -> Scenario:
+        """The scenario of a feasible point."""
+        assert self.scenario is not None
+        return self.scenario
+
 
 def resolve_points(suite: Suite, base: Scenario) -> list[ResolvedPoint]:
     """The points of a suite on ``base``; an infeasible one states the constraint that it breaks.

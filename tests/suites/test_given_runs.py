@@ -1,0 +1,172 @@
+"""Which runs fly which point, under which name, and which trainings are missing."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.suites.small_suites import GOOD
+from uavaou.algorithms.registry import load_config
+from uavaou.family import Family
+from uavaou.runs.folder import RunConfig
+from uavaou.scenario import Scenario
+from uavaou.studies.study import Study
+from uavaou.suites.given_runs import budget_lines, name_runs
+from uavaou.suites.play import SuitePlan, plan_suite
+from uavaou.suites.suite import Suite
+from uavaou.zoo import zoo_names
+
+
+def configs(*stated: dict[str, Any]) -> dict[Path, RunConfig]:
+    """Runs on tiny with some changes: ``algorithm``, ``seed``, and fields of the scenario or the algorithm."""
+    found = {}
+    for number, given in enumerate(stated):
+        fields = dict(given)
+        name, seed = fields.pop("algorithm", "mappo-paper"), fields.pop("seed", 0)
+        own = {key: fields.pop(key) for key in list(fields) if key in ("observation", "gamma", "slots")}
+        found[Path(f"run-{number}")] = RunConfig(Scenario.load("tiny").replace(**fields), load_config(name, own), seed)
+    return found
+
+
+def planned(suite: Suite, given: dict[Path, RunConfig], **changes: Any) -> SuitePlan:
+    base = Scenario.load("tiny").replace(**changes)
+    return plan_suite(suite, {str(path): config for path, config in given.items()}, (), "tiny", base)
+
+
+def flown(suite: Suite, given: dict[Path, RunConfig]) -> dict[tuple[str, str], list[tuple[str, str]]]:
+    """(point, policy) -> the runs that fly it, each with how; none where no run of the policy fits."""
+    plan = planned(suite, given)
+    found: dict[tuple[str, str], list[tuple[str, str]]] = {(point.label, policy): [] for point, policy in plan.unflown}
+    for flight in plan.flights:
+        assert flight.run is not None
+        found.setdefault((flight.point.label, flight.policy), []).append((flight.run.folder.path.name, flight.kind))
+    return found
+
+
+@pytest.fixture
+def by_devices() -> Suite:
+    points = [{"label": str(n), "x": n, "set": {"devices": n}} for n in (3, 4)]
+    points.append({"label": "4 fast", "x": 5, "set": {"speed_m_s": 20}})
+    return Suite.from_dict(GOOD | {"points": points}, "own", "own.yaml")
+
+
+def test_every_run_flies_each_point_that_it_fits(by_devices: Suite) -> None:
+    found = flown(by_devices, configs({}, {"seed": 1}, {"algorithm": "vdn", "devices": 3}))
+    assert found == {
+        ("3", "mappo"): [],
+        ("4", "mappo"): [("run-0", "trained"), ("run-1", "trained")],
+        ("4 fast", "mappo"): [("run-0", "zero-shot"), ("run-1", "zero-shot")],
+        ("3", "vdn"): [("run-2", "trained")],
+        ("4", "vdn"): [],
+        ("4 fast", "vdn"): [],
+    }
+
+
+def test_zero_shot_runs_are_named_by_their_training_where_several_fly_a_point(by_devices: Suite) -> None:
+    assert flown(by_devices, configs({}, {"speed_m_s": 20}, {"devices": 3})) == {
+        ("3", "mappo"): [("run-2", "trained")],
+        ("4", "mappo"): [("run-0", "trained")],
+        ("4", "mappo+on=tiny+speed_m_s=20.0"): [("run-1", "zero-shot")],
+        ("4 fast", "mappo+on=tiny"): [("run-0", "zero-shot")],
+        ("4 fast", "mappo"): [("run-1", "trained")],
+    }
+    found = flown(by_devices, configs({"gamma": 0.9}, {"gamma": 0.9, "layout": "resample"}, {}))
+    assert found["4", "mappo+gamma=0.9,on=tiny+layout=resample"] == [("run-1", "zero-shot")]
+    assert found["4 fast", "mappo+gamma=0.995"] == [("run-2", "zero-shot")]
+
+
+def test_scenarios_are_compared_without_their_names(by_devices: Suite) -> None:
+    found = flown(by_devices, configs({"name": "mine", "description": "!"}))
+    assert found["4", "mappo"] == [("run-0", "trained")]
+
+
+def test_an_unfinished_training_counts_with_its_trained_slots(by_devices: Suite, tmp_path: Path) -> None:
+    (tmp_path / "meta.json").write_text('{"slots": 700, "agent_steps": 1400, "wall_s": 1.0, "finished": false}')
+    config = RunConfig(Scenario.load("tiny"), load_config("mappo-paper", {"slots": 1000}), 0)
+    assert name_runs({tmp_path: config}, by_devices, [])[0].slots == 700
+    for content in ('{"slots": 1020, "finished": true}', '{"slots": "many", "finished": false}', "[]", "{"):
+        (tmp_path / "meta.json").write_text(content)
+        assert name_runs({tmp_path: config}, by_devices, [])[0].slots == 1000
+
+
+def test_budgets_are_listed_where_they_differ() -> None:
+    assert budget_lines([("mappo", "10", 1000), ("mappo", "25", 1000), ("vdn", "10", 1000)]) == []
+    assert budget_lines([("mappo", "10", 1000), ("vdn", "10", 3000)]) == [
+        "mappo: trained with slots = 1,000", "vdn: trained with slots = 3,000"
+    ]  # fmt: skip
+    assert budget_lines([("any-map", "10", 1000), ("vdn", "10", 3000)]) == []  # its model card states its stages
+    flown = [("mappo", "10", 1000), *[("mappo", "25", 3000)] * 5, ("mappo", "50", 1000)]
+    assert budget_lines(flown) == ["mappo: trained with slots = 1,000 at 10, 50; 3,000 at 25"]
+
+
+def test_settings_budgets_and_starts_make_another_policy(by_devices: Suite) -> None:
+    def policies(*stated: dict[str, Any]) -> set[str]:
+        return {run.policy for run in planned(by_devices, configs(*stated)).runs}
+
+    assert policies({"gamma": 0.9}, {"gamma": 0.99}) == {"mappo+gamma=0.9", "mappo+gamma=0.99"}
+    assert policies({"slots": 1000}, {"slots": 3000}) == {"mappo+slots=1000", "mappo+slots=3000"}
+    assert policies({}, {"seed": 1}) == {"mappo"}
+    given = configs({}, {})
+    given[Path("run-1")] = replace(given[Path("run-1")], start="0123456789ab" + "c" * 52)
+    assert [run.policy for run in planned(by_devices, given).runs] == ["mappo", "mappo+from=0123456789ab"]
+
+
+def test_a_point_with_an_observation_is_flown_by_runs_that_have_it() -> None:
+    points = [{"label": name, "x": x, "observation": name} for x, name in enumerate(("location", "local", "shared"))]
+    suite = Suite.from_dict(GOOD | {"points": points}, "own", "own.yaml")
+    assert flown(suite, configs({"observation": "shared", "layout_seed": 5}, {})) == {
+        ("location", "mappo"): [],
+        ("local", "mappo"): [("run-1", "trained")],
+        ("shared", "mappo"): [("run-0", "zero-shot")],
+    }
+
+
+def test_a_missing_training_comes_with_its_command(by_devices: Suite) -> None:
+    missing = planned(by_devices, configs({"algorithm": "vdn", "devices": 3, "gamma": 0.9})).missing
+    command = "uavaou train --scenario tiny --algorithm vdn --set algorithm.gamma=0.9"
+    assert [(one.labels, shlex.join(one.command)) for one in missing] == [(("4", "4 fast"), command)]
+    (missing,) = planned(by_devices, configs({}), layout_seed=4).missing
+    command = (
+        "uavaou train --scenario tiny --algorithm mappo-paper --set scenario.devices=3 --set scenario.layout_seed=4"
+    )
+    assert sorted(shlex.join(missing.command).split(" --")) == sorted(command.split(" --"))
+
+
+def test_a_missing_training_takes_the_budget_of_its_policy(by_devices: Suite) -> None:
+    missing = planned(by_devices, configs({"slots": 3000}, {"slots": 1000})).missing
+    assert [one.labels for one in missing] == [("3",), ("3",)]
+    assert ["algorithm.slots=3000" in one.command for one in missing] == [True, False]
+    assert ["algorithm.slots=1000" in one.command for one in missing] == [False, True]
+
+
+@pytest.mark.parametrize("name", [name for name in zoo_names("studies") if name.startswith("suite-")])
+def test_companion_studies_train_for_every_point(name: str) -> None:
+    study, suite = Study.load(name), Suite.load(name.removeprefix("suite-"))
+    configs = {
+        Path(f"{s}-{a}"): RunConfig(scenario, algorithm, 0)
+        for s, scenario in enumerate(study.scenarios.values())
+        for a, algorithm in enumerate(study.variants.values())
+    }  # fmt: skip
+    plan = plan_suite(suite, {str(path): config for path, config in configs.items()})
+    # One training on layouts drawn anew flies all of the suite `layouts`, which none of them is from.
+    trained = {flight.point.label for flight in plan.flights if flight.kind == "trained"}
+    assert trained == (set() if name == "suite-layouts" else {point.label for point in suite.points})
+    assert not plan.unflown
+    missing = plan_suite(suite, {}).missing
+    assert len(missing) == len(configs)
+    assert sum("scenario.layout=resample" in one.command for one in missing) == (name == "suite-layouts")
+
+
+def test_runs_of_families_are_never_trained_for_a_point(by_devices: Suite) -> None:
+    given = configs({}, {"layout": "resample"})
+    family = Family.from_dict({"base": Scenario.load("tiny").to_dict(), "name": "mine"})
+    given[Path("drawn")] = replace(given[Path("run-0")], family=family)
+    found = flown(by_devices, given)
+    assert found["4", "mappo"] == [("run-0", "trained")]
+    (policy,) = {policy for _, policy in found if "family" in policy}
+    assert policy.startswith("mappo+on=family-mine~")
+    assert found["4", policy] == [("drawn", "zero-shot")]

@@ -1,0 +1,195 @@
+"""The runs given to a suite: their names in its table, the points that they fly, and the trainings that are missing.
+
+A run flies every point that it fits.
+"""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from uavaou.algorithms.registry import load_config
+from uavaou.errors import InputError
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.names import family_folder, scenario_folder, train_command
+from uavaou.runs.released import released_names
+from uavaou.scenario import Scenario
+from uavaou.suites.suite import ResolvedPoint, Suite
+
+# Settings that do not make another policy.
+_NOT_NAMED = ("missions", "processes", "evaluate_every_slots", "evaluation_missions")
+
+
+@dataclass(frozen=True)
+class SuiteRun:
+    """A trained run in a suite."""
+
+    folder: RunFolder
+    config: RunConfig
+    policy: str  # the algorithm, with the settings in which runs of it differ
+    zero_shot_name: str  # of the policy where this run was not trained for the point
+    trained_on: str  # the scenario or the family, named as its folder of results
+    slots: int  # of its training: the budget, or those of an unfinished one's last checkpoint
+    flies: frozenset[str]  # labels of the points
+
+    def trained_for(self, scenario: Scenario) -> bool:
+        """Whether it was trained on this very scenario, whatever that is called."""
+        own, other = (one.model_dump(exclude={"name", "description"}) for one in (self.config.scenario, scenario))
+        return self.config.family is None and own == other
+
+
+@dataclass(frozen=True)
+class MissingTraining:
+    """A training for points that none of the given runs of a policy fits."""
+
+    policy: str
+    labels: tuple[str, ...]  # of the points
+    command: tuple[str, ...]
+
+
+def name_runs(configs: Mapping[Path, RunConfig], suite: Suite, points: Iterable[ResolvedPoint]) -> list[SuiteRun]:
+    """Name the policy of each run, and find the points that it flies.
+
+    An observation level that the suite varies does not make another policy. A released policy keeps its own name. Where
+    runs of one policy that were trained on different scenarios fly the same point, the zero-shot ones among them have
+    names of their own.
+
+    Args:
+        configs: by run folder.
+        suite: which the runs are to fly.
+        points: of the suite.
+    """
+    varied = any(point.observation for point in suite.points)
+    apart = {*_NOT_NAMED, *(["observation"] if varied else [])}
+    settings = {
+        path: {k: v for k, v in config.algorithm.model_dump(mode="json").items() if k not in apart}
+        | {"slots": config.slots}
+        | ({"from": config.start[:12]} if config.start else {})
+        for path, config in configs.items()
+        if not RunFolder(path).is_released
+    }
+    feasible, runs = [point for point in points if point.scenario], []
+    for path, config in configs.items():
+        folder = RunFolder(path)
+        name = str(folder) if folder.is_released else _policy_name(settings[path], settings.values())
+        trained_on = family_folder(config.family) if config.family else scenario_folder(config.scenario)
+        flies = frozenset(point.label for point in feasible if _fits(config, point))
+        runs.append(SuiteRun(folder, config, name, name, trained_on, _trained_slots(folder, config), flies))
+    return _name_trainings(runs)
+
+
+def _policy_name(own: Mapping[str, Any], every: Iterable[Mapping[str, Any]]) -> str:
+    """The name of the policy with these settings, given those of all runs."""
+    alike = [other for other in every if other["name"] == own["name"]]
+    differing = [k for k, v in own.items() if any(other.get(k) != v for other in alike)]
+    changes = ",".join(f"{k}={quote(_plain(own[k]), safe='.-_')}" for k in differing)
+    return f"{own['name']}+{changes}" if changes else str(own["name"])
+
+
+def _plain(value: Any) -> str:
+    return json.dumps(value) if isinstance(value, list | dict | bool) else str(value)
+
+
+def _fits(config: RunConfig, point: ResolvedPoint) -> bool:
+    return point.stated.observation in (None, config.algorithm.observation) and config.fits(point.played)
+
+
+def _trained_slots(folder: RunFolder, config: RunConfig) -> int:
+    budget = config.slots
+    try:
+        meta = folder.read_meta()
+    except InputError:  # nothing is known but the budget
+        return budget
+    return budget if meta.finished else min(meta.slots, budget)
+
+
+def _name_trainings(runs: Sequence[SuiteRun]) -> list[SuiteRun]:
+    """Name zero-shot runs also by what they were trained on, where several trainings of a policy fly one point."""
+    trainings: dict[tuple[str, str], set[str]] = {}  # policy, point -> what its runs were trained on
+    for run in runs:
+        for label in run.flies:
+            trainings.setdefault((run.policy, label), set()).add(run.trained_on)
+    several = {policy for (policy, _), found in trainings.items() if len(found) > 1}
+    return [
+        replace(run, zero_shot_name=f"{run.policy}{',' if '+' in run.policy else '+'}on={run.trained_on}")
+        if run.policy in several
+        else run
+        for run in runs
+    ]
+
+
+def why_unfit(policy: str, point: ResolvedPoint, runs: Iterable[SuiteRun]) -> str:
+    """Why none of the ``runs`` of a policy can fly the ``point``."""
+    own = [run.config for run in runs if run.policy == policy]
+    levels = dict.fromkeys(config.algorithm.observation for config in own)
+    if point.stated.observation not in (None, *levels):
+        return f"it was trained with observation {' or '.join(levels)}"
+    sizes = dict.fromkeys(
+        f"{config.scenario.uavs} UAVs and {config.scenario.devices} devices"
+        for config in own
+        if config.algorithm.depends_on_sizes
+    )
+    if sizes:
+        return f"its network takes {' or '.join(sizes)}; one with network=set takes any number"
+    return "its rows have other columns"
+
+
+def missing_trainings(
+    unflown: Iterable[tuple[ResolvedPoint, str]], runs: Sequence[SuiteRun], source: str, base: Scenario
+) -> list[MissingTraining]:
+    """The trainings that points without a run need, each once.
+
+    One training on ``base`` serves all points with as many UAVs and devices as ``base``; one on resampled layouts those
+    of them with another layout.
+
+    Args:
+        unflown: points with the name of a policy that does not fly them.
+        runs: those given. A further training takes their settings; a policy that is not among them is trained as
+            published. Released policies and those of families are not trained again.
+        source: the scenario's name on the command line.
+        base: the suite's scenario, overrides included.
+    """
+    wanted: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for point, policy in unflown:
+        own = [run for run in runs if run.policy == policy]
+        if any(run.folder.is_released or run.config.family for run in own):
+            continue
+        algorithm, observation = own[0].config.algorithm if own else load_config(policy), point.stated.observation
+        if observation:
+            algorithm = algorithm.model_copy(update={"observation": observation})
+        command = tuple(train_command(source, _training_scenario(point.played, base), algorithm))
+        wanted.setdefault((policy, command), []).append(point.label)
+    return [MissingTraining(policy, tuple(labels), command) for (policy, command), labels in wanted.items()]
+
+
+def _training_scenario(scenario: Scenario, base: Scenario) -> Scenario:
+    if (scenario.uavs, scenario.devices) != (base.uavs, base.devices):
+        return scenario
+    own, other = ((one.layout, one.layout_seed, one.devices_m) for one in (base, scenario))
+    return base if own == other or base.layout == "resample" else base.replace(layout="resample")
+
+
+def budget_lines(flown: Iterable[tuple[str, str, int]]) -> list[str]:
+    """How long each policy was trained, where not all of them were trained alike; else nothing.
+
+    Released policies have no line: they were trained in several stages, which their model cards state.
+
+    Args:
+        flown: policy, point label and training slots of every run at every point that it flew.
+    """
+    found: dict[str, dict[int, dict[str, None]]] = {}  # policy -> slots -> labels, in the order of the points
+    released = released_names()
+    for policy, label, slots in flown:
+        if policy in released:
+            continue
+        found.setdefault(policy, {}).setdefault(slots, {})[label] = None
+    if len({slots for budgets in found.values() for slots in budgets}) < 2:
+        return []
+    lines = []
+    for policy, budgets in found.items():
+        several = len(budgets) > 1
+        at = [f"{slots:,}" + (f" at {', '.join(labels)}" if several else "") for slots, labels in budgets.items()]
+        lines.append(f"{policy}: trained with slots = {'; '.join(at)}")
+    return lines
