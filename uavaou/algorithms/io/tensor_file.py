@@ -7,7 +7,6 @@ itself: it writes a replay of a gigabyte without a copy in memory, and raises an
 import hashlib
 import json
 import math
-import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -73,7 +72,7 @@ class ArrayFile:
         with unusable(f"{path}: not a readable safetensors file"):
             if not path.exists():
                 raise InputError(f"{path}: no such checkpoint")
-            if not stat.S_ISREG(path.stat().st_mode):
+            if not path.is_file():
                 raise InputError(f"{path}: not a regular file")
             _verify(path)
             self._file = cast(Any, safe_open(path, framework="numpy"))
