@@ -26,14 +26,14 @@ _NOT_SAVED = ("self", "policy", "env", "device", "tensorboard_log", "verbose", "
 
 def policy_arrays(model: BaseAlgorithm) -> Arrays:
     """The policy's weights and buffers."""
-    return {POLICY + name: tensor.detach().cpu().numpy() for name, tensor in model.policy.state_dict().items()}
+    return {POLICY + name: tensor.cpu().numpy() for name, tensor in model.policy.state_dict().items()}
 
 
 def optimizer_arrays(model: BaseAlgorithm) -> Arrays:
     """The optimizer's state of each parameter."""
     state = model.policy.optimizer.state_dict()["state"]
     return {
-        f"{_OPTIMIZER}{index}.{name}": value.detach().cpu().numpy()
+        f"{_OPTIMIZER}{index}.{name}": value.cpu().numpy()
         for index, slots in state.items()
         for name, value in slots.items()
     }
