@@ -18,7 +18,7 @@ from unittest.mock import patch
 import numpy as np
 
 from uavaou import zoo
-from uavaou.algorithms.io import save_load
+from uavaou.algorithms.io.save_load import LearnerHeader
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
 from uavaou.algorithms.registry import load_config
 from uavaou.devices_csv import read_devices_csv
@@ -31,7 +31,7 @@ from uavaou.planners.plan import RoutePlan
 from uavaou.reports.figures import read_runs
 from uavaou.reports.suites import read_suite
 from uavaou.runs import folder
-from uavaou.runs.checkpoint_header import TrainingProgress, read_header, write_header
+from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import EPISODE_COLUMNS, RunConfig, RunFolder
 from uavaou.runs.records import EpisodesCsv, ProgressCsv
 from uavaou.runs.results import read_evaluation
@@ -105,7 +105,7 @@ def config() -> RunConfig:
 
 def _checkpoint(path: Path) -> None:
     file = ArrayFile(path)
-    read_header(file, oldest=2).fits(config(), 1000)
+    TrainingProgress.read(file, oldest=2)
     for name in file.shapes:
         file.read(name)
 
@@ -163,7 +163,7 @@ def _onboard(path: Path) -> None:
 
 READERS: dict[str, Callable[[Path], Any]] = {
     "checkpoint.safetensors": _checkpoint,
-    "learner.safetensors": lambda path: save_load.read_header(ArrayFile(path)),
+    "learner.safetensors": lambda path: LearnerHeader.read(ArrayFile(path)),
     "scenario.yaml": Scenario.load,
     "config.yaml": lambda path: RunFolder(path.parent).read_config(),
     "devices.csv": _devices,
@@ -192,8 +192,8 @@ def seeds() -> dict[str, bytes]:
     files = {name: place() / f"seed-{Path(name).name}" for name in READERS}
     arrays = {"policy.weight": np.ones((2, 3), np.float32), "stream.numpy": np.zeros(4, np.uint32)}
     about = {"class": "MAPPO", "arguments": {}, "layout": {}, "rows": 2}
-    write_arrays(files["checkpoint.safetensors"], arrays, write_header(TrainingProgress()))
-    learner = {"kind": "uavaou learner", "schema": "1", "about": json.dumps(about)}
+    write_arrays(files["checkpoint.safetensors"], arrays, TrainingProgress().text())
+    learner = {"schema": "2", "about": json.dumps(about)}
     write_arrays(files["learner.safetensors"], arrays, learner)
     slots, uavs, devices = tiny.slots, tiny.uavs, tiny.devices
     cells = np.rint(np.asarray(tiny.cds_m) / tiny.grid_step_m).astype(int).tolist()

@@ -25,11 +25,11 @@ from tests.runs.stopped_runs import (
     stopped_at,
 )
 from uavaou import InputError, Scenario
-from uavaou.algorithms.io import tensor_file
+from uavaou.algorithms.io.tensor_file import SCHEMA, ArrayFile, write_arrays
 from uavaou.algorithms.registry import load_config
-from uavaou.runs import checkpoint
 from uavaou.runs import recorder as callback
 from uavaou.runs.checkpoint import DamagedCheckpointWarning
+from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.policy import load_run
 
@@ -65,7 +65,7 @@ def test_every_bit_of_a_checkpoint_is_covered(stopped: RunFolder, tmp_path: Path
         path.write_bytes(content)
         flip(path, int(place))
         with pytest.raises(InputError):
-            checkpoint.read_header(tensor_file.ArrayFile(path), oldest=checkpoint.SCHEMA)
+            TrainingProgress.read(ArrayFile(path), oldest=SCHEMA)
 
 
 def test_a_kill_between_the_two_renames_costs_one_checkpoint(
@@ -102,12 +102,12 @@ def test_rows_that_are_gone_are_missed(name: str, stopped: RunFolder) -> None:
 
 def test_checkpoints_of_another_schema_are_refused_in_words(stopped: RunFolder, tmp_path: Path) -> None:
     for path in (stopped.last, stopped.previous):
-        file = tensor_file.ArrayFile(path)
+        file = ArrayFile(path)
         arrays = {name: file.read(name) for name in file.shapes}
         for schema, says in (("1", "this version reads 2"), ("3", "this version reads 2")):
-            tensor_file.write_arrays(path, arrays, file.text | {"schema": schema})
+            write_arrays(path, arrays, file.text | {"schema": schema})
             with pytest.raises(InputError, match=f"written with checkpoint schema {schema}, {says}"):
-                checkpoint.read_header(tensor_file.ArrayFile(path), oldest=checkpoint.SCHEMA)
+                TrainingProgress.read(ArrayFile(path), oldest=SCHEMA)
     published = Path(__file__).parents[1] / "data" / "schema-1"
     assert load_run(RunFolder(published)).model is not None  # schema 1, without a checksum
 

@@ -26,7 +26,7 @@ from uavaou.evaluation.checker import CONSTRAINTS
 from uavaou.evaluation.seeds import VALIDATION_SEED, training_seeds
 from uavaou.planners import make_planner
 from uavaou.runs import train as train_module
-from uavaou.runs.checkpoint_header import read_header
+from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.names import config_folder, flight_folder
 from uavaou.runs.policy import load_run
@@ -161,7 +161,7 @@ def test_the_best_policy_is_that_of_the_lowest_validation_by_the_action_that_rea
     assert validated == [(slots, action) for slots in (200, 400, 500) for action in ("greedy", "sample")]
     progress, best = outcome.progress, ArrayFile(outcome.folder.best)
     assert (progress.best_score, progress.best_action) == (5.0, "sample")
-    assert read_header(best).slots == 400
+    assert TrainingProgress.read(best).slots == 400
     np.testing.assert_array_equal(best.read("policy.actor_body.0.weight"), weights[2])
     policy = load_run(outcome.folder)
     assert policy.action == "sample"

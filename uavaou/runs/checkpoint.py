@@ -16,18 +16,14 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from uavaou.algorithms.io.save_load import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
-from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
+from uavaou.algorithms.io.tensor_file import SCHEMA, ArrayFile, Arrays, unusable, write_arrays
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
-from uavaou.fields import short
 from uavaou.files import replacing
-from uavaou.runs.checkpoint_header import SCHEMA, TrainingProgress, read_header, write_header
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.checkpoint_header import TrainingProgress
+from uavaou.runs.folder import RunFolder
 
 _WORLD, _STREAM, _LEARNER, _REPLAY = "world.", "stream.", "learner.", "replay."
-_UNUSABLE = (KeyError, ValueError, TypeError, IndexError, RuntimeError, AttributeError, OverflowError)
-
-Arrays = dict[str, NDArray[Any]]
 
 
 class DamagedCheckpointWarning(UserWarning):
@@ -36,7 +32,7 @@ class DamagedCheckpointWarning(UserWarning):
 
 def save_policy(path: Path, model: BaseAlgorithm, progress: TrainingProgress) -> None:
     """Write the policy's weights."""
-    _write(path, policy_arrays(model), progress)
+    write_arrays(path, policy_arrays(model), progress.text())
 
 
 def save_training(
@@ -52,20 +48,17 @@ def save_training(
     Raises:
         OSError: it cannot be written; what was there before is untouched.
     """
+    learner = model.training_state() if hasattr(model, "training_state") else {}  # beside the rest; most keep nothing
+    arrays = policy_arrays(model) | optimizer_arrays(model) | _stream_arrays(model)
+    arrays |= {_WORLD + name: array for name, array in world.items()}
+    arrays |= {_LEARNER + name: _to_numpy(value) for name, value in learner.items()}
+    if replay:
+        arrays |= _replay_arrays(model)
     newest = folder.last.with_name("newest.safetensors")
-    _write(newest, _training_arrays(model, world, replay), progress)
+    write_arrays(newest, arrays, progress.text())
     if folder.last.exists():
         folder.last.replace(folder.previous)
     newest.replace(folder.last)
-
-
-def _training_arrays(model: BaseAlgorithm, world: Arrays, replay: bool) -> Arrays:
-    arrays = policy_arrays(model) | optimizer_arrays(model)
-    arrays |= {_WORLD + name: array for name, array in world.items()}
-    learner = model.training_state() if hasattr(model, "training_state") else {}  # beside the rest; most keep nothing
-    arrays |= {_LEARNER + name: _to_numpy(value) for name, value in learner.items()}
-    arrays |= _streams(model)
-    return arrays | _replay_arrays(model) if replay else arrays
 
 
 def copy_last(folder: RunFolder) -> None:
@@ -80,8 +73,8 @@ def copy_last(folder: RunFolder) -> None:
         shutil.copyfileobj(last, previous)
 
 
-def load_training(folder: RunFolder, model: BaseAlgorithm, config: RunConfig) -> tuple[TrainingProgress, Arrays]:
-    """Load the newest checkpoint that is whole into a learner; returns where it stood and the missions in progress.
+def restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv) -> TrainingProgress:
+    """Let a learner and its missions go on from the newest checkpoint that is whole; returns where it stands.
 
     A damaged ``last`` is set aside as ``last.damaged``, with a warning that names it and the one taken.
 
@@ -93,46 +86,33 @@ def load_training(folder: RunFolder, model: BaseAlgorithm, config: RunConfig) ->
         if not path.exists():
             continue
         try:
-            file = ArrayFile(path)
-            progress = read_header(file, oldest=SCHEMA)
-            longest = max(longest_rollout(model), config.scenario.slots) * config.algorithm.missions
-            if wrong := progress.fits(config, longest):
-                value = short(getattr(progress, wrong))
-                raise InputError(f"{path}: damaged: {wrong} = {value} cannot be at slot {progress.slots:,} of this run")
-            world = _load_state(file, model)
+            progress = _load(path, model, env)
         except InputError as error:
-            problems.append(str(error))
+            problems.append(str(error) if str(path) in str(error) else f"{path}: {error}")
             continue
         if problems:
             folder.last.replace(folder.last.with_suffix(".damaged"))
             message = f"{problems[0]}; going on from {path}, which has {progress.slots:,} slots"
             warnings.warn(message, DamagedCheckpointWarning, stacklevel=2)
-        return progress, world
+        return progress
     raise InputError("; ".join(problems) + "; no checkpoint is left to resume from")
 
 
-def restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, config: RunConfig) -> TrainingProgress:
-    """Let a learner and its missions go on from the newest checkpoint that is whole; returns where it stands.
-
-    Raises:
-        InputError: no checkpoint can be used.
-    """
-    progress, missions = load_training(folder, model, config)
-    _resume(model, env, progress, missions, folder.last)
-    return progress
-
-
-def _resume(model: BaseAlgorithm, env: MissionVecEnv, progress: TrainingProgress, missions: Arrays, path: Path) -> None:
-    """Let the missions in progress of the checkpoint at ``path`` go on, and the counts of the learner."""
+def _load(path: Path, model: BaseAlgorithm, env: MissionVecEnv) -> TrainingProgress:
+    file = ArrayFile(path)
+    progress = TrainingProgress.read(file, oldest=SCHEMA)
+    load_policy_arrays(file, model)
+    with unusable(f"{path}: does not hold the state of this training"):
+        load_optimizer_arrays(file, model)
+        if state := file.part(_LEARNER):
+            model.load_training_state(state)  # type: ignore[attr-defined]
+        _load_replay(file.part(_REPLAY), model)
+        _load_streams(file.part(_STREAM), model)
+        _load_missions(file.part(_WORLD), model, env)
     model.num_timesteps = progress.slots * env.row_layout.uavs
     model._n_updates = progress.updates
     model._current_progress_remaining = progress.budget_left
-    starts = missions.pop("episode_starts", None)
-    if starts is None or starts.shape != (env.num_envs,):
-        raise InputError(f"{path}: does not hold the missions in progress")
-    model._last_episode_starts = starts.astype(bool)
-    assert model.observation_space.shape is not None
-    model._last_obs = env.load_missions_state(missions)[:, : model.observation_space.shape[0]]  # LocalRows or all
+    return progress
 
 
 def longest_rollout(model: BaseAlgorithm) -> int:
@@ -141,24 +121,10 @@ def longest_rollout(model: BaseAlgorithm) -> int:
     return int(getattr(model, "n_steps", 0) or getattr(often, "frequency", often))
 
 
-def _load_state(file: ArrayFile, model: BaseAlgorithm) -> Arrays:
-    """Load everything but the missions, which are returned."""
-    load_policy_arrays(file, model)
-    try:
-        load_optimizer_arrays(file, model)
-        if state := _part(file, _LEARNER):
-            model.load_training_state(state)  # type: ignore[attr-defined]
-        _load_replay(file, model)
-        _load_streams(file, model)
-    except _UNUSABLE as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{file.path}: does not hold the state of this training ({error})") from error
-    return _part(file, _WORLD)
-
-
-def _part(file: ArrayFile, prefix: str) -> Arrays:
-    return {name.removeprefix(prefix): file.read(name) for name in file.shapes if name.startswith(prefix)}
+def _load_missions(missions: Arrays, model: BaseAlgorithm, env: MissionVecEnv) -> None:
+    model._last_episode_starts = missions.pop("episode_starts").astype(bool)
+    assert model.observation_space.shape is not None
+    model._last_obs = env.load_missions_state(missions)[:, : model.observation_space.shape[0]]  # LocalRows or all
 
 
 def _replay_arrays(model: BaseAlgorithm) -> Arrays:
@@ -170,21 +136,15 @@ def _replay_arrays(model: BaseAlgorithm) -> Arrays:
     return arrays | {_REPLAY + "position": np.array([replay.pos, int(replay.full)])}
 
 
-def _load_replay(file: ArrayFile, model: BaseAlgorithm) -> None:
+def _load_replay(stored: Arrays, model: BaseAlgorithm) -> None:
     replay = getattr(model, "replay_buffer", None)
-    stored = _part(file, _REPLAY)
     if replay is None or not stored:
         return
-    position, full = (int(value) for value in stored.pop("position"))
-    ring = _ring(replay)
+    position, full = stored["position"]
     held = replay.buffer_size if full else position
-    if stored.keys() != ring.keys() or not 0 <= position < replay.buffer_size or full not in (0, 1):
-        raise InputError(f"{file.path}: does not hold this learner's replay")
-    for name, array in ring.items():
-        if stored[name].shape != (held, *array.shape[1:]) or stored[name].dtype != array.dtype:
-            raise InputError(f"{file.path}: replay.{name} has shape {stored[name].shape} and type {stored[name].dtype}")
+    for name, array in _ring(replay).items():
         array[:held] = stored[name]
-    replay.pos, replay.full = position, bool(full)
+    replay.pos, replay.full = int(position), bool(full)
 
 
 def _ring(replay: Any) -> Arrays:
@@ -193,7 +153,7 @@ def _ring(replay: Any) -> Arrays:
     return {name: value for name, value in named.items() if isinstance(value, np.ndarray)}
 
 
-def _streams(model: BaseAlgorithm) -> Arrays:
+def _stream_arrays(model: BaseAlgorithm) -> Arrays:
     legacy = np.random.get_state(legacy=False)
     assert isinstance(legacy, dict)
     arrays = {
@@ -206,20 +166,13 @@ def _streams(model: BaseAlgorithm) -> Arrays:
     return arrays
 
 
-def _load_streams(file: ArrayFile, model: BaseAlgorithm) -> None:
-    position = int(file.read(_STREAM + "numpy_position")[0])
-    if not 0 <= position <= 624:
-        raise InputError(f"{file.path}: {_STREAM}numpy_position = {position}: expected 0 to 624")
-    th.set_rng_state(th.from_numpy(file.read(_STREAM + "torch")))
-    np.random.set_state(("MT19937", file.read(_STREAM + "numpy"), position, 0, 0.0))
-    if model.device.type == "cuda" and _STREAM + "cuda" in file.shapes:
-        th.cuda.set_rng_state(th.from_numpy(file.read(_STREAM + "cuda")), model.device)
+def _load_streams(stored: Arrays, model: BaseAlgorithm) -> None:
+    position = int(stored["numpy_position"][0]) % 625  # 0 to 624: beyond, NumPy would read other memory, unchecked
+    th.set_rng_state(th.from_numpy(stored["torch"]))
+    np.random.set_state(("MT19937", stored["numpy"], position, 0, 0.0))
+    if model.device.type == "cuda" and "cuda" in stored:
+        th.cuda.set_rng_state(th.from_numpy(stored["cuda"]), model.device)
 
 
 def _to_numpy(value: Any) -> NDArray[Any]:
     return value.detach().cpu().numpy() if isinstance(value, th.Tensor) else np.asarray(value)
-
-
-def _write(path: Path, arrays: Arrays, progress: TrainingProgress) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_arrays(path, arrays, write_header(progress))

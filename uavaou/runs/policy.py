@@ -4,7 +4,6 @@ import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -175,10 +174,7 @@ def _fit(
     algorithm = config.algorithm
     env = flatten(scenario, 1, observation=seen, collection=algorithm.collection, rows=algorithm.rows, plan=plan)
     env.maps_vary = config.maps_vary  # in its training
-    hidden = getattr(algorithm, "hidden", ())
-    if sum(a * b for a, b in pairwise(hidden)) > checkpoint.elements:  # build no networks that it cannot fill
-        numbers = f"{checkpoint.elements:,} numbers"
-        raise InputError(f"{checkpoint.path}: holds {numbers}, too few for hidden = {list(hidden)}")
+    checkpoint.check_holds(getattr(algorithm, "hidden", ()))
     try:
         model = make_model(algorithm, env, config.seed, device="cpu")
     except MemoryError as error:

@@ -13,11 +13,12 @@ import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
+from uavaou.algorithms.io.tensor_file import Arrays
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
 from uavaou.files import write_json
 from uavaou.planners.plan import PlanningStatus
-from uavaou.runs.checkpoint import Arrays, copy_last, save_policy, save_training
+from uavaou.runs.checkpoint import copy_last, save_policy, save_training
 from uavaou.runs.checkpoint_header import ACTIONS, ROWS_AN_EVALUATION, TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
 from uavaou.runs.interrupt import Interrupted, Interrupts

@@ -22,7 +22,7 @@ from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.fields import Numbers, Whole, validated
 from uavaou.files import read_json, write_json
 from uavaou.planners.base import Planner
-from uavaou.runs.checkpoint_header import read_header
+from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
 from uavaou.statistics import band_over_missions
@@ -190,7 +190,7 @@ def find_evaluation(folder: RunFolder, algorithm: str, episodes: int) -> PolicyR
     if not found or not folder.policy.is_file():
         return None
     checkpoint = ArrayFile(folder.policy)
-    present = checkpoint.digest(POLICY), read_header(checkpoint).best_action
+    present = checkpoint.digest(POLICY), TrainingProgress.read(checkpoint).best_action
     return next((one for one in found if (one.policy_sha256, one.action) == present), None)
 
 

@@ -138,7 +138,7 @@ def _train(
             # With worker processes, the CPU time of this one says little: it waits for those that step the missions.
             cpu_s = 0.0 if algorithm.processes == 1 else None
             started = TrainingProgress(next_evaluation=config.evaluate_every_slots, cpu_s=cpu_s)
-            progress = restore(folder, model, env, config) if resuming else started
+            progress = restore(folder, model, env) if resuming else started
             return _learn(config, folder, model, env, progress, checkpoint_every_s, display, after_update)
     finally:
         env.close()

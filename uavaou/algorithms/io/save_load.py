@@ -1,45 +1,39 @@
 """``save`` and ``load`` of learners without pickle: loading a stranger's file runs no code.
 
 SB3's own ``save`` writes a zip of pickles, and its ``load`` runs the code in them. Here a learner is its weights
-and optimizer in safetensors, with its constructor arguments as JSON. Loading checks every shape.
+and optimizer in safetensors, with its constructor arguments as JSON.
 """
 
 import inspect
 import json
 from io import BufferedIOBase
-from itertools import pairwise
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import torch as th
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, StrictInt, model_validator
+from pydantic import Field
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 
-from uavaou.algorithms.io.tensor_file import CHECKSUM, POLICY, ArrayFile, write_arrays
+from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile, Arrays, Header, unusable, write_arrays
 from uavaou.envs.spaces import action_space, row_space
 from uavaou.errors import InputError
-from uavaou.fields import validated
 from uavaou.world.views import MOVES, RowLayout
 
-SCHEMA = 1
-_KIND = "uavaou learner"
 _OPTIMIZER = "optimizer."  # prefix of the names of an optimizer's arrays
 _NOT_SAVED = ("self", "policy", "env", "device", "tensorboard_log", "verbose", "_init_setup_model")
-_UNUSABLE = (TypeError, ValueError, KeyError, IndexError, AttributeError, AssertionError, RuntimeError, MemoryError)
 
 
-def policy_arrays(model: BaseAlgorithm) -> dict[str, NDArray[Any]]:
+def policy_arrays(model: BaseAlgorithm) -> Arrays:
     """The policy's weights and buffers."""
-    return {POLICY + name: tensor.detach().cpu().numpy() for name, tensor in model.policy.state_dict().items()}
+    return {POLICY + name: tensor.cpu().numpy() for name, tensor in model.policy.state_dict().items()}
 
 
-def optimizer_arrays(model: BaseAlgorithm) -> dict[str, NDArray[Any]]:
+def optimizer_arrays(model: BaseAlgorithm) -> Arrays:
     """The optimizer's state of each parameter."""
     state = model.policy.optimizer.state_dict()["state"]
     return {
-        f"{_OPTIMIZER}{index}.{name}": value.detach().cpu().numpy()
+        f"{_OPTIMIZER}{index}.{name}": value.cpu().numpy()
         for index, slots in state.items()
         for name, value in slots.items()
     }
@@ -51,64 +45,40 @@ def load_policy_arrays(file: ArrayFile, model: BaseAlgorithm) -> None:
     Raises:
         InputError: its names or shapes are not the model's.
     """
-    wanted = model.policy.state_dict()
-    names = {name.removeprefix(POLICY) for name in file.shapes if name.startswith(POLICY)}
-    if names != set(wanted):
+    wanted, held = model.policy.state_dict(), file.part(POLICY)
+    if held.keys() != wanted.keys():
         raise InputError(f"{file.path}: does not hold this policy's tensors (was it trained with other settings?)")
     for name, tensor in wanted.items():
-        shape = file.shapes[POLICY + name]
-        if shape != tuple(tensor.shape):
+        if held[name].shape != tuple(tensor.shape):
             raise InputError(
-                f"{file.path}: {name} has shape {shape}, this scenario and configuration need {tuple(tensor.shape)}"
+                f"{file.path}: {name} has shape {held[name].shape}, "
+                f"this scenario and configuration need {tuple(tensor.shape)}"
             )
-    model.policy.load_state_dict({name: th.from_numpy(file.read(POLICY + name)) for name in wanted})
+    model.policy.load_state_dict({name: th.from_numpy(array) for name, array in held.items()})
 
 
 def load_optimizer_arrays(file: ArrayFile, model: BaseAlgorithm) -> None:
-    """Load :func:`optimizer_arrays` from a file.
-
-    Raises:
-        InputError: an array belongs to no parameter, or has another shape than its parameter.
-    """
+    """Load :func:`optimizer_arrays` from a file."""
+    state: dict[int, dict[str, th.Tensor]] = {}
+    for key, array in file.part(_OPTIMIZER).items():
+        index, name = key.split(".", 1)
+        state.setdefault(int(index), {})[name] = th.from_numpy(array)
     optimizer = model.policy.optimizer
-    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
-    content = optimizer.state_dict()
-    content["state"] = {}
-    for key in (name for name in file.shapes if name.startswith(_OPTIMIZER)):
-        index, _, name = key.removeprefix(_OPTIMIZER).partition(".")
-        if not (index.isdecimal() and int(index) < len(parameters)):
-            raise InputError(f"{file.path}: {key} belongs to no parameter")
-        if file.shapes[key] not in ((), tuple(parameters[int(index)].shape)):
-            raise InputError(f"{file.path}: {key} has shape {file.shapes[key]}, which is not its parameter's")
-        content["state"].setdefault(int(index), {})[name] = th.from_numpy(file.read(key))
-    optimizer.load_state_dict(content)
+    optimizer.load_state_dict(optimizer.state_dict() | {"state": state})
 
 
-class LearnerHeader(BaseModel):
+class LearnerHeader(Header):
     """What a learner's file states beside its arrays."""
 
-    model_config = ConfigDict(extra="forbid", populate_by_name=True, ser_json_inf_nan="constants")
+    entry: ClassVar[str] = "about"
 
     learner: str = Field(alias="class")
     policy: str | None = None  # class of the policy; files of earlier versions do not state it
     arguments: dict[str, Any]
     layout: RowLayout
-    rows: StrictInt
-    num_timesteps: StrictInt
-    n_updates: StrictInt
-
-    @model_validator(mode="after")
-    def _sizes_agree(self) -> Self:
-        for part in (self.layout.local, self.layout.state):
-            ends = [0, *(columns.stop for columns in part)]
-            if not part or [columns.start for columns in part] != ends[:-1] or ends != sorted(ends):
-                raise ValueError("layout: expected runs of columns that follow each other")
-            if any(columns.width < 1 or (columns.stop - columns.start) % columns.width for columns in part):
-                raise ValueError("layout: expected columns of whole tokens")
-        uavs, most = self.layout.uavs, 65_536 * self.layout.uavs
-        if not 1 <= uavs <= self.rows <= most or self.rows % uavs:
-            raise ValueError(f"rows = {self.rows}: expected a multiple of uavs = {uavs} up to {most}")
-        return self
+    rows: Annotated[int, Field(ge=1, le=10**7)]  # buffers have as many
+    num_timesteps: int
+    n_updates: int
 
 
 class SafeSaveLoad(BaseAlgorithm):
@@ -183,8 +153,7 @@ class SafeSaveLoad(BaseAlgorithm):
             num_timesteps=self.num_timesteps,
             n_updates=getattr(self, "_n_updates", 0),
         )
-        text = {"kind": _KIND, "schema": str(SCHEMA), "about": header.model_dump_json(by_alias=True)}
-        write_arrays(_with_suffix(path), policy_arrays(self) | optimizer_arrays(self), text)
+        write_arrays(_with_suffix(path), policy_arrays(self) | optimizer_arrays(self), header.text())
 
     @classmethod
     def load(  # type: ignore[override]
@@ -205,19 +174,19 @@ class SafeSaveLoad(BaseAlgorithm):
         """
         file = ArrayFile(_with_suffix(path))
         kind: Any = policy or next(iter(cls.policy_aliases.values()))
-        header = read_header(file)
+        header = LearnerHeader.read(file)
         for stated, wanted in ((header.learner, cls.__name__), (header.policy, kind.__name__)):
             if stated not in (wanted, None):
                 raise InputError(f"{file.path}: holds a {stated!r:.40}, not a {wanted}")
         layout = header.layout if env is None else env.row_layout
-        network = (header.arguments.get("policy_kwargs") or {}).get("network", "mlp")
-        sized = kind.depends_on_sizes and network == "mlp"
-        if not header.layout.fits(layout, sized):
-            raise InputError("env: its rows are not those that the learner was saved with")
-        try:
+        with unusable(f"{file.path}: no {cls.__name__} can be made of it"):
             arguments = header.arguments | changes
             policy_kwargs = dict(arguments.pop("policy_kwargs", None) or {})
-            _check_size(file, layout if sized else None, policy_kwargs.get("net_arch") or (1,))
+            sized = kind.depends_on_sizes and policy_kwargs.get("network", "mlp") == "mlp"
+            if not header.layout.fits(layout, sized):
+                raise InputError("env: its rows are not those that the learner was saved with")
+            hidden = policy_kwargs.get("net_arch") or (1,)
+            file.check_holds([layout.local_size, *hidden, MOVES + layout.devices] if sized else hidden)
             arguments |= {"device": device, "policy_kwargs": policy_kwargs | {"row_layout": layout}}
             learner = cls(kind, env, _init_setup_model=env is not None, **arguments)
             if env is None:
@@ -226,11 +195,7 @@ class SafeSaveLoad(BaseAlgorithm):
                 learner._setup_model()
             load_policy_arrays(file, learner)
             load_optimizer_arrays(file, learner)
-            learner.num_timesteps, learner._n_updates = header.num_timesteps, header.n_updates
-        except _UNUSABLE as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"{file.path}: no {cls.__name__} can be made of it ({error})") from error
+        learner.num_timesteps, learner._n_updates = header.num_timesteps, header.n_updates
         return learner
 
     def save_sb3(self, path: str | Path | BufferedIOBase, exclude: Any = None, include: Any = None) -> None:
@@ -268,25 +233,3 @@ class SafeSaveLoad(BaseAlgorithm):
 def _with_suffix(path: str | Path) -> Path:
     path = Path(path)
     return path if path.suffix else path.with_suffix(".safetensors")
-
-
-def read_header(file: ArrayFile) -> LearnerHeader:
-    """Read what a learner's file states.
-
-    Raises:
-        InputError: it is not the file of a learner of this software.
-    """
-    if file.text.get("kind") != _KIND or CHECKSUM not in file.text:
-        raise InputError(f"{file.path}: not a learner saved by this software")
-    if file.text.get("schema") != str(SCHEMA):
-        raise InputError(f"{file.path}: schema {file.text.get('schema')!r:.20}: this version reads schema {SCHEMA}")
-    return validated(LearnerHeader, file.json("about"), f"{file.path}: about")
-
-
-def _check_size(file: ArrayFile, layout: RowLayout | None, hidden: Any) -> None:
-    """Refuse to build networks larger than the file that is to fill them; without ``layout``, hidden layers alone."""
-    sizes = [int(size) for size in hidden]
-    if layout is not None:
-        sizes = [layout.local_size, *sizes, MOVES + layout.devices]
-    if any(size < 0 for size in sizes) or sum(a * b for a, b in pairwise(sizes)) > file.elements:
-        raise InputError(f"{file.path}: states networks of {sizes} units, which it does not hold")

@@ -1,32 +1,35 @@
-"""Arrays and text in a safetensors file with a checksum; reading one runs no code and takes bounded memory.
+"""The one kind of file for weights: arrays and a header in safetensors, with a checksum over both.
 
-Any reader of safetensors reads these files. This module writes them itself: it writes a replay of a gigabyte
-without a copy in memory, and raises an ``OSError`` when the disk is full.
+Any reader of safetensors reads these files. Reading one runs no code and takes bounded memory. This module writes them
+itself: it writes a replay of a gigabyte without a copy in memory, and raises an ``OSError`` when the disk is full.
 """
 
 import hashlib
 import json
-import stat
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
+from pydantic import BaseModel, ConfigDict
+from safetensors import safe_open
 
 from uavaou.errors import InputError
+from uavaou.fields import validated
 from uavaou.files import replacing
 
+SCHEMA = 2  # 1 had no checksum; its policies are still read
 CHECKSUM = "checksum"
 POLICY = "policy."  # prefix of the names of a policy's arrays
 _UNSET = "0" * hashlib.sha256().digest_size * 2  # in the checksum's place while it is computed
 _MOST_HEADER = 4_000_000  # bytes; a checkpoint's header has some thousand
-_CHUNK = 1 << 24  # bytes
-_TYPES = {
-    "bool": "BOOL", "uint8": "U8", "int8": "I8", "int16": "I16", "uint16": "U16", "float16": "F16", "int32": "I32",
-    "uint32": "U32", "float32": "F32", "int64": "I64", "uint64": "U64", "float64": "F64",
-}  # fmt: skip
+_LETTERS = {"f": "F", "i": "I", "u": "U"}  # of the names that safetensors has for types of numbers
+
+Arrays = dict[str, NDArray[Any]]
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], text: Mapping[str, str]) -> None:
@@ -41,7 +44,8 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], text: Mapping[s
     end = 0
     for name, array in ordered:
         begin, end = end, end + array.nbytes
-        header[name] = {"dtype": _TYPES[array.dtype.name], "shape": array.shape, "data_offsets": [begin, end]}
+        kind = "BOOL" if array.dtype == bool else f"{_LETTERS[array.dtype.kind]}{8 * array.itemsize}"
+        header[name] = {"dtype": kind, "shape": array.shape, "data_offsets": [begin, end]}
     content = json.dumps(header).encode()
     content += b" " * (-len(content) % 8)
     with replacing(path, "wb") as file:
@@ -65,36 +69,33 @@ class ArrayFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            if not stat.S_ISREG(path.stat().st_mode):
+        with unusable(f"{path}: not a readable safetensors file"):
+            if not path.exists():
+                raise InputError(f"{path}: no such checkpoint")
+            if not path.is_file():
                 raise InputError(f"{path}: not a regular file")
             _verify(path)
-            self._file = _open(path)
+            self._file = cast(Any, safe_open(path, framework="numpy"))
             self.text: dict[str, str] = self._file.metadata() or {}
             self.shapes = {name: tuple(self._file.get_slice(name).get_shape()) for name in self._file.keys()}  # noqa: SIM118
-        except FileNotFoundError as error:
-            raise InputError(f"{path}: no such checkpoint") from error
-        except (SafetensorError, OSError) as error:
-            raise InputError(f"{path}: not a readable safetensors file ({error})") from error
-
-    @property
-    def elements(self) -> int:
-        """How many numbers the file holds."""
-        return sum(int(np.prod(shape)) for shape in self.shapes.values())
 
     def read(self, name: str) -> NDArray[Any]:
-        """One array; no sound training leaves a number that is not finite.
+        """One array.
 
         Raises:
-            InputError: the file does not hold it, or in a type that NumPy does not have, or it is not finite.
+            InputError: the file does not hold it, or in a type that NumPy does not have.
         """
-        try:
+        with unusable(f"{self.path}: '{name}' cannot be read"):
             array: NDArray[Any] = self._file.get_tensor(name)
-        except (SafetensorError, TypeError, ValueError, AttributeError, KeyError) as error:
-            raise InputError(f"{self.path}: '{name}' cannot be read ({error})") from error
-        if array.dtype.kind == "f" and not (finite := np.isfinite(array)).all():
-            raise InputError(f"{self.path}: '{name}' holds {array[~finite].flat[0]}, not finite numbers alone")
         return array
+
+    def part(self, prefix: str) -> Arrays:
+        """The arrays whose names begin with ``prefix``, by the rest of their names.
+
+        Raises:
+            InputError: an array cannot be read.
+        """
+        return {name.removeprefix(prefix): self.read(name) for name in self.shapes if name.startswith(prefix)}
 
     def digest(self, prefix: str = "") -> str:
         """SHA-256 of the arrays whose names begin with ``prefix``: names, types, shapes and values, not the text.
@@ -103,9 +104,8 @@ class ArrayFile:
             InputError: an array cannot be read.
         """
         digest = hashlib.sha256()
-        for name in sorted(name for name in self.shapes if name.startswith(prefix)):
-            array = self.read(name)
-            digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode() + array.tobytes())
+        for name, array in sorted(self.part(prefix).items()):
+            digest.update(f"{prefix}{name} {array.dtype.str} {array.shape}\n".encode() + array.tobytes())
         return digest.hexdigest()
 
     def json(self, name: str) -> Any:
@@ -114,30 +114,76 @@ class ArrayFile:
         Raises:
             InputError: it is missing or is not JSON.
         """
-        try:
+        with unusable(f"{self.path}: not a checkpoint of this software: cannot read '{name}' of its header"):
             return json.loads(self.text[name])
-        except (KeyError, ValueError, RecursionError) as error:
-            raise InputError(f"{self.path}: not a checkpoint of this software ('{name}' is missing)") from error
+
+    def check_holds(self, sizes: Sequence[int]) -> None:
+        """Refuse to build a network that is larger than the file which is to fill it.
+
+        Args:
+            sizes: units of its layers.
+
+        Raises:
+            InputError: the file has too few numbers.
+        """
+        if sum(abs(a * b) for a, b in pairwise(sizes)) > sum(map(math.prod, self.shapes.values())):
+            raise InputError(f"{self.path}: does not hold networks of {list(sizes)} units")
 
 
-def _open(path: Path) -> Any:
-    return safe_open(path, framework="numpy")
+class Header(BaseModel):
+    """What a file states beside its arrays, as JSON in one entry of its text."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, ser_json_inf_nan="constants")
+
+    entry: ClassVar[str]
+
+    def text(self) -> dict[str, str]:
+        """The text for :func:`write_arrays`."""
+        return {"schema": str(SCHEMA), self.entry: self.model_dump_json(by_alias=True)}
+
+    @classmethod
+    def read(cls, file: ArrayFile, oldest: int = 1) -> Self:
+        """Read what a file states.
+
+        Args:
+            file: to be read.
+            oldest: schema that is read.
+
+        Raises:
+            InputError: the file has no such header, or is of a schema that is not read.
+        """
+        content, schema = file.json(cls.entry), file.text.get("schema", "none")
+        known = [str(version) for version in range(oldest, SCHEMA + 1)]
+        if schema not in known:
+            reads = " and ".join(known)
+            raise InputError(f"{file.path}: written with checkpoint schema {schema:.20}, this version reads {reads}")
+        if schema != "1" and CHECKSUM not in file.text:
+            raise InputError(f"{file.path}: damaged: its checksum is missing")
+        return validated(cls, content, f"{file.path}: {cls.entry}")
+
+
+@contextmanager
+def unusable(problem: str) -> Iterator[None]:
+    """Turn the errors of a block that uses a file's content into an :class:`InputError` that states the ``problem``."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # what a stranger's file may cause is not known
+        raise InputError(f"{problem} ({error})") from error
 
 
 def _verify(path: Path) -> None:
+    """Compare the checksum that the header states, if any, with the content."""
     with path.open("rb") as file:
         size = int.from_bytes(file.read(8), "little")
         if size > _MOST_HEADER:
             raise InputError(f"{path}: not a readable safetensors file (a header of {size:,} bytes)")
         content = file.read(size)
         try:
-            stated = json.loads(content)["__metadata__"][CHECKSUM]
+            stated = str(json.loads(content)["__metadata__"][CHECKSUM])
         except (ValueError, KeyError, TypeError, RecursionError):
             return  # a file without checksum: safetensors checks the sizes, the caller the schema
-        if not isinstance(stated, str) or len(stated) != len(_UNSET):
-            raise InputError(f"{path}: damaged: its checksum is not a checksum")
-        digest = hashlib.sha256(content.replace(stated.encode(), _UNSET.encode(), 1))
-        while chunk := file.read(_CHUNK):
-            digest.update(chunk)
-    if digest.hexdigest() != stated:
-        raise InputError(f"{path}: damaged: its content does not have the stated checksum")
+        unset = content.replace(stated.encode(errors="replace"), _UNSET.encode(), 1)
+        if hashlib.file_digest(file, lambda: hashlib.sha256(unset)).hexdigest() != stated:
+            raise InputError(f"{path}: damaged: its content does not have the stated checksum")
