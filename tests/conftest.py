@@ -23,6 +23,9 @@ settings.register_profile(
 )
 settings.load_profile("uavaou")
 
+# Ray starts its workers at niceness 15, where they wait for minutes while other tests are at work.
+os.environ.setdefault("RAY_worker_niceness", "0")
+
 # The imports leave a million objects that live to the end. Without this, walking through them again and again takes a
 # tenth of the time.
 gc.disable()
