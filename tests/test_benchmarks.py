@@ -15,7 +15,7 @@ from benchmarks.draws import COLUMNS, RULE, measured, ratios
 from benchmarks.endurance import Endurance, repeated, trained
 from benchmarks.environment import scaling, stepping
 from benchmarks.measure import Measurement, Stopwatch, exponent, kept_rows, report
-from benchmarks.training import ALGORITHMS, memory, parts, training
+from benchmarks.training import ALGORITHMS, WORK, memory, parts, training
 from uavaou.csv_tables import write_csv
 from uavaou.runs.rehearsal import AT_ONCE
 
@@ -57,7 +57,9 @@ def test_scaling_gives_rates_and_exponents() -> None:
 
 
 @pytest.mark.slow
-def test_training_measures_every_contestant() -> None:
+def test_training_measures_every_contestant(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.training.MISSIONS", 4)
+    monkeypatch.setitem(WORK, "missions", 4)
     names = [rate.name for rate in training(repeats=1, rollout_slots=2)]
     assert sum(name.startswith("stock") for name in names) == 2 * 2  # one and two processes, two sizes of network
     assert all(any(name.startswith(f"uavaou {algorithm}, 1 thread") for name in names) for algorithm in ALGORITHMS)
@@ -135,9 +137,10 @@ def test_the_report_gives_ratios_and_the_file_every_figure(tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_endurance_measures_memory_and_rate_on_the_way() -> None:
-    assert_measured(trained(4 * 8000, parts=4))
+    assert_measured(trained(3 * 4000, parts=3))  # an update each
 
 
+@pytest.mark.usefixtures("quick_plans")
 def test_a_command_is_repeated() -> None:
     assert_measured(repeated("eval", 4))
 

@@ -18,11 +18,15 @@ from tests.documents import ROOT, blocks, console
 from uavaou.runs.folder import RunConfig
 from uavaou_cli.main import main
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_plans")]
 
 as_asked = uavaou.runs.train.train
 RUN = "results/paper/mappo/seed-0"
-LESS = {"eval": ["--episodes", "2"], "rolling": ["--time-limit", "1"]}  # work than the page asks for
+LESS = {  # work than the page asks for
+    "eval": ["--episodes", "2"],
+    "fly": ["--seconds", "3"],
+    "rolling": ["--time-limit", "1"],
+}
 ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that runs its like
     "uavaou eval any-map --policy best-first --suite uavs": "tests/suites",
     "uavaou plot suite": "tests/suites",
@@ -129,8 +133,8 @@ def test_a_study_writes_the_card_of_a_training_that_it_takes_over(
     (study,) = blocks(page, "yaml")
     assert "slots: 300000" in study
     assert "`uavaou train --scenario valley.yaml --slots 300000`" in page.read_text(encoding="utf-8")
-    Path("ours.yaml").write_text(study.replace("300000", "16000"), encoding="utf-8")
-    assert main(["train", "--scenario", "valley.yaml", "--slots", "16000", "--quiet"]) == 0
+    Path("ours.yaml").write_text(study.replace("300000", "8000"), encoding="utf-8")
+    assert main(["train", "--scenario", "valley.yaml", "--slots", "8000", "--quiet"]) == 0
     (meta,) = place.glob("results/valley*/mappo*/seed-0/meta.json")
     before = meta.read_bytes()
     (line,) = (line for line in console(page) if "ours.yaml" in line)

@@ -35,6 +35,7 @@ def test_a_planner_is_evaluated_by_name_and_a_scenario_by_path(tmp_path: Path) -
         evaluate("gredy", scenario)
 
 
+@pytest.mark.usefixtures("quick_plans")
 def test_every_name_of_a_policy_is_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(released_folder() / "any-map", tmp_path / "run")
     monkeypatch.chdir(tmp_path)

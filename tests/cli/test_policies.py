@@ -250,6 +250,7 @@ def test_train_goes_on_with_a_finished_run(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_plans")
 def test_train_on_a_family(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
     (workplace / "two.yaml").write_text("base: tiny\nuavs: {low: 1, high: 2}\ndevices: {low: 2, high: 6}\n")
     settings = "--set algorithm.missions=8 --set algorithm.worlds=4 --set algorithm.evaluation_missions=4"

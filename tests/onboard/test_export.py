@@ -70,6 +70,7 @@ class Drone:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_plans")
 def test_the_worked_example_flies_as_an_evaluation(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

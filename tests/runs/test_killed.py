@@ -24,7 +24,7 @@ from uavaou.runs.train import train
 from uavaou.threads import use_threads
 
 KILLS = 8  # at random; tests/runs/test_faults.py kills at every write
-ON_POLICY = {"rollout_slots": 25, "batch_rows": 100}
+ON_POLICY = {"rollout_slots": 25, "batch_rows": 100, "plan_slots": 1_000_000}
 OFF_POLICY = {
     "replay_slots": 600, "learning_starts": 200, "batch_slots": 16, "slots_per_update": 20, "target_update": 5,
 }  # fmt: skip
@@ -102,7 +102,7 @@ def test_a_training_killed_at_random_times_is_the_one_never_touched(
 
 TRAIN = (
     "train --scenario quickstart --slots 200000 --quiet --set algorithm.missions=8 --set algorithm.rollout_slots=50 "
-    "--set algorithm.batch_rows=400 --set algorithm.evaluation_missions=2"
+    "--set algorithm.batch_rows=400 --set algorithm.evaluation_missions=2 --set algorithm.plan_slots=100000"
 )
 
 

@@ -29,6 +29,7 @@ def ages(policy: Any, scenario: Scenario) -> list[float]:
     return evaluate(policy, scenario, episodes=2).values("mean_aou_s").tolist()
 
 
+@pytest.mark.usefixtures("quick_plans")
 @pytest.mark.parametrize(("action", "maps"), [("greedy", MAPS), ("sample", MAPS[:2])])
 def test_one_policy_flies_map_after_map(action: str, maps: list[dict[str, Any]]) -> None:
     policy = load_run("any-map", action=action)

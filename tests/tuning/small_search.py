@@ -18,7 +18,7 @@ from uavaou.tuning.search import Search, SearchFolder
 from uavaou.tuning.search_space import SearchSpace
 from uavaou.tuning.trials import read_trials
 
-SMALL = {"missions": 4, "rollout_slots": 12, "batch_rows": 48, "hidden": [8], "evaluation_missions": 2}
+SMALL = {"missions": 4, "rollout_slots": 12, "batch_rows": 48, "hidden": [8], "evaluation_missions": 2, "plan_slots": 0}
 SET = " ".join(f"--set algorithm.{name}={str(value).replace(' ', '')}" for name, value in SMALL.items())
 PUBLISHED = load_config("mappo").model_dump()
 SPACE = {

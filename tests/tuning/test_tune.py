@@ -172,7 +172,7 @@ def start(place: Path, command: str) -> subprocess.Popen[str]:
 
 @pytest.mark.slow
 def test_processes_share_a_search_that_survives_an_interrupt(tmp_path: Path) -> None:
-    command = f"{TUNE} --trials 6 --jobs 2 --slots 3000"
+    command = f"{TUNE} --trials 6 --jobs 2 --slots 1500"
     command = command.replace("--slots 500 ", "")
     stopped = start(tmp_path, command)
     deadline = time.monotonic() + 300
