@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from uavaou.csv_tables import read_csv
 from uavaou.planners import planner_knowledge
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.scores import PolicyScores, study_scores
@@ -20,7 +21,7 @@ from uavaou.statistics import interval_over_trainings
 from uavaou.studies.results import StudyResults, read_study
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "results/README.md", "docs/policies.md", "zoo_configs/policies/any-map/README.md")
+PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md")
 BLOCK = re.compile(r"(<!-- numbers:(\S+) -->\n).*?(<!-- /numbers -->)", re.DOTALL)
 RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
 HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")
@@ -113,8 +114,21 @@ def released() -> str:
     return table((f"mean AoU of `{RELEASED}`, ratio to", f"`{REFERENCE}`", f"`{RULE}`"), rows)
 
 
+def networks() -> str:
+    """The speed of the networks for the same work, agent steps a second."""
+    found: dict[str, dict[str, str]] = {}
+    for place, name, _, median, *_ in read_csv(ROOT / "results" / "benchmarks" / "networks.csv").rows:
+        network, _, threads = name.rpartition(", ")
+        column = f"{place.removeprefix('networks on ')}, {threads}"
+        found.setdefault(network, {})[column] = f"{float(median):,.0f}"
+    columns = list(next(iter(found.values())))
+    rows = [(network, *(rates[column] for column in columns)) for network, rates in found.items()]
+    return table(("agent steps a second", *columns), rows)
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
     "policies": policies, "paper": paper, "default": default, "released": released,
+    "networks": networks,
 }  # fmt: skip
 
 
