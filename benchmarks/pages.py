@@ -126,9 +126,22 @@ def networks() -> str:
     return table(("agent steps a second", *columns), rows)
 
 
+def levels() -> str:
+    """When a policy of each level was on disk, and the best one at the end."""
+    place = ROOT / "results" / "benchmarks"
+    at: dict[str, dict[str, str]] = {}
+    for name, level, wall_s in read_csv(place / "levels.csv").rows:
+        at.setdefault(level, {})[name] = f"{float(wall_s):.1f} s" if wall_s else "never"
+    best: dict[str, float] = {}
+    for name, _, _, greedy, sampled in read_csv(place / "curves.csv").rows:
+        best[name] = min(best.get(name, np.inf), float(greedy), float(sampled))
+    rows = [(level, *(found[name] for name in best)) for level, found in at.items()]
+    return table(("mean AoU, slots", *best), [*rows, ("the best at the end", *map(rounded, best.values()))])
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
     "policies": policies, "paper": paper, "default": default, "released": released,
-    "networks": networks,
+    "networks": networks, "levels": levels,
 }  # fmt: skip
 
 
