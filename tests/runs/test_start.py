@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -90,10 +91,11 @@ def test_validations_follow_the_budget(finished: RunFolder) -> None:
     short = load_config("mappo", {"slots": 60_000})
     for settings, name in (
         (short, "mappo+slots=60000"),
-        (short.model_copy(update={"evaluation_missions": 32}), "mappo+evaluation_missions=32,slots=60000"),
+        (short.model_copy(update={"evaluation_missions": 32}), r"mappo+[0-9a-f]{6}"),  # too long to read
         (load_config("mappo", {"slots": 60, "evaluate_every_slots": 7}), "mappo+evaluate_every_slots=7,slots=60"),
     ):
-        assert config_folder(Path("r"), RunConfig(tiny, settings)).path.parent.name == name
+        found = config_folder(Path("r"), RunConfig(tiny, settings)).path.parent.name
+        assert re.fullmatch(name.replace("+", r"\+"), found)
 
 
 def test_a_released_policy_is_found_by_the_digest_of_its_weights(tmp_path: Path) -> None:
