@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
 HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")
 
 
+@cache
 def study(name: str) -> StudyResults:
     """A committed study."""
     return read_study(ROOT / "results" / "studies" / name)
@@ -74,10 +76,12 @@ def paper() -> str:
     rows = [
         (
             one.policy if one.seeds else f"`{one.policy}`" if one.knows else one.policy,
-            with_interval(*one.mean, digits=3), minutes("paper", one.policy) if one.seeds else "", one.knows,
+            with_interval(*one.mean, digits=3),
+            minutes("paper", one.policy) if one.seeds else "",
+            one.knows,
         )
         for one in scores("paper").values()
-    ]  # fmt: skip
+    ]
     return table(HEAD, rows)
 
 
@@ -140,9 +144,13 @@ def levels() -> str:
 
 
 BLOCKS: dict[str, Callable[[], str]] = {
-    "policies": policies, "paper": paper, "default": default, "released": released,
-    "networks": networks, "levels": levels,
-}  # fmt: skip
+    "policies": policies,
+    "paper": paper,
+    "default": default,
+    "released": released,
+    "networks": networks,
+    "levels": levels,
+}
 
 
 def rendered(text: str) -> str:

@@ -218,7 +218,7 @@ def _again(path: Path, seed: int | None, out: Path) -> tuple[RunConfig, RunFolde
     if seed is not None and seed != config.seed:
         config = replace(config, seed=seed)
     elif own.episodes.is_file() and realpath(own.path / "../../..") == realpath(out):
-        return config, own  # its name may spell the settings otherwise: --slots as published, 1e-4 for 0.0001
+        return config, own  # an earlier version may have named it otherwise
     return config, config_folder(out, config)
 
 

@@ -96,8 +96,9 @@ def test_an_unfinished_training_counts_with_its_trained_slots(by_devices: Suite,
 def test_budgets_are_listed_where_they_differ() -> None:
     assert budget_lines([("mappo", "10", 1000), ("mappo", "25", 1000), ("vdn", "10", 1000)]) == []
     assert budget_lines([("mappo", "10", 1000), ("vdn", "10", 3000)]) == [
-        "mappo: trained with slots = 1,000", "vdn: trained with slots = 3,000"
-    ]  # fmt: skip
+        "mappo: trained with slots = 1,000",
+        "vdn: trained with slots = 3,000",
+    ]
     assert budget_lines([("any-map", "10", 1000), ("vdn", "10", 3000)]) == []  # its model card states its stages
     flown = [("mappo", "10", 1000), *[("mappo", "25", 3000)] * 5, ("mappo", "50", 1000)]
     assert budget_lines(flown) == ["mappo: trained with slots = 1,000 at 10, 50; 3,000 at 25"]
@@ -150,7 +151,7 @@ def test_companion_studies_train_for_every_point(name: str) -> None:
         Path(f"{s}-{a}"): RunConfig(scenario, algorithm, 0)
         for s, scenario in enumerate(study.scenarios.values())
         for a, algorithm in enumerate(study.variants.values())
-    }  # fmt: skip
+    }
     plan = plan_suite(suite, {str(path): config for path, config in configs.items()})
     # One training on layouts drawn anew flies all of the suite `layouts`, which none of them is from.
     trained = {flight.point.label for flight in plan.flights if flight.kind == "trained"}

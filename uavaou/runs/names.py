@@ -37,10 +37,10 @@ def config_folder(out: Path, config: RunConfig) -> RunFolder:
     Raises:
         InputError: the algorithm is not registered.
     """
-    name, _ = published_settings(config.algorithm, config.family is not None)
+    name, changed = _named(config)
     name += f"-from-{_beginning(config.start)}" if config.start else ""
     place = family_folder(config.family) if config.family else scenario_folder(config.scenario)
-    return RunFolder(out / place / _folder_name(name, changes(config)) / f"seed-{config.seed}")
+    return RunFolder(out / place / _folder_name(name, changed) / f"seed-{config.seed}")
 
 
 def changes(config: RunConfig) -> dict[str, str]:
@@ -49,10 +49,15 @@ def changes(config: RunConfig) -> dict[str, str]:
     Raises:
         InputError: the algorithm is not registered.
     """
-    _, published = published_settings(config.algorithm, config.family is not None)
+    return _named(config)[1]
+
+
+def _named(config: RunConfig) -> tuple[str, dict[str, str]]:
+    """The name of the published settings that a run started from, and what it changes in them."""
+    name, published = published_settings(config.algorithm, config.family is not None)
     kept = OF_THE_WEIGHTS if config.start else frozenset()
     settings = config.algorithm.model_dump(mode="json")
-    return _differences(published, {field: value for field, value in settings.items() if field not in kept})
+    return name, _differences(published, {field: value for field, value in settings.items() if field not in kept})
 
 
 @cache
