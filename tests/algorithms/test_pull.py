@@ -42,7 +42,7 @@ def test_the_compiled_pull_and_its_gradient_are_those_of_the_definition(
     uavs: int, devices: int, most: tuple[int, int] | None, observation: str
 ) -> None:
     layout, rows, _ = entity_rows(uavs, devices, most, observation)
-    pull = Pull(layout, 12.0)
+    pull = Pull(layout, 12.0, (40.0, 30.0))
     rows, changes = numbers_of(pull, rows, layout.devices)
     compiled, defined = pull(rows, changes), pull.define(rows, changes)
     assert compiled.amax(dim=1).abs().max() < 4 * TIE * pull.numbers[0].exp() + 1e-5
@@ -59,7 +59,7 @@ def test_the_compiled_pull_and_its_gradient_are_those_of_the_definition(
 
 def test_the_sum_does_not_depend_on_the_order_of_devices() -> None:
     layout, rows, _ = entity_rows(4, 12)
-    pull, order = Pull(layout, 12.0), th.randperm(12)
+    pull, order = Pull(layout, 12.0, (40.0, 30.0)), th.randperm(12)
     rows, changes = numbers_of(pull, rows, 12)
     other = shuffled(shuffled(rows, layout.local[3], order), layout.local[4], order)
     turned = changes.detach().view(-1, 2, 12)[:, :, order].flatten(1)
@@ -89,6 +89,18 @@ def test_of_equal_moves_the_first_is_the_best(compiled: bool) -> None:
     found = pull(rows, changes) if compiled else pull.define(rows, changes)
     th.testing.assert_close(found, (-60.0 * TIE * th.arange(5.0)).expand_as(found), rtol=1e-3, atol=1e-6)
     assert (found.argmax(dim=1) == 0).all()
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_devices_pull_however_far_all_of_them_are(compiled: bool) -> None:
+    layout, rows, _ = entity_rows(3, 25)
+    pull, far = Pull(layout, 12.0), rows.clone()
+    pulls = far[:, layout.local_columns("pulls")].view(-1, 25, len(PULL))
+    pulls[..., 1:-1] += 250.0
+    far[:, layout.local_columns("pulls")] = pulls.flatten(1)
+    near, found = ((pull if compiled else pull.define)(seen, th.zeros(len(rows), 50)) for seen in (rows, far))
+    assert (near.amin(dim=1) < -1.0).any()
+    th.testing.assert_close(found, near, rtol=1e-3, atol=1e-2)
 
 
 class RuleThatKnowsAll(LocalGreedyParts):

@@ -33,7 +33,7 @@ from uavaou.algorithms.qlearning.branches import SetUtilityNetwork, UtilityNetwo
 from uavaou.algorithms.qlearning.policy import JointQPolicy
 from uavaou.errors import InputError
 from uavaou.world.entities import local_columns
-from uavaou.world.pull import BACKGROUND, LEAST_AGE, SCORE_RANGE, TIE
+from uavaou.world.pull import NOTHING, SCORE_RANGE, TIE
 from uavaou.world.views import DEVICE, MOVES, PULL, RowLayout
 
 try:
@@ -230,7 +230,7 @@ def _pull(graph: _Graph, views: dict[str, str], pull: Pull, scores: str, first: 
         return graph("Gather", views[tokens], np.array(index), axis=3)
 
     changes = [graph("Tanh", graph("Gather", scores, np.array(first + kind), axis=2)) for kind in range(CHANGES)]
-    age = graph("Log", graph("Max", feature("pulls", PULL.index("age")), LEAST_AGE))
+    age = graph("Log", feature("pulls", PULL.index("age")))
     part_of_device = graph("Add", graph("Mul", feature("pulls", PULL.index("shared")), part_shared - part), part)
     of_others = graph("Mul", graph("Sub", feature("devices", DEVICE.index("own_part")), 1.0), part_of_device)
     score = graph("Add", graph("Add", age, of_others), graph("Mul", changes[0], SCORE_RANGE))
@@ -239,8 +239,10 @@ def _pull(graph: _Graph, views: dict[str, str], pull: Pull, scores: str, first: 
     steps = graph("Gather", views["pulls"], np.arange(1, 1 + MOVES), axis=3)  # (B, 8, I, 5)
     felt = graph("Sub", graph("Unsqueeze", score, last), graph("Mul", steps, rate))
     there = graph("Gather", views["devices"], np.array([DEVICE.index("present")]), axis=3)
-    total = graph("ReduceSum", graph("Exp", graph.allowed_or_forbidden(felt, there)), np.array([2]), keepdims=0)
-    total = graph("Log", graph("Add", total, BACKGROUND))  # (B, 8, 5)
+    felt = graph("Max", graph.allowed_or_forbidden(felt, there), NOTHING)
+    most = graph("ReduceMax", felt, np.array([2]), keepdims=1)  # (B, 8, 1, 5)
+    total = graph("ReduceSum", graph("Exp", graph("Sub", felt, most)), np.array([2]), keepdims=0)
+    total = graph("Add", graph("Log", total), graph("Squeeze", most, np.array([2])))  # (B, 8, 5)
     total = graph("Sub", total, graph("ReduceMax", total, np.array([2]), keepdims=1))
     return graph("Mul", graph("Sub", total, TIE * np.arange(MOVES, dtype=np.float32)), sharpness)
 

@@ -24,8 +24,8 @@ from uavaou.world.views import Rows
 from uavaou.world.world import World
 
 SCORE_RANGE = 4.0  # the most that is learned for a score; the reach changes by a factor of e at most
-LEAST_AGE = 1e-30  # slots: of a device that has just been collected
-BACKGROUND = 1e-5  # slots: the pull of nothing
+NOTHING = -400.0  # the logarithm of the pull of nothing: of a device so many steps away
+OTHERS = 1000.0  # grid steps by which a device of another UAV's part is further away, at first
 TIE = 2e-5  # less of the logarithm of a pull for each move before: equal ones go by their order, whatever the rounding
 MOST_STEPS = 500.0  # of a device that a UAV never collects
 SHARE = 0.5  # of a UAV's best probability to collect a device, from which a cell is good enough

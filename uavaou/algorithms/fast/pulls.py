@@ -15,7 +15,7 @@ from torch.autograd.function import once_differentiable
 from uavaou.algorithms.fast.tokens import supports as supports
 from uavaou.arrays import Floats
 from uavaou.world.compiled import compiled
-from uavaou.world.pull import BACKGROUND, LEAST_AGE, SCORE_RANGE, TIE
+from uavaou.world.pull import NOTHING, SCORE_RANGE, TIE
 from uavaou.world.views import MOVES, PULL, Rows
 
 _PULL = len(PULL)
@@ -53,11 +53,11 @@ class _Pull(th.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: th.Tensor) -> tuple[th.Tensor | None, ...]:
-        rows, numbers, turned, rate, felt = ctx.saved_tensors
+        rows, numbers, turned, rate, felt, nothing = ctx.saved_tensors
         by_changes, by_numbers = th.empty(turned.shape), np.zeros(4)
         beta, _, *parts = numbers.exp().tolist()
         read, by_pulls = (tensor.detach().contiguous().numpy() for tensor in (rows, grad))
-        kept = turned.numpy(), rate.numpy(), felt.numpy()
+        kept = turned.numpy(), rate.numpy(), felt.numpy(), nothing.numpy()
         add_pull_gradient(read, by_pulls, *kept, ctx.columns, beta, by_changes.numpy(), by_numbers)
         by_numbers[2:] *= parts
         return None, by_changes, th.from_numpy(by_numbers.astype(np.float32)), None
@@ -66,42 +66,53 @@ class _Pull(th.autograd.Function):
 def _pulled(rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Places) -> tuple[th.Tensor, ...]:
     """Return the pulls, (B, 5), and what their gradient needs; torch takes exponentials in vectors.
 
-    That is tanh of the changes, (B, 2 I), the steps' factor 1 / reach_i, (B, I), and what each move feels of each
-    device, (B, I, 5).
+    That is tanh of the changes, (B, 2 I), the steps' factor 1 / reach_i, (B, I), what each move feels of each device,
+    (B, I, 5), and of nothing, (B,).
     """
     devices, first = changes.shape[1] // 2, columns[0]
     beta, reach, *parts = numbers.detach().exp().tolist()
     rows, turned = rows.detach().contiguous(), changes.detach().tanh()
     rate = turned[:, devices:].neg().exp_().div_(reach)
-    score = rows[:, first : first + _PULL * devices : _PULL].clamp_min(LEAST_AGE).log_()
+    score = rows[:, first : first + _PULL * devices : _PULL].log()
     score.add_(turned[:, :devices], alpha=SCORE_RANGE)
-    felt, pulls = th.empty(len(rows), devices, MOVES), th.empty(len(rows), MOVES)
-    write_logs(rows.numpy(), score.numpy(), rate.numpy(), columns, (parts[0], parts[1]), felt.numpy())
-    write_pulls(felt.exp_().numpy(), beta, pulls.numpy())
-    return pulls, turned, rate, felt
+    felt, nothing, pulls = (th.empty(len(rows), *shape) for shape in ((devices, MOVES), (), (MOVES,)))
+    write_logs(rows.numpy(), score.numpy(), rate.numpy(), columns, (parts[0], parts[1]), felt.numpy(), nothing.numpy())
+    write_pulls(felt.exp_().numpy(), nothing.exp_().numpy(), beta, pulls.numpy())
+    return pulls, turned, rate, felt, nothing
 
 
 @compiled
-def write_logs(rows: Rows, score: Rows, rate: Rows, columns: Places, parts: Parts, logs: Rows) -> None:
-    """Write the logarithm of what each move feels of each device, (B, I, 5), but for the part in ``score`` (B, I)."""
+def write_logs(
+    rows: Rows, score: Rows, rate: Rows, columns: Places, parts: Parts, logs: Rows, nothing: Rows,
+) -> None:  # fmt: skip
+    """Write the logarithm of what each move feels of each device, (B, I, 5), and of nothing, (B,).
+
+    They are relative to the most that the first move feels. ``score`` (B, I), but for the part, becomes that of the
+    whole.
+    """
     first, own, present, width = columns
     other, told = np.float32(parts[0]), np.float32(parts[1])
     for b in range(len(rows)):
-        row = rows[b]
+        row, most = rows[b], np.float32(NOTHING)
         for i in range(score.shape[1]):
             at = first + _PULL * i
             part = told if row[at + 1 + MOVES] > 0.5 else other
-            base = score[b, i] + part * (row[own + width * i] - np.float32(1))
-            base = base if row[present + width * i] > 0.5 else np.float32(-np.inf)
+            whole = score[b, i] + part * (row[own + width * i] - np.float32(1))
+            score[b, i] = whole if row[present + width * i] > 0.5 else np.float32(-np.inf)
+            most = max(most, score[b, i] - row[at + 1] * rate[b, i])
+        nothing[b] = np.float32(NOTHING) - most
+        for i in range(score.shape[1]):
+            at = first + _PULL * i
             for move in range(MOVES):
-                logs[b, i, move] = min(base - row[at + 1 + move] * rate[b, i], np.float32(MOST_LOG))
+                log = score[b, i] - row[at + 1 + move] * rate[b, i] - most
+                logs[b, i, move] = min(log, np.float32(MOST_LOG))
 
 
 @compiled
-def _sum(felt: Rows, totals: Rows) -> float:
-    """Write the sums over devices of what is felt of each, (I, 5), and of the background; return the largest."""
+def _sum(felt: Rows, nothing: float, totals: Rows) -> float:
+    """Write the sums over devices of what is felt of each, (I, 5), and of nothing; return the largest."""
     for move in range(MOVES):
-        totals[move] = BACKGROUND
+        totals[move] = nothing
     for i in range(len(felt)):
         for move in range(MOVES):
             totals[move] += felt[i, move]
@@ -110,25 +121,25 @@ def _sum(felt: Rows, totals: Rows) -> float:
 
 
 @compiled
-def write_pulls(felt: Rows, beta: float, pulls: Rows) -> None:
+def write_pulls(felt: Rows, nothing: Rows, beta: float, pulls: Rows) -> None:
     """Write the pull of each move, (B, 5), at most 0."""
     totals = np.empty(MOVES, np.float32)
     for b in range(len(felt)):
-        most = _sum(felt[b], totals)
+        most = _sum(felt[b], nothing[b], totals)
         for move in range(MOVES):
             pulls[b, move] = beta * (math.log(max(totals[move] / most, np.float32(LEAST_SHARE))) - TIE * move)
 
 
 @compiled
 def add_pull_gradient(
-    rows: Rows, grads: Rows, turned: Rows, rate: Rows, felt: Rows, columns: Places, beta: float, by_changes: Rows,
-    by_numbers: Floats,
+    rows: Rows, grads: Rows, turned: Rows, rate: Rows, felt: Rows, nothing: Rows, columns: Places, beta: float,
+    by_changes: Rows, by_numbers: Floats,
 ) -> None:  # fmt: skip
     """Write the gradient by the changes, (B, 2 I), and add that by log beta, by log lambda and by both parts, (4,)."""
     devices, (first, own, _, width) = rate.shape[1], columns
     totals, weights = np.empty(MOVES, np.float32), np.empty(MOVES, np.float32)
     for b in range(len(rows)):
-        row, most = rows[b], _sum(felt[b], totals)
+        row, most = rows[b], _sum(felt[b], nothing[b], totals)
         for move in range(MOVES):
             weights[move] = 0.0
             if totals[move] > np.float32(LEAST_SHARE) * most:

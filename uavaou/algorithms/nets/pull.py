@@ -3,13 +3,14 @@
 Each device has a score. Each move feels it through the grid steps that the move would leave to where the UAV collects
 the device well:
 
-    pull_m = beta log(c + sum_i exp(score_i - steps_im / reach_i)),
+    pull_m = beta log(exp(-400) + sum_i exp(score_i - steps_im / reach_i)),
     score_i = log age_i + part (own_i - 1) + f_i,    reach_i = lambda exp(g_i)
 
 age_i is what the UAV expects at the end of the slot, own_i is 1 for the devices of its part of the map. The set encoder
 gives f and g, numbers of the device's token, which are 0 at first. With lambda = 1 and a large part, the likeliest move
-is then that of the rule ``local-greedy-parts``. The small c makes all moves equal where no device pulls. Of equal moves
-the first is the best by a hair, as in that rule.
+is then that of the rule ``local-greedy-parts``. A device that has just been collected does not pull. Where none pulls,
+the pull of nothing, exp(-400), makes all moves equal, and of equal moves the first is the best by a hair, as in that
+rule. Sums are taken relative to what the first move feels most, so that they hold however far all devices are.
 
 The sum does not depend on the order of devices, and pulls are turned and mirrored with the map. A learned term on a
 controller is residual policy learning (Silver et al. 2018, arXiv 1812.06298); moves that follow attraction are
@@ -18,7 +19,6 @@ artificial potential fields (Khatib 1986).
 
 from __future__ import annotations
 
-import math
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -26,7 +26,7 @@ from typing import Any
 import torch as th
 from torch import nn
 
-from uavaou.world.pull import BACKGROUND, LEAST_AGE, SCORE_RANGE, TIE
+from uavaou.world.pull import NOTHING, OTHERS, SCORE_RANGE, TIE
 from uavaou.world.views import MOVES, PULL, RowLayout
 
 CHANGES = 2  # numbers of a device's token: of its score, and of its reach
@@ -45,7 +45,7 @@ class Pull(nn.Module):
         columns: first column of the pulls, of the flags of own parts and of those of presence, and the way to the next.
     """
 
-    def __init__(self, layout: RowLayout, sharpness: float, part: tuple[float, float] = (40.0, 40.0)) -> None:
+    def __init__(self, layout: RowLayout, sharpness: float, part: tuple[float, float] = (OTHERS, OTHERS)) -> None:
         super().__init__()
         own, present = (layout.token_feature("devices", name) for name in ("own_part", "present"))
         self.columns = layout.token_feature("pulls", PULL[0]).start, own.start, present.start, own.step
@@ -78,10 +78,10 @@ class Pull(nn.Module):
         pulls = rows[:, first : first + devices * len(PULL)].reshape(len(rows), devices, len(PULL))
         own, there = (rows[:, at : at + devices * width : width] for at in (own, present))  # (B, I) each
         part = th.where(pulls[..., -1] > 0.5, part_shared, part)  # (B, I)
-        score = pulls[..., 0].clamp_min(LEAST_AGE).log() + part * (own - 1) + SCORE_RANGE * score_change
+        score = pulls[..., 0].log() + part * (own - 1) + SCORE_RANGE * score_change
         felt = score[..., None] - pulls[..., 1:-1] / (reach * reach_change.exp())[..., None]  # (B, I, 5)
         felt = felt.masked_fill(there[..., None] < 0.5, -th.inf)
-        background = felt.new_full((len(rows), 1, MOVES), math.log(BACKGROUND))
+        background = felt.new_full((len(rows), 1, MOVES), NOTHING)
         total = th.cat([background, felt], dim=1).logsumexp(dim=1)  # (B, 5)
         order = th.arange(MOVES, device=total.device)
         return sharpness * (total - total.amax(dim=1, keepdim=True).detach() - TIE * order)
