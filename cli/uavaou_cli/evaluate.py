@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
-from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -62,16 +61,14 @@ def evaluate(
     suite: Annotated[str | None, option("Play every point of a suite; see docs/suites.md.")] = None,
     time_limit: Annotated[float | None, seconds("Time limit of planners that plan ahead, in seconds.")] = None,
     knows: Knows = "everything",
-    json: Annotated[Path | None, option("Write the metrics of every mission as JSON.", "FILE")] = None,
-    out: Annotated[Path | None, option("Write the table of a suite.", "FILE.csv")] = None,
+    out: Annotated[Path | None, option("Write the table of flights, a row for each mission.", "FILE.csv")] = None,
     set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
     """Evaluate trained runs and planners, all on the same missions.
 
-    A run evaluated on its own scenario also gets RUN/eval/default.json, which `uavaou plot figures` draws; with
-    --suite, one that flew a point gets RUN/eval/SUITE.json. Without RUN and --policy,
-    --suite lists its points and the trainings that they need.
+    A run evaluated on its own scenario also gets RUN/flights.csv.gz, which `uavaou plot figures`
+    draws. Without RUN and --policy, --suite lists its points and the trainings that they need.
     """
     from uavaou.runs.released import released_names
 
@@ -79,8 +76,6 @@ def evaluate(
     released = [name for name in policy or [] if name in released_names()]  # as good as a RUN
     folders = list(dict.fromkeys([*(run or []), *released]))
     planners = [name for name in dict.fromkeys(policy or []) if name not in released]
-    if suite is None and out is not None:
-        raise InputError("--out writes the table of a --suite; without a suite, use --json")
     # Before torch is imported, so that a misspelled one fails at once.
     made = _make_planners(planners, folders, time_limit, suite, knows)
     from uavaou.runs.comparison import common_scenario, compare, load_runs, read_runs
@@ -91,20 +86,20 @@ def evaluate(
     if suite is not None:
         if knows != "everything":
             raise InputError(f"--knows {knows}: a suite says itself what policies know; leave out --suite or --knows")
-        _evaluate_suite(suite, scenario, overrides, configs, made, episodes, seed, action, out, json, quiet)
+        _evaluate_suite(suite, scenario, overrides, configs, made, episodes, seed, action, out, quiet)
         return
     base = common_scenario(configs) if configs and scenario is None else Scenario.load(scenario or "paper")
     played = overrides.of_scenario(base)
-    if json is not None:
-        writable_file(json)
+    if out is not None:
+        writable_file(out)
     policies = (load_runs(configs, played, action, knows) if configs else {}) | made
     with EvaluationDisplay(quiet, list(policies), episodes * played.slots) as display:
         comparison = compare(policies, played, episodes, seed, display)
     try:
         notes = comparison.keep(configs) if scenario is None and not overrides.scenario else []
-        if json is not None:
-            comparison.write(json)
-            notes.append(f"wrote {json}")
+        if out is not None:
+            comparison.write(out)
+            notes.append(f"wrote {out}")
     finally:  # hours of figures are shown even if a disk has filled meanwhile
         show(evaluation_lines(comparison, overrides.scenario))
     say(notes, quiet)
@@ -163,8 +158,7 @@ def _cells(result: Evaluation, policy: Planner) -> list[tuple[str, str]]:
 
 def _evaluate_suite(
     name: str, scenario: str | None, overrides: Overrides, configs: Mapping[str, RunConfig],
-    planners: Mapping[str, Planner], episodes: int, seed: int, action: str | None, out: Path | None, json: Path | None,
-    quiet: bool,
+    planners: Mapping[str, Planner], episodes: int, seed: int, action: str | None, out: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Play a suite, print its table, and write the files; without policies, print what it needs."""
     from uavaou.scenario import Scenario
@@ -174,10 +168,8 @@ def _evaluate_suite(
     suite = Suite.load(name)
     base = overrides.of_scenario(Scenario.load(scenario or suite.scenario))
     plan = plan_suite(suite, configs, list(planners), scenario, base, overrides.scenario)
-    for path in filter(None, (out, json)):
-        writable_file(path)
-    if out is not None and json is not None and realpath(out) == realpath(json):
-        raise InputError(f"--out and --json are both '{out}': give each a file of its own")
+    if out is not None:
+        writable_file(out)
     if not configs and not planners:
         show(_point_lines(plan))
         return
@@ -189,7 +181,7 @@ def _evaluate_suite(
         with EvaluationDisplay(quiet, [flight.name for flight in plan.flights], slots) as display:
             for result in play_suite(plan, planners, episodes, seed, display, action):
                 results.append(result)
-        notes = write_suite(plan, results, episodes, seed, out, json)
+        notes = write_suite(plan, results, seed, out)
     finally:  # what has been played is shown even where Ctrl-C ended it, or a disk has filled
         show(_suite_lines(plan, results, episodes, seed))
     say(notes, quiet)

@@ -24,13 +24,18 @@ class Evaluation:
     """One policy on a set of missions."""
 
     metrics: list[MissionMetrics]  # of each batch of missions
-    violations: dict[str, int]
+    broken: list[dict[str, int]]  # how often each mission broke each constraint
     aou_over_time_s: NDArray[np.float64]  # (episodes, K) s, sum over devices of the age sums in each slot
     slot_length_s: float  # tau
 
     def values(self, name: str) -> NDArray[Any]:
         """One figure of :class:`~uavaou.world.MissionMetrics` over all missions, (episodes, ...)."""
         return np.concatenate([getattr(batch, name) for batch in self.metrics])
+
+    @property
+    def violations(self) -> dict[str, int]:
+        """How often each constraint was broken, in all missions."""
+        return total(self.broken)
 
     @property
     def mean_aou_s(self) -> float:
@@ -70,4 +75,4 @@ def play(
         violations += checker.finish(world)
         batches.append(world.metrics())
         ages.append(aou)
-    return Evaluation(batches, total(violations), np.concatenate(ages), scenario.slot_length_s)
+    return Evaluation(batches, violations, np.concatenate(ages), scenario.slot_length_s)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import unquote
 
 from uavaou.errors import InputError, unknown
@@ -15,11 +15,13 @@ from uavaou.planners import PLANNERS, make_planner, planner_knowledge
 from uavaou.planners.base import Planner
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.released import released_names
-from uavaou.runs.results import EvaluationFile, PolicyResult, keep_evaluation, own_evaluation, write_evaluation
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.coverage import nothing_in_reach
 from uavaou.world.knowledge import Knowledge, level, observed
+
+if TYPE_CHECKING:
+    from uavaou.evaluation.flights import Flights
 
 _UNTRAINED = "local-greedy-parts"  # the best policy that learns nothing and needs no time before take-off
 _AUDIT = "uavaou audit SCENARIO says why"
@@ -171,31 +173,33 @@ class Comparison:
     policies: Mapping[str, Planner]
     results: Mapping[str, Evaluation]
 
-    def contents(self) -> dict[str, PolicyResult]:
-        """Each policy's part of an evaluation file."""
-        return {
-            name: PolicyResult.of(result, self.scenario, self.policies[name]) for name, result in self.results.items()
-        }
+    def flights(self, name: str, **who: Any) -> Flights:
+        """The rows of the table of flights of a policy."""
+        from uavaou.evaluation.flown import flown  # imports pandas
+
+        who = {"policy": name, "scenario": self.scenario.name} | who
+        return flown(self.results[name], self.scenario, self.policies[name], self.seed, **who)
 
     def keep(self, runs: Mapping[str, RunConfig]) -> list[str]:
-        """Write ``eval/default.json`` of each run, with planners and released policies beside its own.
+        """Write the flights of each run into its folder, with those of planners and released policies.
 
         The folders of released policies are left as they are, and those of runs that were trained on something else,
         as one on a family may have been. Returns a note on each file.
         """
-        contents, notes = self.contents(), []
-        others = {
-            name: result for name, result in contents.items() if name not in runs or RunFolder.at(name).is_released
-        }
+        from uavaou.evaluation.flights import Flights
+        from uavaou.runs.flights import keep_flights
+
+        notes = []
+        others = [self.flights(name) for name in self.results if name not in runs or RunFolder.at(name).is_released]
         for name, config in runs.items():
             folder = RunFolder.at(name)
             if folder.is_released:
                 continue
             if config.scenario != self.scenario:
-                notes.append(f"left {folder.evaluation()} as it is: the run was not trained on {self.scenario.name}")
+                notes.append(f"left {folder.flights} as it is: the run was not trained on {self.scenario.name}")
                 continue
-            own = own_evaluation(config, contents[name], self.seed, others)
-            notes.append(keep_evaluation(folder.evaluation(), own))
+            own = self.flights(name, policy=config.algorithm.name, seed=config.seed)
+            notes.append(keep_flights(folder, Flights.joined([own, *others])))
         return notes
 
     def remarks(self) -> list[str]:
@@ -217,14 +221,14 @@ class Comparison:
         return found
 
     def write(self, path: Path) -> None:
-        """Write the figures of every policy and mission into one file.
+        """Write a row for each policy and mission.
 
         Raises:
             InputError: the file cannot be written.
         """
-        name, contents = self.scenario.name, self.contents()
-        content = EvaluationFile(scenario=name, episodes=self.episodes, seed=self.seed, policies=contents)
-        write_evaluation(path, content)
+        from uavaou.evaluation.flights import Flights, write_table
+
+        write_table(path, Flights.joined(self.flights(name) for name in self.results).flights)
 
 
 def compare(

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -160,6 +161,7 @@ class RunFolder:
     previous = PathIn("checkpoints", "previous.safetensors")  # the ``last`` before: taken where that one is damaged
     best = PathIn("checkpoints", "best.safetensors")  # the policy that did best on the validation missions
     weights = PathIn("policy.safetensors")  # of a released policy, which has no checkpoints
+    flights = PathIn("flights.csv.gz")  # what was evaluated; see uavaou.evaluation.flights
     lock = PathIn(LOCK)  # held by the process that writes the run
 
     def __str__(self) -> str:
@@ -175,10 +177,6 @@ class RunFolder:
     def policy(self) -> Path:
         """The file whose policy is flown: a released one, else ``best``, and ``last`` until there is one."""
         return next((path for path in (self.weights, self.best) if path.exists()), self.last)
-
-    def evaluation(self, name: str = "default") -> Path:
-        """An evaluation's file; see :mod:`uavaou.runs.results`."""
-        return self.path / "eval" / f"{name}.json"
 
     def read_meta(self) -> RunMeta:
         """Read ``meta.json``.
@@ -196,9 +194,36 @@ class RunFolder:
         except InputError:
             return False
 
+    def trained_so_far(self) -> tuple[int, float]:
+        """How far the training is, while it may be writing: slots, and slots a second; 0 where there is nothing.
+
+        The slots are those of the last finished mission or of the last checkpoint.
+        """
+        slots, rate = 0, 0.0
+        with suppress(OSError, ValueError, IndexError, ZeroDivisionError), self.episodes.open("rb") as file:
+            file.seek(max(file.seek(0, 2) - 4096, 0))
+            lines = file.read().decode("utf-8", "replace").split("\n")
+            _, trained, wall_s, *_ = lines[-2].split(",")  # the last line is incomplete, or empty
+            slots, rate = int(trained), int(trained) / float(wall_s)
+        with suppress(InputError):
+            slots = max(slots, self.read_meta().slots)
+        return slots, rate
+
     def exists(self) -> bool:
         """Whether the folder holds a run."""
         return self.config.is_file()
+
+    def holds(self, config: RunConfig) -> bool:
+        """Whether the folder holds this run.
+
+        Raises:
+            InputError: it holds another one.
+        """
+        if not self.exists():
+            return False
+        if self.read_config() != config:
+            raise InputError(f"'{self.path}' holds a run with another configuration (see its config.yaml)")
+        return True
 
     def read_config(self) -> RunConfig:
         """Read ``config.yaml``.

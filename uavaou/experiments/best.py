@@ -4,20 +4,20 @@ Runs are ranked by validation: the missions of the final evaluation choose nothi
 """
 
 import shutil
+from itertools import product
 from pathlib import Path
 from urllib.parse import unquote
 
 from uavaou.errors import InputError
+from uavaou.evaluation.flights import PartKey
 from uavaou.evaluation.recorded_mission import RecordedMission, read_mission, record_mission, write_mission
 from uavaou.evaluation.seeds import EVALUATION_SEED
+from uavaou.experiments.results import StudyResults
+from uavaou.experiments.study import Study
 from uavaou.files import folder_name, replacing, write_text, writing
-from uavaou.runs.folder import RunFolder, RunMeta
-from uavaou.runs.results import find_evaluation, own_evaluation, write_evaluation
-from uavaou.studies.results import StudyResults
-from uavaou.studies.study import Study, StudyRun
+from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
+from uavaou.runs.names import config_folder
 from uavaou.zoo import read_yaml_mapping
-
-_DIGITS = 6
 
 
 def keep_best(results: StudyResults, study: Study, out: Path) -> None:
@@ -29,32 +29,28 @@ def keep_best(results: StudyResults, study: Study, out: Path) -> None:
     Raises:
         InputError: the results cannot be written.
     """
-    best: dict[tuple[str, str], StudyRun] = {}
-    ranked = [
-        (float(score), run.config.seed, run)
-        for run in study.runs()
-        if run.key in results.parts and (score := results.cell(run.key, "best_slots"))
-    ]
-    for _, _, run in sorted(ranked, key=lambda scored: scored[:2]):
-        best.setdefault(run.key[:2], run)
-    for run in best.values():
-        kept = RunFolder(results.folder.best(run.key))
-        with writing(kept.path):
-            _copy(results, study.folder(out, run), kept, run, study.episodes)
-            for other in kept.path.parent.glob("seed-*") if kept.best.is_file() else ():
-                if other != kept.path:
-                    shutil.rmtree(other)
+    runs = dict(study.runs())
+    for place, variant in product(study.scenarios, study.variants):
+        trainings = results.trainings(variant, place).dropna(subset="best_slots")
+        for seed in trainings.sort_values("best_slots", kind="stable")["seed"][:1]:
+            key = PartKey(variant, place, int(seed))
+            kept = RunFolder(results.folder.best(key))
+            with writing(kept.path):
+                _copy(results, config_folder(out, runs[key]), kept, key, runs[key], study.episodes)
+                for other in kept.path.parent.glob("seed-*") if kept.best.is_file() else ():
+                    if other != kept.path:
+                        shutil.rmtree(other)
 
 
-def _copy(results: StudyResults, source: RunFolder, kept: RunFolder, run: StudyRun, episodes: int) -> None:
-    """Copy what ``uavaou eval`` and ``uavaou plot trajectories`` read, where the run is at hand and undamaged."""
+def _copy(
+    results: StudyResults, source: RunFolder, kept: RunFolder, key: PartKey, config: RunConfig, episodes: int
+) -> None:
+    """Copy what ``uavaou eval`` and ``uavaou plot`` read, where the run is at hand and undamaged."""
     try:
-        if not (source.best.is_file() and source.exists() and source.read_config() == run.config):
+        if not (source.best.is_file() and source.holds(config)):
             return
-        evaluation, meta = find_evaluation(source, run.config.algorithm.name, episodes), source.read_meta()
-    except InputError:  # condense_run has told why
-        return
-    if evaluation is None:
+        meta = source.read_meta()
+    except InputError:  # who gathers the results has told why
         return
     kept.best.parent.mkdir(parents=True, exist_ok=True)
     copies = [(source.best, kept.best), (source.meta, kept.meta), (source.config, kept.config)]
@@ -62,20 +58,17 @@ def _copy(results: StudyResults, source: RunFolder, kept: RunFolder, run: StudyR
     for path, there in copies:
         with replacing(there, "wb") as file:
             file.write(path.read_bytes())
-    write_evaluation(kept.evaluation(), own_evaluation(run.config, evaluation), _DIGITS)
-    write_text(kept.path / "README.md", _model_card(results, run, episodes, meta))
+    write_text(kept.path / "README.md", _model_card(results, key, config, episodes, meta))
 
 
-def _model_card(results: StudyResults, run: StudyRun, episodes: int, meta: RunMeta) -> str:
+def _model_card(results: StudyResults, key: PartKey, config: RunConfig, episodes: int, meta: RunMeta) -> str:
     """The model card of a kept run, in Markdown; ``episodes`` are those of its final evaluation."""
-    key, scenario, algorithm = run.key, run.config.scenario, run.config.algorithm
-    slots, agent_steps, best, mean, low, high, violations = (
-        results.cell(key, name)
-        for name in ("slots", "agent_steps", "best_slots", "mean_aou_slots", "low", "high", "violations")
-    )
-    between = f" (95 % interval over the missions: {low} to {high})" if low else ""
+    scenario, algorithm, trainings = config.scenario, config.algorithm, results.trainings(key.policy, key.scenario)
+    (one,) = trainings[trainings["seed"] == key.seed].itertuples()
+    mean, low, high = (f"{end:.6g}" for end in results.mean(key))
+    between = "" if low == "nan" else f" (95 % interval over the missions: {low} to {high})"
     packages = ", ".join(f"{name} {version}" for name, version in meta.versions.items() if version) or "-"
-    seeds = sum(key[:2] == other[:2] for other in results.parts)
+    seeds = len(trainings)
     chosen = f"the best of {seeds} seeds by their" if seeds > 1 else "the best checkpoint of its one seed by its"
     return f"""\
 # {key}
@@ -84,13 +77,13 @@ A policy of {algorithm.name}, shared by all UAVs of the fleet, from the study `{
 missions. Its test figures below chose nothing.
 
 - **Trained on**: {key.scenario} ({scenario.uavs} UAVs, {scenario.devices} devices, {scenario.slots} slots; \
-`config.yaml` has every quantity), {int(slots):,} slots = {int(agent_steps):,} agent steps, seed {key.seed}.
+`config.yaml` has every quantity), {one.slots:,} slots = {one.agent_steps:,} agent steps, seed {key.seed}.
 - **Sees and does**: observation `{algorithm.observation}`, collection `{algorithm.collection}` (docs/model.md says \
 what they hold); {meta.best_action} actions.
-- **Validation**: mean AoU {best} slots.
+- **Validation**: mean AoU {one.best_slots:.6g} slots.
 - **Evaluation**: mean AoU {mean} slots{between} on {episodes} missions, seeds {EVALUATION_SEED} to \
-{EVALUATION_SEED + episodes - 1}, which no training and no choice has seen; {violations} constraint violations. This \
-is one seed: the spread over seeds is in `runs.csv`.
+{EVALUATION_SEED + episodes - 1}, which no training and no choice has seen; {one.violations} constraint violations. This \
+is one seed: the others are in the study's table.
 - **Meant for**: reproducing and comparing figures on this scenario, and as a rival to other policies.
 - **Limits**: made for this number of UAVs and devices and, with a fixed layout, for this layout; on another one it \
 flies, and how well nobody has measured. Trained and tested in simulation alone: it has met no wind, no obstacles and \

@@ -16,7 +16,10 @@ from pydantic import BaseModel, BeforeValidator, Field, StrictBool, StrictStr
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.errors import InputError, nearest, unknown
+from uavaou.evaluation.flights import BOUND, PartKey
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED, MOST_EPISODES
+from uavaou.experiments.entries import expecting, resolve_scenarios, resolve_variant
+from uavaou.experiments.jobs import ANNEALED, Bound, Fly, Training
 from uavaou.fields import Positive, PositiveWhole, short, validated
 from uavaou.plain_yaml import to_yaml
 from uavaou.planners import PLAN_AHEAD, PLANNERS
@@ -24,8 +27,6 @@ from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.names import config_folder
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
-from uavaou.studies.entries import expecting, resolve_scenarios, resolve_variant
-from uavaou.studies.folder import ANNEALED, BOUND, PartKey
 from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_or_file
 
 SCHEMA = 1  # of study.yaml
@@ -85,11 +86,19 @@ class StudyFile(StudySettings):
 
 
 @dataclass(frozen=True)
-class StudyRun:
-    """One training of a study."""
+class StudyJob:
+    """A job, and the names that the study has for what it measures: one for each of its digests."""
 
-    key: PartKey
-    config: RunConfig
+    keys: tuple[PartKey, ...]
+    job: Training | Fly | Bound
+
+    @property
+    def digests(self) -> dict[str, PartKey]:
+        """Digest of rows -> their name."""
+        return dict(zip(self.job.digests.values(), self.keys, strict=True))
+
+    def __str__(self) -> str:
+        return " and ".join(map(str, self.keys))
 
 
 class Study(StudySettings):
@@ -130,33 +139,43 @@ class Study(StudySettings):
         _check(study, str(path))
         return study
 
-    def runs(self) -> Iterator[StudyRun]:
+    def runs(self) -> Iterator[tuple[PartKey, RunConfig]]:
         """Every training, all variants with the first seed before any with the second."""
         every = product(self.seeds, self.scenarios.items(), self.variants.items())
         for seed, (place, scenario), (variant, algorithm) in every:
             config = RunConfig(scenario, algorithm, seed, start=self.starts.get(variant))
-            yield StudyRun(PartKey(variant, place, seed), config)
+            yield PartKey(variant, place, seed), config
 
-    def planner_parts(self) -> list[PartKey]:
-        """The bound and the planners of each scenario, those that need an annealed plan last."""
-        planners = sorted(self.planners, key=lambda name: name in ANNEALED)
-        names = [*([BOUND] if self.bound else []), *planners]
-        return [PartKey(name, scenario) for scenario in self.scenarios for name in names]
+    def jobs(self, out: Path, checkpoint_every_s: float | None = None) -> list[StudyJob]:
+        """Everything that the study measures, as it is worked on: the trainings with the first seed come first.
 
-    def work_order(self) -> list[PartKey]:
-        """Every part as it is worked on: trainings with the first seed, planners and bounds, then the other seeds."""
-        trainings = [run.key for run in self.runs()]
+        Args:
+            out: the folder of all results, for the run folders that ``uavaou train`` would give the trainings.
+            checkpoint_every_s: between checkpoints; None: as ``uavaou train`` does.
+        """
+        trainings = []
+        for key, config in self.runs():
+            folder = config_folder(out, config).path
+            trainings.append(StudyJob((key,), Training(config, folder, self.episodes, checkpoint_every_s)))
         first = len(self.scenarios) * len(self.variants)
-        return [*trainings[:first], *self.planner_parts(), *trainings[first:]]
+        return [*trainings[:first], *self._untrained(), *trainings[first:]]
+
+    def _untrained(self) -> Iterator[StudyJob]:
+        """The bound and the planners of each scenario; those that start from an annealed plan are one job, the last."""
+        alone = [(name,) for name in self.planners if name not in ANNEALED]
+        together = tuple(name for name in self.planners if name in ANNEALED)
+        for place, scenario in self.scenarios.items():
+            if self.bound:
+                yield StudyJob((PartKey(BOUND, place),), Bound(scenario))
+            for names in [*alone, together] if together else alone:
+                keys = tuple(PartKey(name, place) for name in names)
+                yield StudyJob(keys, Fly(names, scenario, self.episodes, self.planning_seconds))
 
     def table_order(self) -> list[PartKey]:
-        """Every part as it stands in the tables: planners and bounds, then trainings by scenario, variant and seed."""
+        """Every part as it stands in the table: planners and bounds, then trainings by scenario, variant and seed."""
         trainings = product(self.scenarios, self.variants, self.seeds)
-        return [*self.planner_parts(), *(PartKey(variant, scenario, seed) for scenario, variant, seed in trainings)]
-
-    def folder(self, out: Path, run: StudyRun) -> RunFolder:
-        """The run folder of a training below ``out``, the one that ``uavaou train`` would give it."""
-        return config_folder(out, run.config)
+        untrained = [key for job in self._untrained() for key in job.keys]
+        return [*untrained, *(PartKey(variant, scenario, seed) for scenario, variant, seed in trainings)]
 
     def to_yaml(self) -> str:
         """The content of ``study.yaml``: everything resolved."""
@@ -211,10 +230,10 @@ def _check(study: Study, source: str) -> None:
         if scenario.layout == "resample" and planned:  # plans and bounds are for one layout
             raise InputError(f"{source}: {planned[0]}: scenario '{name}' draws a new layout for each mission")
     folders: dict[Path, PartKey] = {}
-    for run in islice(study.runs(), len(study.scenarios) * len(study.variants)):  # those of the first seed
-        same = folders.setdefault(study.folder(Path(), run).path, run.key)
-        if same != run.key:
-            names = " and ".join(f"'{a}' and '{b}'" for a, b in zip(run.key, same, strict=True) if a != b)
+    for key, config in islice(study.runs(), len(study.scenarios) * len(study.variants)):  # those of the first seed
+        same = folders.setdefault(config_folder(Path(), config).path, key)
+        if same != key:
+            names = " and ".join(f"'{a}' and '{b}'" for a, b in zip(key, same, strict=True) if a != b)
             raise InputError(f"{source}: {names} are the same training under two names: leave one out")
 
 

@@ -6,8 +6,8 @@ describes it: environment, task, algorithm, run, then one entry for each evaluat
 
 from typing import Any
 
-from uavaou.studies.folder import PartKey
-from uavaou.studies.results import StudyResults
+from uavaou.evaluation.flights import PartKey
+from uavaou.experiments.results import StudyResults
 
 ENVIRONMENT = "uavaou_v0"
 

@@ -11,12 +11,12 @@ from pydantic import BaseModel, BeforeValidator, Field, StrictStr, model_validat
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, unknown
+from uavaou.evaluation.flights import BOUND
 from uavaou.fields import short, validated
 from uavaou.planners import PLANNERS
 from uavaou.runs.released import released_names
 from uavaou.runs.start import Start
 from uavaou.scenario import Scenario
-from uavaou.studies.folder import BOUND
 from uavaou.suites.suite import Suite, resolve_points
 
 _LONGEST_NAME = 60

@@ -1,0 +1,239 @@
+"""The table of flights: everything that is ever measured is rows of it, one for each mission that a policy flew.
+
+A folder of results holds ``flights.csv.gz`` and, for what changes on the way, ``curves.csv.gz``: the missions of a
+training in order, its validations, and the slots, devices and periods of its evaluation. Both are read with pandas.
+AoU is in units of the slot length tau (``_slots``). docs/studies.md says what each column means.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from uavaou.arrays import Floats
+from uavaou.csv_tables import number
+from uavaou.errors import InputError
+from uavaou.files import replacing, writing
+
+BOUND = "bound"  # the policy's name in the one row of a certified bound
+
+TEXT, WHOLE, NUMBER = "string", "Int64", "float64"  # types of columns
+KEY = {"job": TEXT, "policy": TEXT, "scenario": TEXT, "seed": WHOLE}  # planners and bounds have no seed
+FLIGHTS = KEY | {
+    "algorithm": TEXT,  # of a trained policy; of a bound its method
+    "knows": TEXT,
+    "action": TEXT,
+    "digest": TEXT,  # of a trained policy's weights
+    "trained_on": TEXT,  # the scenario or family, named as its folder of results
+    "how": TEXT,  # trained (on this very scenario), zero-shot or planner
+    "suite": TEXT,
+    "point": TEXT,
+    "x": NUMBER,
+    "mission_seed": WHOLE,
+    "mean_aou_slots": NUMBER,
+    "communications": NUMBER,
+    "devices_served": NUMBER,
+    "violations": WHOLE,
+    "flight_time_s": NUMBER,
+    "rejected_rate": NUMBER,
+    "rejected_association": NUMBER,
+    "slots": WHOLE,  # from here on of the training, the same in each of its rows
+    "agent_steps": WHOLE,
+    "wall_s": NUMBER,
+    "cpu_s": NUMBER,
+    "best_slots": NUMBER,
+    "commit": TEXT,
+    "processor": TEXT,
+}
+CURVES = KEY | {
+    "curve": TEXT,
+    "x": NUMBER,  # training slots, slot of a mission, device, or period in slots
+    "wall_s": NUMBER,
+    "mean_aou_slots": NUMBER,
+    "low": NUMBER,
+    "high": NUMBER,
+    "communications": NUMBER,
+    "devices_served": NUMBER,
+}
+TRAINING, VALIDATION, SAMPLED, SLOTS, DEVICES, PERIODS = (
+    "training", "validation", "validation, sampled", "slots", "devices", "periods",
+)  # fmt: skip
+_ALWAYS = (*KEY, "mean_aou_slots")  # columns that are written also without any value
+_MOST_BYTES = 1_000_000_000  # of a table that is unpacked
+
+
+class PartKey(NamedTuple):
+    """Which part of a study; only a training has a seed."""
+
+    policy: str  # the variant, the planner, or BOUND
+    scenario: str
+    seed: int | None = None
+
+    def __str__(self) -> str:
+        seed = "" if self.seed is None else f", seed {self.seed}"
+        return f"{self.policy} on {self.scenario}{seed}"
+
+
+@dataclass
+class Flights:
+    """Rows of flights, and the curves that belong to them."""
+
+    flights: pd.DataFrame  # columns of FLIGHTS
+    curves: pd.DataFrame  # columns of CURVES
+
+    @classmethod
+    def of(cls, flights: Mapping[str, Any], curves: Sequence[Mapping[str, Any]] = (), **common: Any) -> Flights:
+        """Rows from columns.
+
+        Args:
+            flights: column -> values of all rows, or one for all.
+            curves: the same, of each curve.
+            common: values that all rows have, flights and curves, where the latter have the column.
+        """
+        shared = {name: value for name, value in common.items() if name in CURVES}
+        parts = [_frame({**curve, **shared}, CURVES) for curve in curves]
+        return cls(_frame({**flights, **common}, FLIGHTS), _joined(parts, CURVES))
+
+    @classmethod
+    def joined(cls, tables: Iterable[Flights]) -> Flights:
+        """The rows of several tables."""
+        found = list(tables)
+        return cls(_joined([one.flights for one in found], FLIGHTS), _joined([one.curves for one in found], CURVES))
+
+    @classmethod
+    def read(cls, folder: Path) -> Flights:
+        """The tables of a folder; empty where it has none.
+
+        Raises:
+            InputError: a file is damaged; the message names it, and the line and column where there is one.
+        """
+        return cls(_read(folder / "flights.csv.gz", FLIGHTS), _read(folder / "curves.csv.gz", CURVES))
+
+    def write(self, folder: Path) -> None:
+        """Replace the tables of a folder, the flights last: curves without flights mean nothing.
+
+        Raises:
+            InputError: they cannot be written.
+        """
+        for name, frame in (("curves", self.curves), ("flights", self.flights)):
+            write_table(folder / f"{name}.csv.gz", frame)
+
+    def where(self, **wanted: Any) -> Flights:
+        """The rows with these values of columns that both tables have."""
+        return Flights(_where(self.flights, wanted), _where(self.curves, wanted))
+
+    def without(self, jobs: Iterable[str]) -> Flights:
+        """The rows of other jobs."""
+        gone = set(jobs)
+        return Flights(*(frame[~frame["job"].isin(gone)] for frame in (self.flights, self.curves)))
+
+    def only(self, jobs: Iterable[str]) -> Flights:
+        """The rows of these jobs."""
+        kept = set(jobs)
+        return Flights(*(frame[frame["job"].isin(kept)] for frame in (self.flights, self.curves)))
+
+    def with_values(self, **values: Any) -> Flights:
+        """The same rows with other values."""
+        return Flights(
+            *(
+                frame.assign(
+                    **{name: _column(value, columns[name]) for name, value in values.items() if name in columns}
+                )
+                for frame, columns in ((self.flights, FLIGHTS), (self.curves, CURVES))
+            )
+        )
+
+
+def _column(value: Any, kind: str) -> Any:
+    return pd.NA if value is None and kind != NUMBER else np.nan if value is None else value
+
+
+def _frame(values: Mapping[str, Any], columns: Mapping[str, str]) -> pd.DataFrame:
+    """A table of these columns; the others are empty."""
+    sized = next((len(value) for value in values.values() if isinstance(value, list | tuple | np.ndarray)), 1)
+    filled = {name: _column(values.get(name), kind) for name, kind in columns.items()}
+    return pd.DataFrame(filled, index=range(sized)).astype(dict(columns))
+
+
+def _joined(frames: Sequence[pd.DataFrame], columns: Mapping[str, str]) -> pd.DataFrame:
+    some = [frame for frame in frames if len(frame)]
+    return pd.concat(some, ignore_index=True) if some else _frame({"x": []}, columns)
+
+
+def _where(frame: pd.DataFrame, wanted: Mapping[str, Any]) -> pd.DataFrame:
+    for name, value in wanted.items():
+        if name in frame.columns:
+            frame = frame[frame[name].isna()] if value is None else frame[(frame[name] == value).fillna(False)]
+    return frame
+
+
+def write_table(path: Path, frame: pd.DataFrame) -> None:
+    """Write a table as CSV, packed where the name ends in ``.gz``, whole or not at all; the same rows, the same bytes.
+
+    Columns without any value are left out, but for those that every row needs.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    frame = frame.loc[:, frame.notna().any() | frame.columns.isin(_ALWAYS)]
+    packed: Any = {"method": "gzip", "compresslevel": 9, "mtime": 0} if path.suffix == ".gz" else None
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path, "wb") as file:
+            frame.to_csv(file, index=False, float_format=number, lineterminator="\n", compression=packed)
+
+
+def _read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
+    return read_table(path, columns, _ALWAYS) if path.is_file() else _frame({"x": []}, columns)
+
+
+def read_table(path: Path, columns: Mapping[str, str], needed: Iterable[str] = ()) -> pd.DataFrame:
+    """Read a table with a header: these columns as their types, and empty ones in the place of those that it lacks.
+
+    Raises:
+        InputError: it cannot be read, lacks a ``needed`` column, or a cell is not of its column's type.
+    """
+    try:
+        with gzip.open(path, "rt", encoding="utf-8") if path.suffix == ".gz" else path.open(encoding="utf-8") as file:
+            content = file.read(_MOST_BYTES)
+        whole = io.StringIO(content[: content.rfind("\n") + 1])  # an interrupted writer leaves a part of a line
+        text = pd.read_csv(whole, dtype="string", keep_default_na=False, na_values=[""])
+    except (OSError, EOFError, ValueError, zlib.error) as error:
+        told = getattr(error, "strerror", None) or str(error).strip().splitlines()[-1]
+        raise InputError(f"{path}: not a table: {told}") from error
+    for name in needed:
+        if name not in text.columns:
+            raise InputError(f"{path}: column '{name}' is missing (header: {', '.join(text.columns)[:200]})")
+    found = {name: _cells(path, text, name, kind) for name, kind in columns.items()}
+    return pd.DataFrame(found, index=text.index)
+
+
+def _cells(path: Path, text: pd.DataFrame, name: str, kind: str) -> pd.Series[Any]:
+    """A column as its type; an error for the first cell that is not of it."""
+    if name not in text.columns:
+        return pd.Series(_column(None, kind), index=text.index, dtype=kind)
+    cells = text[name]
+    if kind == TEXT:
+        return cells
+    values = pd.to_numeric(cells, errors="coerce").astype(NUMBER)
+    wrong = ~np.isfinite(values.fillna(np.nan)) & cells.notna()
+    if kind == WHOLE:
+        wrong |= (values % 1 != 0) & cells.notna()
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        expected = "a whole number" if kind == WHOLE else "a finite number"
+        raise InputError(f"{path}: line {row + 2}, column '{name}': '{str(cells.iloc[row])[:60]}' is not {expected}")
+    return values.astype(kind)
+
+
+def column(frame: pd.DataFrame, name: str) -> Floats:
+    """A column as numbers, (R,); empty cells are nan."""
+    return frame[name].astype(NUMBER).to_numpy()

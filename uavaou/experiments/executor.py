@@ -1,0 +1,254 @@
+"""Performs jobs in processes of this machine, one core each; the interface is that of ``concurrent.futures``.
+
+A job is a function of its configuration that returns rows and may write one folder. Whoever lists jobs submits them and
+looks at their futures. A failure is the future's exception: an :class:`~uavaou.errors.InputError` whose line says why.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import threading
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+from uavaou.errors import InputError
+from uavaou.runs.interrupt import ignore_repeats, interrupt_at_sigterm, was_interrupt
+from uavaou.threads import use_threads
+
+Tell = Callable[[Any], bool | None]  # takes a report of a job; true: the job is to stop
+
+
+class StoppedEarlyError(Exception):
+    """A job was asked to stop; a training has kept its last checkpoint."""
+
+
+class Job(Protocol):
+    """What one process does."""
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder that it writes and resumes from; None where it has none."""
+
+    def at(self, folder: Path) -> Job:
+        """The same job in another folder."""
+
+    def run(self, tell: Callable[[Any], object]) -> Any:
+        """Do the job in this process; ``tell`` takes reports of how far it is.
+
+        Raises:
+            InputError: it cannot be done.
+            StoppedEarlyError: it was asked to stop.
+        """
+
+
+class Executor(ABC):
+    """Performs jobs, each in a process of its own: one that dies takes no other with it.
+
+    Args:
+        jobs: at a time.
+    """
+
+    def __init__(self, jobs: int) -> None:
+        # The processes that a thread starts inherit its mask: a terminal sends Ctrl-C to them, too.
+        self._threads = ThreadPoolExecutor(jobs, initializer=_block_ctrl_c)
+        self.stopping = False
+
+    def submit(self, job: Job, tell: Tell = lambda report: None) -> Future[Any]:
+        """Perform a job as soon as there is a process for it.
+
+        Args:
+            job: what is done.
+            tell: called with its reports, in a thread of its own; once it returns true, the job is asked to stop.
+
+        Returns:
+            The future of what the job returns. Its exception is an ``InputError`` that says why the job failed, or a
+            :class:`StoppedEarlyError`.
+        """
+        return self._threads.submit(self._begin, job, tell)
+
+    def _begin(self, job: Job, tell: Tell) -> Any:
+        if self.stopping:
+            raise StoppedEarlyError
+        return self._perform(job, tell)
+
+    @abstractmethod
+    def _perform(self, job: Job, tell: Tell) -> Any:
+        """Perform a job elsewhere and wait for what it returns."""
+
+    def stop(self) -> None:
+        """Begin no further job, and ask those in progress for their last checkpoints."""
+        self.stopping = True
+
+    @abstractmethod
+    def kill(self) -> None:
+        """End all jobs at once."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stopping = True
+        self.kill()
+        self._threads.shutdown(cancel_futures=True)
+
+
+def _block_ctrl_c() -> None:
+    resource_tracker.ensure_running()  # which would unblock it when it is first needed
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+
+
+class Processes(Executor):
+    """Performs each job in a child process, with one torch thread.
+
+    Args:
+        jobs: processes at a time.
+        plugins: modules or files that register algorithms of the user's.
+    """
+
+    def __init__(self, jobs: int, plugins: Sequence[str] = ()) -> None:
+        super().__init__(jobs)
+        self._plugins = list(plugins)
+        self._context = multiprocessing.get_context("spawn")  # torch's threads do not survive a fork
+        self._running: list[Any] = []
+
+    def _perform(self, job: Job, tell: Tell) -> Any:
+        ours, theirs = self._context.Pipe(duplex=False)
+        # Not a daemon: a training may have processes of its own, for its missions.
+        process = self._context.Process(target=_work, args=(pickle.dumps(job), theirs, self._plugins))
+        process.start()
+        theirs.close()
+        self._running.append(process)
+        if self.stopping:  # since it was looked at
+            process.terminate()
+        try:
+            ended = _listen(process, ours, tell, lambda: self.stopping)
+        finally:
+            self._running.remove(process)
+            process.join()
+            ours.close()
+        return ended.result()
+
+    def stop(self) -> None:
+        """See :class:`Executor`."""
+        super().stop()
+        for process in list(self._running):
+            process.terminate()
+
+    def kill(self) -> None:
+        """See :class:`Executor`."""
+        for process in list(self._running):
+            process.kill()
+
+
+class Ended:
+    """How a job has ended: what it returned, why it failed, or neither where it was asked to stop."""
+
+    def __init__(self, value: Any = None, problem: str | None = None, stopped: bool = False) -> None:
+        self._value, self._problem, self._stopped = value, problem, stopped
+
+    def result(self) -> Any:
+        """What the job returned; raises what it raised."""
+        if self._stopped:
+            raise StoppedEarlyError
+        if self._problem is not None:
+            raise InputError(self._problem)
+        return self._value
+
+
+def _listen(process: Any, pipe: Connection, tell: Tell, stopping: Callable[[], bool]) -> Ended:
+    """Pass the reports of a process on until it has ended."""
+    ended, asked, alive = None, False, True
+    while alive and ended is None:
+        wait([process.sentinel, pipe])
+        alive = process.is_alive()
+        with suppress(EOFError, OSError):
+            while pipe.poll():
+                sent = pipe.recv()
+                if isinstance(sent, Ended):
+                    ended = sent
+                elif (tell(sent) or stopping()) and not asked:
+                    asked = True
+                    process.terminate()
+    process.join()
+    return ended or _died(process.exitcode, asked or stopping())
+
+
+def _died(code: int | None, asked: bool) -> Ended:
+    if asked:
+        return Ended(stopped=True)
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name
+        hint = " (out of memory?)" if name == "SIGKILL" else ""
+        return Ended(problem=f"its process was ended by {name}{hint}")
+    return Ended(problem=f"its process ended with code {code}")
+
+
+# -- in the process of a job ---------------------------------------------------------------------------
+
+
+def _work(job: bytes, pipe: Connection, plugins: Sequence[str]) -> None:
+    """The main function of a child process, for a pickled job."""
+    interrupt_at_sigterm()
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+    def send(message: Any) -> None:
+        with suppress(OSError):  # the parent is dead: _follow_parent ends this process
+            pipe.send(message)
+
+    try:
+        send(outcome(job, plugins, send))
+    except KeyboardInterrupt:
+        send(Ended(stopped=True))
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # nothing is left to stop
+        pipe.close()
+
+
+def _follow_parent() -> None:
+    """Stop with a last checkpoint when the parent has been killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def outcome(job: bytes, plugins: Sequence[str], tell: Callable[[Any], object], folder: Path | None = None) -> Ended:
+    """Perform a pickled job in this process, with one thread: each has a core.
+
+    Args:
+        job: pickled, so that a plugin's classes are found: it is loaded before.
+        plugins: modules or files.
+        tell: takes the job's reports.
+        folder: in the place of the job's own.
+    """
+    try:
+        ignore_repeats()
+        use_threads(1)
+        if plugins:
+            from uavaou.algorithms.registry import load_plugin
+
+            for place in plugins:
+                load_plugin(place)
+        unpickled: Job = pickle.loads(job)
+        return Ended((unpickled if folder is None else unpickled.at(folder)).run(tell))
+    except StoppedEarlyError:
+        return Ended(stopped=True)
+    except InputError as problem:
+        return Ended(problem=str(problem))
+    except Exception as error:  # a bug keeps its traceback, and stops no other job
+        if isinstance(error, SystemError) and was_interrupt(error):
+            return Ended(stopped=True)
+        traceback.print_exc(file=sys.stderr)
+        line = f"{type(error).__name__}: {error}".split("\n")[0]
+        return Ended(problem=f"an error of the program, whose traceback was printed: {line[:300]}")

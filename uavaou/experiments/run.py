@@ -1,0 +1,331 @@
+"""Runs a study: does what is left of its jobs, in order, and keeps the rows of each before anything else."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, wait
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from uavaou.errors import InputError
+from uavaou.evaluation.flights import Flights, PartKey
+from uavaou.experiments.best import keep_best
+from uavaou.experiments.executor import Executor, StoppedEarlyError
+from uavaou.experiments.jobs import Training, TrainingReport
+from uavaou.experiments.results import StudyFolder, StudyResults, read_begun
+from uavaou.experiments.study import Study, StudyJob
+from uavaou.files import read_json, write_json, write_text
+from uavaou.runs.folder import RunFolder
+from uavaou.runs.interrupt import Interrupts
+from uavaou.runs.lock import holder, one_writer
+
+_LOOK_EVERY_S = 0.5
+
+
+# -- what is there -------------------------------------------------------------------------------------
+
+
+def gather(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey, str]]:
+    """The results of a study: its own rows, those of other studies below ``out``, and of finished run folders.
+
+    Returns:
+        The results, and why run folders could not be read. Nothing is written.
+
+    Raises:
+        InputError: the folder holds results of another study, or damaged ones.
+    """
+    folder, problems = StudyFolder.of(out, study.name), {}
+    names = {digest: key for job in study.jobs(out) for digest, key in job.digests.items()}
+    table = read_begun(folder).table
+    for policy, scenario in table.flights.loc[~table.flights["job"].isin(names.keys()), ["policy", "scenario"]].values:
+        raise InputError(
+            f"'{folder.path}' holds results of {policy} on {scenario} with other settings than the study's: "
+            "give the study's file another name, or another --out"
+        )
+    for path in sorted((out / "studies").glob("*/study.yaml")):
+        if path.parent != folder.path:
+            with suppress(InputError):  # a damaged one is its own problem
+                table = Flights.joined(
+                    [table, Flights.read(path.parent).only(names.keys() - set(table.flights["job"]))]
+                )
+    for job in study.jobs(out):
+        if isinstance(job.job, Training) and not set(job.digests) <= set(table.flights["job"]):
+            try:
+                found = job.job.found()
+            except InputError as problem:
+                problems[job.keys[0]] = str(problem)
+                continue
+            table = table if found is None else Flights.joined([table, found])
+    return StudyResults(folder, study.resolved(), _named(table, study, names)), problems
+
+
+def update_results(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey, str]]:
+    """:func:`gather`, and write the results; parts whose run folders are elsewhere keep their rows."""
+    results, problems = gather(study, out)
+    _write(results, study)
+    keep_best(results, study, out)
+    return results, problems
+
+
+def _named(table: Flights, study: Study, names: Mapping[str, PartKey]) -> Flights:
+    """The rows in the order of the study's tables, with the names that the study has for them."""
+    order = {key: place for place, key in enumerate(study.table_order())}
+    frames = []
+    for frame in (table.flights, table.curves):
+        frame = frame[frame["job"].isin(names.keys())]
+        keys = frame["job"].map(dict(names))
+        frame = frame.assign(
+            policy=keys.map(lambda key: key.policy).astype("string"),
+            scenario=keys.map(lambda key: key.scenario).astype("string"),
+        )
+        frames.append(frame.iloc[keys.map(order).argsort(kind="stable")].reset_index(drop=True))
+    return Flights(*frames)
+
+
+def _write(results: StudyResults, study: Study) -> None:
+    write_text(results.folder.study, "# The study as resolved: every setting of every run.\n" + study.to_yaml())
+    results.table.write(results.folder.path)
+
+
+# -- doing what is left --------------------------------------------------------------------------------
+
+
+@dataclass
+class StudyState:
+    """How far a study is."""
+
+    total: int  # trainings, planners and bounds
+    done: int  # those that have results
+    before: int = 0  # those that had them when the command began
+    failed: dict[PartKey, str] = field(default_factory=dict)  # and why
+    running: dict[PartKey, TrainingReport | None] = field(default_factory=dict)  # the last report of a training
+    slots: int = 0  # trained by this command
+    left: int = 0  # slots still to be trained
+    busy_s: float = 0.0  # how long trainings have been running
+    news: list[str] = field(default_factory=list)  # a line for each part that has ended since the display last looked
+    stopped_by: signal.Signals | None = None  # the signal that ended the command early
+    _looked: float = field(default_factory=time.monotonic)
+
+    @property
+    def rate(self) -> float:
+        """Slots a second of all trainings together."""
+        return self.slots / max(self.busy_s, 1e-9)
+
+    def tick(self) -> None:
+        """Count the time since the last call."""
+        now = time.monotonic()
+        if any(key.seed is not None for key in self.running):
+            self.busy_s += now - self._looked
+        self._looked = now
+
+
+def run_study(
+    study: Study, out: Path, executor: Executor, show: Callable[[StudyState], None], quiet: bool = False,
+    checkpoint_every_s: float | None = None,
+) -> StudyState:  # fmt: skip
+    """Do what is left of a study; returns how far it is then.
+
+    Args:
+        study: what is run.
+        out: the folder of all results.
+        executor: performs the jobs.
+        show: called after each job, and twice a second.
+        quiet: say nothing at an interrupt.
+        checkpoint_every_s: between checkpoints; None: as ``uavaou train`` does.
+
+    Raises:
+        InputError: the results folder holds another study's, is written by another process, or cannot be written.
+        KeyboardInterrupt: by a second signal; running jobs are killed.
+    """
+    folder = StudyFolder.of(out, study.name)
+    with one_writer(folder.path):
+        work = _Work(study, out, checkpoint_every_s)
+        with Interrupts(quiet) as interrupts, executor:
+            show(work.state)
+            futures = {executor.submit(job.job, partial(work.report, job)): job for job in work.left}
+            while futures:
+                ended, _ = wait(futures, _LOOK_EVERY_S, return_when="FIRST_COMPLETED")
+                for future in ended:
+                    work.end(futures.pop(future), future)
+                if interrupts.received is not None and not executor.stopping:
+                    executor.stop()
+                work.look(futures)
+                show(work.state)
+        work.state.stopped_by = interrupts.received
+        return work.state
+
+
+class _Work:
+    """The jobs of a study that are left to do, and the results of the others."""
+
+    def __init__(self, study: Study, out: Path, checkpoint_every_s: float | None) -> None:
+        self._study, self._out = study, out
+        self._results, _ = update_results(study, out)  # a damaged run is tried again, and fails with its reason then
+        jobs = study.jobs(out, checkpoint_every_s)
+        self._names = {digest: key for job in jobs for digest, key in job.digests.items()}
+        there = set(self._results.table.flights["job"])
+        self.left = [job for job in jobs if not set(job.digests) <= there]
+        trainings = {job.keys[0]: job.job for job in self.left if isinstance(job.job, Training)}
+        self._trained = {key: RunFolder(one.folder).trained_so_far()[0] for key, one in trainings.items()}
+        self._budgets = {key: one.config.slots for key, one in trainings.items()}
+        found = sum(digest in there for digest in self._names)
+        self.state = StudyState(len(self._names), found, found, left=sum(map(self._slots_left, self._budgets)))
+        self._note()
+
+    def _slots_left(self, key: PartKey) -> int:
+        return max(self._budgets[key] - self._trained[key], 0)
+
+    def report(self, job: StudyJob, report: TrainingReport) -> None:
+        """A training has made an update."""
+        key = job.keys[0]
+        self.state.running[key] = report
+        step = max(report.slots - self._trained[key], 0)
+        self._trained[key] += step
+        self.state.slots += step
+        self.state.left = max(self.state.left - step, 0)
+
+    def look(self, futures: Mapping[Future[Any], StudyJob]) -> None:
+        """Note which jobs are being done."""
+        running = {key for future, job in futures.items() if future.running() for key in job.keys}
+        if running != self.state.running.keys():
+            self.state.running = {key: self.state.running.get(key) for key in running}
+            self._note()
+        self.state.tick()
+
+    def end(self, job: StudyJob, future: Future[Any]) -> None:
+        """A job has ended: keep its rows before anything else is done."""
+        for key in job.keys:
+            self.state.running.pop(key, None)
+        try:
+            rows: Flights = future.result()
+            kept = Flights.joined([self._results.table.without(job.digests), rows])
+            self._results.table = _named(kept, self._study, self._names)
+            _write(self._results, self._study)
+            if isinstance(job.job, Training):
+                keep_best(self._results, self._study, self._out)
+        except StoppedEarlyError:
+            return
+        except InputError as problem:
+            self._fail(job, str(problem))
+            return
+        self.state.done += len(job.keys)
+        for key in job.keys:
+            mean, low, high = self._results.mean(key)
+            interval = "" if low != low else f" ({low:.6g} to {high:.6g})"
+            self.state.news.append(f"{key}: mean AoU {mean:.6g} slots{interval}")
+
+    def _fail(self, job: StudyJob, reason: str) -> None:
+        for key in job.keys:
+            self.state.failed[key] = reason
+            self.state.left -= self._slots_left(key) if key in self._budgets else 0
+            self.state.news.append(f"{key} failed: {reason}")
+        self._note()
+
+    def _note(self) -> None:
+        """Note what is in progress and what has failed for ``uavaou study status``; failing to is no error."""
+        failed = [[*key, reason] for key, reason in self.state.failed.items()]
+        with suppress(InputError):
+            write_json(
+                self._results.folder.state, {"running": [[*key] for key in self.state.running], "failed": failed}
+            )
+
+
+def read_state(folder: StudyFolder) -> tuple[set[PartKey], dict[PartKey, str]]:
+    """What a running study is at work on, and why parts failed when they were last tried."""
+    content: Any = {}
+    with suppress(InputError):  # there is none
+        content = read_json(folder.state)
+    with suppress(AttributeError, TypeError, ValueError):  # somebody else's
+        running = {PartKey(*key) for key in content.get("running", []) if holder(folder.lock)}
+        return running, {PartKey(*key): str(reason) for *key, reason in content.get("failed", [])}
+    return set(), {}
+
+
+# -- how it stands -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PartStatus:
+    """The state of a training, a planner or a bound."""
+
+    key: PartKey
+    state: str  # finished, trained (but not evaluated), running, failed, stopped or waiting
+    slots: int | None = None  # trained; None for planners and bounds
+    budget: int | None = None  # slots of the training
+    rate: float = 0.0  # slots a second while it runs
+    detail: str = ""  # the process that runs it, or why it failed
+
+
+def study_status(study: Study, out: Path) -> list[PartStatus]:
+    """Every part of a study, read from the disk while other processes may be at work on it.
+
+    Raises:
+        InputError: the results are another study's, or cannot be read.
+    """
+    results, problems = gather(study, out)
+    running, failed = read_state(results.folder)
+    there, failed = set(results.parts), failed | problems
+    return [part for job in study.jobs(out) for part in _statuses(job, there, running, failed)]
+
+
+def _statuses(
+    job: StudyJob, there: set[PartKey], running: set[PartKey], failed: Mapping[PartKey, str]
+) -> Iterator[PartStatus]:
+    for key in job.keys:
+        if isinstance(job.job, Training):
+            yield _training_status(key, job.job, key in there, failed.get(key))
+        elif key in there or key not in failed or key in running:
+            yield PartStatus(key, "finished" if key in there else "running" if key in running else "waiting")
+        else:
+            yield PartStatus(key, "failed", detail=failed[key])
+
+
+def _training_status(key: PartKey, job: Training, there: bool, failed: str | None) -> PartStatus:
+    folder, budget = RunFolder(job.folder), job.config.slots
+    if there:
+        return PartStatus(key, "finished", budget, budget)
+    (slots, rate), by = folder.trained_so_far(), holder(folder.lock)
+    if by is not None:
+        return PartStatus(key, "running", slots, budget, rate, by)
+    if failed is not None:
+        return PartStatus(key, "failed", slots, budget, detail=failed)
+    return PartStatus(key, "trained" if folder.finished else "stopped" if slots else "waiting", slots, budget)
+
+
+def seconds_left(parts: list[PartStatus]) -> float | None:
+    """Until the trainings of a study end at the rate of those that run now; None where none does."""
+    rate = sum(part.rate for part in parts)
+    open_parts = [part for part in parts if part.state not in ("finished", "failed")]
+    left = sum(max((part.budget or 0) - (part.slots or 0), 0) for part in open_parts)
+    if not left and any(part.state == "running" for part in parts):
+        return 0.0  # a short training may not have a rate yet
+    return left / rate if rate else None
+
+
+def expected_cpu_s(study: Study, results: StudyResults, out: Path) -> tuple[float, list[str]]:
+    """How many CPU seconds the trainings take that are left, and the algorithms with networks not yet measured.
+
+    A training takes as long for each slot as those of its algorithm, network and hidden layers did.
+    """
+    rates: dict[tuple[str, ...], list[float]] = {}  # CPU seconds a slot
+    for path in [results.folder.study, *sorted((out / "studies").glob("*/study.yaml"))]:
+        with suppress(InputError):
+            other = read_begun(StudyFolder(path.parent))
+            variants = other.settings.get("variants", {})
+            rows = other.flights.dropna(subset=["cpu_s", "seed"]).drop_duplicates(["policy", "scenario", "seed"])
+            for row in rows.itertuples():
+                rates.setdefault(_kind(variants.get(row.policy, {})), []).append(row.cpu_s / row.slots)
+    left = [config for key, config in study.runs() if key not in set(results.parts)]
+    kinds = [(_kind(config.algorithm.model_dump(mode="json")), config.slots) for config in left]
+    total = sum(sum(rates[kind]) / len(rates[kind]) * slots for kind, slots in kinds if kind in rates)
+    return total, list(dict.fromkeys(" ".join(kind) for kind, _ in kinds if kind not in rates)) if rates else []
+
+
+def _kind(settings: Mapping[str, Any]) -> tuple[str, ...]:
+    """What the duration of a training depends on most."""
+    return (*(str(settings.get(name, "")) for name in ("name", "network")), *map(str, settings.get("hidden", ())))

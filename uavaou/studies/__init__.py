@@ -1,1 +1,0 @@
-"""Studies: many trainings and the planners beside them, resumable, with condensed results."""
