@@ -19,7 +19,7 @@ from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.scores import PolicyScores, study_scores
 from uavaou.reports.suites import SuiteRow, read_suite
 from uavaou.statistics import interval_over_trainings
-from uavaou.studies.results import StudyResults, read_study
+from uavaou.experiments.results import StudyResults, read_study
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from uavaou.runs.rehearsal import rehearse as rehearse
     from uavaou.runs.train import train as train
     from uavaou.scenario import Scenario as Scenario
-    from uavaou.studies.results import read_study as read_study
+    from uavaou.experiments.results import read_study as read_study
     from uavaou.world import World as World
 
 __version__ = "0.1.0"
@@ -51,7 +51,7 @@ _HOMES = {
     "load_run": "uavaou.runs.policy",
     "evaluate": "uavaou.runs.comparison",
     "rehearse": "uavaou.runs.rehearsal",
-    "read_study": "uavaou.studies.results",
+    "read_study": "uavaou.experiments.results",
 }
 __all__ = [*_HOMES, "uavaou_v0"]
 

@@ -30,7 +30,7 @@ def figures(
     studies = [folder for folder in given if (folder / "study.yaml").is_file()]
     runs = [folder for folder in given if folder not in studies]
     if not given:
-        from uavaou.studies.results import study_folders
+        from uavaou.experiments.results import study_folders
 
         _draw_all(study_folders(Path("results")), out)
         return
@@ -46,8 +46,8 @@ def figures(
 
 def _draw_all(studies: list[Path], out: Path | None) -> None:
     """Draw every study that can be drawn; a damaged one, or one without results yet, is named and left out."""
+    from uavaou.experiments.results import NothingYetError
     from uavaou.reports.figures import plot_studies
-    from uavaou.studies.results import NothingYetError
 
     places = {study: _place(study, studies, out) for study in studies}
     for place in places.values():

@@ -15,10 +15,10 @@ from uavaou_cli.tables import duration, figure
 
 if TYPE_CHECKING:
     from uavaou.evaluation.recorded_mission import RecordedMission
+    from uavaou.experiments.run import StudyState
     from uavaou.planners.bound import Bound
     from uavaou.planners.plan import PlanningStatus
     from uavaou.scenario import Scenario
-    from uavaou.studies.runner import StudyState
     from uavaou.tuning.search import TrialRecord
     from uavaou.world import World
 
@@ -338,15 +338,13 @@ class StudyDisplay(Display):
 
 def _running(state: StudyState) -> str:
     """The mean AoU of each variant in training, in slots, and the planners and bounds in progress."""
-    from uavaou.studies.folder import PLAN
-
     means: dict[str, list[float]] = {}
     others = []
     for key, report in state.running.items():
         if key.seed is None:
-            others.append(f"{'annealing a plan' if key.variant == PLAN else key.variant} for {key.scenario}")
+            others.append(f"{key.policy} for {key.scenario}")
         else:
-            values = means.setdefault(key.variant, [])
+            values = means.setdefault(key.policy, [])
             if report is not None and report.mean_aou_slots is not None:
                 values.append(report.mean_aou_slots)
     parts = [f"{name} {sum(values) / len(values):,.2f}" if values else f"{name} -" for name, values in means.items()]

@@ -6,7 +6,6 @@ import os
 import sys
 import textwrap
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,11 +17,10 @@ from uavaou_cli.progress import StudyDisplay, stopped
 from uavaou_cli.tables import WIDTH, aligned, duration, interval_figures, show, wrapped
 
 if TYPE_CHECKING:
+    from uavaou.experiments.executor import Executor
+    from uavaou.experiments.run import PartStatus, StudyState
+    from uavaou.experiments.study import Study
     from uavaou.reports.scores import PolicyScores
-    from uavaou.studies.jobs import Engine
-    from uavaou.studies.runner import StudyState
-    from uavaou.studies.status import PartStatus
-    from uavaou.studies.study import Study
 
 MOST_JOBS = 4096
 
@@ -49,16 +47,15 @@ def run(
         raise InputError(f"--address {address!r}: expected the address of a Ray cluster, with --engine ray")
     chosen, folder = _study(study, out)
     writable_folder(folder)
-    from uavaou.studies.runner import run_study
+    from uavaou.experiments.run import run_study
 
     if not quiet:
         for line in _time_it_takes(chosen, out, jobs or _cores()):
             print(line, file=sys.stderr)
-    with ExitStack() as stack:
-        performer = _engine(stack, engine, jobs, address, ctx.obj["plugins"])
-        progress = stack.enter_context(StudyDisplay(quiet))
+    executor = _executor(engine, jobs, address, ctx.obj["plugins"])
+    with StudyDisplay(quiet) as progress:
         try:
-            outcome = run_study(chosen, out, performer, progress.show, quiet, checkpoint_every)
+            outcome = run_study(chosen, out, executor, progress.show, quiet, checkpoint_every)
         except KeyboardInterrupt as error:
             raise stopped(ctx.obj["arguments"], error) from None
     for key, reason in outcome.failed.items():
@@ -74,7 +71,7 @@ def run(
 
 def status(study: StudyName, out: Results = Path("results")) -> None:
     """Show how the runs of a study stand."""
-    from uavaou.studies.status import study_status
+    from uavaou.experiments.run import study_status
 
     chosen, _ = _study(study, out)
     show(_status_lines(chosen, study_status(chosen, out)))
@@ -105,8 +102,8 @@ def _nothing_done(state: StudyState, study: str, out: Path) -> list[str]:
 
 def _study(name: str, out: Path) -> tuple[Study, Path]:
     """The study, and the folder of its condensed results."""
-    from uavaou.studies.folder import StudyFolder
-    from uavaou.studies.study import Study
+    from uavaou.experiments.results import StudyFolder
+    from uavaou.experiments.study import Study
 
     given_path("STUDY", name)
     if out.exists() and not out.is_dir():
@@ -117,18 +114,15 @@ def _study(name: str, out: Path) -> tuple[Study, Path]:
 
 def _time_it_takes(study: Study, out: Path, jobs: int) -> list[str]:
     """How long the trainings that are left take, as far as such have been measured."""
-    from uavaou.studies.borrowed import borrow, expected_cpu_s
-    from uavaou.studies.folder import StudyFolder
-    from uavaou.studies.results import read_begun
+    from uavaou.experiments.run import expected_cpu_s, gather
 
-    results = read_begun(StudyFolder.of(out, study.name))
-    borrow(results, study, out)
+    results, _ = gather(study, out)
     cpu_s, unknown = expected_cpu_s(study, results, out)
     runs = list(study.runs())
-    left = [run for run in runs if run.key not in results.parts]
+    left = [config for key, config in runs if key not in set(results.parts)]
     if not left or not (cpu_s or unknown):
         return []
-    slots = sum(run.config.slots for run in left)
+    slots = sum(config.slots for config in left)
     told = f"study {study.name}: {len(left)} of {len(runs)} trainings are left, {slots:,} slots"
     if cpu_s:
         told += f", about {duration(cpu_s)} of CPU as measured so far, {duration(cpu_s / jobs)} with --jobs {jobs}"
@@ -141,33 +135,32 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _engine(stack: ExitStack, name: str, jobs: int | None, address: str | None, plugins: list[str]) -> Engine:
+def _executor(name: str, jobs: int | None, address: str | None, plugins: list[str]) -> Executor:
     cores = _cores()
     if name == "local":
-        from uavaou.studies.processes import Processes
+        from uavaou.experiments.executor import Processes
 
         return Processes(jobs or cores, plugins)
-    from uavaou.studies.cluster import Cluster
+    from uavaou.experiments.cluster import Cluster
 
-    return stack.enter_context(Cluster(jobs if address else jobs or cores, address, plugins))
+    return Cluster(jobs if address else jobs or cores, address, plugins)
 
 
 def _result_lines(folder: Path) -> list[str]:
     """The results of a study: for each scenario the mean AoU of every variant and planner, the best first."""
+    from uavaou.experiments.results import read_study
     from uavaou.reports.scores import study_scores
-    from uavaou.studies.results import read_study
 
     results = read_study(folder)
     lines = [f"study {results.settings['name']}: mean AoU in slots, {results.settings['episodes']} missions a run"]
-    if not results.evaluated:
+    if not len(results.flights):
         return [*lines, "", "nothing has been evaluated yet", f"results: {folder}"]
     for scenario, found in study_scores(results).items():
         head = (scenario, "knows", "seeds", "mean AoU", "95 % interval", "violations")
         lines += ["", *aligned([head, *map(_cells, found)], left=2)]
     note = (
         "intervals: Student's over seeds; of one seed, and of planners, a bootstrap over missions; the lower bound is "
-        "one on the expected mean AoU of policies that do not foresee the channel; violations: of trained policies; "
-        "uavaou eval --policy counts a planner's"
+        "one on the expected mean AoU of policies that do not foresee the channel"
     )
     return [*lines, "", *wrapped(note), f"results: {folder}"]
 
@@ -179,7 +172,7 @@ def _cells(one: PolicyScores) -> tuple[str, ...]:
 
 def _status_lines(study: Study, parts: Sequence[PartStatus]) -> list[str]:
     """A row for each run, planner and bound, and the time left."""
-    from uavaou.studies.status import seconds_left
+    from uavaou.experiments.run import seconds_left
 
     states = ("finished", "trained", "running", "stopped", "failed", "waiting")
     counts = [(state, sum(part.state == state for part in parts)) for state in states]
@@ -191,7 +184,7 @@ def _status_lines(study: Study, parts: Sequence[PartStatus]) -> list[str]:
         seed = "-" if part.key.seed is None else str(part.key.seed)
         slots = "-" if part.slots is None else f"{part.slots:,} of {part.budget:,}"
         by = f", {part.detail}" if part.state == "running" and part.detail else ""
-        rows.append((part.key.variant, part.key.scenario, seed, slots, part.state + by))
+        rows.append((part.key.policy, part.key.scenario, seed, slots, part.state + by))
     failed = [f"{part.key}: {part.detail}" for part in parts if part.state == "failed"]
     reasons = [line for text in failed for line in textwrap.wrap(text, WIDTH, subsequent_indent="  ")]
     head = f"study {study.name}: {len(parts)} parts, {summary}{left}"

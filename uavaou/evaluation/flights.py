@@ -216,7 +216,7 @@ def read_table(path: Path, columns: Mapping[str, str], needed: Iterable[str] = (
     return pd.DataFrame(found, index=text.index)
 
 
-def _cells(path: Path, text: pd.DataFrame, name: str, kind: str) -> pd.Series[Any]:
+def _cells(path: Path, text: pd.DataFrame, name: str, kind: str) -> Any:
     """A column as its type; an error for the first cell that is not of it."""
     if name not in text.columns:
         return pd.Series(_column(None, kind), index=text.index, dtype=kind)
@@ -236,4 +236,5 @@ def _cells(path: Path, text: pd.DataFrame, name: str, kind: str) -> pd.Series[An
 
 def column(frame: pd.DataFrame, name: str) -> Floats:
     """A column as numbers, (R,); empty cells are nan."""
-    return frame[name].astype(NUMBER).to_numpy()
+    values: Floats = frame[name].astype(NUMBER).to_numpy()
+    return values

@@ -82,8 +82,8 @@ missions. Its test figures below chose nothing.
 what they hold); {meta.best_action} actions.
 - **Validation**: mean AoU {one.best_slots:.6g} slots.
 - **Evaluation**: mean AoU {mean} slots{between} on {episodes} missions, seeds {EVALUATION_SEED} to \
-{EVALUATION_SEED + episodes - 1}, which no training and no choice has seen; {one.violations} constraint violations. This \
-is one seed: the others are in the study's table.
+{EVALUATION_SEED + episodes - 1}, which no training and no choice has seen; {one.violations} constraint violations. \
+This is one seed: the others are in the study's table.
 - **Meant for**: reproducing and comparing figures on this scenario, and as a rival to other policies.
 - **Limits**: made for this number of UAVs and devices and, with a fixed layout, for this layout; on another one it \
 flies, and how well nobody has measured. Trained and tested in simulation alone: it has met no wind, no obstacles and \

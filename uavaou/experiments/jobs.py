@@ -165,5 +165,5 @@ class Bound:
         from uavaou.planners.bound import lower_bound  # imports solvers
 
         bound, tau = lower_bound(self.scenario, self.scenario.draw_layout()), self.scenario.slot_length_s
-        who = {"job": self.digests[BOUND], "policy": BOUND, "algorithm": bound.method}
-        return Flights.of({"mean_aou_slots": [bound.mean_aou_s / tau]}, **who)
+        told = {"policy": BOUND, "algorithm": bound.method, "mean_aou_slots": [bound.mean_aou_s / tau]}
+        return Flights.of(told, job=self.digests[BOUND])

@@ -6,10 +6,10 @@ describes it: environment, task, algorithm, run, then one entry for each evaluat
 
 from typing import Any
 
-from uavaou.evaluation.flights import PartKey
+from uavaou.evaluation.flights import VALIDATION
 from uavaou.experiments.results import StudyResults
 
-ENVIRONMENT = "uavaou_v0"
+ENVIRONMENT, FINAL = "uavaou_v0", "absolute_metrics"
 
 
 def to_marl_eval(results: StudyResults) -> dict[str, Any]:
@@ -26,43 +26,38 @@ def to_marl_eval(results: StudyResults) -> dict[str, Any]:
         InputError: the study holds no evaluated run.
     """
     study = results.require_evaluated()
-    seeds = {(variant, task): _seeds(study, variant, task) for variant in study.algorithms for task in study.scenarios}
-    variants = [name for name in study.algorithms if all(seeds[name, task] for task in study.scenarios)]
-    whole = [PartKey(name, task, seed) for name in variants for task in study.scenarios for seed in seeds[name, task]]
-    runs = min((len(seeds[name, task]) for name in variants for task in study.scenarios), default=0)
-    steps = min((len(study.parts[key]["validation"]) for key in whole), default=0)
+    tables = {name: {task: _runs(study, name, task) for task in study.scenarios} for name in study.algorithms}
+    whole = {name: tasks for name, tasks in tables.items() if all(tasks.values())}
+    every = [runs for tasks in whole.values() for runs in tasks.values()]
+    seeds = min(map(len, every), default=0)
+    steps = min((len(run) - 1 for runs in every for run in runs), default=0)
+
+    def kept(run: dict[str, Any]) -> dict[str, Any]:
+        return {name: run[name] for name in (*(f"step_{step}" for step in range(steps)), FINAL)}
+
     tasks = {
         task: {
-            name: {f"seed_{seed}": _run(study, PartKey(name, task, seed), steps) for seed in seeds[name, task][:runs]}
-            for name in variants
+            name: {f"seed_{seed}": kept(run) for seed, run in enumerate(runs[task][:seeds])}
+            for name, runs in whole.items()
         }
         for task in study.scenarios
     }
     return {ENVIRONMENT: tasks}
 
 
-def _seeds(study: StudyResults, variant: str, task: str) -> list[int]:
-    """The seeds with validations and a final evaluation."""
-    return sorted(
-        key.seed for key, tables in study.parts.items()
-        if key[:2] == (variant, task) and key.seed is not None and {"validation", "missions"} <= tables.keys()
-    )  # fmt: skip
-
-
-def _run(study: StudyResults, key: PartKey, steps: int) -> dict[str, Any]:
-    validation, missions = (study.table(name, *key) for name in ("validation", "missions"))
-    mission_s = study.mission_s(key.scenario)
-    content: dict[str, Any] = {}
-    for step in range(steps):
-        aou = float(validation["mean_aou_slots"][step])
-        content[f"step_{step}"] = {
-            "step_count": int(validation["slots"][step]),
-            "elapsed_time": float(validation["wall_s"][step]),
-            "return": [-mission_s * aou],
-            "mean_aou_slots": [aou],
-        }
-    content["absolute_metrics"] = {
-        "return": [float(missions["reward_s"].mean())],
-        **{name: [float(missions[name].mean())] for name in ("mean_aou_slots", "communications", "devices_served")},
-    }
-    return content
+def _runs(study: StudyResults, variant: str, task: str) -> list[dict[str, Any]]:
+    """The validations and the final evaluation of each training."""
+    mission_s, found = study.mission_s(task), []
+    trainings = study.trainings(variant, task)
+    for curve, final in zip(study.curves(VALIDATION, variant, task), trainings.to_dict("records"), strict=False):
+        run: dict[str, Any] = {
+            f"step_{step}": {
+                "step_count": int(slots), "elapsed_time": wall_s, "return": [-mission_s * aou], "mean_aou_slots": [aou]
+            }
+            for step, (slots, wall_s, aou) in enumerate(
+                zip(*(curve[name].tolist() for name in ("x", "wall_s", "mean_aou_slots")), strict=True)
+            )
+        }  # fmt: skip
+        metrics = {name: [final[name]] for name in ("mean_aou_slots", "communications", "devices_served")}
+        found.append(run | {FINAL: {"return": [-mission_s * final["mean_aou_slots"]], **metrics}})
+    return found

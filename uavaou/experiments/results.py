@@ -18,6 +18,7 @@ from uavaou.errors import InputError, command_line
 from uavaou.evaluation.flights import BOUND, TRAINING, Flights, PartKey, column
 from uavaou.files import PathIn, folder_name
 from uavaou.runs.lock import LOCK
+from uavaou.scenario import Scenario
 from uavaou.statistics import Interval, interval_over_missions
 from uavaou.zoo import read_yaml_mapping, zoo_names
 
@@ -131,6 +132,11 @@ class StudyResults:
     def mission_s(self, scenario: str) -> float:
         """The length of a mission, K tau, in s: minus its reward where the mean AoU is one slot."""
         return float(self.scenarios[scenario]["slots"] * self.scenarios[scenario]["slot_length_s"])
+
+    def periods(self, scenario: str) -> Floats:
+        """The generation period of each device of a scenario with one layout, (I,) slots."""
+        layout = Scenario.from_dict(self.scenarios[scenario], str(self.folder.study)).draw_layout()
+        return layout.update_period.astype(np.float64)
 
     def knows(self, policy: str) -> str:
         """What a policy reads in flight; empty where the flights do not say."""

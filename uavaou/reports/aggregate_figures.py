@@ -10,11 +10,11 @@ from matplotlib.ticker import FuncFormatter
 
 from uavaou.arrays import Floats
 from uavaou.envs.map import BLACK
+from uavaou.experiments.results import StudyResults
 from uavaou.reports import style
 from uavaou.reports.drawing import Looks, band_alpha
 from uavaou.reports.scores import FIXED_RULES, comparable, in_all_scenarios
 from uavaou.statistics import Interval, interquartile_mean, performance_profile, probability_of_improvement
-from uavaou.studies.results import StudyResults
 
 Scores = Mapping[str, Mapping[str, Floats]]  # variant -> scenario -> (S, M)
 

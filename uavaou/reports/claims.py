@@ -1,26 +1,47 @@
-"""The paper's claims, and ours, judged by a study: verdicts are computed from its tables.
+"""The paper's claims, and ours, judged by the flights of a study: verdicts are computed.
 
-:mod:`uavaou.reports.verdicts` has the rules. Ratios and intervals over trainings are those of
-:mod:`uavaou.statistics.trainings`.
+On a **direction** (fewer, lower, more): supported where the whole 95 % interval lies on the claimed side; contradicted
+where it lies on the other side; partly supported where the estimate alone lies on the claimed side; otherwise not
+supported. On a **size** (reduced to a share s): supported where the whole interval is at or below s; partly supported
+where the estimate alone is, or where there is a reduction, the whole interval below 1, that does not reach s;
+contradicted where the whole interval is above s and there is no such reduction; otherwise not supported. One training
+of an algorithm has no interval: it supports a claim partly at best, and contradicts none. An estimate that nobody made
+a claim about is **a figure**.
+
+A run's validation AoU is smoothed by the mean of ``SMOOTHED`` evaluations, the present one and those before it. The
+run **has converged** at the first evaluation from which on every smoothed value stays within ``WITHIN`` of the run's
+lowest smoothed value. It **reaches** a level at the first evaluation whose smoothed value is at or below it. A run that
+does neither counts with its whole budget. That flatters MAPPO, whose claim is then weakened, and not the others.
 """
 
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.stats import rankdata
 
 from uavaou.arrays import Floats
+from uavaou.evaluation.flights import DEVICES, TRAINING, VALIDATION
+from uavaou.experiments.results import Curve, StudyResults
+from uavaou.experiments.study import JUDGED
 from uavaou.planners import PLANNERS, PLANNERS_WITH_PLAN
-from uavaou.reports import verdicts
 from uavaou.reports.markdown import rounded
 from uavaou.reports.scores import best_planner
-from uavaou.reports.training_claims import convergence, last_reward, time_to_level
-from uavaou.reports.verdicts import OWN, Claim, higher, lower, means
-from uavaou.statistics import mean_of_tasks
-from uavaou.studies.results import StudyResults, Table
+from uavaou.statistics import Interval, mean_of_tasks, ratio_of_trainings
 from uavaou.world.knowledge import Knowledge
 
+Trainings = Mapping[str, Floats]  # scenario -> (S,), one value a training; () for an untrained policy
+Verdict = Literal["supported", "partly supported", "not supported", "contradicted", "not measured", "a figure"]
+Decide = Callable[[Interval], Verdict]
+
+OWN, *BASELINES = JUDGED
+SMOOTHED = 3  # evaluations
+WITHIN = 0.10
+LAST_PART = 0.1  # of a training, whose reward is what it ends with
+
+FEWER_ITERATIONS = "requires fewer iterations to achieve convergence compared to conventional Value-based RL algorithms"
+HIGHER_REWARDS = "MAPPO-AoU converges faster and achieves higher rewards than the benchmarks"
 LOWEST = "the minimum value of AoU is achieved through MAPPO-AoU"
 REDUCED = "Compared to VDN and QMIX, the AoU during the execution is reduced by a factor of 1/2 and 2/3 respectively"
 HALVED = "reduces the global AoU by at least a factor of 1/2 compared to conventional off-policy [...] approaches"
@@ -39,29 +60,226 @@ _COUNTS = (  # column, claim, what is counted, digits of the means
 )
 
 
+@dataclass(frozen=True)
+class Claim:
+    """One claim and what a study says about it."""
+
+    claim: str
+    quote: str  # the paper's words; empty for a claim of this project
+    verdict: Verdict
+    measured: str  # what was measured, with its means
+    estimate: Interval | None = None  # what the verdict rests on; None where it has not been measured
+    command: str = ""  # that made the study
+
+
 def judge(study: StudyResults) -> list[Claim]:
     """Every claim: on training first, then on execution, then ours; those without data are ``not measured``.
 
     The variants ``mappo``, ``vdn`` and ``qmix`` of the study are compared, in the scenarios that both have.
     """
+    rules, searched = PLANNERS.keys() - PLANNERS_WITH_PLAN, PLANNERS_WITH_PLAN
+    ours = "MAPPO flies fresher than the best"
     claims = [
-        *(convergence(study, other) for other in verdicts.BASELINES),
-        *(time_to_level(study, other) for other in verdicts.BASELINES),
-        *(last_reward(study, other) for other in verdicts.BASELINES),
+        *(_convergence(study, other) for other in BASELINES),
+        *(_time_to_level(study, other) for other in BASELINES),
+        *(_last_reward(study, other) for other in BASELINES),
         *(_aou(study, other, f"MAPPO's AoU in execution is lower than {other.upper()}'s", LOWEST, lower)
-          for other in verdicts.BASELINES),
-        *(_aou(study, other, text, quote, verdicts.reduced_to(share)) for other, share, text, quote in _REDUCTIONS),
-        *(_more(study, other, *counted) for counted in _COUNTS for other in verdicts.BASELINES),
+          for other in BASELINES),
+        *(_aou(study, other, text, quote, reduced_to(share)) for other, share, text, quote in _REDUCTIONS),
+        *(_more(study, other, *counted) for counted in _COUNTS for other in BASELINES),
         _communications_by_frequency(study),
         _served_by_frequency(study),
-        _beside_planner(study, "everything", "MAPPO flies fresher than the best planner that knows everything"),
-        _beside_planner(study, "local", "MAPPO flies fresher than the best rule that knows as much and learns nothing",
-                        PLANNERS.keys() - PLANNERS_WITH_PLAN),
-        _beside_planner(study, "local", "MAPPO flies fresher than the best rule that knows as much and was searched "
-                        "for this layout before take-off", PLANNERS_WITH_PLAN),
+        _beside_planner(study, "everything", f"{ours} planner that knows everything", PLANNERS),
+        _beside_planner(study, "local", f"{ours} rule that knows as much and learns nothing", rules),
+        _beside_planner(study, "local", f"{ours} rule that knows as much and was searched for this layout before "
+                        "take-off", searched),
         _beside_bound(study),
     ]  # fmt: skip
     return [replace(claim, command=f"uavaou study run {study.argument}") for claim in claims]
+
+
+# -- verdicts ------------------------------------------------------------------------------------------
+
+
+def lower(estimate: Interval, threshold: float = 1) -> Verdict:
+    """The verdict on a claim that something is below the threshold."""
+    if estimate.high < threshold:  # nan, an unknown interval, supports nothing
+        return "supported"
+    if estimate.low > threshold:
+        return "contradicted"
+    return "partly supported" if estimate.value < threshold else "not supported"
+
+
+def higher(estimate: Interval) -> Verdict:
+    """The verdict on a claim that a ratio is above 1."""
+    return lower(Interval(-estimate.value, -estimate.high, -estimate.low), -1)
+
+
+def reduced_to(share: float) -> Decide:
+    """The verdict on a claim that a ratio is at most ``share``, a number below 1."""
+
+    def decide(ratio: Interval) -> Verdict:
+        if ratio.high <= share:
+            return "supported"
+        if ratio.value <= share or ratio.high < 1:
+            return "partly supported"
+        return "contradicted" if ratio.low > share else "not supported"
+
+    return decide
+
+
+def at_best(verdict: Verdict, most: Verdict) -> Verdict:
+    """The weaker of two verdicts."""
+    order: tuple[Verdict, ...] = ("contradicted", "not supported", "partly supported", "supported")
+    return order[min(order.index(verdict), order.index(most))]
+
+
+def ratio_claim(
+    claim: str, quote: str, own: Trainings, theirs: Trainings, decide: Decide, measured: Callable[[], str], missing: str
+) -> Claim:
+    """A claim on the ratio of MAPPO's values to others', or that the study has nothing to judge it by.
+
+    Args:
+        claim, quote: as :class:`Claim` has them.
+        own, theirs: the values; a ratio needs all of them above 0.
+        decide: the verdict on the ratio.
+        measured: makes the words that say what was measured.
+        missing: what the study lacks where there are no such values.
+    """
+    if not all(values and min(group.min() for group in values.values()) > 0 for values in (own, theirs)):
+        return _not_measured(claim, quote, missing)
+    ratio = ratio_of_trainings(own, theirs)
+    return Claim(claim, quote, decide(ratio), measured(), ratio)
+
+
+def _not_measured(claim: str, quote: str, missing: str) -> Claim:
+    return Claim(claim, quote, "not measured", f"the study has no {missing}")
+
+
+def _mean(values: Trainings) -> float:
+    """The mean over scenarios of the mean over trainings."""
+    return float(np.mean([group.mean() for group in values.values()]))
+
+
+def _means(own: Trainings, other: Trainings, name: str, unit: str = "", digits: int = 4) -> str:
+    ours, theirs = (f"{rounded(_mean(values), digits)}{unit}" for values in (own, other))
+    return f"MAPPO {ours}, {name} {theirs}"
+
+
+# -- on training ---------------------------------------------------------------------------------------
+
+
+class Moment(NamedTuple):
+    """An evaluation of a training."""
+
+    place: int  # among the evaluations, from 0
+    happened: bool  # False: never, and the place is the last evaluation's
+
+
+def smooth(aou: Floats) -> Floats:
+    """The mean of each value and the ``SMOOTHED - 1`` before it, as far as there are that many, (E,)."""
+    total = np.concatenate([[0.0], np.cumsum(aou)])  # (E + 1,)
+    end = np.arange(1, len(aou) + 1)
+    start = np.maximum(end - SMOOTHED, 0)
+    return np.asarray((total[end] - total[start]) / (end - start))
+
+
+def converged(aou: Floats) -> Moment:
+    """When a training with the validation AoU (E,) has converged."""
+    smoothed = smooth(aou)
+    outside = np.flatnonzero(smoothed > (1 + WITHIN) * smoothed.min())
+    first = int(outside[-1]) + 1 if len(outside) else 0
+    return Moment(min(first, len(aou) - 1), first < len(aou))
+
+
+def reached(aou: Floats, level: float) -> Moment:
+    """When a training with the validation AoU (E,) reaches a level."""
+    below = np.flatnonzero(smooth(aou) <= level)
+    return Moment(int(below[0]), True) if len(below) else Moment(len(aou) - 1, False)
+
+
+def _curves(study: StudyResults, curve: str, *variants: str) -> dict[str, list[list[Curve]]]:
+    """Scenario -> the curves of each of the variants, where all of them have some."""
+    found = {name: [study.curves(curve, variant, name) for variant in variants] for name in study.scenarios}
+    return {name: each for name, each in found.items() if all(each)}
+
+
+def _convergence(study: StudyResults, other: str) -> Claim:
+    """Training slots until convergence."""
+    text = f"MAPPO converges in fewer training slots than {other.upper()}"
+    return _sooner(study, other, text, "slots until convergence", "not converged", lambda _, aou: converged(aou))
+
+
+def _time_to_level(study: StudyResults, other: str) -> Claim:
+    """Training slots until a level that the other's trainings reach on average: one lucky training sets none."""
+    text = f"MAPPO reaches the level of {other.upper()}'s trainings sooner than these do"
+    levels = {
+        name: (1 + WITHIN) * float(np.mean([smooth(run["mean_aou_slots"]).min() for run in theirs]))
+        for name, (_, theirs) in _curves(study, VALIDATION, OWN, other).items()
+    }
+    told = "".join(f" ({rounded(level)} slots)" for level in levels.values() if len(levels) == 1)
+    what = f"training slots until that AoU{told}"
+    return _sooner(study, other, text, what, "never", lambda name, aou: reached(aou, levels[name]))
+
+
+def _sooner(
+    study: StudyResults, other: str, text: str, what: str, missed: str, when: Callable[[str, Floats], Moment]
+) -> Claim:
+    """A claim on fewer slots, weakened where trainings never come to the moment and count with their budget."""
+    slots: list[dict[str, Floats]] = [{}, {}]
+    never = [0, 0]
+    for name, pair in _curves(study, VALIDATION, OWN, other).items():
+        for side, runs in enumerate(pair):
+            moments = [when(name, run["mean_aou_slots"]) for run in runs]
+            never[side] += sum(not moment.happened for moment in moments)
+            each = zip(runs, moments, strict=True)
+            slots[side][name] = np.array([run["x"][moment.place] for run, moment in each])
+
+    def decide(ratio: Interval) -> Verdict:
+        verdict = lower(ratio)
+        if never[0]:
+            verdict = at_best(verdict, "partly supported" if never[0] < _count(slots[0]) else "not supported")
+        # Those of the other that never come to it would take longer than their budget: they contradict nothing.
+        return "not supported" if verdict == "contradicted" and never[1] else verdict
+
+    def measured() -> str:
+        told = []
+        for side, variant in enumerate((OWN, other)):
+            budget = f" ({never[side]} of {_count(slots[side])} trainings {missed}: the budget counts)"
+            told.append(f"{variant.upper()} {_mean(slots[side]):,.0f} slots{budget if never[side] else ''}")
+        return f"{what}: {', '.join(told)}; ratio"
+
+    missing = f"validation of both '{OWN}' and '{other}'"
+    return ratio_claim(text, FEWER_ITERATIONS, slots[0], slots[1], decide, measured, missing)
+
+
+def _count(values: Trainings) -> int:
+    return sum(map(len, values.values()))
+
+
+def _last_reward(study: StudyResults, other: str) -> Claim:
+    """The reward of the training missions at the end of training; rewards are negative, so that smaller is more."""
+    text = f"MAPPO ends training with higher rewards than {other.upper()}"
+    runs = _curves(study, TRAINING, OWN, other)
+    own, theirs = (
+        {name: np.array([_late(run) for run in pair[side]]) * study.mission_s(name) for name, pair in runs.items()}
+        for side in (0, 1)
+    )
+
+    def measured() -> str:
+        ours, others = (rounded(-_mean(values), 4) for values in (own, theirs))
+        told = f"MAPPO {ours} s, {other.upper()} {others} s"
+        return f"reward of the training missions in the last {LAST_PART:.0%} of training: {told}; ratio of sizes"
+
+    missing = f"rewards below 0 of both '{OWN}' and '{other}'"
+    return ratio_claim(text, HIGHER_REWARDS, own, theirs, lower, measured, missing)
+
+
+def _late(run: Curve) -> float:
+    return float(run["mean_aou_slots"][run["x"] > (1 - LAST_PART) * run["x"][-1]].mean())
+
+
+# -- on execution --------------------------------------------------------------------------------------
 
 
 def _of_missions(study: StudyResults, variant: str, column: str, scenarios: Iterable[str]) -> dict[str, Floats]:
@@ -73,25 +291,25 @@ def _of_missions(study: StudyResults, variant: str, column: str, scenarios: Iter
 
 def _pair(study: StudyResults, other: str, column: str) -> list[dict[str, Floats]]:
     """A metric of MAPPO's missions and the other's, in the scenarios that both have flown."""
-    scenarios = verdicts.common_scenarios(study, "missions", OWN, other)
+    scenarios = [name for name in study.scenarios if study.stack(OWN, name).size and study.stack(other, name).size]
     return [_of_missions(study, name, column, scenarios) for name in (OWN, other)]
 
 
-def _aou(study: StudyResults, other: str, text: str, quote: str, decide: verdicts.Decide) -> Claim:
+def _aou(study: StudyResults, other: str, text: str, quote: str, decide: Decide) -> Claim:
     """AoU in execution; the reward of a mission is that times a negative constant."""
     own, theirs = _pair(study, other, "mean_aou_slots")
-    name = other.upper() if other in verdicts.BASELINES else f"`{other}`"
+    name = other.upper() if other in BASELINES else f"`{other}`"
     missing = f"missions of both '{OWN}' and '{other}' with an AoU above 0"
-    return verdicts.ratio_claim(
-        text, quote, own, theirs, decide, lambda: f"mean AoU {means(own, theirs, name, ' slots')}; ratio", missing
+    return ratio_claim(
+        text, quote, own, theirs, decide, lambda: f"mean AoU {_means(own, theirs, name, ' slots')}; ratio", missing
     )
 
 
 def _more(study: StudyResults, other: str, column: str, text: str, what: str, digits: int) -> Claim:
     own, theirs = _pair(study, other, column)
-    return verdicts.ratio_claim(
+    return ratio_claim(
         f"{text} {other.upper()}", MORE_DEVICES, own, theirs, higher,
-        lambda: f"{what} a mission: {means(own, theirs, other.upper(), digits=digits)}; ratio",
+        lambda: f"{what} a mission: {_means(own, theirs, other.upper(), digits=digits)}; ratio",
         f"missions of both '{OWN}' and '{other}' with {what}",
     )  # fmt: skip
 
@@ -101,7 +319,7 @@ def _communications_by_frequency(study: StudyResults) -> Claim:
     text = "devices that generate more often have more communications with MAPPO"
     found = _correlations(study, OWN, _AT_RANDOM) or _correlations(study, OWN)
     if not found:
-        return verdicts.not_measured(text, FREQUENT, f"devices of '{OWN}' with different periods and communications")
+        return _not_measured(text, FREQUENT, f"devices of '{OWN}' with different periods and communications")
     estimate = mean_of_tasks({name: own[0] for name, (own, *_) in found.items()}).within(-1, 1)
     measured = f"Spearman correlation over devices of communications with the generation period k: {_told(found, 0)}"
     return Claim(text, FREQUENT, lower(estimate, 0), measured, estimate)
@@ -117,7 +335,7 @@ def _served_by_frequency(study: StudyResults) -> Claim:
     found = _correlations(study, OWN, _AT_RANDOM)
     if not found:
         missing = f"devices of both '{OWN}' and '{_AT_RANDOM}' with different periods and communications"
-        return verdicts.not_measured(text, "", missing)
+        return _not_measured(text, "", missing)
     measured = (
         f"Spearman correlation over devices with the generation period k, of communications: {_told(found, 0)}; of "
         f"their share of K/k: {_told(found, 1)}; difference of the latter"
@@ -127,10 +345,12 @@ def _served_by_frequency(study: StudyResults) -> Claim:
 
 
 def _correlations(study: StudyResults, *variants: str) -> dict[str, list[Floats]]:
-    """:func:`_by_period` of each of the variants, in the scenarios in which all of them have one."""
+    """Correlations with k of communications, and of their share of the cap K/k: scenario -> (2, S) of each variant."""
     found: dict[str, list[Floats]] = {}
-    for scenario in verdicts.common_scenarios(study, "devices", *variants):
-        values = [_by_period(study.runs("devices", name, scenario)) for name in variants]  # (2, S) each
+    for scenario, pair in _curves(study, DEVICES, *variants).items():
+        k = study.periods(scenario)  # (I,)
+        counts = [[run["communications"] for run in each] for each in pair]
+        values = [np.array([[_spearman(one, k), _spearman(one * k, k)] for one in each]).T for each in counts]
         if all(np.isfinite(value).all() for value in values):
             found[scenario] = values
     return found
@@ -140,15 +360,6 @@ def _told(found: dict[str, list[Floats]], row: int) -> str:
     """A row of the correlations of MAPPO, and of random moves where they are there, in words."""
     named = zip(("MAPPO", f"`{_AT_RANDOM}`"), zip(*found.values(), strict=True), strict=False)
     return ", ".join(f"{name} {rounded(float(np.mean([one[row].mean() for one in values])))}" for name, values in named)
-
-
-def _by_period(runs: Sequence[Table]) -> Floats:
-    """The correlations of communications, and of their share of the cap K/k, with k: (2, S) for S trainings."""
-    by_run = [
-        (_spearman(run["communications"], k), _spearman(run["communications"] * k, k))
-        for run in runs for k in [run["update_period_slots"]]
-    ]  # fmt: skip
-    return np.array(by_run).T
 
 
 def _spearman(x: Floats, y: Floats) -> float:
@@ -161,10 +372,11 @@ def _spearman(x: Floats, y: Floats) -> float:
 # -- ours ----------------------------------------------------------------------------------------------
 
 
-def _beside_planner(study: StudyResults, knows: Knowledge, text: str, among: Collection[str] = PLANNERS) -> Claim:
-    planner = best_planner(study, verdicts.common_scenarios(study, "missions", OWN), knows, among)
+def _beside_planner(study: StudyResults, knows: Knowledge, text: str, among: Collection[str]) -> Claim:
+    flown = [name for name in study.scenarios if study.stack(OWN, name).size]
+    planner = best_planner(study, flown, knows, among)
     if planner is None:
-        return verdicts.not_measured(text, "", f"missions of both '{OWN}' and such a planner that knows: {knows}")
+        return _not_measured(text, "", f"missions of both '{OWN}' and such a planner that knows: {knows}")
     return _aou(study, planner, text, "", lower)
 
 
@@ -174,11 +386,11 @@ def _beside_bound(study: StudyResults) -> Claim:
     :func:`uavaou.reports.scores.below_bound` reports one that is.
     """
     text = "how far MAPPO is from the certified lower bound"
-    scenarios = [name for name in verdicts.common_scenarios(study, "missions", OWN) if study.bounds.get(name, 0) > 0]
+    scenarios = [name for name in study.scenarios if study.stack(OWN, name).size and study.bounds.get(name, 0) > 0]
     own = _of_missions(study, OWN, "mean_aou_slots", scenarios)
     bound = {name: np.array(study.bounds[name]) for name in scenarios}
-    return verdicts.ratio_claim(
+    return ratio_claim(
         text, "", own, bound, lambda _: "a figure",
-        lambda: f"mean AoU {means(own, bound, 'bound', ' slots')}; ratio",
+        lambda: f"mean AoU {_means(own, bound, 'bound', ' slots')}; ratio",
         f"missions of '{OWN}' beside a bound above 0",
     )  # fmt: skip

@@ -31,7 +31,7 @@ class Measure:
     at_most_devices: bool = False
 
 
-REWARD = Measure("reward_s", "reward per episode, $\\sum_t r[t]$ (s)", log=True, mirrored=True)
+REWARD = Measure("mean_aou_slots", "reward per episode, $\\sum_t r[t]$ (s)", log=True, mirrored=True)
 AOU = Measure("mean_aou_slots", "mean AoU (slots)", log=True)
 VALIDATION_AOU = Measure("mean_aou_slots", "mean AoU on the\nvalidation missions (slots)", log=True)
 COMMUNICATIONS = Measure("communications", "UAV\N{EN DASH}IoT communications\nper episode")

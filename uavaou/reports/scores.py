@@ -8,13 +8,11 @@ import numpy as np
 from scipy.special import stdtrit
 
 from uavaou.arrays import Floats
-from uavaou.planners import PLANNERS, planner_knowledge
+from uavaou.experiments.results import StudyResults
+from uavaou.planners import PLANNERS
 from uavaou.reports.markdown import rounded
-from uavaou.runs.folder import RunFolder
-from uavaou.runs.released import released_names
 from uavaou.statistics import Interval, interquartile_mean, interval_over_missions, interval_over_trainings
-from uavaou.studies.results import StudyResults
-from uavaou.world.knowledge import Knowledge, observed
+from uavaou.world.knowledge import Knowledge
 
 _CHANCE = 1e-6  # of a false alarm for one training
 _ROUNDED = 1e-5  # relative error of a mean over missions of six digits
@@ -28,11 +26,11 @@ class PolicyScores:
 
     Attributes:
         policy: the variant or planner; ``lower bound``.
-        knows: what it reads in flight; empty for the bound, and where the study does not say.
+        knows: what it reads in flight; empty for the bound.
         seeds: trainings; 0 for planners and the bound.
         scores: (S, M) mean AoU in slots of each seed and mission; (1, 1) of the bound.
         wall_s: mean duration of a training, s; None for planners and the bound.
-        violations: constraint violations in all missions; None where they are unknown.
+        violations: constraint violations in all missions; None for the bound.
     """
 
     policy: str
@@ -70,30 +68,15 @@ def study_scores(results: StudyResults) -> dict[str, list[PolicyScores]]:
 def _of_scenario(results: StudyResults, scenario: str) -> list[PolicyScores]:
     found = []
     for variant in (*results.algorithms, *results.planners):
-        scores = results.stack("missions", variant, scenario, "mean_aou_slots")
-        if not scores.size:
-            continue
-        runs = results.table("runs", variant, scenario)
-        if len(runs["seed"]):
-            wall_s, violations = float(runs["wall_s"].mean()), int(runs["violations"].sum())
-            found.append(PolicyScores(variant, known(results, variant), len(scores), scores, wall_s, violations))
-        else:
-            found.append(PolicyScores(variant, known(results, variant), 0, scores))
+        scores, trainings = results.stack(variant, scenario), results.trainings(variant, scenario)
+        if scores.size:
+            wall_s = float(trainings["wall_s"].mean()) if len(trainings) else None
+            violations = int(results.table.where(policy=variant, scenario=scenario).flights["violations"].sum())
+            knows = results.knows(variant)
+            found.append(PolicyScores(variant, knows, len(trainings), scores, wall_s, violations))
     if scenario in results.bounds:
         found.append(PolicyScores("lower bound", "", 0, np.array([[results.bounds[scenario]]])))
     return found
-
-
-def known(results: StudyResults, policy: str) -> str:
-    """What a policy of a study reads in flight; empty where the study does not say."""
-    if policy in results.algorithms:
-        observation = results.observation(policy)
-        return "" if observation is None else observed(observation)
-    if policy in PLANNERS:
-        return planner_knowledge(policy)
-    if policy in released_names():
-        return observed(RunFolder.at(policy).read_config().algorithm.observation)
-    return ""
 
 
 # -- references ----------------------------------------------------------------------------------------
@@ -109,10 +92,8 @@ def best_planner(
     """
     levels = {}
     for name in study.planners:
-        flown = study.missions(name, "mean_aou_slots", scenarios)
-        compared = (
-            name in PLANNERS and name in among and name not in FIXED_RULES and knows in (None, known(study, name))
-        )
+        flown = study.missions(name, scenarios=scenarios)
+        compared = name in PLANNERS and name in among and name not in FIXED_RULES and knows in (None, study.knows(name))
         if compared and scenarios and len(flown) == len(scenarios):
             means = np.array([table.mean() for table in flown.values()])
             levels[name] = float(np.log(np.maximum(means, 1e-300)).mean())
@@ -128,7 +109,7 @@ def below_bound(study: StudyResults) -> list[str]:
     lines = []
     for scenario, bound in study.bounds.items():
         for name in (*study.algorithms, *study.planners) if scenario in study.scenarios else ():
-            trainings = study.stack("missions", name, scenario, "mean_aou_slots")  # (S, M)
+            trainings = study.stack(name, scenario)  # (S, M)
             below = [float(missions.mean()) for missions in trainings if _at_most(missions) < bound * (1 - _ROUNDED)]
             if below:
                 lines.append(
@@ -148,7 +129,7 @@ def _at_most(missions: Floats) -> float:
 
 def in_all_scenarios(study: StudyResults, variants: Sequence[str]) -> dict[str, dict[str, Floats]]:
     """Variant -> scenario -> AoU of its missions (S, M) in slots, for the variants with missions in every scenario."""
-    found = {name: study.missions(name, "mean_aou_slots") for name in variants}
+    found = {name: study.missions(name) for name in variants}
     return {name: tables for name, tables in found.items() if len(tables) == len(study.scenarios)}
 
 
@@ -166,7 +147,7 @@ def comparable(
     best = best_planner(study, names)
     choices = [({name: study.bounds.get(name, 0.0) for name in names}, "multiples of the lower bound")]
     if best is not None:
-        flown = study.missions(best, "mean_aou_slots")
+        flown = study.missions(best)
         choices.append(({name: float(flown[name].mean()) for name in names}, f"multiples of {best}'s mean"))
     means = {name: float(np.mean([tables[name].mean() for tables in scores.values()])) for name in names}
     choices += [(means, "multiples of the mean of all"), (dict.fromkeys(names, 1.0), "slots")]

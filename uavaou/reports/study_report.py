@@ -14,21 +14,19 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from uavaou.errors import InputError
+from uavaou.evaluation.flights import PartKey
+from uavaou.experiments.marl_eval import to_marl_eval
+from uavaou.experiments.results import StudyFolder, StudyResults, read_study
+from uavaou.experiments.run import gather, read_state, update_results
+from uavaou.experiments.study import Study
 from uavaou.files import read_text, write_json, write_text
 from uavaou.reports.ablations import ablation_table, ablations
-from uavaou.reports.claims import judge
+from uavaou.reports.claims import SMOOTHED, WITHIN, Claim, judge
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.replay.page import STUDY_REPLAY, write_study_replay
 from uavaou.reports.scores import PolicyScores, below_bound, study_scores
-from uavaou.reports.training_claims import SMOOTHED, WITHIN
-from uavaou.reports.trainings import trainings_section, write_trainings
-from uavaou.reports.verdicts import Claim
+from uavaou.reports.trainings import trainings_section
 from uavaou.runs.lock import HeldError, one_writer
-from uavaou.studies.condense import gather, refuse_another, update_results
-from uavaou.studies.folder import PartKey, StudyFolder
-from uavaou.studies.marl_eval import to_marl_eval
-from uavaou.studies.results import StudyResults, read_begun, read_study
-from uavaou.studies.study import Study
 
 _NOTE = """\
 AoU in slots: the mean over the slots of a mission, in units of the slot length τ. The missions are those of the final
@@ -84,19 +82,17 @@ def report_study(study: Study, out: Path, remark: Callable[[str], None]) -> None
         InputError: nothing has been evaluated, the results are another study's or damaged, or a file cannot be written.
     """
     folder = StudyFolder.of(out, study.name)
-    if not read_begun(folder).evaluated:  # nothing is written before this is known
-        results, problems = gather(study, out)
-        if not results.evaluated:
-            _tell(problems, remark)
-            raise InputError(f"nothing of study '{study.name}' has been evaluated below '{out}' yet: run it first")
+    results, problems = gather(study, out)
+    if not len(results.flights):  # nothing is written before this is known
+        _tell(problems, remark)
+        raise InputError(f"nothing of study '{study.name}' has been evaluated below '{out}' yet: run it first")
     with ExitStack() as stack:
         try:
             stack.enter_context(one_writer(folder.path))
         except HeldError as held:  # by the study itself, which keeps the tables up to date
-            refuse_another(study, read_begun(folder))
             remark(f"{held.by} is at work on the study: its page is written from the tables as they stand")
         else:
-            from uavaou.studies.best import record_missions  # imports torch
+            from uavaou.experiments.best import record_missions  # imports torch
 
             results, problems = update_results(study, out)
             _tell(problems, remark)
@@ -112,7 +108,7 @@ def _tell(problems: Mapping[PartKey, str], remark: Callable[[str], None]) -> Non
 
 
 def write_report(folder: Path, results_page: Path) -> list[str]:
-    """Write ``README.md``, ``trainings.csv`` and ``marl-eval.json`` in a study's folder.
+    """Write ``README.md`` and ``marl-eval.json`` in a study's folder.
 
     Args:
         folder: ``results/studies/<name>``.
@@ -142,7 +138,6 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
         parts += ["## The paper's claims", claims_markdown(claims)]
     write_text(folder / "README.md", "\n\n".join(part for part in parts if part) + "\n")
     if results.algorithms:
-        write_trainings(folder / "trainings.csv", results)
         write_json(folder / "marl-eval.json", to_marl_eval(results))
     if claims is None:
         return remarks
@@ -156,17 +151,17 @@ def _unfinished(results: StudyResults) -> str:
     """How many trainings there are of how many, where some are missing, and which parts have failed."""
     stated = [results.settings.get(field) for field in ("variants", "scenarios", "seeds")]
     wanted = set(product(*(part if isinstance(part, dict | list) else () for part in stated)))
-    done = wanted & results.parts.keys()
+    done = wanted & set(results.parts)
     lines = []
     if done != wanted:
         lines.append(f"**Not finished: {len(done):,} of {len(wanted):,} trainings are done.** This page covers these.")
-    failures = results.folder.read_failures()
+    _, failures = read_state(results.folder)
     failed = {key: reason for key, reason in failures.items() if key not in done}
     if failed:
         lines += ["", "Failed when last tried:", ""]
     for key, reason in failed.items():
         seed = "" if key.seed is None else f", seed {key.seed}"
-        lines.append(f"- `{key.variant}` on {key.scenario}{seed}: {' '.join(reason.split())}")
+        lines.append(f"- `{key.policy}` on {key.scenario}{seed}: {' '.join(reason.split())}")
     return "\n".join(lines).lstrip("\n")
 
 
@@ -198,7 +193,7 @@ def _comparison(results: StudyResults) -> list[str]:
     """The variants against the reference, in the scenarios that it has been evaluated on."""
     means, reference = {}, results.reference
     for scenario in results.scenarios:
-        scores = {name: results.stack("missions", name, scenario, "mean_aou_slots") for name in results.algorithms}
+        scores = {name: results.stack(name, scenario) for name in results.algorithms}
         found = {name: table.mean(axis=1) for name, table in scores.items() if table.size}
         if reference in found:
             means[scenario] = found
