@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
+from uavaou.evaluation.flights import BOUND, SAMPLED, SLOTS, TRAINING, VALIDATION, Flights
+from uavaou.evaluation.flights import DEVICES as OF_DEVICES
+from uavaou.evaluation.flights import PERIODS as BY_PERIOD
 from uavaou.evaluation.recorded_mission import RecordedMission, record_mission, write_mission
-from uavaou.planners import make_planner
+from uavaou.planners import make_planner, planner_knowledge
 from uavaou.scenario import Scenario
-from uavaou.studies.results import COLUMNS
 
 DEVICES = 10
-SCENARIO = Scenario.load("quickstart").replace(devices=DEVICES)
+PERIODS = 1 + np.arange(DEVICES) % 5  # k_i
+_PLACES = np.random.default_rng(0).uniform(0, 400, (DEVICES, 2)).round().tolist()
+SCENARIO = Scenario.load("quickstart").replace(devices=DEVICES, devices_m=_PLACES, update_period_slots=PERIODS.tolist())
 K, SLOT_S = SCENARIO.slots, SCENARIO.slot_length_s
 BUDGET, EVALUATIONS, GROUPS = 60_000, 30, 20
-PERIODS = 1 + np.arange(DEVICES) % 5  # k_i
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,6 @@ DEFAULT = {"mappo": MAPPO, "qmix": QMIX, "vdn": VDN}
 PLANNERS = {"greedy": Variant(80.0), "best-first": Variant(60.0), "random": Variant(5000.0)}
 
 
-@dataclass
-class _Tables:
-    rows: dict[str, list[list[Any]]] = field(default_factory=lambda: {name: [] for name in COLUMNS})
-
-
 def write_study(
     folder: Path,
     variants: Mapping[str, Variant] = DEFAULT,
@@ -59,19 +56,18 @@ def write_study(
 ) -> Path:
     """Write a study's tables to ``folder`` and return it."""
     folder.mkdir(parents=True)
-    tables = _Tables()
+    parts: list[Flights] = []
     for scenario in scenarios:
         for number, (name, variant) in enumerate(variants.items()):
             for seed in range(seeds):
                 rng = np.random.default_rng([number, seed, len(scenario)])
-                _train(tables, name, variant, scenario, seed, rng)
-                _execute(tables, name, variant, scenario, str(seed), missions, rng)
+                parts.append(_trained(name, variant, missions, rng).with_values(scenario=scenario, seed=seed))
         for number, (name, planner) in enumerate(planners.items()):
-            _execute(tables, name, planner, scenario, "", missions, np.random.default_rng([99, number]))
+            flown = _flown(planner, missions, np.random.default_rng([99, number]))
+            parts.append(flown.with_values(policy=name, scenario=scenario, knows=planner_knowledge(name)))
         if bound is not None:
-            tables.rows["bounds"].append([scenario, bound, "copies"])
-    for name, header in COLUMNS.items():
-        _write(folder / f"{name}.csv", header, tables.rows[name])
+            parts.append(Flights.of({"mean_aou_slots": [bound]}, policy=BOUND, scenario=scenario))
+    Flights.joined(parts).write(folder)
     stated = {
         "description": "synthetic", "seeds": list(range(seeds)), "planners": list(planners),
         "scenarios": {name: SCENARIO.to_dict() for name in scenarios},
@@ -81,20 +77,23 @@ def write_study(
     return folder
 
 
-def _train(tables: _Tables, name: str, variant: Variant, scenario: str, seed: int, rng: np.random.Generator) -> None:
-    algorithm = variant.algorithm or name
+def _trained(name: str, variant: Variant, missions: int, rng: np.random.Generator) -> Flights:
     own = variant.aou * (1 + variant.spread * rng.standard_normal())
-    wall_s = 1e-3 * BUDGET
-    tables.rows["runs"].append(
-        [name, algorithm, scenario, seed, BUDGET, 3 * BUDGET, wall_s, wall_s, BUDGET, own, own, own, 0, "0" * 40, "one"]
+    groups = np.linspace(BUDGET / GROUPS, BUDGET, GROUPS).astype(int)
+    ages = np.array(
+        [own * _learning(slots, variant.converges) * (1 + 0.05 * rng.standard_normal()) for slots in groups]
     )
-    for slots in np.linspace(BUDGET / GROUPS, BUDGET, GROUPS).astype(int):
-        aou = own * _learning(slots, variant.converges) * (1 + 0.05 * rng.standard_normal())
-        row = [name, scenario, seed, slots, 1e-3 * slots, -aou * K * SLOT_S, aou, variant.communications, 8]
-        tables.rows["curves"].append(row)
-    for slots in np.linspace(BUDGET / EVALUATIONS, BUDGET, EVALUATIONS).astype(int):
-        aou = own * _learning(slots, variant.converges)
-        tables.rows["validation"].append([name, scenario, seed, slots, 1e-3 * slots, aou, aou])
+    curves = [{"curve": TRAINING, "x": groups, "wall_s": 1e-3 * groups, "mean_aou_slots": ages,
+               "communications": variant.communications, "devices_served": 8.0}]  # fmt: skip
+    evaluations = np.linspace(BUDGET / EVALUATIONS, BUDGET, EVALUATIONS).astype(int)
+    levels = np.array([own * _learning(slots, variant.converges) for slots in evaluations])
+    for curve in (VALIDATION, SAMPLED):
+        curves.append({"curve": curve, "x": evaluations, "wall_s": 1e-3 * evaluations, "mean_aou_slots": levels})
+    rows = Flights.joined([_flown(variant, missions, rng), Flights.of({"x": []}, curves)])
+    facts = {"slots": BUDGET, "agent_steps": 3 * BUDGET, "wall_s": 1e-3 * BUDGET, "cpu_s": 1e-3 * BUDGET}
+    facts |= {"best_slots": own, "commit": "0" * 40, "processor": "one", "knows": "local"}
+    flights = rows.with_values(policy=name, algorithm=variant.algorithm or name).flights.assign(**facts)
+    return Flights(flights, rows.with_values(policy=name).curves)
 
 
 def _learning(slots: float, converges: float) -> float:
@@ -102,30 +101,41 @@ def _learning(slots: float, converges: float) -> float:
     return float(1 + 99 * np.exp(-np.log(99 / 0.05) * slots / converges))
 
 
-def _execute(
-    tables: _Tables, name: str, variant: Variant, scenario: str, seed: str, missions: int, rng: np.random.Generator
-) -> None:
+def _flown(variant: Variant, missions: int, rng: np.random.Generator) -> Flights:
     own = variant.aou * (1 + variant.spread * rng.standard_normal())
-    for mission in range(missions):
-        aou = own * (1 + variant.spread * rng.standard_normal())
-        done = round(variant.communications * (1 + variant.spread * rng.standard_normal()))
-        tables.rows["missions"].append([name, scenario, seed, mission, aou, -aou * K * SLOT_S, done, variant.served])
-    for slot in range(1, K + 1):
-        aou = own * (1 - np.exp(-slot / 10)) * rng.uniform(0.9, 1.1)
-        tables.rows["execution"].append([name, scenario, seed, slot, aou])
-    places = np.random.default_rng(0).uniform(0, 400, (DEVICES, 2))
-    for device, (x, y) in enumerate(places):
-        period = PERIODS[device]
-        served = variant.communications / DEVICES + variant.by_period * (period - 3) + rng.standard_normal()
-        row = [name, scenario, seed, device, x, y, period, served, own / DEVICES]
-        tables.rows["devices"].append(row)
+    spread = 1 + variant.spread * rng.standard_normal((2, missions))
+    flights = {
+        "mission_seed": np.arange(10_000, 10_000 + missions),
+        "mean_aou_slots": own * spread[0],
+        "communications": np.round(variant.communications * spread[1]),
+        "devices_served": variant.served,
+        "violations": 0,
+    }
+    slots = np.arange(1, K + 1)
+    counts = variant.communications / DEVICES + variant.by_period * (PERIODS - 3) + rng.standard_normal(DEVICES)
+    each = np.array([counts[period == PERIODS].mean() for period in np.unique(PERIODS)])
+    curves = [
+        {"curve": SLOTS, "x": slots, "mean_aou_slots": own * (1 - np.exp(-slots / 10)) * rng.uniform(0.9, 1.1, K)},
+        {"curve": OF_DEVICES, "x": np.arange(DEVICES), "communications": counts, "mean_aou_slots": own / DEVICES},
+        {"curve": BY_PERIOD, "x": np.unique(PERIODS), "communications": each},
+    ]
+    return Flights.of(flights, curves)
 
 
-def _write(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
+def edit(folder: Path, change: Callable[[Flights], Flights]) -> None:
+    """Change the tables of a folder."""
+    change(Flights.read(folder)).write(folder)
+
+
+def without(folder: Path, **wanted: Any) -> None:
+    """Remove the rows with these values from the tables of a folder."""
+
+    def change(table: Flights) -> Flights:
+        gone = table.where(**wanted)
+        frames = ((table.flights, gone.flights), (table.curves, gone.curves))
+        return Flights(*(frame.drop(index=out.index) for frame, out in frames))
+
+    edit(folder, change)
 
 
 def record(folder: Path, policy: str = "mappo", planner: str = "greedy") -> RecordedMission:

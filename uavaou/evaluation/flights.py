@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import warnings
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -66,7 +67,7 @@ CURVES = KEY | {
 TRAINING, VALIDATION, SAMPLED, SLOTS, DEVICES, PERIODS = (
     "training", "validation", "validation, sampled", "slots", "devices", "periods",
 )  # fmt: skip
-_ALWAYS = (*KEY, "mean_aou_slots")  # columns that are written also without any value
+_FLOWN, _DRAWN = ("policy", "scenario", "mean_aou_slots"), ("policy", "scenario", "curve", "x")  # filled in each row
 _MOST_BYTES = 1_000_000_000  # of a table that is unpacked
 
 
@@ -115,7 +116,7 @@ class Flights:
         Raises:
             InputError: a file is damaged; the message names it, and the line and column where there is one.
         """
-        return cls(_read(folder / "flights.csv.gz", FLIGHTS), _read(folder / "curves.csv.gz", CURVES))
+        return cls(_read(folder / "flights.csv.gz", FLIGHTS, _FLOWN), _read(folder / "curves.csv.gz", CURVES, _DRAWN))
 
     def write(self, folder: Path) -> None:
         """Replace the tables of a folder, the flights last: curves without flights mean nothing.
@@ -183,7 +184,7 @@ def write_table(path: Path, frame: pd.DataFrame) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    frame = frame.loc[:, frame.notna().any() | frame.columns.isin(_ALWAYS)]
+    frame = frame.loc[:, frame.notna().any() | frame.columns.isin([*_FLOWN, *_DRAWN])]
     packed: Any = {"method": "gzip", "compresslevel": 9, "mtime": 0} if path.suffix == ".gz" else None
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -191,11 +192,11 @@ def write_table(path: Path, frame: pd.DataFrame) -> None:
             frame.to_csv(file, index=False, float_format=number, lineterminator="\n", compression=packed)
 
 
-def _read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
-    return read_table(path, columns, _ALWAYS) if path.is_file() else _frame({"x": []}, columns)
+def _read(path: Path, columns: Mapping[str, str], needed: Sequence[str]) -> pd.DataFrame:
+    return read_table(path, columns, needed) if path.is_file() else _frame({"x": []}, columns)
 
 
-def read_table(path: Path, columns: Mapping[str, str], needed: Iterable[str] = ()) -> pd.DataFrame:
+def read_table(path: Path, columns: Mapping[str, str], needed: Sequence[str] = ()) -> pd.DataFrame:
     """Read a table with a header: these columns as their types, and empty ones in the place of those that it lacks.
 
     Raises:
@@ -205,33 +206,38 @@ def read_table(path: Path, columns: Mapping[str, str], needed: Iterable[str] = (
         with gzip.open(path, "rt", encoding="utf-8") if path.suffix == ".gz" else path.open(encoding="utf-8") as file:
             content = file.read(_MOST_BYTES)
         whole = io.StringIO(content[: content.rfind("\n") + 1])  # an interrupted writer leaves a part of a line
-        text = pd.read_csv(whole, dtype="string", keep_default_na=False, na_values=[""])
-    except (OSError, EOFError, ValueError, zlib.error) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # of a row that is too long
+            text = pd.read_csv(whole, dtype="string", keep_default_na=False, na_values=[""], index_col=False)
+    except (OSError, EOFError, ValueError, zlib.error, pd.errors.ParserWarning) as error:
         told = getattr(error, "strerror", None) or str(error).strip().splitlines()[-1]
         raise InputError(f"{path}: not a table: {told}") from error
     for name in needed:
         if name not in text.columns:
             raise InputError(f"{path}: column '{name}' is missing (header: {', '.join(text.columns)[:200]})")
-    found = {name: _cells(path, text, name, kind) for name, kind in columns.items()}
+    found = {name: _cells(path, text, name, kind, name in needed) for name, kind in columns.items()}
     return pd.DataFrame(found, index=text.index)
 
 
-def _cells(path: Path, text: pd.DataFrame, name: str, kind: str) -> Any:
+def _cells(path: Path, text: pd.DataFrame, name: str, kind: str, filled: bool) -> Any:
     """A column as its type; an error for the first cell that is not of it."""
     if name not in text.columns:
         return pd.Series(_column(None, kind), index=text.index, dtype=kind)
     cells = text[name]
-    if kind == TEXT:
-        return cells
-    values = pd.to_numeric(cells, errors="coerce").astype(NUMBER)
-    wrong = ~np.isfinite(values.fillna(np.nan)) & cells.notna()
+    values = cells if kind == TEXT else pd.to_numeric(cells, errors="coerce").astype(NUMBER)
+    wrong = cells.isna() & filled
+    if kind != TEXT:
+        wrong |= cells.notna() & ~np.isfinite(values)
     if kind == WHOLE:
-        wrong |= (values % 1 != 0) & cells.notna()
+        wrong |= cells.notna() & (values % 1 != 0)
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        expected = "a whole number" if kind == WHOLE else "a finite number"
-        raise InputError(f"{path}: line {row + 2}, column '{name}': '{str(cells.iloc[row])[:60]}' is not {expected}")
+        told = "is empty" if pd.isna(cells.iloc[row]) else f"'{str(cells.iloc[row])[:60]}' is not {_EXPECTED[kind]}"
+        raise InputError(f"{path}: line {row + 2}, column '{name}': {told}")
     return values.astype(kind)
+
+
+_EXPECTED = {WHOLE: "a whole number", NUMBER: "a finite number"}
 
 
 def column(frame: pd.DataFrame, name: str) -> Floats:

@@ -78,14 +78,14 @@ class Training:
         outcome = train(config, folder, device="cpu", resume=True, checkpoint_every_s=every_s, after_update=report)
         if outcome.stopped_by is not None:
             raise StoppedEarlyError
-        if own_flights(folder, config, self.episodes) is None:
+        rows = own_flights(folder, config, self.episodes)
+        if rows is None:
             policy = load_run(folder)
             found = play(policy, config.scenario, self.episodes, EVALUATION_SEED, None)
             who = {"policy": config.algorithm.name, "scenario": config.scenario.name, "seed": config.seed}
-            keep_flights(folder, flown(found, config.scenario, policy, EVALUATION_SEED, **who))
-        rows = self.found()
-        assert rows is not None
-        return rows
+            rows = flown(found, config.scenario, policy, EVALUATION_SEED, **who)
+            keep_flights(folder, rows)
+        return self._whole(rows)
 
     def found(self) -> Flights | None:
         """The rows of a training that has ended and been evaluated; None where it has not.
@@ -97,9 +97,11 @@ class Training:
         if not folder.holds(self.config) or not folder.finished:
             return None
         rows = own_flights(folder, self.config, self.episodes)
-        if rows is None:
-            return None
-        (job,) = self.digests.values()
+        return None if rows is None else self._whole(rows)
+
+    def _whole(self, rows: Flights) -> Flights:
+        """The rows of the evaluation with the facts and the curves of the training."""
+        folder, (job,) = RunFolder(self.folder), self.digests.values()
         curves = Flights.of({"x": []}, training_curves(folder, self.config.scenario))
         facts = training_facts(folder, self.config)
         return Flights.joined([rows, curves]).with_values(job=job, seed=self.config.seed, **facts)

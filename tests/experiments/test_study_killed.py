@@ -21,16 +21,16 @@ from typing import Any
 import numpy as np
 import pytest
 from filelock import FileLock
-
-from tests.command_line import start_command
-from tests.runs.stopped_runs import without_wall
-from uavaou.runs.lock import holder
 from uavaou.studies.folder import PartKey
 from uavaou.studies.jobs import Advanced, Bounding, Engine, Job, Training, TrainingReport
 from uavaou.studies.processes import Processes, _work
 from uavaou.studies.results import read_study
 from uavaou.studies.runner import StudyState, run_study
 from uavaou.studies.study import Study
+
+from tests.command_line import start_command
+from tests.runs.stopped_runs import without_wall
+from uavaou.runs.lock import holder
 from uavaou_cli.main import main
 
 SMALL = (
@@ -266,7 +266,6 @@ def test_a_killed_worker_and_a_lost_node_of_a_cluster_are_replaced_and_their_run
 ) -> None:
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster as Nodes
-
     from uavaou.studies.cluster import Cluster
 
     place, study = untouched

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from uavaou.studies.results import read_study
+from uavaou.experiments.results import read_study
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "plain_ppo.py"
 STUDY = """

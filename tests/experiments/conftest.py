@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.studies.tiny_study import TINY, Inline, Write, run_inline
-from uavaou.studies.study import Study
+from tests.experiments.tiny_study import TINY, Inline, Write, run_inline
+from uavaou.experiments.study import Study
 
 
 @pytest.fixture
@@ -25,10 +25,10 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Inline]:
     """A study run to its end, and what it did."""
     place = tmp_path_factory.mktemp("study")
     (place / "mine.yaml").write_text(TINY)
-    engine = Inline()
-    ended = run_inline(Study.load(place / "mine.yaml"), place / "out", engine)
+    executor = Inline()
+    ended = run_inline(Study.load(place / "mine.yaml"), place / "out", executor)
     assert (ended.done, ended.total, ended.failed, ended.stopped_by) == (7, 7, {}, None)
-    return place, engine
+    return place, executor
 
 
 @pytest.fixture

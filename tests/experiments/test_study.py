@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.studies.tiny_study import SET, TINY, Write
+from tests.experiments.tiny_study import SET, TINY, Write
 from uavaou import InputError, Scenario
+from uavaou.experiments.study import Study
+from uavaou.runs.names import config_folder
 from uavaou.runs.start import Start
-from uavaou.studies.study import Study
 from uavaou.zoo import zoo_names
 from uavaou_cli.main import main
 
@@ -127,10 +128,12 @@ def test_the_shipped_studies_are_valid_and_balanced() -> None:
     assert {"paper", "smoke"} <= set(zoo_names("studies"))
     study = Study.load("paper")
     runs = list(study.runs())
-    assert [run.key.variant for run in runs[:5]] == ["mappo", "ippo", "vdn", "vdn with value", "qmix"]
-    assert [run.key.seed for run in runs] == sorted([*range(10)] * 5)
-    assert {run.config.algorithm.slots for run in runs} == {3_000_000}
-    assert study.folder(Path("results"), runs[0]).path == Path("results/paper/mappo-paper/seed-0")  # as `uavaou train`
+    assert [key.policy for key, _ in runs[:5]] == ["mappo", "ippo", "vdn", "vdn with value", "qmix"]
+    assert [key.seed for key, _ in runs] == sorted([*range(10)] * 5)
+    assert {config.algorithm.slots for _, config in runs} == {3_000_000}
+    assert config_folder(Path("results"), runs[0][1]).path == Path(
+        "results/paper/mappo-paper/seed-0"
+    )  # as `uavaou train`
 
 
 def test_a_variant_may_begin_with_a_released_policy(write: Write) -> None:
@@ -138,8 +141,8 @@ def test_a_variant_may_begin_with_a_released_policy(write: Write) -> None:
     content = BASE | {"scenarios": ["tiny", "paper"], "variants": stated, "slots": 5000}
     study = Study.load(write(yaml.safe_dump(content)))
     start = Start.at("any-map")
-    for run in study.runs():
-        assert run.config == start.training(run.config.scenario, {"gamma": 0.9, "slots": 5000}, run.config.seed)
+    for _, config in study.runs():
+        assert config == start.training(config.scenario, {"gamma": 0.9, "slots": 5000}, config.seed)
     assert study.resolved()["starts"] == {"tuned": start.digest}
     named = {"variants": {"tuned": stated["tuned"] | {"algorithm": "mappo"}}}
     with pytest.raises(InputError, match=r"variants\.'tuned': algorithm: expected none beside from"):
@@ -156,12 +159,12 @@ def test_every_run_has_the_folder_that_train_gives_it(
     changed = "[{scenario: tiny, set: {uavs: 1, altitudes_m: [80], cds_m: [[0, 0]], layout_seed: 3}}]"
     study = Study.load(write(TINY.replace("seeds: 2", "seeds: [7]").replace("[tiny]", changed)))
     monkeypatch.chdir(tmp_path)
-    (first, _) = study.runs()
+    ((_, first), _) = study.runs()
     sets = " ".join(f"--set algorithm.{item}" for item in SET.replace(": ", "=").split(", "))
     changed = "--set scenario.uavs=1 --set scenario.altitudes_m=[80.0] --set scenario.cds_m=[[0.0,0.0]]"
     assert main(shlex.split(f"train --scenario tiny {changed} --set scenario.layout_seed=3 --seed 7 --slots 192 {sets} "
                             "--quiet")) == 0  # fmt: skip
-    assert study.folder(Path("results"), first).read_config() == first.config
+    assert config_folder(Path("results"), first).read_config() == first
 
 
 def test_a_suite_stands_for_the_scenarios_of_its_points(write: Write) -> None:
