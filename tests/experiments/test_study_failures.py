@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.experiments.tiny_study import TINY, Inline, Write, refusing, run_inline
+from tests.experiments.tiny_study import TINY, Inline, Write, assert_same_tables, refusing, run_inline
 from tests.synthetic_study import without
 from uavaou import InputError, Scenario
 from uavaou.evaluation.flights import Flights, PartKey
@@ -90,18 +90,7 @@ def test_an_interrupted_run_resumes_to_the_same_results(
     executor = Inline()
     assert run_inline(study, tmp_path / "again", executor).failed == {}
     assert {type(job) for job in executor.done} == {Training}  # planners and the bound were done before
-    assert_the_same(tmp_path / "again", out)
-
-
-def assert_the_same(one: Path, other: Path, name: str = "mine") -> None:
-    """The tables but for durations, and for annealing, which plans as well as it can in its seconds."""
-    ours, theirs = (read_study(place / "studies" / name).table for place in (one, other))
-    for frame, like in ((ours.flights, theirs.flights), (ours.curves, theirs.curves)):
-        kept, other_kept = (
-            table[table["policy"] != "anneal"].drop(columns=["wall_s", "cpu_s"], errors="ignore").reset_index(drop=True)
-            for table in (frame, like)
-        )
-        assert kept.equals(other_kept)
+    assert_same_tables(tmp_path / "again", out)
 
 
 def test_an_interrupt_in_a_compiled_function_is_no_failure(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,27 +10,29 @@ import shlex
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from filelock import FileLock
-from uavaou.studies.folder import PartKey
-from uavaou.studies.jobs import Advanced, Bounding, Engine, Job, Training, TrainingReport
-from uavaou.studies.processes import Processes, _work
-from uavaou.studies.results import read_study
-from uavaou.studies.runner import StudyState, run_study
-from uavaou.studies.study import Study
 
 from tests.command_line import start_command
+from tests.experiments.tiny_study import assert_same_tables
 from tests.runs.stopped_runs import without_wall
+from uavaou.experiments.executor import Executor, Processes, _work
+from uavaou.experiments.jobs import Bound, Training, TrainingReport
+from uavaou.experiments.results import read_study
+from uavaou.experiments.run import StudyState, run_study
+from uavaou.experiments.study import Study
 from uavaou.runs.lock import holder
+from uavaou.runs.names import config_folder
 from uavaou_cli.main import main
 
 SMALL = (
@@ -62,18 +64,11 @@ def wait_for_missions(process: Any, out: Path, runs: int, missions: int) -> list
 
 def assert_the_same(one: Path, other: Path, study: Study) -> None:
     """The same episodes and evaluations in all runs, and the same condensed figures."""
-    for run in study.runs():
-        ours, theirs = (study.folder(place, run).path for place in (one, other))
+    for _, config in study.runs():
+        ours, theirs = (config_folder(place, config).path for place in (one, other))
         assert without_wall(ours / "episodes.csv") == without_wall(theirs / "episodes.csv")
         assert without_wall(ours / "progress.csv") == without_wall(theirs / "progress.csv")
-        assert json.loads((ours / "eval/default.json").read_text()) == json.loads(
-            (theirs / "eval/default.json").read_text()
-        )
-    results = [read_study(place / "studies" / study.name) for place in (one, other)]
-    for table in ("runs", "missions", "curves", "validation", "execution", "devices", "bounds"):
-        tables = [found.table(table) for found in results]
-        for column in set(tables[0]) - {"wall_s", "cpu_s"}:
-            np.testing.assert_array_equal(tables[0][column], tables[1][column], err_msg=f"{table}, {column}")
+    assert_same_tables(one, other, study.name)
 
 
 @pytest.fixture(scope="module")
@@ -138,13 +133,11 @@ def test_a_job_finishes_silently_when_the_study_process_is_gone(
     what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "long.yaml").write_text(LONG.replace("16000", "640").replace("[quickstart]", "[tiny]"))
-    run = next(iter(Study.load(tmp_path / "long.yaml").runs()))
-    job: Job = Bounding(run.key, run.config.scenario)
-    if what == "a training":
-        job = Training(run.key, run.config, tmp_path / "run", 2, None)
+    _, config = next(iter(Study.load(tmp_path / "long.yaml").runs()))
+    job = Training(config, tmp_path / "run", 2) if what == "a training" else Bound(config.scenario)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(job.key, pickle.dumps(job), theirs, []))
+    process = context.Process(target=_work, args=(pickle.dumps(job), theirs, []))
     process.start()
     ours.close()  # before it can have said anything
     theirs.close()
@@ -154,13 +147,14 @@ def test_a_job_finishes_silently_when_the_study_process_is_gone(
     if what == "a training":
         meta = json.loads((tmp_path / "run/meta.json").read_text())
         assert meta["finished"]
-        assert (tmp_path / "run/eval/default.json").is_file()
+        assert (tmp_path / "run/flights.csv.gz").is_file()
 
 
 @pytest.mark.slow
 def test_jobs_have_one_thread() -> None:
     code = (
-        "from uavaou.studies.processes import prepare; prepare([]); from uavaou import flatten, threads; import torch;"
+        "from uavaou.experiments.executor import outcome; outcome(b'', [], print);"
+        "from uavaou import flatten, threads; import torch;"
         "torch.set_num_threads(2); flatten('tiny'); print(threads.threads(), torch.get_num_threads())"
     )
     surroundings = os.environ | {"OMP_NUM_THREADS": "2", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -168,26 +162,42 @@ def test_jobs_have_one_thread() -> None:
     assert run.stdout.split() == ["1", "1"]
 
 
-def test_a_queued_training_of_a_cluster_is_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_queued_job_of_a_cluster_is_cancelled(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may wait for a CPU for ever; a training that has reported is asked for its last checkpoint."""
-    pytest.importorskip("ray")
-    from uavaou.studies import cluster
+    ray = pytest.importorskip("ray")
+    from uavaou.experiments import cluster
 
     cancelled: list[str] = []
-    news = [{PartKey("mappo", "tiny", 0): TrainingReport(640, None, "process 1")}]
+    reports = {"begun": [[TrainingReport(640, None, "process 1")], [], []], "queued": [[], [], []]}
+    asked: list[tuple[str, bool]] = []
+
+    def news(number: str, stop: bool) -> list[TrainingReport]:
+        asked.append((number, stop))
+        return reports[number].pop(0)
+
     keeper = SimpleNamespace(
-        stop=SimpleNamespace(remote=lambda: None), news=SimpleNamespace(remote=lambda: news.pop() if news else {})
-    )
-    fake = SimpleNamespace(get=lambda value: value, cancel=lambda reference, force: cancelled.append(reference))
+        open=SimpleNamespace(remote=lambda folder: "begun" if folder else "queued"),
+        close=SimpleNamespace(remote=lambda number: None), news=SimpleNamespace(remote=news),
+    )  # fmt: skip
+    waits = iter([[], [], ["done"]] * 2)
+    fake = SimpleNamespace(
+        get=lambda value: cluster.Ended(1) if value == "reference" else value, exceptions=ray.exceptions,
+        cancel=lambda reference, force: cancelled.append(asked[-1][0]), wait=lambda *_, timeout: (next(waits), []),
+    )  # fmt: skip
     monkeypatch.setattr(cluster, "ray", fake)
-    engine = cluster.Cluster(None)
-    engine._keeper = keeper
-    config = next(iter(Study.load("smoke").runs())).config
-    training = {seed: Training(PartKey("mappo", "tiny", seed), config, tmp_path, 2, None) for seed in (0, 1)}
-    bounding = Bounding(PartKey("bound", "tiny"), config.scenario)
-    assert len(list(engine._news())) == 1
-    engine._stop({"begun": training[0], "queued": training[1], "bound": bounding})
-    assert cancelled == ["queued", "bound"]
+    executor = object.__new__(cluster.Cluster)
+    executor.stopping, executor._keeper, executor._plugins, executor._running = True, keeper, [], []
+    executor._remote = SimpleNamespace(remote=lambda *_: "reference")
+    monkeypatch.setattr(cluster.Keeper, "open", lambda *_: 0)
+    config = next(iter(Study.load("smoke").runs()))[1]
+    keeper.open.remote = lambda folder: 0
+    keeper.news.remote = lambda number, stop: news("queued", stop)
+    assert executor._perform(Bound(config.scenario), lambda report: None) == 1
+    assert cancelled == ["queued", "queued"]
+    keeper.news.remote = lambda number, stop: news("begun", stop)
+    assert executor._perform(Training(config, Path("run"), 2), lambda report: None) == 1
+    assert cancelled == ["queued", "queued"]
+    assert all(stop for _, stop in asked)
 
 
 def process_of(worker: str) -> int:
@@ -195,24 +205,34 @@ def process_of(worker: str) -> int:
     return int(worker.split()[1])
 
 
-class Killing:
-    """An engine that kills the process of each training with SIGKILL once, in the middle."""
+class Killing(Executor):
+    """Kills the process of each training with SIGKILL once, in the middle; another executor performs the jobs."""
 
-    def __init__(self, engine: Engine, times: int) -> None:
-        self._engine = engine
-        self._times = times
+    def __init__(self, executor: Executor, times: int) -> None:
+        super().__init__(1)
+        self._executor, self._times = executor, times
         self.killed: list[int] = []
-        self.workers: dict[PartKey, set[str]] = defaultdict(set)  # of each training
+        self.workers: dict[str, set[str]] = defaultdict(set)  # of each training
 
-    def events(self, take: Any, stopping: Any) -> Any:
-        for event in self._engine.events(take, stopping):
-            if isinstance(event, Advanced):
-                self.workers[event.key].add(event.report.by)
-                process = process_of(event.report.by)
-                if len(self.killed) < self._times and event.report.slots >= 3000 and process not in self.killed:
-                    os.kill(process, signal.SIGKILL)
-                    self.killed.append(process)
-            yield event
+    def submit(self, job: Any, tell: Any = lambda report: None) -> Future[Any]:
+        def told(report: TrainingReport) -> Any:
+            self._look(job.config.algorithm.name, report)
+            return tell(report)
+
+        return self._executor.submit(job, told)
+
+    def _look(self, algorithm: str, report: TrainingReport) -> None:
+        self.workers[algorithm].add(report.by)
+        process = process_of(report.by)
+        if len(self.killed) < self._times and report.slots >= 3000 and process not in self.killed:
+            os.kill(process, signal.SIGKILL)
+            self.killed.append(process)
+
+    def _perform(self, job: Any, tell: Any) -> Any:
+        raise NotImplementedError
+
+    def kill(self) -> None:
+        self._executor.kill()
 
 
 def ignore(state: StudyState) -> None:
@@ -224,8 +244,8 @@ def test_a_killed_process_is_a_failure_that_the_same_command_repairs(
     untouched: tuple[Path, Study], tmp_path: Path
 ) -> None:
     place, study = untouched
-    engine = Killing(Processes(2), times=1)
-    ended = run_study(study, tmp_path, engine, ignore, quiet=True, checkpoint_every_s=0.2)
+    executor = Killing(Processes(2), times=1)
+    ended = run_study(study, tmp_path, executor, ignore, quiet=True, checkpoint_every_s=0.2)
     (reason,) = ended.failed.values()
     assert "ended by SIGKILL" in reason
     assert ended.done == 2
@@ -239,25 +259,27 @@ class LosingNode(Killing):
     Without the wait it may have finished its training by then, on a fast machine.
     """
 
-    def __init__(self, engine: Engine, lose: Callable[[], None]) -> None:
-        super().__init__(engine, times=1)
+    def __init__(self, executor: Executor, lose: Callable[[], None]) -> None:
+        super().__init__(executor, times=1)
         self._lose = lose
         self.lost_at: dict[str, int] = {}  # slots of each worker
+        self._working: dict[str, int] = {}
+        self._one = threading.Lock()
 
-    def events(self, take: Any, stopping: Any) -> Any:
-        working: dict[str, int] = {}
-        for event in super().events(take, stopping):
-            if isinstance(event, Advanced) and not self.lost_at:
-                working[event.report.by] = event.report.slots
-                alive = {by: slots for by, slots in working.items() if process_of(by) not in self.killed}
-                if self.killed and len(alive) == 2:
-                    self._lose()
-                    self.lost_at = alive
-                if self.killed:
-                    for by in alive:
-                        with suppress(ProcessLookupError):  # its node is lost
-                            os.kill(process_of(by), signal.SIGCONT if self.lost_at else signal.SIGSTOP)
-            yield event
+    def _look(self, algorithm: str, report: TrainingReport) -> None:
+        with self._one:
+            super()._look(algorithm, report)
+            if self.lost_at:
+                return
+            self._working[report.by] = report.slots
+            alive = {by: slots for by, slots in self._working.items() if process_of(by) not in self.killed}
+            if self.killed and len(alive) == 2:
+                self._lose()
+                self.lost_at = alive
+            if self.killed:
+                for by in alive:
+                    with suppress(ProcessLookupError):  # its node is lost
+                        os.kill(process_of(by), signal.SIGCONT if self.lost_at else signal.SIGSTOP)
 
 
 @pytest.mark.slow
@@ -266,7 +288,8 @@ def test_a_killed_worker_and_a_lost_node_of_a_cluster_are_replaced_and_their_run
 ) -> None:
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster as Nodes
-    from uavaou.studies.cluster import Cluster
+
+    from uavaou.experiments.cluster import Cluster
 
     place, study = untouched
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))  # uavaou is on every node
@@ -274,23 +297,23 @@ def test_a_killed_worker_and_a_lost_node_of_a_cluster_are_replaced_and_their_run
     try:
         second = nodes.add_node(num_cpus=1)
         with Cluster(jobs=None, address=nodes.address) as cluster:
-            engine = LosingNode(cluster, lambda: nodes.remove_node(second, allow_graceful=False))
-            ended = run_study(study, tmp_path, engine, ignore, quiet=True, checkpoint_every_s=0.2)
+            executor = LosingNode(cluster, lambda: nodes.remove_node(second, allow_graceful=False))
+            ended = run_study(study, tmp_path, executor, ignore, quiet=True, checkpoint_every_s=0.2)
     finally:
         nodes.shutdown()
     assert ended.failed == {}
     assert ended.done == 3
-    assert len(engine.killed) == 1
-    assert all(slots < 16_000 for slots in engine.lost_at.values())
+    assert len(executor.killed) == 1
+    assert all(slots < 16_000 for slots in executor.lost_at.values())
     # Two trainings were handed over: that of the killed worker, and that of the lost node, maybe to a worker in use.
-    assert sum(len(workers) - 1 for workers in engine.workers.values()) >= 2
+    assert sum(len(workers) - 1 for workers in executor.workers.values()) >= 2
     assert_the_same(tmp_path, place / "out", study)
 
 
 @pytest.mark.slow
 def test_a_cluster_is_started_beside_one_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
     ray = pytest.importorskip("ray")
-    from uavaou.studies.cluster import Cluster
+    from uavaou.experiments.cluster import Cluster
 
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # as of a cluster that `ray start` began
     with Cluster(jobs=1):
@@ -331,17 +354,17 @@ def test_the_smoke_study_killed_and_resumed(tmp_path: Path, capsys: pytest.Captu
     assert main(["study", "status", "smoke", "--out", str(tmp_path / "out")]) == 0
     assert "14 parts, 14 finished" in capsys.readouterr().out
     results = read_study(tmp_path / "out/studies/smoke")
-    runs = results.table("runs")
-    assert len(runs["seed"]) == 8
-    assert set(runs["violations"]) == {0}
-    assert (runs["mean_aou_slots"] >= min(results.bounds.values())).all()
+    trained = results.flights[results.flights["seed"].notna()]
+    assert len(trained.drop_duplicates(["policy", "scenario", "seed"])) == 8
+    assert set(results.flights["violations"]) == {0}
+    assert (trained["mean_aou_slots"] >= 0).all()
 
 
 def test_a_cluster_without_ray_is_refused_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    monkeypatch.delitem(sys.modules, "uavaou.studies.cluster", raising=False)
+    monkeypatch.delitem(sys.modules, "uavaou.experiments.cluster", raising=False)
     assert main(shlex.split(f"study run smoke --engine ray --out {tmp_path / 'out'}")) == 2
     assert "pip install 'uavaou[ray]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

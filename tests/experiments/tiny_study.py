@@ -11,6 +11,7 @@ from typing import Any
 from uavaou import InputError
 from uavaou.experiments.executor import Executor, StoppedEarlyError, outcome
 from uavaou.experiments.jobs import Training
+from uavaou.experiments.results import read_study
 from uavaou.experiments.run import StudyState, run_study
 from uavaou.experiments.study import Study
 
@@ -93,3 +94,14 @@ def rewritten(source: Path, target: Path, old: str, new: str) -> Path:
     assert old in text
     target.write_text(text.replace(old, new))
     return target
+
+
+def assert_same_tables(one: Path, other: Path, name: str = "mine") -> None:
+    """The tables but for durations, and for annealing, which plans as well as it can in its seconds."""
+    ours, theirs = (read_study(place / "studies" / name).table for place in (one, other))
+    for frame, like in ((ours.flights, theirs.flights), (ours.curves, theirs.curves)):
+        kept, other_kept = (
+            table[table["policy"] != "anneal"].drop(columns=["wall_s", "cpu_s"], errors="ignore").reset_index(drop=True)
+            for table in (frame, like)
+        )
+        assert kept.equals(other_kept)
