@@ -127,6 +127,16 @@ def edit(folder: Path, change: Callable[[Flights], Flights]) -> None:
     change(Flights.read(folder)).write(folder)
 
 
+def set_to(folder: Path, column: str, value: object, **wanted: Any) -> None:
+    """Give a column of flights another value, in the rows with these values."""
+
+    def change(table: Flights) -> Flights:
+        table.flights.loc[table.where(**wanted).flights.index, column] = value
+        return table
+
+    edit(folder, change)
+
+
 def without(folder: Path, **wanted: Any) -> None:
     """Remove the rows with these values from the tables of a folder."""
 

@@ -10,13 +10,25 @@ import numpy as np
 import pytest
 from scipy.stats import gmean, spearmanr, ttest_1samp
 
-from tests.synthetic_study import BUDGET, DEFAULT, MAPPO, PLANNERS, QMIX, VDN, K, Variant, write_study
+from tests.synthetic_study import (
+    BUDGET,
+    DEFAULT,
+    MAPPO,
+    PERIODS,
+    PLANNERS,
+    QMIX,
+    VDN,
+    K,
+    Variant,
+    edit,
+    without,
+    write_study,
+)
 from uavaou.errors import InputError
-from uavaou.reports.claims import judge
-from uavaou.reports.training_claims import converged, reached, smooth
-from uavaou.reports.verdicts import Claim, Decide, higher, lower, reduced_to
+from uavaou.evaluation.flights import DEVICES, TRAINING, VALIDATION, Flights
+from uavaou.experiments.results import read_study
+from uavaou.reports.claims import Claim, Decide, converged, higher, judge, lower, reached, reduced_to, smooth
 from uavaou.statistics import Interval, ratio_of_trainings
-from uavaou.studies.results import read_study
 
 MANY = 9  # seeds
 # At random, the share of the cap falls less with k than MAPPO's; two rules know as much as MAPPO, one of them tuned.
@@ -62,8 +74,7 @@ def test_every_claim_of_the_paper_fails_where_it_is_false(tmp_path: Path) -> Non
 def test_how_far_the_bound_is_has_an_interval_over_seeds(tmp_path: Path) -> None:
     folder = write_study(tmp_path / "study", bound=20.0)
     claim = of(judge(read_study(folder)), "lower bound")
-    rows = read_study(folder).table("missions", "mappo")
-    means = [rows["mean_aou_slots"][rows["seed"] == seed].mean() for seed in range(4)]
+    means = read_study(folder).stack("mappo", "paper").mean(axis=1)
     assert claim.estimate == ratio_of_trainings({"": means}, {"": 20.0})
     assert claim.estimate.low < 2 < claim.estimate.high
 
@@ -106,9 +117,8 @@ def test_one_seed_supports_no_claim(tmp_path: Path) -> None:
 
 def test_one_training_of_the_other_supports_no_claim(tmp_path: Path) -> None:
     folder = write_study(tmp_path / "study")
-    path = folder / "runs.csv"
-    rows = path.read_text().splitlines(keepends=True)
-    path.write_text("".join(row for row in rows if not (row.startswith("vdn") and row.split(",")[3] != "0")))
+    for seed in (1, 2, 3):
+        without(folder, policy="vdn", seed=seed)
     claims = judge(read_study(folder))
     against = [claim for claim in claims if "VDN" in claim.claim]
     assert len(against) == 7
@@ -138,14 +148,13 @@ def test_correlations_are_spearmans(tmp_path: Path, words: str, of_cap: bool, ag
     results = read_study(folder)
     claim = of(judge(results), words)
 
-    def literal(variant: str | None, seed: int | None) -> float:
+    def literal(variant: str | None, seed: int) -> float:
         if variant is None:
             return 0.0
-        rows = results.table("devices", variant, seed=seed)
-        cap = K / rows["update_period_slots"] if of_cap else 1.0
-        return float(spearmanr(rows["communications"] / cap, rows["update_period_slots"]).statistic)
+        counts = results.curves(DEVICES, variant, "paper")[seed]["communications"]
+        return float(spearmanr(counts / (K / PERIODS if of_cap else 1.0), PERIODS).statistic)
 
-    values = [literal("mappo", seed) - literal(against, None) for seed in range(3)]
+    values = [literal("mappo", seed) - literal(against, 0) for seed in range(3)]
     assert claim.estimate is not None
     assert claim.estimate.value == pytest.approx(np.mean(values))
     interval = ttest_1samp(values, 0).confidence_interval(0.95)
@@ -161,11 +170,16 @@ def test_random_moves_are_told_beside_the_sentence_on_periods_where_they_were_fl
 def test_that_updates_cap_communications_supports_nothing(tmp_path: Path) -> None:
     """MAPPO and random moves fill the same share of each cap: fewer communications with a long k are no merit."""
     folder = write_study(tmp_path / "study", seeds=3)
-    path = folder / "devices.csv"
-    head, *rows = (line.split(",") for line in path.read_text().splitlines())
-    for row in rows:
-        row[7] = str(K / int(row[6]) * ((0.9 if row[0] == "random" else 0.5) + 0.01 * np.sin(int(row[3]))))
-    path.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
+
+    def capped(table: Flights) -> Flights:
+        curves = table.curves.copy()
+        of_devices = curves["curve"] == DEVICES
+        device = curves.loc[of_devices, "x"].astype(int)
+        share = np.where(curves.loc[of_devices, "policy"] == "random", 0.9, 0.5) + 0.01 * np.sin(device)
+        curves.loc[of_devices, "communications"] = K / PERIODS[device] * share
+        return Flights(table.flights, curves)
+
+    edit(folder, capped)
     claims = judge(read_study(folder))
     claim = of(claims, "beyond what their updates")
     assert (claim.verdict, "of communications: MAPPO -0.9" in claim.measured) == ("not supported", True)
@@ -248,13 +262,14 @@ def test_levels_are_reached_or_not() -> None:
 
 def validated_at(folder: Path, variant: str, curves: list[list[float]], times: list[list[int]]) -> None:
     """Replace a variant's validation by AoU at slots, a pair of lists for each seed."""
-    path = folder / "validation.csv"
-    rows = [row for row in path.read_text().splitlines() if not row.startswith(f"{variant},")]
-    for seed, (aou, slots) in enumerate(zip(curves, times, strict=True)):
-        rows += [
-            f"{variant},paper,{seed},{at},{at / 100},{value},{value}" for value, at in zip(aou, slots, strict=True)
-        ]
-    path.write_text("\n".join(rows) + "\n")
+    without(folder, policy=variant, curve=VALIDATION)
+    new = [
+        Flights.of({"x": []}, [{"curve": VALIDATION, "x": slots, "mean_aou_slots": aou}]).with_values(
+            policy=variant, scenario="paper", seed=seed
+        )
+        for seed, (aou, slots) in enumerate(zip(curves, times, strict=True))
+    ]
+    edit(folder, lambda table: Flights.joined([table, *new]))
 
 
 def test_times_to_a_level_are_those_of_every_training(tmp_path: Path) -> None:
@@ -291,9 +306,8 @@ def test_a_run_that_never_gets_there_supports_nothing(tmp_path: Path) -> None:
     """Its budget may end before the other's trainings get to the level: that is no sooner."""
     vdn = replace(VDN, spread=0.002)
     folder = write_study(tmp_path / "study", {"mappo": replace(MAPPO, aou=400.0), "vdn": vdn})
-    path = folder / "validation.csv"
-    rows = path.read_text().splitlines(keepends=True)
-    path.write_text("".join(row for row in rows if not (row.startswith("mappo") and int(row.split(",")[3]) > 30_000)))
+    late = "policy == 'mappo' and curve == 'validation' and x > 30000"
+    edit(folder, lambda table: Flights(table.flights, table.curves.drop(index=table.curves.query(late).index)))
     claim = of(judge(read_study(folder)), "level of VDN")
     assert claim.estimate is not None
     assert claim.estimate.high < 1
@@ -305,10 +319,9 @@ def test_the_last_reward_is_that_of_the_last_tenth(tmp_path: Path) -> None:
     claim = of(judge(read_study(folder)), "higher rewards", "VDN")
     late = {}
     for variant in ("mappo", "vdn"):
-        rows = read_study(folder).table("curves", variant)
-        last = rows["slots"] > 0.9 * BUDGET
-        assert last.sum() == 4 * 2  # of 20 groups a seed
-        late[variant] = [-rows["reward_s"][last & (rows["seed"] == seed)].mean() for seed in range(4)]
+        runs = read_study(folder).curves(TRAINING, variant, "paper")
+        assert all((run["x"] > 0.9 * BUDGET).sum() == 2 for run in runs)  # of 20 groups a seed
+        late[variant] = [run["mean_aou_slots"][run["x"] > 0.9 * BUDGET].mean() for run in runs]
     assert claim.estimate is not None
     assert claim.estimate.value == pytest.approx(gmean(late["mappo"]) / gmean(late["vdn"]))
     assert claim.estimate.value < 1
@@ -317,9 +330,13 @@ def test_the_last_reward_is_that_of_the_last_tenth(tmp_path: Path) -> None:
 def test_a_scenario_without_ages_is_not_compared(tmp_path: Path) -> None:
     """A ratio there would be none; the study's other figures stay."""
     folder = write_study(tmp_path / "study", scenarios=("paper", "still"), seeds=2, missions=3)
-    rows = (folder / "missions.csv").read_text().splitlines()
-    still = [",".join([*row.split(",")[:4], "0,0,0,0"]) if ",still," in row else row for row in rows]
-    (folder / "missions.csv").write_text("\n".join(still) + "\n")
+
+    def still(table: Flights) -> Flights:
+        columns = ["mean_aou_slots", "communications", "devices_served"]
+        table.flights.loc[table.flights["scenario"] == "still", columns] = 0.0
+        return table
+
+    edit(folder, still)
     claims = judge(read_study(folder))
     assert of(claims, "reduced by 1/2").verdict == "not measured"
     assert of(claims, "more communications", "VDN").verdict == "not measured"
@@ -330,16 +347,15 @@ Break = Callable[[Path], object]
 
 
 def rename_scenario(folder: Path, name: str) -> None:
-    for path in folder.glob("*.csv"):
-        path.write_text(path.read_text().replace("paper", name))
+    edit(folder, lambda table: table.with_values(scenario=name))
 
 
 @pytest.mark.parametrize(
     ("break_it", "words"),
     [
-        (lambda folder: (folder / "study.yaml").write_text("scenarios: [paper]"), "'scenarios' is missing"),
+        (lambda folder: (folder / "study.yaml").write_text("scenarios: [paper]"), "scenarios.paper.slots = None"),
         (lambda folder: (folder / "study.yaml").write_text("scenarios: {paper: {slots: 3}}"), "slot_length_s = None"),
-        (lambda folder: (folder / "missions.csv").unlink(), "missions.csv"),
+        (lambda folder: (folder / "flights.csv.gz").write_text("x"), "flights.csv.gz"),
         (lambda folder: rename_scenario(folder, "../up"), "'../up' cannot name a folder"),
     ],
 )

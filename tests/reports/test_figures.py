@@ -13,10 +13,11 @@ import pytest
 import yaml
 from matplotlib.image import imread
 
-from tests.synthetic_study import MAPPO, SLOT_S, K, Variant, record, write_study
+from tests.synthetic_study import MAPPO, SLOT_S, K, Variant, record, set_to, without, write_study
+from uavaou.evaluation.flights import SLOTS, TRAINING, VALIDATION
+from uavaou.experiments.results import read_study
 from uavaou.reports.figures import _line, _over_time, plot_study
 from uavaou.reports.scores import best_planner, comparable, in_all_scenarios
-from uavaou.studies.results import read_study
 from uavaou_cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -82,9 +83,9 @@ def test_figures_show_what_the_tables_say(tmp_path: Path, drawn: dict[str, Any])
     axes = drawn["out/figure-4-aou"].axes[0]
     lines = {line.get_label(): line for line in axes.get_lines()}
     assert set(lines) == {"MAPPO", "QMIX", "VDN", "best-first", "lower bound"}
-    curve = tables.stack("curves", "mappo", "paper", "mean_aou_slots")
+    curve = tables.stack("mappo", "paper", "mean_aou_slots", TRAINING)
     np.testing.assert_allclose(lines["MAPPO"].get_ydata(), curve.mean(axis=0))
-    slots = tables.stack("curves", "mappo", "paper", "slots")[0]
+    slots = tables.stack("mappo", "paper", "x", TRAINING)[0]
     np.testing.assert_allclose(lines["MAPPO"].get_xdata(), slots / K)
     assert "95 % interval over 3 seeds" in drawn["out/figure-4-aou"].legends[0].get_title().get_text()
     assert lines["lower bound"].get_ydata() == [25.0, 25.0]
@@ -94,12 +95,12 @@ def test_figures_show_what_the_tables_say(tmp_path: Path, drawn: dict[str, Any])
     np.testing.assert_allclose(reward["best-first"].get_ydata(), 60 * K * SLOT_S, rtol=0.05)
 
     execution = {line.get_label(): line for line in drawn["out/figure-7-aou-execution"].axes[0].get_lines()}
-    table = tables.stack("execution", "vdn", "paper", "mean_aou_slots")
+    table = tables.stack("vdn", "paper", "mean_aou_slots", SLOTS)
     np.testing.assert_allclose(execution["VDN"].get_ydata(), table.mean(axis=0))
     assert "lower bound" not in execution  # it bounds the mean over slots, not a slot
 
     wall = {line.get_label(): line for line in drawn["out/aou-wall-clock"].axes[0].get_lines()}
-    held = tables.stack("validation", "qmix", "paper", "mean_aou_slots")
+    held = tables.stack("qmix", "paper", "mean_aou_slots", VALIDATION)
     assert wall["QMIX"].get_ydata()[0] == pytest.approx(held[:, 0].mean())
     assert wall["QMIX"].get_ydata()[-1] == pytest.approx(held[:, -1].mean())
 
@@ -113,8 +114,7 @@ def test_a_wall_clock_of_several_processors_says_so(tmp_path: Path, drawn: dict[
         return "several processors" in drawn["out/aou-wall-clock"].legends[0].get_title().get_text()
 
     assert not note()
-    runs = study / "runs.csv"
-    runs.write_text(runs.read_text().replace(",one", f",{other}", 1))
+    set_to(study, "processor", other or None, policy="mappo", seed=0)
     assert note()
 
 
@@ -135,10 +135,8 @@ def test_intervals_say_what_they_are_over(tmp_path: Path, drawn: dict[str, Any])
     eighth = drawn["out/figure-8-communications-by-period"].legends[0]
     assert eighth.get_title().get_text() == "dot: one device; bar: 95 % interval over 3 seeds"
     assert "over\nseeds and missions of" in drawn["out/aou-iqm"].get_supxlabel()
-    runs = (study / "runs.csv").read_text().splitlines(keepends=True)
-    (study / "runs.csv").write_text(
-        "".join(row for row in runs if not row.startswith(("vdn,vdn,paper,1", "vdn,vdn,paper,2")))
-    )
+    for seed in (1, 2):
+        without(study, policy="vdn", seed=seed)
     plot_study(study, tmp_path / "some")
     eighth = drawn["some/figure-8-communications-by-period"].legends[0]
     assert eighth.get_title().get_text() == "dot: one device; bar: 95 % interval over seeds; none (1 seed)"
@@ -171,10 +169,10 @@ def test_one_study_keeps_no_other_from_being_drawn(
     drawn["figures/figure-4-aou"].draw_without_rendering()  # no formula begins at the dollar
     drawn.clear()
     write_study(studies / "damaged", {"mappo": MAPPO})
-    (studies / "damaged" / "runs.csv").unlink()
+    (studies / "damaged" / "flights.csv.gz").write_text("x")
     assert main(["plot", "figures"]) == 2
     assert len(drawn) == 9
-    assert "damaged/runs.csv" in capsys.readouterr().err
+    assert "damaged/flights.csv.gz" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -186,10 +184,10 @@ def test_studies_are_drawn_side_by_side(
     studies = tmp_path / "results" / "studies"
     for name in ("one", "two"):
         write_study(studies / name, {"mappo": MAPPO}, {}, 1, missions=1, bound=None)
-    (studies / "one" / "runs.csv").unlink()
+    (studies / "one" / "flights.csv.gz").write_text("x")
     assert main(["plot", "figures"]) == 2
     said = capsys.readouterr()
-    assert "left out: results/studies/one/runs.csv" in said.err
+    assert "left out: results/studies/one/flights.csv.gz" in said.err
     assert said.out.splitlines()[0] == "results/studies/two/figures/figure-3-reward.png"
     assert all((tmp_path / line).is_file() for line in said.out.splitlines())
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,13 @@ import pytest
 
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
+from uavaou.evaluation import flights
+from uavaou.evaluation.flights import Flights
 from uavaou.reports.figures import plot_runs, read_runs
+from uavaou.runs.flights import training_curves
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Scenario
-from uavaou.statistics import interval_over_missions
-from uavaou.studies.condense import curve_rows
-from uavaou.studies.folder import PartKey
+from uavaou.statistics import band_over_missions
 
 HEADER = ["mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served"]
 VALIDATION = ["evaluation/mean_aou_greedy_s", "evaluation/mean_aou_sample_s", "time/slots", "time/wall_s"]
@@ -31,22 +31,31 @@ ALL_FIGURES = TRAINING_FIGURES | {"aou-wall-clock", "figure-7-aou-execution", "f
 # -- run folders as training writes them ---------------------------------------------------------------
 
 
-def evaluated(rng: np.random.Generator, level_s: float, missions: int = 6) -> dict[str, Any]:
-    """What an evaluation holds for one policy."""
-    return {
-        "mean_aou_s": (level_s * rng.uniform(0.8, 1.2, missions)).tolist(),
-        "communications": rng.integers(20, 30, missions).tolist(),
-        "devices_served": [DEVICES] * missions,
-        "violations": {},
-        "device_mean_aou_s": [level_s / DEVICES] * DEVICES,
-        "device_communications": rng.integers(2, 9, (missions, DEVICES)).tolist(),
-        "aou_over_time_s": (level_s * rng.uniform(0.8, 1.2, SLOTS)).tolist(),
+def evaluated(policy: str, level_s: float, missions: int = 6, seed: int | None = None) -> Flights:
+    """The flights of an evaluation."""
+    rng = np.random.default_rng([len(policy), missions])
+    counts, period = rng.integers(2, 9, (missions, DEVICES)), TINY.draw_layout().update_period
+    alike = band_over_missions(np.stack([counts[:, period == one].mean(axis=1) for one in np.unique(period)], axis=1))
+    ages = rng.uniform(0.8, 1.2, SLOTS) * level_s / TAU
+    rows = {
+        "mission_seed": np.arange(missions),
+        "mean_aou_slots": rng.uniform(0.8, 1.2, missions) * level_s / TAU,
+        "communications": rng.integers(20, 30, missions),
+        "devices_served": DEVICES,
     }
+    curves = [
+        {"curve": flights.SLOTS, "x": np.arange(1, SLOTS + 1), "mean_aou_slots": ages, "low": 0.9 * ages,
+         "high": 1.2 * ages},
+        {"curve": flights.DEVICES, "x": np.arange(DEVICES), "communications": counts.mean(axis=0)},
+        {"curve": flights.PERIODS, "x": np.unique(period), "communications": alike.value, "low": alike.low,
+         "high": alike.high},
+    ]  # fmt: skip
+    return Flights.of(rows, curves, policy=policy, scenario="tiny", seed=seed)
 
 
 def write_run(root: Path, algorithm: str = "mappo", seed: int = 0, missions: int = 80, evaluation: bool = True) -> Path:
     folder = root / "tiny" / algorithm / f"seed-{seed}"
-    (folder / "eval").mkdir(parents=True)
+    folder.mkdir(parents=True)
     rng = np.random.default_rng([seed, len(algorithm)])
     with (folder / "episodes.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -60,13 +69,12 @@ def write_run(root: Path, algorithm: str = "mappo", seed: int = 0, missions: int
     if evaluation:
         rows = [VALIDATION, ["", "", 10, 1], [900, 950, 480, 4.8], [60, 70, 960, 9.6]]
         (folder / "progress.csv").write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
-        write_evaluation(folder, "default", {algorithm: evaluated(rng, 40), "greedy": evaluated(rng, 60)})
+        write_evaluation(folder, evaluated(algorithm, 40, seed=seed), evaluated("greedy", 60))
     return folder
 
 
-def write_evaluation(folder: Path, name: str, policies: dict[str, Any]) -> None:
-    content = {"scenario": "tiny", "episodes": 6, "policies": policies}
-    (folder / "eval" / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
+def write_evaluation(folder: Path, *tables: Flights) -> None:
+    Flights.joined(tables).write(folder)
 
 
 # -- figures -------------------------------------------------------------------------------------------
@@ -80,8 +88,8 @@ def test_seeds_of_an_algorithm_are_one_line_in_slots(tmp_path: Path, drawn: dict
     assert "95 % interval over seeds; none (1 seed)" in fourth.legends[0].get_title().get_text()
     lines = {line.get_label(): line for line in fourth.axes[0].get_lines()}
     assert set(lines) == {"MAPPO (3 seeds)", "VDN (1 seed)", "greedy"}
-    groups = [curve_rows(PartKey("", "", 0), TINY, folder / "episodes.csv") for folder in runs[:3]]
-    aou = np.array([[float(row[6]) for row in rows] for rows in groups]).reshape(3, -1, LANES).mean(axis=(0, 2))
+    groups = [training_curves(RunFolder(folder), TINY)[0]["mean_aou_slots"] for folder in runs[:3]]
+    aou = np.array(groups).reshape(3, -1, LANES).mean(axis=(0, 2))
     np.testing.assert_allclose(lines["MAPPO (3 seeds)"].get_ydata(), aou)  # missions that end together are one point
     assert fourth.axes[0].get_ylabel() == "mean AoU (slots)"
     wall = {line.get_label(): line for line in drawn["out/aou-wall-clock"].axes[0].get_lines()}
@@ -122,14 +130,16 @@ def test_a_short_training_is_drawn_by_its_validations(tmp_path: Path, drawn: dic
             lines = [figure.axes[0].get_lines()[0] for figure in figures]
             assert all(np.allclose(line.get_xdata(), np.array([48, 96, 144]) / SLOTS) for line in lines)
             found = [line.get_ydata().tolist() for line in lines]
-            assert found == [[999, 998, 997], pytest.approx([89 / TAU, 88 / TAU, 87 / TAU]), [21, 22, 23], [1, 2, 3]]
+            reward = [SLOTS * 89, SLOTS * 88, SLOTS * 87]  # its size, in s
+            assert found == [reward, pytest.approx([89 / TAU, 88 / TAU, 87 / TAU]), [21, 22, 23], [1, 2, 3]]
 
 
 def test_all_planners_evaluated_beside_a_run_are_drawn(tmp_path: Path, drawn: dict[str, Any]) -> None:
     folder = write_run(tmp_path)
-    rng = np.random.default_rng(0)
-    levels = {"mappo": 40, "greedy": 60, "random": 900, "stay": 5000}
-    write_evaluation(folder, "default", {name: evaluated(rng, level) for name, level in levels.items()})
+    others = {"greedy": 60, "random": 900, "stay": 5000}
+    write_evaluation(
+        folder, evaluated("mappo", 40, seed=0), *(evaluated(name, level) for name, level in others.items())
+    )
     plot_runs([folder], tmp_path / "out")
     labels = {name: set(figure.axes[0].get_legend_handles_labels()[1]) for name, figure in drawn.items()}
     for name in TRAINING_FIGURES | {"aou-wall-clock"}:  # stay's level would leave no room for the others
@@ -140,24 +150,18 @@ def test_all_planners_evaluated_beside_a_run_are_drawn(tmp_path: Path, drawn: di
 
 def test_intervals_of_a_single_run_are_over_missions(tmp_path: Path, drawn: dict[str, Any]) -> None:
     folder = write_run(tmp_path)
-    rng = np.random.default_rng(0)
-    own = evaluated(rng, 40)
-    low, high = np.array(own["aou_over_time_s"]) * [[0.9], [1.2]]
-    own |= {"aou_over_time_low_s": low.tolist(), "aou_over_time_high_s": high.tolist()}
-    write_evaluation(folder, "default", {"mappo": own, "greedy": evaluated(rng, 60)})
+    own = Flights.read(folder).where(policy="mappo").curves
     plot_runs([folder], tmp_path / "out")
     over = "95 % interval over missions"
     seventh, eighth = (drawn[f"out/figure-{name}"] for name in ("7-aou-execution", "8-communications-by-period"))
     assert seventh.legends[0].get_title().get_text() == f"bands: {over} (1 seed)\nplanners: {over}"
     assert eighth.legends[0].get_title().get_text() == f"dot: one device; bar: {over} (1 seed)\nplanners: {over}"
     band = seventh.axes[0].collections[0].get_paths()[0].vertices
-    assert {band[:, 1].min(), band[:, 1].max()} == {low.min() / TAU, high.max() / TAU}
-
-    period = TINY.draw_layout().update_period
-    counts = np.array(own["device_communications"])  # (n, I)
-    expected = [interval_over_missions(counts[:, period == value].mean(axis=1)) for value in np.unique(period)]
+    slots = own[own["curve"] == flights.SLOTS]
+    assert (band[:, 1].min(), band[:, 1].max()) == pytest.approx((slots["low"].min(), slots["high"].max()))
     bars = [path.vertices[:, 1] for path in eighth.axes[0].collections[0].get_paths()]
-    np.testing.assert_allclose(bars, [(found.low, found.high) for found in expected])
+    periods = own[own["curve"] == flights.PERIODS]
+    np.testing.assert_allclose(bars, periods[["low", "high"]].to_numpy())
 
 
 def test_runs_are_written_as_png_and_pdf(tmp_path: Path) -> None:
@@ -165,15 +169,6 @@ def test_runs_are_written_as_png_and_pdf(tmp_path: Path) -> None:
     assert {path.stem for path in paths} == TRAINING_FIGURES
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {path.name for path in paths}  # no drafts
     assert all(path.stat().st_size > 1000 for path in paths)
-
-
-def test_a_run_with_two_evaluations_is_drawn_once(tmp_path: Path, drawn: dict[str, Any]) -> None:
-    folder = write_run(tmp_path)
-    rng = np.random.default_rng(0)
-    write_evaluation(folder, "first-3", {"mappo": evaluated(rng, 9000, 3)})
-    plot_runs([folder], tmp_path / "out")
-    assert set(drawn) == {f"out/{name}" for name in ALL_FIGURES}
-    assert read_runs([folder])[0].stack("missions", "mappo", "tiny", "mean_aou_slots").shape == (1, 6)
 
 
 def test_figures_of_two_scenarios_go_to_two_folders(tmp_path: Path, drawn: dict[str, Any]) -> None:
@@ -189,15 +184,15 @@ def test_overrides_of_the_folder_stay_in_the_name(tmp_path: Path) -> None:
     moved = folder.parent.with_name("mappo+gamma=0.9") / folder.name
     moved.parent.mkdir()
     folder.rename(moved)
-    assert list(read_runs([moved])[0].algorithms) == ["mappo+gamma=0.9"]
+    assert list(read_runs([moved]).algorithms) == ["mappo+gamma=0.9"]
 
 
 def test_a_line_cut_off_while_writing_is_left_out(tmp_path: Path) -> None:
     folder = write_run(tmp_path, evaluation=False)
     with (folder / "episodes.csv").open("a", encoding="utf-8") as file:
         file.write("81,10")
-    (run,) = read_runs([folder])[0].runs("curves", "mappo", "tiny")
-    assert len(run["slots"]) == 80
+    (run,) = read_runs([folder]).curves(flights.TRAINING, "mappo", "tiny")
+    assert len(run["x"]) == 80
 
 
 # -- bad input -----------------------------------------------------------------------------------------
@@ -211,33 +206,18 @@ def replace_in(name: str, old: str, new: str) -> Callable[[Path], None]:
     return change
 
 
-def change_policy(field: str, value: Any) -> Callable[[Path], None]:
-    def change(folder: Path) -> None:
-        path = folder / "eval" / "default.json"
-        content = json.loads(path.read_text(encoding="utf-8"))
-        content["policies"]["greedy"][field] = value
-        path.write_text(json.dumps(content), encoding="utf-8")
-
-    return change
-
-
 BROKEN: list[tuple[Callable[[Path], object], list[str]]] = [
     (lambda folder: RunFolder(folder).config.unlink(), ["config.yaml"]),
-    (lambda folder: (folder / "episodes.csv").unlink(), ["episodes.csv", "cannot be read"]),
-    (lambda folder: (folder / "episodes.csv").write_text(""), ["episodes.csv", "'slots' is missing"]),
+    (lambda folder: (folder / "episodes.csv").unlink(), ["episodes.csv", "not a table: No such file"]),
+    (lambda folder: (folder / "episodes.csv").write_text(""), ["episodes.csv", "not a table"]),
     (lambda folder: (folder / "episodes.csv").write_text(",".join(HEADER) + "\n"), ["no mission has ended"]),
     (replace_in("episodes.csv", "wall_s", "seconds"), ["episodes.csv", "'wall_s' is missing"]),
     (replace_in("episodes.csv", "\n1,48,", "\n1,many,"), ["episodes.csv: line 2", "'slots'", "'many'"]),
     (replace_in("episodes.csv", "\n1,48,", "\n1,nan,"), ["episodes.csv: line 2", "'slots'"]),
-    (replace_in("episodes.csv", "\n2,48,", "\n2\n"), ["episodes.csv: line 3", "1 values, expected 7"]),
+    (replace_in("episodes.csv", "\n2,48,", "\n2\n"), ["episodes.csv: line 3", "is empty"]),
     (replace_in("progress.csv", "900", "none"), ["progress.csv: line 3", "'none'"]),
     (replace_in("config.yaml", "algorithm:", "algorithm: ]"), ["config.yaml", "not valid YAML"]),
-    (replace_in("eval/default.json", "{", "["), ["default.json", "JSON"]),
-    (replace_in("eval/default.json", "policies", "rules"), ["default.json", "field policies is missing"]),
-    (replace_in("eval/default.json", '"mean_aou_s"', '"mean"'), ["default.json: ", "mean_aou_s is missing"]),
-    (change_policy("communications", ["few"]), ["policies.greedy.communications = ['few']", "expected finite numbers"]),
-    (change_policy("aou_over_time_s", [[1.0]]), ["aou_over_time_s = [[1.0]]: expected a list of numbers"]),
-    (change_policy("aou_over_time_s", None), ["seed-0", "evaluate it again"]),
+    (lambda folder: (folder / "flights.csv.gz").write_text("x"), ["flights.csv.gz", "not a table"]),
 ]
 
 

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.synthetic_study import MAPPO, VDN, Variant, write_study
+from tests.synthetic_study import MAPPO, VDN, Variant, set_to, without, write_study
 from uavaou import InputError
+from uavaou.experiments.results import read_study
+from uavaou.experiments.study import Study
 from uavaou.reports.scores import study_scores
 from uavaou.reports.study_report import begin_marker, write_report
 from uavaou.statistics import interval_over_missions
-from uavaou.studies.results import read_study
-from uavaou.studies.study import Study
 
 
 def study_with(folder: Path, **fields: Any) -> Path:
@@ -39,7 +39,7 @@ def test_every_policy_stands_in_the_table_with_its_mean_the_best_first(tmp_path:
     ]  # fmt: skip
     results = read_study(folder)
     for row in rows[1:]:
-        mean = results.table("missions", row[0].strip("| `"))["mean_aou_slots"].mean()
+        mean = results.stack(row[0].strip("| `"), "paper").mean()
         assert float(row[3].split()[0].replace(",", "")) == pytest.approx(mean, rel=1e-3)
     knows = {row[0].strip("| `"): row[1].strip() for row in rows}
     assert [knows[name] for name in ("lower bound", "greedy", "random")] == ["", "everything", "nothing"]
@@ -51,17 +51,13 @@ def test_every_policy_stands_in_the_table_with_its_mean_the_best_first(tmp_path:
 def test_a_page_says_where_wall_clock_times_are_of_several_processors(tmp_path: Path, other: str) -> None:
     folder, remark = write_study(tmp_path / "study"), "their wall-clock times do not compare"
     assert remark not in page(folder)
-    runs = folder / "runs.csv"
-    runs.write_text(runs.read_text().replace(",one", f",{other}", 1))
+    set_to(folder, "processor", other or None, policy="mappo", seed=0)
     assert page(folder).count(remark) == 1
 
 
 def test_a_page_names_the_scenarios_of_several_processors_where_others_have_one(tmp_path: Path) -> None:
     folder = write_study(tmp_path / "study", scenarios=("small", "large"))
-    runs = folder / "runs.csv"
-    rows = runs.read_text().splitlines()
-    at = next(number for number, row in enumerate(rows) if ",large," in row)
-    runs.write_text("\n".join([*rows[:at], rows[at].replace(",one", ",two"), *rows[at + 1 :]]) + "\n")
+    set_to(folder, "processor", "two", policy="mappo", scenario="large", seed=0)
     assert "The trainings on large ran on several processors" in page(folder)
 
 
@@ -89,13 +85,11 @@ def test_verdicts_of_another_study_are_left_alone_and_that_is_said(tmp_path: Pat
 def test_a_page_says_what_is_not_done_and_what_failed(tmp_path: Path) -> None:
     folder = study_with(tmp_path / "paper")
     assert "Not finished" not in page(folder)
-    (folder / "failures.csv").write_text(
-        "variant,scenario,seed,reason\nvdn,paper,3,out\n of memory\nrolling,paper,,no plan\nmappo,paper,0,an old one\n"
-        .replace("out\n of memory", '"out\n of memory"')
-    )  # fmt: skip
+    failed = [["vdn", "paper", 3, "out\n of memory"], ["rolling", "paper", None, "no plan"],
+              ["mappo", "paper", 0, "an old one"]]  # fmt: skip
+    (folder / ".state.json").write_text(json.dumps({"running": [], "failed": failed}))
     assert page(folder).count("Failed when last tried") == 1  # of a planner
-    runs = (folder / "runs.csv").read_text().splitlines(keepends=True)
-    (folder / "runs.csv").write_text("".join(row for row in runs if not row.startswith("vdn")))
+    without(folder, policy="vdn")
     text = page(folder)
     assert "**Not finished: 8 of 12 trainings are done.**" in text
     assert "- `vdn` on paper, seed 3: out of memory\n- `rolling` on paper: no plan\n" in text
@@ -106,12 +100,9 @@ def test_a_bound_that_is_broken_is_told(tmp_path: Path) -> None:
     """Of a planner and of one training alone; a mean that is below by chance is none."""
     assert write_report(study_with(tmp_path / "paper"), tmp_path / "README.md") == []
     folder = write_study(tmp_path / "broken", planners={"greedy": Variant(24.9)}, bound=37.8)
-    means = read_study(folder).stack("missions", "mappo", "paper", "mean_aou_slots").mean(axis=1)
+    means = read_study(folder).stack("mappo", "paper").mean(axis=1)
     assert means.min() < 37.8 < means.max()
-    missions = (folder / "missions.csv").read_text().splitlines(keepends=True)
-    low = [",".join([*row.split(",")[:4], "30", *row.split(",")[5:]]) if row.startswith("vdn,paper,2,") else row
-           for row in missions]  # fmt: skip
-    (folder / "missions.csv").write_text("".join(low))
+    set_to(folder, "mean_aou_slots", 30.0, policy="vdn", seed=2)
     remarks = write_report(folder, tmp_path / "README.md")
     assert remarks[0].startswith(
         "'vdn' on 'paper' has a mean AoU of 30.00 slots, which is below the certified bound of 37.80"
@@ -126,8 +117,7 @@ def test_a_study_that_is_not_finished_has_a_page(tmp_path: Path) -> None:
     folder = write_study(tmp_path / "own 1", {"published": MAPPO, "a|b": VDN}, {}, 2, ("paper", "b"), bound=None)
     content = yaml.safe_load((folder / "study.yaml").read_text())
     (folder / "study.yaml").write_text(yaml.safe_dump(content | {"reference": "published"}))
-    runs = (folder / "runs.csv").read_text().splitlines(keepends=True)
-    (folder / "runs.csv").write_text("".join(row for row in runs if "published,published,b," not in row))
+    without(folder, policy="published", scenario="b")
     text = page(folder)
     assert "uavaou study run 'own 1.yaml'" in text
     compared = text.partition("## Against `published`")[2]
@@ -142,7 +132,7 @@ def test_one_seed_and_planners_have_intervals_over_missions(tmp_path: Path) -> N
     results = read_study(write_study(tmp_path / "one", seeds=1, missions=9))
     found = {one.policy: one for one in study_scores(results)["paper"]}
     for name in ("mappo", "greedy"):
-        scores = results.table("missions", name)["mean_aou_slots"]
+        scores = results.stack(name, "paper")[0]
         assert found[name].mean.value == pytest.approx(scores.mean())
         assert found[name].mean == interval_over_missions(scores)
     assert (found["mappo"].seeds, found["greedy"].seeds) == (1, 0)

@@ -9,10 +9,9 @@ import pytest
 
 from tests.synthetic_study import DEFAULT, write_study
 from uavaou.errors import InputError
-from uavaou.reports.claims import judge
+from uavaou.experiments.results import read_study
+from uavaou.reports.claims import Claim, judge
 from uavaou.reports.study_report import END, begin_marker, claims_markdown, write_claims
-from uavaou.reports.verdicts import Claim
-from uavaou.studies.results import read_study
 
 ANY = "<!-- claims:begin -->"  # of no study by name
 BEGIN = begin_marker("paper")

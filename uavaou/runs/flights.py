@@ -76,7 +76,7 @@ def training_curves(folder: RunFolder, scenario: Scenario) -> list[dict[str, Any
     means |= {name: column(missions, name) for name in ("communications", "devices_served")}
     curves = [{"curve": TRAINING, "x": column(missions, "slots")[ends], "wall_s": column(missions, "wall_s")[ends]}]
     curves[0] |= {name: np.array([values[group].mean() for group in groups]) for name, values in means.items()}
-    for curve, action in ((VALIDATION, "greedy"), (SAMPLED, "sample")):
+    for curve, action in ((VALIDATION, "greedy"), (SAMPLED, "sample")) if folder.progress.is_file() else ():
         curves.append({"curve": curve} | _validations(folder, action, tau))
     return curves
 
