@@ -14,12 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from uavaou.csv_tables import read_csv
+from uavaou.evaluation.flights import VALIDATION
+from uavaou.experiments.results import StudyResults, read_study
 from uavaou.planners import planner_knowledge
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.scores import PolicyScores, study_scores
 from uavaou.reports.suites import SuiteRow, read_suite
 from uavaou.statistics import interval_over_trainings
-from uavaou.experiments.results import StudyResults, read_study
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md")
@@ -47,7 +48,7 @@ def flown(suite: str, policy: str) -> list[SuiteRow]:
 
 def minutes(name: str, variant: str) -> str:
     """The mean CPU time of a training."""
-    return f"{study(name).table('runs', variant, 'paper')['cpu_s'].mean() / 60:.0f} min"
+    return f"{study(name).trainings(variant, 'paper')['cpu_s'].mean() / 60:.0f} min"
 
 
 def trained(name: str, variant: str, who: str) -> tuple[float, tuple[str, ...]]:
@@ -88,13 +89,13 @@ def paper() -> str:
 def default() -> str:
     """What the trainings of ``uavaou train`` gain over the plan that they begin with."""
     results = study("default")
-    ends = np.asarray(results.table("runs", "mappo", "paper")["mean_aou_slots"])
-    validation = results.table("validation", "mappo", "paper")
-    plan = float(validation["mean_aou_slots"][validation["slots"] == 0].mean())
-    best = float(np.mean(results.table("runs", "mappo", "paper")["best_slots"]))
+    trainings = results.trainings("mappo", "paper")
+    ends = trainings["mean_aou_slots"]
+    plan = float(np.mean([run["mean_aou_slots"][0] for run in results.curves(VALIDATION, "mappo", "paper")]))
+    best = float(trainings["best_slots"].mean())
     rows = [
         ("trainings", str(len(ends))),
-        ("slots of each", f"{int(results.table('runs')['slots'].min()):,}"),
+        ("slots of each", f"{trainings['slots'].min():,}"),
         ("CPU time of each, with the plan", minutes("default", "mappo")),
         ("mean AoU in evaluation, slots", with_interval(*scores("default")["mappo"].mean, digits=4)),
         ("lowest and highest", f"{rounded(ends.min(), 4)} and {rounded(ends.max(), 4)}"),

@@ -14,7 +14,7 @@ from uavaou_cli.main import main
 
 forked = multiprocessing.get_context("forkserver")
 forked.set_forkserver_preload(
-    ["uavaou.runs.train", "uavaou.studies.runner", "uavaou.algorithms.mappo", "uavaou_cli.main", "tests.preloaded"]
+    ["uavaou.runs.train", "uavaou.experiments.run", "uavaou.algorithms.mappo", "uavaou_cli.main", "tests.preloaded"]
 )
 
 

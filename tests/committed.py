@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from uavaou.experiments.results import StudyResults, read_study
 from uavaou.reports.scores import study_scores
-from uavaou.studies.results import StudyResults, read_study
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 STUDIES = RESULTS / "studies"
@@ -40,7 +40,7 @@ def means(name: str, scenario: str) -> dict[str, float]:
 
 def ends(name: str, variant: str) -> np.ndarray:
     """Where the trainings of a variant end on ``paper``, (seeds,), in slots."""
-    return np.asarray(study(name).table("runs", variant, "paper")["mean_aou_slots"])
+    return study(name).trainings(variant, "paper")["mean_aou_slots"].to_numpy()
 
 
 def states(text: str, *numbers: str) -> bool:

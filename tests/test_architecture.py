@@ -33,9 +33,7 @@ LAYERS = (
     "evaluation",
     "runs",
     "onboard",
-    "suites",
-    "studies",
-    "tuning",
+    "experiments",
     "reports",
     "uavaou_cli",
 )
@@ -158,8 +156,8 @@ LIGHT_IMPORTS = {
     "import uavaou.evaluation.checker": "torch uavaou.world",
     "from uavaou import Scenario, World": "torch gymnasium matplotlib",
     "import uavaou.planners": "torch ortools highspy",
-    "import uavaou.studies.study, uavaou.studies.results, uavaou.studies.marl_eval": "torch matplotlib",
-    "from uavaou.studies import processes; processes.prepare([])": "torch matplotlib",
+    "import uavaou.experiments.study, uavaou.experiments.results, uavaou.experiments.marl_eval": "torch matplotlib",
+    "from uavaou.experiments import executor; executor.outcome(b'', [], print)": "torch matplotlib",
     "import uavaou.reports.figures, uavaou.reports.mission_figures, uavaou.reports.audit": "torch",
     "import uavaou.reports.study_report": "torch",
 }

@@ -137,7 +137,7 @@ def test_reading_a_study(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
 
 
 def test_a_study_and_a_suite_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from uavaou.studies.study import Study
+    from uavaou.experiments.study import Study
     from uavaou.suites.suite import Suite
 
     monkeypatch.chdir(tmp_path)  # where the scenario of policies.md lies

@@ -17,20 +17,20 @@ from typing import Any
 import pytest
 
 from tests.cli.commands import TINY
+from tests.experiments.tiny_study import SET, Inline, run_inline
 from tests.faults import fail, fault
 from tests.scenario_files import refusal
-from tests.studies.tiny_study import SET, Inline, run_inline
 from tests.test_architecture import MODULES, ROOT
 from uavaou import RunConfig, train
 from uavaou.algorithms.io.tensor_file import ArrayFile
 from uavaou.errors import InputError
+from uavaou.experiments.study import Study
 from uavaou.files import write_text
-from uavaou.studies.study import Study
 from uavaou_cli.main import main
 
 RUN = "results/tiny/mappo*/seed-0"  # of the first command
 COMMANDS = [
-    TINY, "scenarios", "audit tiny", f"eval {RUN} --policy greedy --episodes 2 --json e.json",
+    TINY, "scenarios", "audit tiny", f"eval {RUN} --policy greedy --episodes 2 --out e.csv",
     f"fly tiny --policy {RUN} --out f", "plan tiny --planner tour --episodes 1 --out plan",
     f"plot trajectories {RUN} --out p", f"plot figures {RUN} --out p", f"export {RUN} --out policy.safetensors",
     f"replay {RUN} --out r.html",

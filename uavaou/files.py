@@ -1,8 +1,10 @@
 """Atomic writes, bounded reads, and checks of folders from untrusted sources."""
 
+import gzip
 import json
 import os
 import stat
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -90,7 +92,7 @@ def folder_name(name: str) -> str:
 
 
 def read_text(path: Path, most_bytes: int) -> str:
-    """Read a UTF-8 text file of at most ``most_bytes``.
+    """Read a UTF-8 text file of at most ``most_bytes``, also unpacked where its name ends in ``.gz``.
 
     Raises:
         InputError: the file cannot be read, is no regular file, is larger, or is not UTF-8.
@@ -102,9 +104,17 @@ def read_text(path: Path, most_bytes: int) -> str:
             raise InputError(f"{path}: cannot be read: it is {what}")
         if state.st_size > most_bytes:
             raise InputError(f"{path}: {state.st_size:,} bytes, at most {most_bytes:,} are read")
-        return path.read_text(encoding="utf-8")
+        if path.suffix != ".gz":
+            return path.read_text(encoding="utf-8")
+        with gzip.open(path) as file:
+            content = file.read(most_bytes + 1)
+        if len(content) > most_bytes:
+            raise InputError(f"{path}: more than {most_bytes:,} bytes when unpacked, at most so many are read")
+        return content.decode()
     except InputError:
         raise
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise InputError(f"{path}: cannot be read: it is damaged, or not packed by gzip") from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text: save it as UTF-8"
         raise InputError(f"{path}: cannot be read: {reason}") from error

@@ -325,7 +325,7 @@ def spoil(path: Path, how: str) -> None:
 
 HOW = ["pickle", "zip", "link", "pipe", "folder", "empty", "header", "terabytes", "brackets", "noise"]
 READ = {command: ["config.yaml", "checkpoints/best.safetensors"] for command in POLICY_COMMANDS}
-READ["plot figures run"] = ["config.yaml", "episodes.csv", "eval/default.json"]
+READ["plot figures run"] = ["config.yaml", "episodes.csv", "flights.csv.gz"]
 CASES = [(command, name, how) for command, names in READ.items() for name in names for how in HOW]
 CASES += [(command, "progress.csv", how) for command in READ for how in ("link", "pipe")]  # where nobody looks
 

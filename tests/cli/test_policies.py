@@ -87,8 +87,8 @@ def test_a_table_of_the_zero_shot_page_is_measured(released: Path, monkeypatch: 
 
 @pytest.mark.slow
 def test_a_study_evaluates_a_released_policy(capsys: pytest.CaptureFixture[str], released: Path) -> None:
-    from tests.studies.tiny_study import Inline, run_inline
-    from uavaou.studies.study import Study
+    from tests.experiments.tiny_study import Inline, run_inline
+    from uavaou.experiments.study import Study
 
     (released / "mine.yaml").write_text(STUDY)
     ended = run_inline(Study.load(released / "mine.yaml"), released / "out", Inline())

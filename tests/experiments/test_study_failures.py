@@ -157,7 +157,7 @@ def test_one_command_at_a_time_runs_a_study(copied: tuple[Study, Path], capsys: 
         ("flights", lambda text: text.splitlines()[0] + "\n" + "1," * 60 + "\n", "not a table"),
         ("flights", lambda text: text.splitlines()[0] + "\n1,2\n", "line 2, column 'scenario': is empty"),
         ("flights", lambda text: "", "not a table"),
-        ("flights", None, "not a table"),
+        ("flights", None, "cannot be read: it is damaged"),
     ],
 )
 def test_damaged_results_are_named(

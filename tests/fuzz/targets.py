@@ -24,6 +24,7 @@ from uavaou.algorithms.registry import load_config
 from uavaou.devices_csv import read_devices_csv
 from uavaou.errors import InputError, all_faults
 from uavaou.evaluation.recorded_mission import read_mission
+from uavaou.experiments.study import Study
 from uavaou.family import Family
 from uavaou.onboard import runner
 from uavaou.plain_yaml import parse_yaml
@@ -36,7 +37,6 @@ from uavaou.runs.folder import EPISODE_COLUMNS, RunConfig, RunFolder
 from uavaou.runs.records import EpisodesCsv, ProgressCsv
 from uavaou.runs.results import read_evaluation
 from uavaou.scenario import Scenario
-from uavaou.studies.study import Study
 from uavaou.suites.suite import Suite
 from uavaou.tuning.search import Search, SearchFolder
 from uavaou.tuning.search_space import SearchSpace

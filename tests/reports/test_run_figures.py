@@ -208,7 +208,7 @@ def replace_in(name: str, old: str, new: str) -> Callable[[Path], None]:
 
 BROKEN: list[tuple[Callable[[Path], object], list[str]]] = [
     (lambda folder: RunFolder(folder).config.unlink(), ["config.yaml"]),
-    (lambda folder: (folder / "episodes.csv").unlink(), ["episodes.csv", "not a table: No such file"]),
+    (lambda folder: (folder / "episodes.csv").unlink(), ["episodes.csv", "cannot be read"]),
     (lambda folder: (folder / "episodes.csv").write_text(""), ["episodes.csv", "not a table"]),
     (lambda folder: (folder / "episodes.csv").write_text(",".join(HEADER) + "\n"), ["no mission has ended"]),
     (replace_in("episodes.csv", "wall_s", "seconds"), ["episodes.csv", "'wall_s' is missing"]),
@@ -217,7 +217,7 @@ BROKEN: list[tuple[Callable[[Path], object], list[str]]] = [
     (replace_in("episodes.csv", "\n2,48,", "\n2\n"), ["episodes.csv: line 3", "is empty"]),
     (replace_in("progress.csv", "900", "none"), ["progress.csv: line 3", "'none'"]),
     (replace_in("config.yaml", "algorithm:", "algorithm: ]"), ["config.yaml", "not valid YAML"]),
-    (lambda folder: (folder / "flights.csv.gz").write_text("x"), ["flights.csv.gz", "not a table"]),
+    (lambda folder: (folder / "flights.csv.gz").write_text("x"), ["flights.csv.gz", "not packed by gzip"]),
 ]
 
 

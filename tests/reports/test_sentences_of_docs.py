@@ -50,9 +50,9 @@ def of_paper(text: str) -> bool:
 
 
 def kept_policies(text: str) -> bool:
-    runs = study("paper").table("runs")
+    runs = study("paper").flights.dropna(subset="seed").drop_duplicates(["policy", "seed"])
     worse = runs["mean_aou_slots"] / runs["best_slots"] - 1
-    vdn = np.isin(runs["variant"], ["vdn", "vdn with value"])
+    vdn = np.isin(runs["policy"], ["vdn", "vdn with value"])
     others = f"{100 * worse[~vdn].max():.1f} %", f"{sum(~vdn)} best policies"
     return states(text, "100", *others, f"{100 * worse[vdn].max():.1f} %", f"{sum(vdn)} of VDN")
 
@@ -129,7 +129,7 @@ CHECKED: dict[str, Callable[[str], bool]] = {
     "Flattened stepping": stepped,
     "MAPPO trains": trained,
     "fifty trainings of 3M slots": lambda text: (
-        f"{study('paper').table('runs')['cpu_s'].sum() / 60:.0f} minutes" in text
+        f"{study('paper').flights.drop_duplicates(['policy', 'seed'])['cpu_s'].sum() / 60:.0f} minutes" in text
     ),
     "VDN plays and learns": learned("vdn"),
     "QMIX, with the settings before its search": learned("qmix"),

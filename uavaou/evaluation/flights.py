@@ -7,10 +7,8 @@ AoU is in units of the slot length tau (``_slots``). docs/studies.md says what e
 
 from __future__ import annotations
 
-import gzip
 import io
 import warnings
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +20,7 @@ import pandas as pd
 from uavaou.arrays import Floats
 from uavaou.csv_tables import number
 from uavaou.errors import InputError
-from uavaou.files import replacing, writing
+from uavaou.files import read_text, replacing, writing
 
 BOUND = "bound"  # the policy's name in the one row of a certified bound
 
@@ -68,7 +66,7 @@ TRAINING, VALIDATION, SAMPLED, SLOTS, DEVICES, PERIODS = (
     "training", "validation", "validation, sampled", "slots", "devices", "periods",
 )  # fmt: skip
 _FLOWN, _DRAWN = ("policy", "scenario", "mean_aou_slots"), ("policy", "scenario", "curve", "x")  # filled in each row
-_MOST_BYTES = 1_000_000_000  # of a table that is unpacked
+_MOST_BYTES = 500_000_000  # of a table that is unpacked
 
 
 class PartKey(NamedTuple):
@@ -202,15 +200,14 @@ def read_table(path: Path, columns: Mapping[str, str], needed: Sequence[str] = (
     Raises:
         InputError: it cannot be read, lacks a ``needed`` column, or a cell is not of its column's type.
     """
+    content = read_text(path, _MOST_BYTES)
     try:
-        with gzip.open(path, "rt", encoding="utf-8") if path.suffix == ".gz" else path.open(encoding="utf-8") as file:
-            content = file.read(_MOST_BYTES)
         whole = io.StringIO(content[: content.rfind("\n") + 1])  # an interrupted writer leaves a part of a line
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # of a row that is too long
             text = pd.read_csv(whole, dtype="string", keep_default_na=False, na_values=[""], index_col=False)
-    except (OSError, EOFError, ValueError, zlib.error, pd.errors.ParserWarning) as error:
-        told = getattr(error, "strerror", None) or str(error).strip().splitlines()[-1]
+    except (ValueError, pd.errors.ParserWarning) as error:
+        told = str(error).strip().splitlines()[-1]
         raise InputError(f"{path}: not a table: {told}") from error
     for name in needed:
         if name not in text.columns:
