@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from uavaou.envs.flatten import flatten as flatten
     from uavaou.envs.vec_env import LocalRows as LocalRows
     from uavaou.errors import InputError as InputError
+    from uavaou.experiments.results import read_study as read_study
     from uavaou.family import Family as Family
     from uavaou.runs.comparison import evaluate as evaluate
     from uavaou.runs.folder import RunConfig as RunConfig
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from uavaou.runs.rehearsal import rehearse as rehearse
     from uavaou.runs.train import train as train
     from uavaou.scenario import Scenario as Scenario
-    from uavaou.experiments.results import read_study as read_study
     from uavaou.world import World as World
 
 __version__ = "0.1.0"
