@@ -21,7 +21,7 @@ from uavaou.reports.suites import SuiteRow, SuiteTable, read_suites
 from uavaou.runs.released import released_folder
 from uavaou.statistics import geometric_mean
 from uavaou.suites.play import RATIO_ABOVE, REFERENCE
-from uavaou.suites.suite import Suite
+from uavaou.experiments.suite import Suite
 from uavaou.threads import use_threads
 from uavaou_cli.main import main as uavaou
 

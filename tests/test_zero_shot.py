@@ -11,7 +11,7 @@ from benchmarks.zero_shot import CARD, TABLES, told, write_pages
 from uavaou.reports.suites import read_suite
 from uavaou.runs.released import released_folder
 from uavaou.studies.results import read_study
-from uavaou.suites.suite import Suite
+from uavaou.experiments.suite import Suite
 
 ROOT = Path(__file__).resolve().parents[1]
 SUITES = ROOT / "results" / "suites"

@@ -37,7 +37,7 @@ from uavaou.runs.records import EpisodesCsv, ProgressCsv
 from uavaou.runs.results import read_evaluation
 from uavaou.scenario import Scenario
 from uavaou.studies.study import Study
-from uavaou.suites.suite import Suite
+from uavaou.experiments.suite import Suite
 from uavaou.tuning.search import Search, SearchFolder
 from uavaou.tuning.search_space import SearchSpace
 from uavaou.zoo import zoo_path

@@ -37,6 +37,9 @@ FLIGHTS = KEY | {
     "suite": TEXT,
     "point": TEXT,
     "x": NUMBER,
+    "axis": TEXT,  # title, linear, log or category, and yes or no: how the figure of a suite has its points
+    "scale": TEXT,
+    "joined": TEXT,
     "mission_seed": WHOLE,
     "mean_aou_slots": NUMBER,
     "communications": NUMBER,

@@ -1,5 +1,7 @@
 """From names to policies, and a comparison: trained runs and planners play the same missions of one scenario."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from os.path import realpath  # Path.resolve fails in a circle of symbolic links

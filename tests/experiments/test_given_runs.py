@@ -7,17 +7,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
-from tests.suites.small_suites import GOOD
+from tests.experiments.small_suites import GOOD
 from uavaou.algorithms.registry import load_config
+from uavaou.experiments.given_runs import name_runs
+from uavaou.experiments.study import Study
+from uavaou.experiments.suite import Suite
+from uavaou.experiments.suite_flights import SuiteFlights, budget_lines, plan_suite
 from uavaou.family import Family
 from uavaou.runs.folder import RunConfig
 from uavaou.scenario import Scenario
-from uavaou.studies.study import Study
-from uavaou.suites.given_runs import budget_lines, name_runs
-from uavaou.suites.play import SuitePlan, plan_suite
-from uavaou.suites.suite import Suite
 from uavaou.zoo import zoo_names
 
 
@@ -32,7 +33,7 @@ def configs(*stated: dict[str, Any]) -> dict[Path, RunConfig]:
     return found
 
 
-def planned(suite: Suite, given: dict[Path, RunConfig], **changes: Any) -> SuitePlan:
+def planned(suite: Suite, given: dict[Path, RunConfig], **changes: Any) -> SuiteFlights:
     base = Scenario.load("tiny").replace(**changes)
     return plan_suite(suite, {str(path): config for path, config in given.items()}, (), "tiny", base)
 
@@ -40,10 +41,10 @@ def planned(suite: Suite, given: dict[Path, RunConfig], **changes: Any) -> Suite
 def flown(suite: Suite, given: dict[Path, RunConfig]) -> dict[tuple[str, str], list[tuple[str, str]]]:
     """(point, policy) -> the runs that fly it, each with how; none where no run of the policy fits."""
     plan = planned(suite, given)
-    found: dict[tuple[str, str], list[tuple[str, str]]] = {(point.label, policy): [] for point, policy in plan.unflown}
-    for flight in plan.flights:
+    found: dict[tuple[str, str], list[tuple[str, str]]] = {(one.point.label, one.policy): [] for one in plan.unflown}
+    for flight in plan.planned:
         assert flight.run is not None
-        found.setdefault((flight.point.label, flight.policy), []).append((flight.run.folder.path.name, flight.kind))
+        found.setdefault((flight.point.label, flight.policy), []).append((flight.run.folder.path.name, flight.how))
     return found
 
 
@@ -93,15 +94,24 @@ def test_an_unfinished_training_counts_with_its_trained_slots(by_devices: Suite,
         assert name_runs({tmp_path: config}, by_devices, [])[0].slots == 1000
 
 
-def test_budgets_are_listed_where_they_differ() -> None:
-    assert budget_lines([("mappo", "10", 1000), ("mappo", "25", 1000), ("vdn", "10", 1000)]) == []
-    assert budget_lines([("mappo", "10", 1000), ("vdn", "10", 3000)]) == [
-        "mappo: trained with slots = 1,000",
-        "vdn: trained with slots = 3,000",
-    ]
-    assert budget_lines([("any-map", "10", 1000), ("vdn", "10", 3000)]) == []  # its model card states its stages
-    flown = [("mappo", "10", 1000), *[("mappo", "25", 3000)] * 5, ("mappo", "50", 1000)]
-    assert budget_lines(flown) == ["mappo: trained with slots = 1,000 at 10, 50; 3,000 at 25"]
+@pytest.mark.parametrize(
+    ("flown", "lines"),
+    [
+        ([("mappo", "10", 1000), ("mappo", "25", 1000), ("vdn", "10", 1000)], []),
+        (
+            [("mappo", "10", 1000), ("vdn", "10", 3000), ("greedy", "10", None)],
+            ["mappo: trained with slots = 1,000", "vdn: trained with slots = 3,000"],
+        ),
+        ([("any-map", "10", 1000), ("vdn", "10", 3000)], []),  # its model card states its stages
+        (
+            [("mappo", "10", 1000), *[("mappo", "25", 3000)] * 5, ("mappo", "50", 1000)],
+            ["mappo: trained with slots = 1,000 at 10, 50; 3,000 at 25"],
+        ),
+    ],
+)
+def test_budgets_are_listed_where_they_differ(flown: list[tuple[str, str, int | None]], lines: list[str]) -> None:
+    rows = pd.DataFrame(flown, columns=["policy", "point", "slots"]).astype({"slots": "Int64"})
+    assert budget_lines(rows) == lines
 
 
 def test_settings_budgets_and_starts_make_another_policy(by_devices: Suite) -> None:
@@ -154,7 +164,7 @@ def test_companion_studies_train_for_every_point(name: str) -> None:
     }
     plan = plan_suite(suite, {str(path): config for path, config in configs.items()})
     # One training on layouts drawn anew flies all of the suite `layouts`, which none of them is from.
-    trained = {flight.point.label for flight in plan.flights if flight.kind == "trained"}
+    trained = {flight.point.label for flight in plan.planned if flight.how == "trained"}
     assert trained == (set() if name == "suite-layouts" else {point.label for point in suite.points})
     assert not plan.unflown
     missing = plan_suite(suite, {}).missing

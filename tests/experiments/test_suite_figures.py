@@ -12,13 +12,13 @@ import pytest
 import yaml
 
 from tests.committed import RESULTS
-from tests.suites.small_suites import GOOD, OWN, call
+from tests.experiments.small_suites import GOOD, OWN, call
 from uavaou.errors import InputError
+from uavaou.experiments.suite import Suite
+from uavaou.experiments.suite_flights import plan_suite, play_suite, write_suite
 from uavaou.planners import make_planner
 from uavaou.reports import style
 from uavaou.reports.suites import plot_suite, read_suite, read_suites
-from uavaou.suites.play import plan_suite, play_suite, write_suite
-from uavaou.suites.suite import Suite
 
 
 def test_a_table_is_drawn(capsys: pytest.CaptureFixture[str], place: Path) -> None:

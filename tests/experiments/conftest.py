@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.suites.small_suites import OWN, TRAIN
+from tests.experiments.small_suites import OWN, TRAIN
 from uavaou_cli.main import main
 
 

@@ -3,20 +3,21 @@
 A run flies every point that it fits.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
-from typing import Any
-from urllib.parse import quote
+from typing import Any, NamedTuple
 
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
+from uavaou.experiments.suite import ResolvedPoint, Suite
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.names import family_folder, scenario_folder, train_command
-from uavaou.runs.released import released_names
+from uavaou.runs.names import family_folder, name_with, scenario_folder, train_command
 from uavaou.scenario import Scenario
-from uavaou.suites.suite import ResolvedPoint, Suite
 
 # Settings that do not make another policy.
 _NOT_NAMED = ("missions", "processes", "evaluate_every_slots", "evaluation_missions")
@@ -29,7 +30,6 @@ class SuiteRun:
     folder: RunFolder
     config: RunConfig
     policy: str  # the algorithm, with the settings in which runs of it differ
-    zero_shot_name: str  # of the policy where this run was not trained for the point
     trained_on: str  # the scenario or the family, named as its folder of results
     slots: int  # of its training: the budget, or those of an unfinished one's last checkpoint
     flies: frozenset[str]  # labels of the points
@@ -40,8 +40,7 @@ class SuiteRun:
         return self.config.family is None and own == other
 
 
-@dataclass(frozen=True)
-class MissingTraining:
+class MissingTraining(NamedTuple):
     """A training for points that none of the given runs of a policy fits."""
 
     policy: str
@@ -52,19 +51,16 @@ class MissingTraining:
 def name_runs(configs: Mapping[Path, RunConfig], suite: Suite, points: Iterable[ResolvedPoint]) -> list[SuiteRun]:
     """Name the policy of each run, and find the points that it flies.
 
-    An observation level that the suite varies does not make another policy. A released policy keeps its own name. Where
-    runs of one policy that were trained on different scenarios fly the same point, the zero-shot ones among them have
-    names of their own.
+    An observation level that the suite varies does not make another policy. A released policy keeps its own name.
 
     Args:
         configs: by run folder.
         suite: which the runs are to fly.
         points: of the suite.
     """
-    varied = any(point.observation for point in suite.points)
-    apart = {*_NOT_NAMED, *(["observation"] if varied else [])}
+    apart = {*_NOT_NAMED, *(["observation"] if any(point.observation for point in suite.points) else [])}
     settings = {
-        path: {k: v for k, v in config.algorithm.model_dump(mode="json").items() if k not in apart}
+        path: config.algorithm.model_dump(mode="json", exclude=apart)
         | {"slots": config.slots}
         | ({"from": config.start[:12]} if config.start else {})
         for path, config in configs.items()
@@ -76,20 +72,16 @@ def name_runs(configs: Mapping[Path, RunConfig], suite: Suite, points: Iterable[
         name = str(folder) if folder.is_released else _policy_name(settings[path], settings.values())
         trained_on = family_folder(config.family) if config.family else scenario_folder(config.scenario)
         flies = frozenset(point.label for point in feasible if _fits(config, point))
-        runs.append(SuiteRun(folder, config, name, name, trained_on, _trained_slots(folder, config), flies))
-    return _name_trainings(runs)
+        runs.append(SuiteRun(folder, config, name, trained_on, _trained_slots(folder, config), flies))
+    return runs
 
 
 def _policy_name(own: Mapping[str, Any], every: Iterable[Mapping[str, Any]]) -> str:
     """The name of the policy with these settings, given those of all runs."""
     alike = [other for other in every if other["name"] == own["name"]]
-    differing = [k for k, v in own.items() if any(other.get(k) != v for other in alike)]
-    changes = ",".join(f"{k}={quote(_plain(own[k]), safe='.-_')}" for k in differing)
-    return f"{own['name']}+{changes}" if changes else str(own["name"])
-
-
-def _plain(value: Any) -> str:
-    return json.dumps(value) if isinstance(value, list | dict | bool) else str(value)
+    differing = {key: value for key, value in own.items() if any(other.get(key) != value for other in alike)}
+    changes = {key: value if isinstance(value, str) else json.dumps(value) for key, value in differing.items()}
+    return name_with(own["name"], changes)
 
 
 def _fits(config: RunConfig, point: ResolvedPoint) -> bool:
@@ -97,27 +89,19 @@ def _fits(config: RunConfig, point: ResolvedPoint) -> bool:
 
 
 def _trained_slots(folder: RunFolder, config: RunConfig) -> int:
-    budget = config.slots
     try:
-        meta = folder.read_meta()
+        return min(folder.read_meta().slots, config.slots)  # the last update may go beyond the budget
     except InputError:  # nothing is known but the budget
-        return budget
-    return budget if meta.finished else min(meta.slots, budget)
+        return config.slots
 
 
-def _name_trainings(runs: Sequence[SuiteRun]) -> list[SuiteRun]:
-    """Name zero-shot runs also by what they were trained on, where several trainings of a policy fly one point."""
-    trainings: dict[tuple[str, str], set[str]] = {}  # policy, point -> what its runs were trained on
-    for run in runs:
-        for label in run.flies:
-            trainings.setdefault((run.policy, label), set()).add(run.trained_on)
-    several = {policy for (policy, _), found in trainings.items() if len(found) > 1}
-    return [
-        replace(run, zero_shot_name=f"{run.policy}{',' if '+' in run.policy else '+'}on={run.trained_on}")
-        if run.policy in several
-        else run
-        for run in runs
-    ]
+def trained_apart(runs: Iterable[SuiteRun]) -> set[str]:
+    """The policies of which several trainings fly one point, to be told apart by what they were trained on."""
+    return {
+        one.policy
+        for one, other in combinations(runs, 2)
+        if one.policy == other.policy and one.trained_on != other.trained_on and one.flies & other.flies
+    }
 
 
 def why_unfit(policy: str, point: ResolvedPoint, runs: Iterable[SuiteRun]) -> str:
@@ -169,27 +153,3 @@ def _training_scenario(scenario: Scenario, base: Scenario) -> Scenario:
         return scenario
     own, other = ((one.layout, one.layout_seed, one.devices_m) for one in (base, scenario))
     return base if own == other or base.layout == "resample" else base.replace(layout="resample")
-
-
-def budget_lines(flown: Iterable[tuple[str, str, int]]) -> list[str]:
-    """How long each policy was trained, where not all of them were trained alike; else nothing.
-
-    Released policies have no line: they were trained in several stages, which their model cards state.
-
-    Args:
-        flown: policy, point label and training slots of every run at every point that it flew.
-    """
-    found: dict[str, dict[int, dict[str, None]]] = {}  # policy -> slots -> labels, in the order of the points
-    released = released_names()
-    for policy, label, slots in flown:
-        if policy in released:
-            continue
-        found.setdefault(policy, {}).setdefault(slots, {})[label] = None
-    if len({slots for budgets in found.values() for slots in budgets}) < 2:
-        return []
-    lines = []
-    for policy, budgets in found.items():
-        several = len(budgets) > 1
-        at = [f"{slots:,}" + (f" at {', '.join(labels)}" if several else "") for slots, labels in budgets.items()]
-        lines.append(f"{policy}: trained with slots = {'; '.join(at)}")
-    return lines
