@@ -33,7 +33,6 @@ LAYERS = (
     "evaluation",
     "runs",
     "onboard",
-    "suites",
     "studies",
     "tuning",
     "reports",

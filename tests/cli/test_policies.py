@@ -12,6 +12,7 @@ import pytest
 
 from tests.cli.commands import TINY, call, contents, runs
 from uavaou import evaluate
+from uavaou.evaluation.flights import FLIGHTS, Flights, read_table
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.reports import mission_figures
 from uavaou.runs.names import scenario_folder
@@ -54,11 +55,11 @@ def test_commands_take_a_released_policy_by_name(capsys: pytest.CaptureFixture[s
     before = contents(released_folder())
     (released / "own.yaml").write_text(SUITE)
     commands = {
-        "eval any-map --episodes 2 --json e.json": "any-map",
+        "eval any-map --episodes 2 --out e.csv": "any-map",
         "eval any-map --episodes 2 --scenario tiny --set scenario.layout_seed=4": "any-map",
         "eval --policy any-map --policy greedy --episodes 2": "any-map",
         "gap tiny any-map --episodes 1 --time-limit 1": "any-map",
-        "eval any-map --policy greedy --suite own.yaml --episodes 2 --json s.json": "any-map",
+        "eval any-map --policy greedy --suite own.yaml --episodes 2 --out s.csv.gz": "any-map",
         "plot trajectories any-map": "results/any-map/figures/mission-10000-map.png",
         "export any-map --out policy.safetensors": "policy.safetensors",
     }
@@ -68,9 +69,9 @@ def test_commands_take_a_released_policy_by_name(capsys: pytest.CaptureFixture[s
         assert shown in out, command
         assert str(released_folder()) not in out
     assert contents(released_folder()) == before  # nothing is written into the package
-    assert list(json.loads((released / "e.json").read_text())["policies"]) == ["any-map"]
-    points = json.loads((released / "s.json").read_text())["points"]
-    assert [list(point["policies"]) for point in points] == [["any-map", "greedy"]] * 2 + [["greedy"]]
+    assert set(read_table(released / "e.csv", FLIGHTS)["policy"]) == {"any-map"}
+    flown = read_table(released / "s.csv.gz", FLIGHTS).groupby("point", sort=False)["policy"].unique()
+    assert [list(there) for there in flown] == [["any-map", "greedy"]] * 2 + [["greedy"]]
 
 
 @pytest.mark.slow
@@ -80,15 +81,16 @@ def test_a_table_of_the_zero_shot_page_is_measured(released: Path, monkeypatch: 
     (released / "own.yaml").write_text(SUITE)
     monkeypatch.setitem(zero_shot.TABLES, "mine", ["--suite", "own.yaml", "--episodes", "2"])
     assert zero_shot.measure("any-map", "mine") == 0
-    found = zero_shot.read_suites([released / "results" / "suites" / "any-map" / "mine.csv"])[0]
+    found = zero_shot.read_suites([released / "results" / "suites" / "any-map" / "mine.csv.gz"])[0]
     assert list(zero_shot.means(found, "any-map")) == ["as it is", "5"]
     assert "`best-first` | 3 " not in zero_shot.summary("any-map", [found])  # it is below 20 slots on tiny
 
 
 @pytest.mark.slow
 def test_a_study_evaluates_a_released_policy(capsys: pytest.CaptureFixture[str], released: Path) -> None:
-    from tests.studies.tiny_study import Inline, run_inline
     from uavaou.studies.study import Study
+
+    from tests.studies.tiny_study import Inline, run_inline
 
     (released / "mine.yaml").write_text(STUDY)
     ended = run_inline(Study.load(released / "mine.yaml"), released / "out", Inline())
@@ -114,8 +116,8 @@ def test_a_folder_goes_before_it_only_with_a_path_separator(
     # Beside a run's own policy it is kept as planners are, and so drawn in figures 7 and 8.
     shutil.copytree(trained / runs(trained)["run"], released / "own")
     assert call(capsys, "eval own --policy any-map --policy greedy --episodes 2 --quiet")[0] == 0
-    kept = json.loads((released / "own" / "eval" / "default.json").read_text())
-    assert list(kept["policies"]) == ["mappo", "any-map", "greedy"]
+    kept = Flights.read(released / "own").flights
+    assert list(kept["policy"].unique()) == ["mappo", "any-map", "greedy"]
     code, out, err = call(capsys, "eval ./x/any-map")
     assert err.endswith("does not exist; the released policy is named without a path: any-map\n")
 

@@ -17,7 +17,7 @@ from uavaou.statistics import interval_over_missions
 
 
 def flights(path: Path) -> pd.DataFrame:
-    return read_table(path, FLIGHTS, ("suite", "point"))
+    return read_table(path, FLIGHTS)
 
 
 def test_a_suite_is_played_printed_and_written(capsys: pytest.CaptureFixture[str], place: Path) -> None:
@@ -193,13 +193,15 @@ def test_a_damaged_run_is_found_before_anything_is_played(capsys: pytest.Capture
         ("eval run --suite fading --time-limit 5", "needs a --policy that plans ahead"),
         ("eval run --suite fading --policy anneal --time-limit nan", "must be a positive number"),
         ("plot suite", "no FILE"),
-        ("plot suite own.yaml", "column 'suite' is missing"),
+        ("plot suite own.yaml", "own.yaml: not a table"),
+        ("plot suite other.csv", "column 'suite' is missing"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(
     capsys: pytest.CaptureFixture[str], place: Path, command: str, words: str
 ) -> None:
     (place / "empty.yaml").touch()
+    (place / "other.csv").write_text("x,y\n1,2\n")
     (place / "misspelt.yaml").write_text(OWN.replace("points", "ponits"))
     shutil.copytree(place / "run", place / "begun", ignore=shutil.ignore_patterns("*.safetensors"))
     before = sorted(place.rglob("*"))

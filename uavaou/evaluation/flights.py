@@ -71,6 +71,7 @@ TRAINING, VALIDATION, SAMPLED, SLOTS, DEVICES, PERIODS = (
 )  # fmt: skip
 _ALWAYS = (*KEY, "mean_aou_slots")  # columns that are written also without any value
 _MOST_BYTES = 1_000_000_000  # of a table that is unpacked
+_LARGEST = 2**53  # whole numbers up to here are exact as floats
 
 
 class PartKey(NamedTuple):
@@ -212,6 +213,8 @@ def read_table(path: Path, columns: Mapping[str, str], needed: Iterable[str] = (
     except (OSError, EOFError, ValueError, zlib.error) as error:
         told = getattr(error, "strerror", None) or str(error).strip().splitlines()[-1]
         raise InputError(f"{path}: not a table: {told}") from error
+    if not isinstance(text.index, pd.RangeIndex):  # pandas takes the first cells as names of the rows
+        raise InputError(f"{path}: line 2: more cells than the header, {', '.join(text.columns)[:200]}")
     for name in needed:
         if name not in text.columns:
             raise InputError(f"{path}: column '{name}' is missing (header: {', '.join(text.columns)[:200]})")
@@ -229,7 +232,7 @@ def _cells(path: Path, text: pd.DataFrame, name: str, kind: str) -> pd.Series[An
     values = pd.to_numeric(cells, errors="coerce").astype(NUMBER)
     wrong = ~np.isfinite(values.fillna(np.nan)) & cells.notna()
     if kind == WHOLE:
-        wrong |= (values % 1 != 0) & cells.notna()
+        wrong |= ((values % 1 != 0) | (values.abs() > _LARGEST)) & cells.notna()
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
         expected = "a whole number" if kind == WHOLE else "a finite number"
