@@ -162,7 +162,7 @@ def _evaluate_suite(
     scenario: str | None,
     overrides: Overrides,
     configs: Mapping[str, RunConfig],
-    planners: Mapping[str, Planner],
+    planners: dict[str, Planner],
     episodes: int,
     seed: int,
     action: str | None,
@@ -173,6 +173,7 @@ def _evaluate_suite(
     from uavaou.evaluation.flights import write_table
     from uavaou.experiments.suite import Suite
     from uavaou.experiments.suite_flights import plan_suite
+    from uavaou.runs.comparison import load_runs
     from uavaou.scenario import Scenario
 
     suite = Suite.load(name)
@@ -183,11 +184,12 @@ def _evaluate_suite(
     if not configs and not planners:
         show(_point_lines(flights))
         return
-    flights.check_runs(action)
+    flying = [run.name for run in flights.runs if run.flies]
+    policies = (load_runs(flying, None, action) if flying else {}) | planners  # all, before hours are spent
     slots = episodes * max((one.point.played.slots for one in flights.planned), default=0)
     try:
         with EvaluationDisplay(quiet, [one.name for one in flights.planned], slots) as display:
-            flights.play(planners, episodes, seed, display, action)
+            flights.play(policies, episodes, seed, display)
         if out is not None:
             write_table(out, flights.table)
     finally:  # what has been played is shown even where Ctrl-C ended it, or a disk has filled
@@ -234,7 +236,7 @@ def _suite_lines(flights: SuiteFlights, episodes: int, seed: int) -> list[str]:
     lines += paragraphs(f"{policy} does not fly {points}: {reason}" for (policy, reason), points in unflown.items())
     trained = _together((run.policy, run.trained_on) for run in flights.runs)
     lines += paragraphs(f"{policy}: trained on {places}" for policy, places in trained.items())
-    lines += [*_missing_lines(flights), *(f"not used: {run.folder}" for run in flights.runs if not run.flies)]
+    lines += [*_missing_lines(flights), *(f"not used: {run.name}" for run in flights.runs if not run.flies)]
     if unflown or any(point.scenario is None for point in flights.points):
         lines += ["", "- not played, see above"]
     return lines

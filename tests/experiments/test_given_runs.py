@@ -22,29 +22,29 @@ from uavaou.scenario import Scenario
 from uavaou.zoo import zoo_names
 
 
-def configs(*stated: dict[str, Any]) -> dict[Path, RunConfig]:
+def configs(*stated: dict[str, Any]) -> dict[str, RunConfig]:
     """Runs on tiny with some changes: ``algorithm``, ``seed``, and fields of the scenario or the algorithm."""
     found = {}
     for number, given in enumerate(stated):
         fields = dict(given)
         name, seed = fields.pop("algorithm", "mappo-paper"), fields.pop("seed", 0)
         own = {key: fields.pop(key) for key in list(fields) if key in ("observation", "gamma", "slots")}
-        found[Path(f"run-{number}")] = RunConfig(Scenario.load("tiny").replace(**fields), load_config(name, own), seed)
+        found[f"run-{number}"] = RunConfig(Scenario.load("tiny").replace(**fields), load_config(name, own), seed)
     return found
 
 
-def planned(suite: Suite, given: dict[Path, RunConfig], **changes: Any) -> SuiteFlights:
+def planned(suite: Suite, given: dict[str, RunConfig], **changes: Any) -> SuiteFlights:
     base = Scenario.load("tiny").replace(**changes)
-    return plan_suite(suite, {str(path): config for path, config in given.items()}, (), "tiny", base)
+    return plan_suite(suite, given, (), "tiny", base)
 
 
-def flown(suite: Suite, given: dict[Path, RunConfig]) -> dict[tuple[str, str], list[tuple[str, str]]]:
+def flown(suite: Suite, given: dict[str, RunConfig]) -> dict[tuple[str, str], list[tuple[str, str]]]:
     """(point, policy) -> the runs that fly it, each with how; none where no run of the policy fits."""
     plan = planned(suite, given)
     found: dict[tuple[str, str], list[tuple[str, str]]] = {(one.point.label, one.policy): [] for one in plan.unflown}
     for flight in plan.planned:
         assert flight.run is not None
-        found.setdefault((flight.point.label, flight.policy), []).append((flight.run.folder.path.name, flight.how))
+        found.setdefault((flight.point.label, flight.policy), []).append((flight.run.name, flight.how))
     return found
 
 
@@ -88,10 +88,10 @@ def test_scenarios_are_compared_without_their_names(by_devices: Suite) -> None:
 def test_an_unfinished_training_counts_with_its_trained_slots(by_devices: Suite, tmp_path: Path) -> None:
     (tmp_path / "meta.json").write_text('{"slots": 700, "agent_steps": 1400, "wall_s": 1.0, "finished": false}')
     config = RunConfig(Scenario.load("tiny"), load_config("mappo-paper", {"slots": 1000}), 0)
-    assert name_runs({tmp_path: config}, by_devices, [])[0].slots == 700
+    assert name_runs({str(tmp_path): config}, by_devices, [])[0].slots == 700
     for content in ('{"slots": 1020, "finished": true}', '{"slots": "many", "finished": false}', "[]", "{"):
         (tmp_path / "meta.json").write_text(content)
-        assert name_runs({tmp_path: config}, by_devices, [])[0].slots == 1000
+        assert name_runs({str(tmp_path): config}, by_devices, [])[0].slots == 1000
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_settings_budgets_and_starts_make_another_policy(by_devices: Suite) -> N
     assert policies({"slots": 1000}, {"slots": 3000}) == {"mappo+slots=1000", "mappo+slots=3000"}
     assert policies({}, {"seed": 1}) == {"mappo"}
     given = configs({}, {})
-    given[Path("run-1")] = replace(given[Path("run-1")], start="0123456789ab" + "c" * 52)
+    given["run-1"] = replace(given["run-1"], start="0123456789ab" + "c" * 52)
     assert [run.policy for run in planned(by_devices, given).runs] == ["mappo", "mappo+from=0123456789ab"]
 
 
@@ -158,11 +158,11 @@ def test_a_missing_training_takes_the_budget_of_its_policy(by_devices: Suite) ->
 def test_companion_studies_train_for_every_point(name: str) -> None:
     study, suite = Study.load(name), Suite.load(name.removeprefix("suite-"))
     configs = {
-        Path(f"{s}-{a}"): RunConfig(scenario, algorithm, 0)
+        f"{s}-{a}": RunConfig(scenario, algorithm, 0)
         for s, scenario in enumerate(study.scenarios.values())
         for a, algorithm in enumerate(study.variants.values())
     }
-    plan = plan_suite(suite, {str(path): config for path, config in configs.items()})
+    plan = plan_suite(suite, configs)
     # One training on layouts drawn anew flies all of the suite `layouts`, which none of them is from.
     trained = {flight.point.label for flight in plan.planned if flight.how == "trained"}
     assert trained == (set() if name == "suite-layouts" else {point.label for point in suite.points})
@@ -175,7 +175,7 @@ def test_companion_studies_train_for_every_point(name: str) -> None:
 def test_runs_of_families_are_never_trained_for_a_point(by_devices: Suite) -> None:
     given = configs({}, {"layout": "resample"})
     family = Family.from_dict({"base": Scenario.load("tiny").to_dict(), "name": "mine"})
-    given[Path("drawn")] = replace(given[Path("run-0")], family=family)
+    given["drawn"] = replace(given["run-0"], family=family)
     found = flown(by_devices, given)
     assert found["4", "mappo"] == [("run-0", "trained")]
     (policy,) = {policy for _, policy in found if "family" in policy}

@@ -9,7 +9,6 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from uavaou.algorithms.registry import load_config
@@ -17,6 +16,7 @@ from uavaou.errors import InputError
 from uavaou.experiments.suite import ResolvedPoint, Suite
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.names import family_folder, name_with, scenario_folder, train_command
+from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 
 # Settings that do not make another policy.
@@ -27,7 +27,7 @@ _NOT_NAMED = ("missions", "processes", "evaluate_every_slots", "evaluation_missi
 class SuiteRun:
     """A trained run in a suite."""
 
-    folder: RunFolder
+    name: str  # as it was given
     config: RunConfig
     policy: str  # the algorithm, with the settings in which runs of it differ
     trained_on: str  # the scenario or the family, named as its folder of results
@@ -48,31 +48,30 @@ class MissingTraining(NamedTuple):
     command: tuple[str, ...]
 
 
-def name_runs(configs: Mapping[Path, RunConfig], suite: Suite, points: Iterable[ResolvedPoint]) -> list[SuiteRun]:
+def name_runs(configs: Mapping[str, RunConfig], suite: Suite, points: Iterable[ResolvedPoint]) -> list[SuiteRun]:
     """Name the policy of each run, and find the points that it flies.
 
     An observation level that the suite varies does not make another policy. A released policy keeps its own name.
 
     Args:
-        configs: by run folder.
+        configs: by released policy or run folder.
         suite: which the runs are to fly.
         points: of the suite.
     """
     apart = {*_NOT_NAMED, *(["observation"] if any(point.observation for point in suite.points) else [])}
     settings = {
-        path: config.algorithm.model_dump(mode="json", exclude=apart)
+        name: config.algorithm.model_dump(mode="json", exclude=apart)
         | {"slots": config.slots}
         | ({"from": config.start[:12]} if config.start else {})
-        for path, config in configs.items()
-        if not RunFolder(path).is_released
+        for name, config in configs.items()
+        if not RunFolder.at(name).is_released
     }
     feasible, runs = [point for point in points if point.scenario], []
-    for path, config in configs.items():
-        folder = RunFolder(path)
-        name = str(folder) if folder.is_released else _policy_name(settings[path], settings.values())
+    for name, config in configs.items():
+        policy = _policy_name(settings[name], settings.values()) if name in settings else name
         trained_on = family_folder(config.family) if config.family else scenario_folder(config.scenario)
         flies = frozenset(point.label for point in feasible if _fits(config, point))
-        runs.append(SuiteRun(folder, config, name, trained_on, _trained_slots(folder, config), flies))
+        runs.append(SuiteRun(name, config, policy, trained_on, _trained_slots(RunFolder.at(name), config), flies))
     return runs
 
 
@@ -138,7 +137,7 @@ def missing_trainings(
     wanted: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for point, policy in unflown:
         own = [run for run in runs if run.policy == policy]
-        if any(run.folder.is_released or run.config.family for run in own):
+        if policy in released_names() or any(run.config.family for run in own):
             continue
         algorithm, observation = own[0].config.algorithm if own else load_config(policy), point.stated.observation
         if observation:

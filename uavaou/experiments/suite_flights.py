@@ -27,7 +27,7 @@ from uavaou.experiments.given_runs import (
 from uavaou.experiments.suite import ResolvedPoint, Suite, resolve_points
 from uavaou.planners.base import Planner
 from uavaou.runs.comparison import Display
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.folder import RunConfig
 from uavaou.runs.names import name_with
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
@@ -46,12 +46,13 @@ class SuiteFlight:
     point: ResolvedPoint
     policy: str  # its name in the table
     how: str  # trained (on this very point), zero-shot or planner
+    given: str  # the name of the run or planner
     run: SuiteRun | None = None  # None: a planner
 
     @property
     def name(self) -> str:
         """Its name in displays, unique within the suite."""
-        return f"{self.point.label}: {self.policy if self.run is None else self.run.folder}"
+        return f"{self.point.label}: {self.given}"
 
 
 class Unflown(NamedTuple):
@@ -81,66 +82,40 @@ class SuiteFlights:
         """What was played: a row for each mission."""
         return Flights.joined(self.played).flights
 
-    def check_runs(self, action: str | None = None) -> None:
-        """Load every run that will play once, so that a damaged one is found before hours are spent.
-
-        Raises:
-            InputError: a run cannot be loaded.
-        """
-        from uavaou.runs.policy import load_run  # imports torch, which planners do without
-
-        for run in self.runs:
-            if run.flies:
-                load_run(run.folder, run.config.scenario, action)
-
-    def play(
-        self, planners: Mapping[str, Planner], episodes: int, seed: int, display: Display, action: str | None = None
-    ) -> None:
-        """Play all of it; a planner plays points with the same scenario once.
+    def play(self, policies: Mapping[str, Planner], episodes: int, seed: int, display: Display) -> None:
+        """Play all of it; a policy plays points with the same scenario once.
 
         Args:
-            planners: by name.
+            policies: runs and planners, by the names that were given.
             episodes: missions of each policy at each point.
             seed: of mission 0; all play the same missions.
             display: shows the progress.
-            action: of trained policies; see :func:`uavaou.runs.policy.load_run`.
-
-        Raises:
-            InputError: a run cannot be loaded. A planner's refusal of a point is no error.
         """
 
         @cache
-        def fly(who: RunFolder | str, scenario: Scenario) -> tuple[Evaluation, Planner]:
-            if isinstance(who, str):
-                policy = planners[who]
-            else:
-                from uavaou.runs.policy import load_run
-
-                policy = load_run(who, scenario, action)
-            return play(policy, scenario, episodes, seed, display.after_slot), policy
+        def fly(name: str, scenario: Scenario) -> Evaluation:
+            return play(policies[name], scenario, episodes, seed, display.after_slot)
 
         for one in self.planned:
-            display.start(one.name)
             scenario = one.point.played
+            display.start(one.name)
             try:
-                found, policy = fly(one.run.folder if one.run else one.policy, scenario)
+                found = fly(one.given, scenario)
             except InputError as refusal:
-                if one.run is not None:
-                    raise
                 self.unflown.append(Unflown(one.point, one.policy, str(refusal).removeprefix(f"{one.policy}: ")))
-                continue
-            self.played.append(flown(found, scenario, policy, seed, **self._columns(one)))
+            else:
+                self.played.append(flown(found, scenario, policies[one.given], seed, **self._columns(one)))
 
     def _columns(self, flight: SuiteFlight) -> dict[str, Any]:
         """What is the same in all rows of a flight."""
         point, axis, run = flight.point.stated, self.suite.axis, flight.run
-        drawn = {"axis": axis.title, "scale": axis.scale, "joined": "yes" if point.joined else "no"}
-        where = {"suite": self.name, "scenario": self.base.name, "point": point.label, "x": point.x}
-        who = {"policy": flight.policy, "how": flight.how}
+        columns: dict[str, Any] = {"suite": self.name, "scenario": self.base.name, "point": point.label, "x": point.x}
+        columns |= {"axis": axis.title, "scale": axis.scale, "joined": "yes" if point.joined else "no"}
+        columns |= {"policy": flight.policy, "how": flight.how}
         if run is not None:
-            who |= {"algorithm": run.config.algorithm.name, "trained_on": run.trained_on}
-            return where | drawn | who | {"seed": run.config.seed, "slots": run.slots}
-        return where | drawn | who
+            columns |= {"algorithm": run.config.algorithm.name, "trained_on": run.trained_on}
+            columns |= {"seed": run.config.seed, "slots": run.slots}
+        return columns
 
 
 def plan_suite(
@@ -159,7 +134,7 @@ def plan_suite(
 
     Args:
         suite: which one.
-        configs: of the runs, by folder.
+        configs: of the runs, by released policy or folder.
         planners: names.
         scenario: a preset's name or a path, which the points change; None for the suite's own.
         base: this scenario with ``changes``; None where there are none.
@@ -176,11 +151,11 @@ def plan_suite(
             raise InputError(f"scenario.{key} cannot be changed: the points of the suite '{suite.name}' set it")
     points = resolve_points(suite, base)
     feasible = [point for point in points if point.scenario]
-    runs = name_runs({RunFolder.at(folder).path: config for folder, config in configs.items()}, suite, points)
+    runs = name_runs(configs, suite, points)
     apart, planned = trained_apart(runs), []
     for point in feasible:
         planned += [_flight(point, run, run.policy in apart) for run in runs if point.label in run.flies]
-        planned += [SuiteFlight(point, name, "planner") for name in planners]
+        planned += [SuiteFlight(point, name, "planner", name) for name in planners]
     policies = dict.fromkeys(run.policy for run in runs) if configs or planners else ["mappo"]
     flying = {(label, run.policy) for run in runs for label in run.flies}
     lacking = [(point, policy) for point in feasible for policy in policies if (point.label, policy) not in flying]
@@ -192,9 +167,9 @@ def plan_suite(
 
 def _flight(point: ResolvedPoint, run: SuiteRun, apart: bool) -> SuiteFlight:
     if run.trained_for(point.played):
-        return SuiteFlight(point, run.policy, "trained", run)
+        return SuiteFlight(point, run.policy, "trained", run.name, run)
     training = f"{',' if '+' in run.policy else '+'}on={run.trained_on}" if apart else ""
-    return SuiteFlight(point, run.policy + training, "zero-shot", run)
+    return SuiteFlight(point, run.policy + training, "zero-shot", run.name, run)
 
 
 def summary(flights: pd.DataFrame) -> pd.DataFrame:
