@@ -225,10 +225,9 @@ def _suite_lines(flights: SuiteFlights, episodes: int, seed: int) -> list[str]:
     heads += [("", "", "", "", "(slots)", "95 %", "", "")]
     lines = [*wrapped(head), "", *aligned([*heads, *_suite_rows(flights, rows)], left=4)]
     lines += [*_beside_reference(rows, axis.label), ""]
-    broken = rows[rows["violations"] > 0].itertuples()
-    lines += [f"{row.point}: {row.policy} broke constraints {row.violations:,} times" for row in broken] or [
-        "constraint violations: none"
-    ]
+    broken = rows[rows["violations"] > 0]
+    lines += [f"{row.point}: {row.policy} broke constraints {row.violations:,} times" for row in broken.itertuples()]
+    lines += ["constraint violations: none"] if broken.empty else []
     budgets = [part for line in budget_lines(rows) for part in wrapped(line)]
     lines += ["", *budgets] if budgets else []
     lines += _reasons(flights)
@@ -297,8 +296,9 @@ def _reasons(flights: SuiteFlights) -> list[str]:
 
 
 def _missing_lines(flights: SuiteFlights) -> list[str]:
+    """The commands of the trainings that would fly what no run does."""
     lines: list[str] = []
-    for one in flights.missing:
-        lines += paragraphs([f"no run of {one.policy} fits {', '.join(one.labels)}; this trains one:"])
-        lines.append("  " + command_line(one.command))
+    missing = _together(((one.policy, one.training), one.point.label) for one in flights.unflown if one.training)
+    for (policy, training), points in missing.items():
+        lines += [*paragraphs([f"no run of {policy} fits {points}; this trains one:"]), f"  {command_line(training)}"]
     return lines

@@ -119,7 +119,6 @@ BAD_INPUTS = [
     ("eval --policy random --set algorithm.gamma=0.9", "algorithm.gamma"),
     # a circle of symbolic links
     ("eval circle", "'circle' does not exist"),
-    ("eval --policy random --suite fading --out circle", "circle"),
     ("plot figures circle", "'circle' does not exist"),
     ("fly tiny --policy circle", "circle"),
     ("tune --seconds 1 --from circle", "circle"),

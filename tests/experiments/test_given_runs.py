@@ -48,6 +48,14 @@ def flown(suite: Suite, given: dict[str, RunConfig]) -> dict[tuple[str, str], li
     return found
 
 
+def missing(flights: SuiteFlights) -> dict[str, list[str]]:
+    """The command of each missing training -> the points that it flies."""
+    found: dict[str, list[str]] = {}
+    for one in flights.unflown:
+        found.setdefault(shlex.join(one.training), []).append(one.point.label)
+    return found
+
+
 @pytest.fixture
 def by_devices() -> Suite:
     points = [{"label": str(n), "x": n, "set": {"devices": n}} for n in (3, 4)]
@@ -137,21 +145,19 @@ def test_a_point_with_an_observation_is_flown_by_runs_that_have_it() -> None:
 
 
 def test_a_missing_training_comes_with_its_command(by_devices: Suite) -> None:
-    missing = planned(by_devices, configs({"algorithm": "vdn", "devices": 3, "gamma": 0.9})).missing
-    command = "uavaou train --scenario tiny --algorithm vdn --set algorithm.gamma=0.9"
-    assert [(one.labels, shlex.join(one.command)) for one in missing] == [(("4", "4 fast"), command)]
-    (missing,) = planned(by_devices, configs({}), layout_seed=4).missing
-    command = (
+    found = missing(planned(by_devices, configs({"algorithm": "vdn", "devices": 3, "gamma": 0.9})))
+    assert found == {"uavaou train --scenario tiny --algorithm vdn --set algorithm.gamma=0.9": ["4", "4 fast"]}
+    (command,) = missing(planned(by_devices, configs({}), layout_seed=4))
+    expected = (
         "uavaou train --scenario tiny --algorithm mappo-paper --set scenario.devices=3 --set scenario.layout_seed=4"
     )
-    assert sorted(shlex.join(missing.command).split(" --")) == sorted(command.split(" --"))
+    assert sorted(command.split(" --")) == sorted(expected.split(" --"))
 
 
 def test_a_missing_training_takes_the_budget_of_its_policy(by_devices: Suite) -> None:
-    missing = planned(by_devices, configs({"slots": 3000}, {"slots": 1000})).missing
-    assert [one.labels for one in missing] == [("3",), ("3",)]
-    assert ["algorithm.slots=3000" in one.command for one in missing] == [True, False]
-    assert ["algorithm.slots=1000" in one.command for one in missing] == [False, True]
+    one, other = missing(planned(by_devices, configs({"slots": 3000}, {"slots": 1000}))).items()
+    assert ("algorithm.slots=3000" in one[0], "algorithm.slots=1000" in other[0]) == (True, True)
+    assert one[1] == other[1] == ["3"]
 
 
 @pytest.mark.parametrize("name", [name for name in zoo_names("studies") if name.startswith("suite-")])
@@ -167,9 +173,9 @@ def test_companion_studies_train_for_every_point(name: str) -> None:
     trained = {flight.point.label for flight in plan.planned if flight.how == "trained"}
     assert trained == (set() if name == "suite-layouts" else {point.label for point in suite.points})
     assert not plan.unflown
-    missing = plan_suite(suite, {}).missing
-    assert len(missing) == len(configs)
-    assert sum("scenario.layout=resample" in one.command for one in missing) == (name == "suite-layouts")
+    commands = missing(plan_suite(suite, {}))
+    assert len(commands) == len(configs)
+    assert sum("scenario.layout=resample" in command for command in commands) == (name == "suite-layouts")
 
 
 def test_runs_of_families_are_never_trained_for_a_point(by_devices: Suite) -> None:

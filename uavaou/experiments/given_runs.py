@@ -6,10 +6,10 @@ A run flies every point that it fits.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
@@ -38,14 +38,6 @@ class SuiteRun:
         """Whether it was trained on this very scenario, whatever that is called."""
         own, other = (one.model_dump(exclude={"name", "description"}) for one in (self.config.scenario, scenario))
         return self.config.family is None and own == other
-
-
-class MissingTraining(NamedTuple):
-    """A training for points that none of the given runs of a policy fits."""
-
-    policy: str
-    labels: tuple[str, ...]  # of the points
-    command: tuple[str, ...]
 
 
 def name_runs(configs: Mapping[str, RunConfig], suite: Suite, points: Iterable[ResolvedPoint]) -> list[SuiteRun]:
@@ -119,32 +111,29 @@ def why_unfit(policy: str, point: ResolvedPoint, runs: Iterable[SuiteRun]) -> st
     return "its rows have other columns"
 
 
-def missing_trainings(
-    unflown: Iterable[tuple[ResolvedPoint, str]], runs: Sequence[SuiteRun], source: str, base: Scenario
-) -> list[MissingTraining]:
-    """The trainings that points without a run need, each once.
+def missing_training(
+    policy: str, point: ResolvedPoint, runs: Iterable[SuiteRun], source: str, base: Scenario
+) -> tuple[str, ...]:
+    """The command of a training that a point without a run needs; nothing for released policies and those of families.
 
     One training on ``base`` serves all points with as many UAVs and devices as ``base``; one on resampled layouts those
     of them with another layout.
 
     Args:
-        unflown: points with the name of a policy that does not fly them.
+        policy: that does not fly the point.
+        point: a feasible one.
         runs: those given. A further training takes their settings; a policy that is not among them is trained as
-            published. Released policies and those of families are not trained again.
+            published.
         source: the scenario's name on the command line.
         base: the suite's scenario, overrides included.
     """
-    wanted: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-    for point, policy in unflown:
-        own = [run for run in runs if run.policy == policy]
-        if policy in released_names() or any(run.config.family for run in own):
-            continue
-        algorithm, observation = own[0].config.algorithm if own else load_config(policy), point.stated.observation
-        if observation:
-            algorithm = algorithm.model_copy(update={"observation": observation})
-        command = tuple(train_command(source, _training_scenario(point.played, base), algorithm))
-        wanted.setdefault((policy, command), []).append(point.label)
-    return [MissingTraining(policy, tuple(labels), command) for (policy, command), labels in wanted.items()]
+    own = [run.config for run in runs if run.policy == policy]
+    if policy in released_names() or any(config.family for config in own):
+        return ()
+    algorithm, observation = own[0].algorithm if own else load_config(policy), point.stated.observation
+    if observation:
+        algorithm = algorithm.model_copy(update={"observation": observation})
+    return tuple(train_command(source, _training_scenario(point.played, base), algorithm))
 
 
 def _training_scenario(scenario: Scenario, base: Scenario) -> Scenario:

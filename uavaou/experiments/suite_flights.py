@@ -16,14 +16,7 @@ from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import Evaluation, play
 from uavaou.evaluation.flights import FLIGHTS, TEXT, Flights
 from uavaou.evaluation.flown import flown
-from uavaou.experiments.given_runs import (
-    MissingTraining,
-    SuiteRun,
-    missing_trainings,
-    name_runs,
-    trained_apart,
-    why_unfit,
-)
+from uavaou.experiments.given_runs import SuiteRun, missing_training, name_runs, trained_apart, why_unfit
 from uavaou.experiments.suite import ResolvedPoint, Suite, resolve_points
 from uavaou.planners.base import Planner
 from uavaou.runs.comparison import Display
@@ -61,6 +54,7 @@ class Unflown(NamedTuple):
     point: ResolvedPoint
     policy: str
     reason: str
+    training: tuple[str, ...] = ()  # the command of one that flies it
 
 
 @dataclass
@@ -74,7 +68,6 @@ class SuiteFlights:
     runs: list[SuiteRun]
     planned: list[SuiteFlight]  # everything to be played, point by point: runs, then planners
     unflown: list[Unflown]  # of which no run fits the point; a planner that refuses one is added in flight
-    missing: list[MissingTraining]
     played: list[Flights] = field(default_factory=list)
 
     @property
@@ -126,7 +119,7 @@ def plan_suite(
     base: Scenario | None = None,
     changes: Mapping[str, str] | None = None,
 ) -> SuiteFlights:
-    """List the flights of runs and planners at the points of a suite, and find the trainings that are missing.
+    """List the flights of runs and planners at the points of a suite, and the trainings that are missing.
 
     Every run flies each point that it fits, and every planner each feasible one. Without runs and planners, the missing
     trainings are those that MAPPO needs. Where runs of one policy that were trained on different scenarios fly the same
@@ -158,11 +151,14 @@ def plan_suite(
         planned += [SuiteFlight(point, name, "planner", name) for name in planners]
     policies = dict.fromkeys(run.policy for run in runs) if configs or planners else ["mappo"]
     flying = {(label, run.policy) for run in runs for label in run.flies}
-    lacking = [(point, policy) for point in feasible for policy in policies if (point.label, policy) not in flying]
-    unflown = [Unflown(point, policy, why_unfit(policy, point, runs)) for point, policy in lacking]
+    unflown = [
+        Unflown(point, name, why_unfit(name, point, runs), missing_training(name, point, runs, source, base))
+        for point in feasible
+        for name in policies
+        if (point.label, name) not in flying
+    ]
     named = name_with(suite.name, ({"scenario": Scenario.load(source).name} if scenario else {}) | dict(changes))
-    missing = missing_trainings(lacking, runs, source, base)
-    return SuiteFlights(suite, named, base, points, runs, planned, unflown, missing)
+    return SuiteFlights(suite, named, base, points, runs, planned, unflown)
 
 
 def _flight(point: ResolvedPoint, run: SuiteRun, apart: bool) -> SuiteFlight:

@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -75,7 +75,7 @@ def read_suites(paths: Iterable[Path]) -> list[SuiteTable]:
             raise InputError(f"{path}: its axis is not that of {first.path}, a table of the same suite")
         if first is not table:
             rows = pd.concat([first.rows, table.rows]).drop_duplicates(["policy", "seed", "point"])
-            found[table.suite] = SuiteTable(first.path, first.suite, first.axis, first.scale, rows)
+            found[table.suite] = replace(first, rows=rows)
     return list(found.values())
 
 
