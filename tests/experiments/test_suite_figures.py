@@ -127,6 +127,8 @@ def test_budgets_that_differ_stand_below_the_figure(monkeypatch: pytest.MonkeyPa
         (",s,1", ",t,1", "column 'suite' differs"),
         ("yes", "maybe", "line 2, column 'joined': 'maybe' is not one of yes, no"),
         (",500", ",many", "line 2, column 'slots': 'many' is not a whole number"),
+        (",500", ",9e30", "line 2, column 'slots': '9e30' is not a whole number"),
+        (",500", ",500,600", "line 2: more cells than the header"),
     ],
 )
 def test_malformed_tables_name_the_place(tmp_path: Path, old: str, new: str, words: str) -> None:
