@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from uavaou.csv_tables import read_csv
 from uavaou.evaluation.flights import VALIDATION
@@ -19,7 +20,7 @@ from uavaou.experiments.results import StudyResults, read_study
 from uavaou.planners import planner_knowledge
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.scores import PolicyScores, study_scores
-from uavaou.reports.suites import SuiteRow, read_suite
+from uavaou.reports.suites import read_suites
 from uavaou.statistics import interval_over_trainings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -40,10 +41,11 @@ def scores(name: str) -> dict[str, PolicyScores]:
     return {one.policy: one for one in study_scores(study(name))["paper"]}
 
 
-def flown(suite: str, policy: str) -> list[SuiteRow]:
+@cache
+def flown(suite: str, policy: str) -> pd.DataFrame:
     """The rows of a policy in a table of the released one, by point."""
-    found = read_suite(ROOT / "results" / "suites" / RELEASED / f"{suite}.csv").rows
-    return [row for row in found if row.policy == policy]
+    (found,) = read_suites([ROOT / "results" / "suites" / RELEASED / f"{suite}.csv.gz"])
+    return found.of(policy).set_index("point")
 
 
 def minutes(name: str, variant: str) -> str:
@@ -59,14 +61,14 @@ def trained(name: str, variant: str, who: str) -> tuple[float, tuple[str, ...]]:
 
 def policies() -> str:
     """The table of README."""
-    (here,) = (row for row in flown("known-layouts", RELEASED) if row.point == "0")
+    here = flown("known-layouts", RELEASED)["aou"]["0"]
     rule = scores("paper")[RULE].mean
     rows = [
         trained("default", "mappo", "MAPPO, as `uavaou train` has it"),
         trained("paper", "mappo", "MAPPO from nothing, as in the paper"),
         trained("paper", "qmix", "QMIX"),
         trained("paper", "vdn", "VDN"),
-        (here.aou.value, ("`any-map`, a policy for every map", with_interval(*here.aou, digits=3), "none", "shared")),
+        (here[0], ("`any-map`, a policy for every map", with_interval(*here, digits=3), "none", "shared")),
         (rule.value, (f"`{RULE}`, a rule", with_interval(*rule, digits=3), "none", planner_knowledge(RULE))),
     ]
     return table(HEAD, [cells for _, cells in sorted(rows)])
@@ -109,10 +111,10 @@ def released() -> str:
     """The released policy on maps that it has never seen, to two that learn nothing."""
     rows = []
     for suite, where in (("unseen-layouts", "64 layouts, seeds 200 to 263"), ("layouts", "layout seeds 101 to 110")):
-        own = [row.aou.value for row in flown(suite, RELEASED)]
+        own = flown(suite, RELEASED)["mean_aou_slots"]
         cells = [where]
         for other in (REFERENCE, RULE):
-            logs = np.log(own) - np.log([row.aou.value for row in flown(suite, other)])
+            logs = np.log(own) - np.log(flown(suite, other)["mean_aou_slots"])
             value, low, high = np.exp(interval_over_trainings(logs)).tolist()
             cells.append(with_interval(value, low, high, digits=2))
         rows.append(cells)

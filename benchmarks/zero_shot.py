@@ -11,17 +11,17 @@ import os
 import re
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
-from math import inf
+from math import inf, isnan
 from multiprocessing import get_context
 from pathlib import Path
 
+from uavaou.experiments.suite import Suite
+from uavaou.experiments.suite_flights import RATIO_ABOVE, REFERENCE
 from uavaou.files import read_text, write_text
 from uavaou.reports.markdown import rounded, table, with_interval
-from uavaou.reports.suites import SuiteRow, SuiteTable, read_suites
+from uavaou.reports.suites import SuiteTable, read_suites, tables_below
 from uavaou.runs.released import released_folder
 from uavaou.statistics import geometric_mean
-from uavaou.suites.play import RATIO_ABOVE, REFERENCE
-from uavaou.suites.suite import Suite
 from uavaou.threads import use_threads
 from uavaou_cli.main import main as uavaou
 
@@ -71,17 +71,16 @@ def main() -> None:
 
 def measure(policy: str, name: str) -> int:
     """Play the suite of a table beside two planners, and write the table; returns the command's exit code."""
-    out = SUITES / policy / f"{name}.csv"
+    out = SUITES / policy / f"{name}.csv.gz"
     planners = [word for name in (REFERENCE, RULE) for word in ("--policy", name)]
     return uavaou(["eval", policy, *planners, *TABLES[name], "--out", str(out), "--quiet"])
 
 
 def write_pages(policy: str, suites: Path, card: Path) -> None:
     """Write the page of a policy into ``suites/POLICY``, and the same text between the markers of its model card."""
-    places = [suites / policy / f"{name}.csv" for name in PAGE_ORDER]
+    places = [suites / policy / f"{name}.csv.gz" for name in PAGE_ORDER]
     own = [found.suite for found in read_suites(path for path in places if path.is_file())]
-    files = [*sorted(suites.glob("*.csv")), *sorted(suites.glob("*/*.csv"))]  # as `uavaou plot suite` reads them
-    every = {found.suite: found for found in read_suites(files)}
+    every = {found.suite: found for found in read_suites(tables_below(suites))}  # as `uavaou plot suite` reads them
     tables = [every[suite] for suite in own]
     figures = [os.path.relpath(found.path.parent / f"suite-{found.suite}.png", suites / policy) for found in tables]
     head = f"# `{policy}` on maps that it was not trained on\n\n```\npython -m benchmarks.zero_shot {policy}\n```\n\n"
@@ -97,10 +96,10 @@ def summary(policy: str, tables: Iterable[SuiteTable]) -> str:
     rows, violations = [], 0
     for found in tables:
         own = means(found, policy)
-        flown = [row for row in found.rows if row.policy == policy]
-        violations += sum(row.violations for row in flown)
-        worst = max(row.compared.worst_mission for row in flown)
-        for other in dict.fromkeys(row.policy for row in found.rows if row.how != "zero-shot"):
+        flown = found.of(policy)
+        violations += flown["violations"].sum()
+        worst = flown["worst_mission"].max()
+        for other in found.rows.loc[found.rows["how"] != "zero-shot", "policy"].unique():
             theirs = means(found, other)
             ratios = [own[point] / theirs[point] for point in own if theirs.get(point, 0) > RATIO_ABOVE]
             apart = [own[point] - theirs[point] for point in own if theirs.get(point, inf) <= RATIO_ABOVE]
@@ -111,9 +110,8 @@ def summary(policy: str, tables: Iterable[SuiteTable]) -> str:
                 elsewhere = f"{' to '.join(ends)} slots" if ends else ""
                 last = f"{worst:.2f}" if other == REFERENCE else ""
                 rows.append((f"`{found.suite}`", told(found, other), points, *cells, elsewhere, last))
-    head = (
-        "suite", "against (knows)", "points", "ratio: geometric mean", "mean", "largest", "elsewhere", "worst mission"
-    )  # fmt: skip
+    ratio = ("ratio: geometric mean", "mean", "largest")
+    head = ("suite", "against (knows)", "points", *ratio, "elsewhere", "worst mission")
     return "\n\n".join([NOTE, table(head, rows), f"Constraint violations of `{policy}`: {violations:,}."])
 
 
@@ -123,46 +121,31 @@ def section(policy: str, found: SuiteTable) -> str:
     title = f"## `{found.suite}`\n\n{Suite.load(name).description}" + (f"; with `{changes}`." if changes else ".")
     if len(found.points) > MOST_ROWS:
         return title
-    others = [name for name in dict.fromkeys(row.policy for row in found.rows) if name != policy]
+    others = [name for name in found.rows["policy"].unique() if name != policy]
     levels = {name: means(found, name) for name in others}
-    own = {row.point: row for row in found.rows if row.policy == policy}
-    rows = [
-        (
-            point, with_interval(*own[point].aou, digits=4),
-            *(rounded(levels[name][point], 4) if point in levels[name] else "" for name in others), *beside(own[point]),
-        )
-        for point in found.points if point in own
-    ]  # fmt: skip
+    rows = []
+    for row in found.of(policy).sort_values("x").itertuples():
+        theirs = (rounded(levels[name][row.point], 4) if row.point in levels[name] else "" for name in others)
+        beside = f"{row.difference:+.2f} slots" if isnan(row.ratio) else f"**{row.ratio:.2f}**"
+        rows.append((row.point, with_interval(*row.aou, digits=4), *theirs, beside, f"{row.worst_mission:.2f}"))
     head = (found.axis, *(told(found, name) for name in (policy, *others)), f"to `{REFERENCE}`", "worst mission")
     return f"{title}\n\n{table(head, rows)}"
 
 
 def seen(policy: str, found: SuiteTable) -> str:
     """The text of a suite's figure for those who do not see it."""
-    others = [name for name in dict.fromkeys(row.policy for row in found.rows) if name != policy]
+    others = [name for name in found.rows["policy"].unique() if name != policy]
     return f"Mean AoU over the {found.axis}, {policy} beside {', '.join(others)}"
 
 
 def told(found: SuiteTable, policy: str) -> str:
     """The name of a policy with what it reads in flight, as the table says."""
-    known = dict.fromkeys(row.knows for row in found.rows if row.policy == policy)
-    return f"`{policy}` ({', '.join(known)})"
-
-
-def beside(row: SuiteRow) -> tuple[str, str]:
-    """The comparison with ``best-first``, and the worst mission."""
-    ratio, difference, worst = row.compared
-    above = row.aou.value - difference > RATIO_ABOVE
-    return f"**{ratio:.2f}**" if above else f"{difference:+.2f} slots", f"{worst:.2f}"
+    return f"`{policy}` ({', '.join(found.of(policy)['knows'].unique())})"
 
 
 def means(found: SuiteTable, policy: str) -> dict[str, float]:
     """The mean AoU of a policy at each point that it flew, slots, over its training seeds."""
-    flown: dict[str, list[float]] = {}
-    for row in found.rows:
-        if row.policy == policy:
-            flown.setdefault(row.point, []).append(row.aou.value)
-    return {point: sum(values) / len(values) for point, values in flown.items()}
+    return dict(found.of(policy).groupby("point", sort=False)["mean_aou_slots"].mean())
 
 
 if __name__ == "__main__":

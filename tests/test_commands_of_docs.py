@@ -28,13 +28,13 @@ LESS = {  # work than the page asks for
     "rolling": ["--time-limit", "1"],
 }
 ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that runs its like
-    "uavaou eval any-map --policy best-first --suite uavs": "tests/suites",
-    "uavaou plot suite": "tests/suites",
+    "uavaou eval any-map --policy best-first --suite uavs": "tests/experiments",
+    "uavaou plot suite": "tests/experiments",
     "uavaou tune": "tests/tuning",
     "uavaou study run smoke": "tests/studies",
     "uavaou study run suite-": "tests/studies",
     "uavaou study run ours.yaml": "the test below",
-    "uavaou eval results/paper*/": "tests/suites",
+    "uavaou eval results/paper*/": "tests/experiments",
     "uavaou train --continue RUN --resume": "tests/runs/test_start.py",
     "uavaou replay RUN --out mission.gif": "tests/reports/test_replay.py",
     "uavaou study run paper --engine ray": "tests/studies/test_study_killed.py",

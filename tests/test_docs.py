@@ -138,7 +138,7 @@ def test_reading_a_study(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
 
 def test_a_study_and_a_suite_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from uavaou.experiments.study import Study
-    from uavaou.suites.suite import Suite
+    from uavaou.experiments.suite import Suite
 
     monkeypatch.chdir(tmp_path)  # where the scenario of policies.md lies
     (tmp_path / "valley.yaml").write_text("base: quickstart\n", encoding="utf-8")

@@ -16,11 +16,11 @@ from tests.scenario_files import refusal, write
 from uavaou import plain_yaml
 from uavaou.errors import InputError
 from uavaou.experiments.study import Study
+from uavaou.experiments.suite import Suite
 from uavaou.family import Family
 from uavaou.plain_yaml import parse_yaml, to_yaml
 from uavaou.runs.folder import read_config
 from uavaou.scenario import Scenario
-from uavaou.suites.suite import Suite
 from uavaou.tuning.search_space import SearchSpace
 from uavaou.zoo import zoo_folder
 

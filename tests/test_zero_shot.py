@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from benchmarks.zero_shot import CARD, TABLES, told, write_pages
-from uavaou.experiments.results import read_study
-from uavaou.reports.suites import read_suite
+from tests.experiments.test_suite_figures import rows, written
+from uavaou.evaluation.flights import FLIGHTS, Flights, read_table
+from uavaou.experiments.suite import Suite
+from uavaou.reports.suites import read_suites
 from uavaou.runs.released import released_folder
-from uavaou.suites.suite import Suite
 
 ROOT = Path(__file__).resolve().parents[1]
 SUITES = ROOT / "results" / "suites"
@@ -20,7 +21,7 @@ POLICIES = sorted(path.parent.name for path in SUITES.glob("*/README.md"))
 
 def test_any_map_is_measured_on_every_suite_of_the_command() -> None:
     assert "any-map" in POLICIES
-    assert {path.stem for path in SUITES.glob("any-map/*.csv")} == TABLES.keys()
+    assert {path.name.removesuffix(".csv.gz") for path in SUITES.glob("any-map/*.csv.gz")} == TABLES.keys()
     for options in TABLES.values():
         assert Suite.load(options[options.index("--suite") + 1]).points
 
@@ -38,18 +39,18 @@ def test_the_committed_page_and_card_come_out_of_the_committed_tables(policy: st
 
 
 def test_a_policy_of_any_name_is_said_to_know_what_its_table_says(tmp_path: Path) -> None:
-    text = (SUITES / "layouts.csv").read_text(encoding="utf-8")
-    named = text.replace(",mappo,", ",mappo+layout=resample,").replace(",yes,local\n", ",yes,shared\n")
-    (tmp_path / "layouts.csv").write_text(named, encoding="utf-8")
-    found = read_suite(tmp_path / "layouts.csv")
+    learned = rows("mappo+layout=resample", "zero-shot", "101", 101, 9, seed=0, knows="shared")
+    planner = rows("best-first", "planner", "101", 101, 8, knows="everything")
+    (found,) = read_suites([written(tmp_path / "layouts.csv", learned, planner)])
     assert told(found, "mappo+layout=resample") == "`mappo+layout=resample` (shared)"
     assert told(found, "best-first") == "`best-first` (everything)"
 
 
 def test_what_flies_on_layout_0_is_what_flew_in_the_study_of_the_paper() -> None:
-    study = read_study(ROOT / "results" / "studies" / "paper")
-    same = [row for row in read_suite(SUITES / "known-layouts.csv").rows if row.point == "0" and row.policy != "mappo"]
-    assert {row.policy for row in same} == {"anneal", "best-first"}
-    for row in same:
-        values = study.table("missions", row.policy, "paper", int(row.seed) if row.seed else None)
-        assert row.aou.value == pytest.approx(values["mean_aou_slots"].mean(), rel=1e-5)
+    study = Flights.read(ROOT / "results" / "studies" / "paper").where(scenario="paper").flights
+    flown = read_table(SUITES / "known-layouts.csv.gz", FLIGHTS)
+    flown = flown[(flown["point"] == "0") & (flown["policy"] != "mappo")]
+    assert set(flown["policy"]) == {"anneal", "best-first"}
+    for policy, own in flown.groupby("policy"):
+        ages = study.loc[study["policy"] == policy, "mean_aou_slots"]
+        assert own["mean_aou_slots"].tolist() == ages.tolist()

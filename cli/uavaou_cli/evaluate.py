@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from uavaou.errors import InputError, command_line
 from uavaou.evaluation.seeds import EVALUATION_SEED
@@ -28,14 +28,15 @@ from uavaou_cli.progress import EvaluationDisplay
 from uavaou_cli.tables import aligned, figure, interval_figures, paragraphs, say, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from uavaou.evaluation.evaluate import Evaluation
+    from uavaou.experiments.suite_flights import SuiteFlights
     from uavaou.planners.base import Planner
     from uavaou.runs.comparison import Comparison
     from uavaou.runs.folder import RunConfig
-    from uavaou.suites.given_runs import MissingTraining
-    from uavaou.suites.play import PointResult, SuitePlan
-    from uavaou.suites.suite import ResolvedPoint
 
+_Key = TypeVar("_Key")
 # For the help, which must not import the planners; a test compares it with the registry.
 _PLANNER_NAMES = (
     "random, stay, greedy, best-first, local-greedy, local-greedy-parts, local-greedy-tuned, tour, partition-tour, "
@@ -157,173 +158,147 @@ def _cells(result: Evaluation, policy: Planner) -> list[tuple[str, str]]:
 
 
 def _evaluate_suite(
-    name: str, scenario: str | None, overrides: Overrides, configs: Mapping[str, RunConfig],
-    planners: Mapping[str, Planner], episodes: int, seed: int, action: str | None, out: Path | None, quiet: bool,
-) -> None:  # fmt: skip
-    """Play a suite, print its table, and write the files; without policies, print what it needs."""
+    name: str,
+    scenario: str | None,
+    overrides: Overrides,
+    configs: Mapping[str, RunConfig],
+    planners: dict[str, Planner],
+    episodes: int,
+    seed: int,
+    action: str | None,
+    out: Path | None,
+    quiet: bool,
+) -> None:
+    """Play a suite, print its table, and write the flights; without policies, print what it needs."""
+    from uavaou.evaluation.flights import write_table
+    from uavaou.experiments.suite import Suite
+    from uavaou.experiments.suite_flights import plan_suite
+    from uavaou.runs.comparison import load_runs
     from uavaou.scenario import Scenario
-    from uavaou.suites.play import plan_suite, play_suite, write_suite
-    from uavaou.suites.suite import Suite
 
     suite = Suite.load(name)
     base = overrides.of_scenario(Scenario.load(scenario or suite.scenario))
-    plan = plan_suite(suite, configs, list(planners), scenario, base, overrides.scenario)
+    flights = plan_suite(suite, configs, list(planners), scenario, base, overrides.scenario)
     if out is not None:
         writable_file(out)
     if not configs and not planners:
-        show(_point_lines(plan))
+        show(_point_lines(flights))
         return
-    plan.check_runs(action)
-    slots = episodes * max((flight.scenario.slots for flight in plan.flights), default=0)
-    results: list[PointResult] = []
-    notes: list[str] = []
+    flying = [run.name for run in flights.runs if run.flies]
+    policies = (load_runs(flying, None, action) if flying else {}) | planners  # all, before hours are spent
+    slots = episodes * max((one.point.played.slots for one in flights.planned), default=0)
     try:
-        with EvaluationDisplay(quiet, [flight.name for flight in plan.flights], slots) as display:
-            for result in play_suite(plan, planners, episodes, seed, display, action):
-                results.append(result)
-        notes = write_suite(plan, results, seed, out)
+        with EvaluationDisplay(quiet, [one.name for one in flights.planned], slots) as display:
+            flights.play(policies, episodes, seed, display)
+        if out is not None:
+            write_table(out, flights.table)
     finally:  # what has been played is shown even where Ctrl-C ended it, or a disk has filled
-        show(_suite_lines(plan, results, episodes, seed))
-    say(notes, quiet)
+        show(_suite_lines(flights, episodes, seed))
+    say([f"wrote {out}"] if out else [], quiet)
 
 
-def _point_lines(plan: SuitePlan) -> list[str]:
+def _point_lines(flights: SuiteFlights) -> list[str]:
     """The points of a suite, and the trainings that they need."""
     from uavaou.zoo import zoo_names
 
-    suite = plan.suite
+    suite = flights.suite
     lines = wrapped(f"{suite.name}: {suite.description}")
     rows = [(suite.axis.title, "")]
     for point in suite.points:
         changed = [f"{key}={value}" for key, value in point.set.items()]
         seen = [f"observation {point.observation}"] if point.observation else []
         rows.append((point.label, textwrap.shorten(", ".join([*changed, *seen]) or "as it is", 50)))
-    lines += ["", *aligned(rows), *_reasons(plan.points), *_missing_lines(plan.missing)]
+    lines += ["", *aligned(rows), *_reasons(flights), *_missing_lines(flights)]
     if f"suite-{suite.name}" in zoo_names("studies"):
         lines += ["", f"all of them: uavaou study run suite-{suite.name}"]
     return [*lines, "", f"then: uavaou eval RUN... --suite {suite.name}"]
 
 
-def _suite_lines(plan: SuitePlan, results: Sequence[PointResult], episodes: int, seed: int) -> list[str]:
+def _suite_lines(flights: SuiteFlights, episodes: int, seed: int) -> list[str]:
     """The table of a suite, with missing trainings, infeasible points and what the runs were trained on."""
+    from uavaou.experiments.suite_flights import budget_lines, summary
+
+    rows, axis = summary(flights.table), flights.suite.axis
     count = "1 mission" if episodes == 1 else f"{episodes:,} missions"
-    head = f"{plan.name} on {plan.base.name}: {plan.suite.axis.title}; {count} each, seeds from {seed}"
-    heads = (plan.suite.axis.label, "policy", "how", "knows", "mean AoU", "interval", "comm.", "served")
-    units = ("", "", "", "", "(slots)", "95 %", "", "")
-    lines = [*wrapped(head), "", *aligned([heads, units, *_suite_rows(plan, results)], left=4)]
-    lines += [*_beside_reference(plan, results), *_violations(results), *_budgets(results), *_reasons(plan.points)]
-    unplayed = _unplayed(plan, results)
-    lines += [*unplayed, *_trained_on(plan), *_missing_lines(plan.missing), *_unused(plan)]
-    if any(point.scenario is None for point in plan.points) or unplayed:
+    head = f"{flights.name} on {flights.base.name}: {axis.title}; {count} each, seeds from {seed}"
+    heads = [(axis.label, "policy", "how", "knows", "mean AoU", "interval", "comm.", "served")]
+    heads += [("", "", "", "", "(slots)", "95 %", "", "")]
+    lines = [*wrapped(head), "", *aligned([*heads, *_suite_rows(flights, rows)], left=4)]
+    lines += [*_beside_reference(rows, axis.label), ""]
+    broken = rows[rows["violations"] > 0]
+    lines += [f"{row.point}: {row.policy} broke constraints {row.violations:,} times" for row in broken.itertuples()]
+    lines += ["constraint violations: none"] if broken.empty else []
+    budgets = [part for line in budget_lines(rows) for part in wrapped(line)]
+    lines += ["", *budgets] if budgets else []
+    lines += _reasons(flights)
+    unflown = _together(((one.policy, one.reason), one.point.label) for one in flights.unflown)
+    lines += paragraphs(f"{policy} does not fly {points}: {reason}" for (policy, reason), points in unflown.items())
+    trained = _together((run.policy, run.trained_on) for run in flights.runs)
+    lines += paragraphs(f"{policy}: trained on {places}" for policy, places in trained.items())
+    lines += [*_missing_lines(flights), *(f"not used: {run.name}" for run in flights.runs if not run.flies)]
+    if unflown or any(point.scenario is None for point in flights.points):
         lines += ["", "- not played, see above"]
     return lines
 
 
-def _suite_rows(plan: SuitePlan, results: Sequence[PointResult]) -> list[tuple[str, ...]]:
+def _suite_rows(flights: SuiteFlights, played: DataFrame) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
-    seeds = {result.flown.run.config.seed for result in results if result.flown.run is not None}
-    for point in plan.points:
+    several = played["seed"].nunique() > 1
+    for point in flights.points:
         if point.scenario is None:
             rows.append((point.label, "-", "infeasible", "", "-", "", "", ""))
-            continue
-        rows += [(point.label, policy, "-", "", "-", "", "", "") for at, policy in plan.unflown if at is point]
-        here = [result for result in results if result.flown.point is point]
-        rows += [(point.label, *_suite_cells(result, len(seeds) > 1)) for result in here]
+        missing = [one.policy for one in flights.unflown if one.point is point]
+        rows += [(point.label, policy, "-", "", "-", "", "", "") for policy in missing]
+        for row in played[played["point"] == point.label].itertuples():
+            name = f"{row.policy} #{row.seed}" if several and row.how != "planner" else row.policy
+            counts = figure(row.communications), f"{row.devices_served:.1f}"
+            rows.append((point.label, name, row.how, row.knows, *interval_figures(row.aou), *counts))
     return rows
 
 
-def _suite_cells(result: PointResult, several_seeds: bool) -> tuple[str, ...]:
-    flown = result.flown
-    name = flown.policy if flown.run is None or not several_seeds else f"{flown.policy} #{flown.run.config.seed}"
-    if result.refusal:
-        return name, flown.kind, "", "-", "", "", ""
-    counts = figure(result.mean("communications")), f"{result.mean('devices_served'):.1f}"
-    return name, flown.kind, result.played.knows or "", *interval_figures(result.mean_aou_slots), *counts
-
-
-def _beside_reference(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
+def _beside_reference(played: DataFrame, axis: str) -> list[str]:
     """Each policy beside ``best-first``, where that planner plays: point by point, and over several points."""
+    from uavaou.experiments.suite_flights import RATIO_ABOVE, REFERENCE
     from uavaou.statistics import geometric_mean
-    from uavaou.suites.play import RATIO_ABOVE, REFERENCE
 
-    others = [one for one in results if not one.refusal and one.flown.policy != REFERENCE]
-    compared = [(one, found) for one in others if not math.isnan((found := one.compared(results)).difference)]
-    if not compared:
+    compared = played[played["difference"].notna() & (played["policy"] != REFERENCE)]
+    if compared.empty:
         return []
-    rows = [(plan.suite.axis.label, "policy", f"to {REFERENCE}", "worst mission")]
-    ratios: dict[str, list[float]] = {}
-    for one, found in compared:
-        name, beside = one.flown.policy, f"{found.difference:+.2f} slots"
-        if one.mean_aou_slots.value - found.difference > RATIO_ABOVE:
-            beside = f"{found.ratio:.2f}"
-            ratios.setdefault(name, []).append(found.ratio)
-        rows.append((one.flown.point.label, name, beside, f"{found.worst_mission:.2f}"))
-    means = [
-        f"{name}: geometric mean of the ratios {geometric_mean(found):.3f}"
-        for name, found in ratios.items()
-        if len(found) > 1
-    ]
+    rows = [(axis, "policy", f"to {REFERENCE}", "worst mission")]
+    for row in compared.itertuples():
+        beside = f"{row.difference:+.2f} slots" if math.isnan(row.ratio) else f"{row.ratio:.2f}"
+        rows.append((row.point, row.policy, beside, f"{row.worst_mission:.2f}"))
     note = (
         f"to {REFERENCE}: the ratio of the mean AoU where {REFERENCE} has more than {RATIO_ABOVE} slots, else the "
         f"difference; worst mission: the largest mean AoU of one, as a multiple of 2 x {REFERENCE} + 5 slots"
     )
+    ratios = compared[compared["ratio"].notna()].groupby("policy", sort=False)["ratio"]
+    means = [
+        f"{policy}: geometric mean of the ratios {geometric_mean(found):.3f}"
+        for policy, found in ratios
+        if len(found) > 1
+    ]
     return ["", *aligned(rows, left=2), "", *wrapped(note), *means]
 
 
-def _violations(results: Sequence[PointResult]) -> list[str]:
-    broken = [(one.flown.name, one.violations) for one in results if not one.refusal and one.violations]
-    if not broken:
-        return ["", "constraint violations: none"] if results else []
-    return ["", *(f"{name} broke constraints {count:,} times" for name, count in broken)]
+def _together(pairs: Iterable[tuple[_Key, str]]) -> dict[_Key, str]:
+    """The texts of each key, each once, with commas."""
+    found: dict[_Key, dict[str, None]] = {}
+    for key, text in pairs:
+        found.setdefault(key, {})[text] = None
+    return {key: ", ".join(texts) for key, texts in found.items()}
 
 
-def _budgets(results: Sequence[PointResult]) -> list[str]:
-    """The training slots of the policies, where they differ."""
-    from uavaou.suites.given_runs import budget_lines
-
-    flights = [one.flown for one in results]
-    flown = [(one.policy, one.point.label, one.run.slots) for one in flights if one.run is not None]
-    lines = [part for line in budget_lines(flown) for part in wrapped(line)]
-    return ["", *lines] if lines else []
-
-
-def _reasons(points: Sequence[ResolvedPoint]) -> list[str]:
+def _reasons(flights: SuiteFlights) -> list[str]:
     """Why points are infeasible, and why devices cannot be served; points with one reason together."""
-    labels: dict[str, list[str]] = {}
-    for point in points:
-        if point.problem or point.remark:
-            reason = f"infeasible: {point.problem}" if point.problem else point.remark
-            labels.setdefault(reason, []).append(point.label)
-    return paragraphs(f"{', '.join(found)}: {reason}" for reason, found in labels.items())
+    labels = _together((point.told, point.label) for point in flights.points if point.told)
+    return paragraphs(f"{points}: {reason}" for reason, points in labels.items())
 
 
-def _unplayed(plan: SuitePlan, results: Sequence[PointResult]) -> list[str]:
-    """Why policies do not fly feasible points; the points of one policy with one reason together."""
-    from uavaou.suites.given_runs import why_unfit
-
-    found = [(policy, point, why_unfit(policy, point, plan.runs)) for point, policy in plan.unflown]
-    found += [(one.flown.policy, one.flown.point, one.refusal) for one in results if one.refusal]
-    labels: dict[tuple[str, str], list[str]] = {}
-    for policy, point, reason in found:
-        labels.setdefault((policy, reason.removeprefix(f"{policy}: ")), []).append(point.label)
-    return paragraphs(f"{policy} does not fly {', '.join(at)}: {reason}" for (policy, reason), at in labels.items())
-
-
-def _trained_on(plan: SuitePlan) -> list[str]:
-    """What the runs of each policy were trained on."""
-    places: dict[str, dict[str, None]] = {}
-    for run in plan.runs:
-        places.setdefault(run.policy, {})[run.trained_on] = None
-    return paragraphs(f"{policy}: trained on {', '.join(found)}" for policy, found in places.items())
-
-
-def _missing_lines(missing: Sequence[MissingTraining]) -> list[str]:
+def _missing_lines(flights: SuiteFlights) -> list[str]:
+    """The commands of the trainings that would fly what no run does."""
     lines: list[str] = []
-    for one in missing:
-        lines += paragraphs([f"no run of {one.policy} fits {', '.join(one.labels)}; this trains one:"])
-        lines.append("  " + command_line(one.command))
+    missing = _together(((one.policy, one.training), one.point.label) for one in flights.unflown if one.training)
+    for (policy, training), points in missing.items():
+        lines += [*paragraphs([f"no run of {policy} fits {points}; this trains one:"]), f"  {command_line(training)}"]
     return lines
-
-
-def _unused(plan: SuitePlan) -> list[str]:
-    return [f"not used: {run.folder}" for run in plan.runs if not run.flies]

@@ -93,14 +93,13 @@ def suite(
 
     Tables of one suite become one figure.
     """
-    shipped = Path("results/suites")
-    files = list(dict.fromkeys(file or [*sorted(shipped.glob("*.csv")), *sorted(shipped.glob("*/*.csv"))]))
+    from uavaou.reports.suites import plot_suite, read_suites, tables_below
+
+    files = list(dict.fromkeys(file or tables_below(Path("results/suites"))))
     if not files:
-        raise InputError("no FILE, and no results/suites/*.csv here: uavaou eval --suite NAME --out FILE writes one")
+        raise InputError("no FILE, and no results/suites/*.csv* here: uavaou eval --suite NAME --out FILE writes one")
     for target in {out if out is not None else path.parent for path in files}:
         writable_folder(target)
-    from uavaou.reports.suites import plot_suite, read_suites
-
     for table in read_suites(files):  # all are read before the first is drawn
         show(plot_suite(table, out if out is not None else table.path.parent))
 

@@ -42,14 +42,13 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
     },
     "eval --policy random": {
         "--scenario": no_names, "--policy": no_names, "--episodes": no_counts | st.just("0"), "--seed": no_counts,
-        "--action": no_names, "--json": st.sampled_from([".", "file/x", "/dev/null", "/proc/x"]),
+        "--action": no_names, "--out": st.sampled_from([".", "file/x", "/dev/null", "/proc/x"]),
         "--suite": no_names, "--time-limit": no_numbers | st.sampled_from(["0", "-1", "nan", "inf", "5"]),
-        "--out": st.just("x.csv"),
     },
     "eval --policy random --suite fading": {
         "--scenario": no_names, "--episodes": no_counts | st.just("0"), "--seed": no_counts, "--action": no_names,
         "--set": st.sampled_from(["scenario.slots=x", "algorithm.gamma=1", "slots=3"]),
-        **dict.fromkeys(("--json", "--out"), st.sampled_from([".", "file/x", "/dev/null", "/proc/x"])),
+        "--out": st.sampled_from([".", "file/x", "/dev/null", "/proc/x"]),
     },
     "plan tiny": {
         "--planner": no_names, "--time-limit": no_numbers | st.sampled_from(["0", "-1", "nan", "inf"]),

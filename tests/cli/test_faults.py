@@ -18,9 +18,9 @@ from tests.faults import ERRORS, Trial, assert_ended_well, ended, play, sites_of
 from uavaou_cli.main import main
 
 COMMANDS = {  # and how many trials of it CI plays
-    "eval --policy stay --scenario tiny --episodes 2 --json out/one.json --quiet": 2,
+    "eval --policy stay --scenario tiny --episodes 2 --out out/one.csv --quiet": 2,
     "eval {run} --episodes 2": 2,
-    "eval --policy stay --scenario tiny --suite suite.yaml --episodes 1 --json out/s.json --out out/s.csv --quiet": 2,
+    "eval --policy stay --scenario tiny --suite suite.yaml --episodes 1 --out out/s.csv.gz --quiet": 2,
     "plan tiny --planner tour --episodes 1 --out out --quiet": 1,
     "gap tiny --episodes 1 --certificate out/c.npz --quiet": 1,
     "fly tiny --policy stay --out out --quiet": 0,

@@ -23,8 +23,7 @@ COMMANDS = {
     "--resume --checkpoint-every --device --threads --backend --set --quiet",
     "tune": "SCENARIO --scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out "
     "--set --search --quiet",
-    "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --knows --json --out --set "
-    "--quiet",
+    "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --knows --out --set --quiet",
     "fly": "SCENARIO --scenario --policy --seconds --knows --seed --json --out --set --quiet",
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --knows --set --quiet",
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",

@@ -110,16 +110,15 @@ BAD_INPUTS = [
     ("eval --policy random --episodes 100000000", "at most 10000"),
     ("eval --policy random --seed -1", "--seed -1"),
     ("eval --policy random --action best", "--action"),
-    ("eval --policy random --json file/x.json", "'file"),
-    ("eval --policy random --json .", "it is a folder"),
-    ("eval --policy random --json /dev/null", "not a regular file"),
+    ("eval --policy random --out file/x.csv", "'file"),
+    ("eval --policy random --out .", "it is a folder"),
+    ("eval --policy random --out /dev/null", "not a regular file"),
     ("eval --policy random --scenario nothing", "unknown scenario"),
     ("eval --policy random --scenario outside.yaml", "outside the area"),
     ("eval --policy random --set scenario.slots=1", "slots = 1"),
     ("eval --policy random --set algorithm.gamma=0.9", "algorithm.gamma"),
     # a circle of symbolic links
     ("eval circle", "'circle' does not exist"),
-    ("eval --policy random --json circle --suite fading --out circle", "circle"),
     ("plot figures circle", "'circle' does not exist"),
     ("fly tiny --policy circle", "circle"),
     ("tune --seconds 1 --from circle", "circle"),
@@ -198,7 +197,7 @@ BAD_INPUTS_WITH_A_RUN = [
     ("eval {run} --set scenario.devices=3", "which its network does not fit"),
     ("eval {run} --set algorithm.gamma=0.9", "algorithm.gamma"),
     ("eval {run} {other}", "--scenario"),
-    ("eval {run} --json {run}", "it is a folder"),
+    ("eval {run} --out {run}", "it is a folder"),
     ("eval {broken}", "safetensors"),
     ("eval {fresh}", "no checkpoint yet"),
     ("plot figures {run} --out file", "'file'"),
@@ -252,7 +251,7 @@ def test_a_folder_that_cannot_be_written_is_found_first(
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)
-    for command in ("train", "eval --policy random --json x.json"):
+    for command in ("train", "eval --policy random --out x.csv"):
         assert_refused(capsys, command, "Permission denied", workplace)
 
 

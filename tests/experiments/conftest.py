@@ -1,14 +1,17 @@
-"""A small study, run once and copied for each test that changes it."""
+"""A small study, run once, and a run on tiny with a suite: copied for each test that changes them."""
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from pathlib import Path
 
 import pytest
 
+from tests.experiments.small_suites import OWN, TRAIN
 from tests.experiments.tiny_study import TINY, Inline, Write, run_inline
 from uavaou.experiments.study import Study
+from uavaou_cli.main import main
 
 
 @pytest.fixture
@@ -35,3 +38,23 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Inline]:
 def copied(finished: tuple[Path, Inline], tmp_path: Path) -> tuple[Study, Path]:
     shutil.copytree(finished[0], tmp_path / "copied")
     return Study.load(tmp_path / "copied" / "mine.yaml"), tmp_path / "copied" / "out"
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a run on tiny and a suite of its own."""
+    place = tmp_path_factory.mktemp("suites")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        assert main(shlex.split(TRAIN)) == 0
+    next(place.glob("results/*/*/seed-0")).rename(place / "run")
+    shutil.rmtree(place / "results")
+    (place / "own.yaml").write_text(OWN)
+    return place
+
+
+@pytest.fixture
+def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(trained, tmp_path / "place")
+    monkeypatch.chdir(tmp_path / "place")
+    return tmp_path / "place"

@@ -25,19 +25,18 @@ from uavaou.devices_csv import read_devices_csv
 from uavaou.errors import InputError, all_faults
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.experiments.study import Study
+from uavaou.experiments.suite import Suite
 from uavaou.family import Family
 from uavaou.onboard import runner
 from uavaou.plain_yaml import parse_yaml
 from uavaou.planners.plan import RoutePlan
 from uavaou.reports.figures import read_runs
-from uavaou.reports.suites import read_suite
+from uavaou.reports.suites import read_suites
 from uavaou.runs import folder
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import EPISODE_COLUMNS, RunConfig, RunFolder
 from uavaou.runs.records import EpisodesCsv, ProgressCsv
-from uavaou.runs.results import read_evaluation
 from uavaou.scenario import Scenario
-from uavaou.suites.suite import Suite
 from uavaou.tuning.search import Search, SearchFolder
 from uavaou.tuning.search_space import SearchSpace
 from uavaou.zoo import zoo_path
@@ -167,7 +166,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "scenario.yaml": Scenario.load,
     "config.yaml": lambda path: RunFolder(path.parent).read_config(),
     "devices.csv": _devices,
-    "eval.json": read_evaluation,
     "run/episodes.csv": _episodes,
     "family.yaml": Family.load,
     "study.yaml": Study.load,
@@ -176,7 +174,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "search/search.yaml": lambda path: SearchFolder(path.parent).read(),
     "mission.json": read_mission,
     "plan.json": RoutePlan.load,
-    "suite.csv": read_suite,
+    "suite.csv": lambda path: read_suites([path]),
     "rows.csv": _rows,
     "set.txt": _overrides,
     "onboard/policy.json": _onboard,
@@ -218,8 +216,6 @@ def seeds() -> dict[str, bytes]:
         "scenario.yaml": "base: tiny\nslots: 20\nbandwidth_hz: {low: 15000, high: 2.0e+4}\ndevices_csv: devices.csv\n",
         "config.yaml": config().to_yaml(),
         "devices.csv": "x_m,y_m,transmit_power_mw\n120,430,0.5\n710,95,0.8\n",
-        "eval.json": '{"scenario": "tiny", "episodes": 1, "policies": {"mappo": '
-        '{"mean_aou_s": [1.0], "communications": [2], "devices_served": [3]}}}',
         "run/episodes.csv": ",".join(EPISODE_COLUMNS) + "\n1,60,0.1,-3,4,6,7\n",
         "family.yaml": "base: tiny\nuavs: {among: [1, 2], weights: [1, 2.5]}\narea_m: {low: 200, high: 500}\n",
         "study.yaml": zoo_path("studies", "smoke").read_text(),
@@ -228,7 +224,10 @@ def seeds() -> dict[str, bytes]:
         "search/search.yaml": search.to_yaml(),
         "mission.json": json.dumps(mission),
         "plan.json": json.dumps(plan | {"routes": [[cell] * slots for cell in cells]}),
-        "suite.csv": "suite,axis,scale,point,x\ns,x,linear,1,1\n",
+        "suite.csv": (
+            "suite,axis,scale,joined,point,x,policy,how,seed,mission_seed,mean_aou_slots\n"
+            "s,x,linear,yes,1,1,mappo,trained,0,7,3\ns,x,linear,yes,1,1,best-first,planner,,7,30\n"
+        ),
         "rows.csv": "mission,slots\n1,2\n3,4\n",
         "set.txt": "scenario.bandwidth_hz.low=14e3\nscenario.slots=9\nalgorithm.hidden=[8, 8]",
         "any.yaml": "a: {b: [1, 2.5, x], 'c': true}\nd:\n  - e: null\n",

@@ -47,6 +47,7 @@ def test_the_corpus_is_read_or_refused_in_one_line() -> None:
         "plan.json",
         "mission.json",
         "suite.yaml",
+        "suite.csv",
     ],
 )
 def test_the_seeds_are_valid(name: str) -> None:

@@ -258,3 +258,10 @@ def test_missions_in_other_processes_are_part_of_it_too(
         every_update(config, folder, backend=before)
     every_update(config, folder, backend=after, resume=True)
     assert_ends_as(folder, runs[0])  # which one process has stepped
+
+
+def test_where_a_training_stands_is_checked() -> None:
+    assert TrainingProgress(slots=5, row_slots=5, figures={"train/loss": float("nan")}).slots == 5
+    for impossible in ({"slots": "many"}, {"slots": 0.5}, {"recent": 1.0}, {"figures": []}, {"best_action": "x"}):
+        with pytest.raises(ValueError, match="1 validation error"):
+            TrainingProgress.model_validate(impossible)

@@ -36,6 +36,9 @@ FLIGHTS = KEY | {
     "suite": TEXT,
     "point": TEXT,
     "x": NUMBER,
+    "axis": TEXT,  # title, linear, log or category, and yes or no: how the figure of a suite has its points
+    "scale": TEXT,
+    "joined": TEXT,
     "mission_seed": WHOLE,
     "mean_aou_slots": NUMBER,
     "communications": NUMBER,
@@ -67,6 +70,7 @@ TRAINING, VALIDATION, SAMPLED, SLOTS, DEVICES, PERIODS = (
 )  # fmt: skip
 _FLOWN, _DRAWN = ("policy", "scenario", "mean_aou_slots"), ("policy", "scenario", "curve", "x")  # filled in each row
 _MOST_BYTES = 500_000_000  # of a table that is unpacked
+_LARGEST = 2**53  # whole numbers up to here are exact as floats
 
 
 class PartKey(NamedTuple):
@@ -226,7 +230,7 @@ def _cells(path: Path, text: pd.DataFrame, name: str, kind: str, filled: bool) -
     if kind != TEXT:
         wrong |= cells.notna() & ~np.isfinite(values)
     if kind == WHOLE:
-        wrong |= cells.notna() & (values % 1 != 0)
+        wrong |= cells.notna() & ((values % 1 != 0) | (values.abs() > _LARGEST))
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
         told = "is empty" if pd.isna(cells.iloc[row]) else f"'{str(cells.iloc[row])[:60]}' is not {_EXPECTED[kind]}"

@@ -12,12 +12,12 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, unknown
 from uavaou.evaluation.flights import BOUND
+from uavaou.experiments.suite import Suite, resolve_points
 from uavaou.fields import short, validated
 from uavaou.planners import PLANNERS
 from uavaou.runs.released import released_names
 from uavaou.runs.start import Start
 from uavaou.scenario import Scenario
-from uavaou.suites.suite import Suite, resolve_points
 
 _LONGEST_NAME = 60
 _Entry = TypeVar("_Entry", bound=BaseModel)

@@ -1,38 +1,28 @@
-"""The figure of an evaluation suite: mean AoU of each policy over the suite's points, from its CSV table."""
+"""The figure of an evaluation suite: mean AoU of each policy over the suite's points, from its table of flights."""
 
 import textwrap
-from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from uavaou.csv_tables import CsvTable, read_csv
 from uavaou.errors import InputError
+from uavaou.evaluation.flights import FLIGHTS, read_table
+from uavaou.experiments.suite_flights import budget_lines, summary
 from uavaou.reports import style
 from uavaou.statistics import Interval, interval_over_trainings
-from uavaou.suites.given_runs import budget_lines
-from uavaou.suites.play import Compared
 
-_COLUMNS = (
-    "suite", "point", "x", "policy", "trained", "seed", "mean_aou_slots", "low", "high", "axis", "scale",
-)  # fmt: skip
-# Older tables lack these; the cell that stands for what they do not say.
-_LATER_COLUMNS = {
-    "training_slots": "",
-    "joined": "yes",
-    "violations": "0",
-    "knows": "",
-    **dict.fromkeys(Compared._fields, ""),
-}
+_NEEDED = ("suite", "point", "x", "policy", "how", "mission_seed", "mean_aou_slots", "axis", "scale", "joined")
 _ALLOWED = {
     "scale": ("linear", "log", "category"),
-    "trained": ("trained", "zero-shot", "planner"),
+    "how": ("trained", "zero-shot", "planner"),
     "joined": ("yes", "no"),
 }
 _MOST_TICKS = 12
@@ -43,59 +33,29 @@ _SPREAD = 0.7  # share of the distance between two categories over which the pol
 
 
 @dataclass(frozen=True)
-class SuiteRow:
-    """One policy with one training seed at one point."""
-
-    point: str
-    x: float
-    policy: str
-    how: str
-    aou: Interval  # slots, over missions; low and high are nan for one mission
-    training_slots: int | None  # None for a planner, and where the table does not say
-    joined: bool  # whether a line leads to the point
-    seed: str  # of the training; empty for a planner
-    violations: int
-    knows: str  # what the policy reads in flight; empty where the table does not say
-    compared: Compared  # with ``best-first``; nan where the table does not say
-
-
-@dataclass(frozen=True)
 class SuiteTable:
-    """The table that ``uavaou eval --suite NAME --out FILE`` writes."""
+    """What ``uavaou eval --suite NAME --out FILE`` has measured."""
 
     path: Path
     suite: str
     axis: str
     scale: str
-    rows: list[SuiteRow] = field(repr=False)
+    rows: pd.DataFrame = field(repr=False)  # of uavaou.experiments.suite_flights.summary
 
     @property
     def points(self) -> dict[str, float]:
         """Label -> x of each point, by x."""
-        found = {row.point: row.x for row in self.rows}
-        return dict(sorted(found.items(), key=lambda item: item[1]))
+        ordered = self.rows.sort_values("x", kind="stable")
+        return dict(zip(ordered["point"], ordered["x"], strict=True))
+
+    def of(self, policy: str) -> pd.DataFrame:
+        """The rows of a policy."""
+        return self.rows[self.rows["policy"] == policy]
 
 
-def read_suite(path: Path) -> SuiteTable:
-    """Read a suite's table.
-
-    Raises:
-        InputError: it cannot be read, or a column is missing or malformed; the message names the line.
-    """
-    table = read_csv(path, _COLUMNS)
-    for column, cell in _LATER_COLUMNS.items():
-        table = table.filled(column, cell)
-    if not len(table):
-        raise InputError(f"{path}: holds no row: nothing was played")
-    for column in ("suite", "axis", "scale"):
-        if len(set(table.text(column))) > 1:
-            raise InputError(f"{path}: column '{column}' differs from row to row: a table is of one suite")
-    for column, allowed in _ALLOWED.items():
-        for row, cell in enumerate(table.text(column)):
-            if cell not in allowed:
-                raise table.error(row, column, f"one of {', '.join(allowed)}")
-    suite, axis, scale = (table.text(column)[0] for column in ("suite", "axis", "scale"))
-    return SuiteTable(path, suite, axis, scale, _rows(table))
+def tables_below(folder: Path) -> list[Path]:
+    """The tables of suites in a folder and in the folders there."""
+    return [*sorted(folder.glob("*.csv*")), *sorted(folder.glob("*/*.csv*"))]
 
 
 def read_suites(paths: Iterable[Path]) -> list[SuiteTable]:
@@ -104,31 +64,37 @@ def read_suites(paths: Iterable[Path]) -> list[SuiteTable]:
     Of several rows on one policy, training seed and point the first counts.
 
     Raises:
-        InputError: as :func:`read_suite`, or tables of one suite have different axes.
+        InputError: a table cannot be read, or a column is missing or malformed, where the message names the line; or
+            tables of one suite have different axes.
     """
     found: dict[str, SuiteTable] = {}
-    for table in map(read_suite, paths):
+    for path in paths:
+        table = _read_suite(path)
         first = found.setdefault(table.suite, table)
         if (first.axis, first.scale) != (table.axis, table.scale):
-            raise InputError(f"{table.path}: its axis is not that of {first.path}, a table of the same suite")
-        there = {(row.point, row.policy, row.seed) for row in first.rows}
+            raise InputError(f"{path}: its axis is not that of {first.path}, a table of the same suite")
         if first is not table:
-            first.rows.extend(row for row in table.rows if (row.point, row.policy, row.seed) not in there)
+            rows = pd.concat([first.rows, table.rows]).drop_duplicates(["policy", "seed", "point"])
+            found[table.suite] = replace(first, rows=rows)
     return list(found.values())
 
 
-def _rows(table: CsvTable) -> list[SuiteRow]:
-    ends = (table.floats(column, missing=True).tolist() for column in ("low", "high"))
-    aou = map(Interval, table.floats("mean_aou_slots").tolist(), *ends)
-    slots = (None if value < 0 else value for value in table.integers("training_slots", missing=-1).tolist())
-    joined = (cell == "yes" for cell in table.text("joined"))
-    names = (table.text(column) for column in ("policy", "trained"))
-    rest = table.text("seed"), table.integers("violations").tolist(), table.text("knows")
-    compared = map(Compared, *(table.floats(column, missing=True).tolist() for column in Compared._fields))
-    columns = zip(
-        table.text("point"), table.floats("x").tolist(), *names, aou, slots, joined, *rest, compared, strict=True
-    )
-    return [SuiteRow(*cells) for cells in columns]
+def _read_suite(path: Path) -> SuiteTable:
+    flights = read_table(path, FLIGHTS, _NEEDED)
+    if not len(flights):
+        raise InputError(f"{path}: holds no row: nothing was played")
+    for column in _NEEDED:
+        allowed = _ALLOWED.get(column, ())
+        wrong = ~flights[column].isin(allowed) if allowed else flights[column].isna()
+        if wrong.any():
+            line, cell = int(wrong.argmax()), flights.loc[wrong, column].fillna("").iloc[0] if allowed else ""
+            expected = f"one of {', '.join(allowed)}" if allowed else "a value"
+            raise InputError(f"{path}: line {line + 2}, column '{column}': '{cell[:60]}' is not {expected}")
+    for column in ("suite", "axis", "scale"):
+        if flights[column].nunique() > 1:
+            raise InputError(f"{path}: column '{column}' differs from row to row: a table is of one suite")
+    suite, axis, scale = flights.loc[0, ["suite", "axis", "scale"]]
+    return SuiteTable(path, suite, axis, scale, summary(flights))
 
 
 # -- the figure ----------------------------------------------------------------------------------------
@@ -145,69 +111,53 @@ def plot_suite(table: SuiteTable, out_dir: Path) -> list[Path]:
 
 
 def _figure(table: SuiteTable) -> Figure:
-    policies = list(dict.fromkeys(row.policy for row in table.rows))
+    policies = list(dict.fromkeys(table.rows["policy"]))
     policies.sort(key=style.is_planner)  # learned ones first, otherwise as played
     looks = style.looks(policies)
-    budgets = _budget_lines(table, looks)
+    labelled = table.rows.assign(policy=[looks[name].label for name in table.rows["policy"]]).sort_values("x")
+    budgets = [part for line in budget_lines(labelled) for part in textwrap.wrap(line, _WIDTH)]
     figure, axes = style.new_axes(height_in=3.0 + _LINE_IN * len(budgets))
-    places, ends = _places(table), []
+    apart = table.scale == "category"  # side by side, whatever their x: there is no way from one to the next
+    places = {label: float(place) if apart else x for place, (label, x) in enumerate(table.points.items())}
+    ends = []
     for turn, policy in enumerate(policies):
-        rows = [row for row in table.rows if row.policy == policy]
-        shift = _SPREAD * ((turn + 0.5) / len(policies) - 0.5) if table.scale == "category" else 0.0
-        ends.append((looks[policy], *_draw_policy(axes, table, places, rows, shift, looks[policy])))
+        shift = _SPREAD * ((turn + 0.5) / len(policies) - 0.5) if apart else 0.0
+        ends.append((looks[policy], *_draw_policy(axes, places, table.of(policy), shift, looks[policy], apart)))
     _finish(axes, table, places)
-    if table.scale != "category":
+    if not apart:
         last = max(x for _, x, _ in ends)  # a leader from an earlier point would look like a part of the line
         style.tag_ends(figure, axes, [end for end in ends if end[1] == last])
-    style.legend_below(figure, axes, "\n".join([*_meanings(table), *budgets]))
+    style.legend_below(figure, axes, "\n".join([*_meanings(table.rows), *budgets]))
     return figure
 
 
-def _budget_lines(table: SuiteTable, looks: dict[str, style.Look]) -> list[str]:
-    """Where the trainings of the table had different budgets: which of them had which."""
-    rows = sorted(table.rows, key=lambda row: row.x)
-    known = [(looks[row.policy].label, row.point, row.training_slots) for row in rows if row.training_slots is not None]
-    return [part for line in budget_lines(known) for part in textwrap.wrap(line, _WIDTH)]
-
-
-def _places(table: SuiteTable) -> dict[str, float]:
-    """Where each point stands on the x axis: categories side by side, whatever their x."""
-    if table.scale == "category":
-        return {label: float(place) for place, label in enumerate(table.points)}
-    return table.points
-
-
 def _draw_policy(
-    axes: Axes, table: SuiteTable, places: dict[str, float], rows: Sequence[SuiteRow], shift: float, look: style.Look
+    axes: Axes, places: dict[str, float], rows: pd.DataFrame, shift: float, look: style.Look, apart: bool
 ) -> tuple[float, float]:
     """Draw the line and the points of a policy; return x and y of its last point."""
-    above = 2.0 if rows[0].how == "planner" else 3.0  # whether filled or hollow must be seen
-    drawn = {label: found for label in places if (found := [row for row in rows if row.point == label])}
+    above = 2.0 if (rows["how"] == "planner").all() else 3.0  # whether filled or hollow must be seen
+    drawn = {label: found for label in places if len(found := rows[rows["point"] == label])}
     means = {label: _over_seeds(found) for label, found in drawn.items()}
-    # Categories have no way from one to the next.
-    joined = set() if table.scale == "category" else {row.point for row in rows if row.joined}
-    along = [label for label in means if label in joined]
+    along = [label for label, found in drawn.items() if not apart and (found["joined"] == "yes").any()]
+    line: dict[str, Any] = {"color": look.colour, "linestyle": look.dash if along else "none", "linewidth": 1.0}
     if along:
-        axes.plot(
-            [places[label] for label in along], [means[label].value for label in along],
-            color=look.colour, linestyle=look.dash, linewidth=1.0, zorder=above,
-        )  # fmt: skip
-    entry = look.label if table.scale == "category" else look.entry
-    for label, aou in means.items():
-        low = np.maximum(aou.low, 1e-9 * aou.value)  # a logarithmic axis shows no 0
-        reach = np.nan_to_num(np.array([[aou.value - low], [aou.high - aou.value]]))  # (2, 1)
-        axes.errorbar(
-            places[label] + shift, aou.value, yerr=reach, color=look.colour, marker=look.marker, markersize=4,
-            markerfacecolor="white" if drawn[label][0].how == "zero-shot" else look.colour,
-            linestyle=look.dash if along else "none", linewidth=1.0, elinewidth=1.0, capsize=1.8,
-            label=entry if label == next(iter(means)) else None, zorder=above,
-        )  # fmt: skip
-    return places[label], aou.value
+        axes.plot([places[label] for label in along], [means[label].value for label in along], zorder=above, **line)
+    line |= {"marker": look.marker, "markersize": 4, "elinewidth": 1.0, "capsize": 1.8}
+    entry: str | None = look.label if apart else look.entry
+    for label, (value, low, high) in means.items():
+        reach = np.nan_to_num([[value - max(low, 1e-9 * value)], [high - value]])  # a logarithmic axis shows no 0
+        inside = "white" if drawn[label]["how"].iloc[0] == "zero-shot" else look.colour
+        axes.errorbar(places[label] + shift, value, reach, label=entry, markerfacecolor=inside, zorder=above, **line)
+        entry = None  # one for all points
+    return places[label], value
 
 
-def _over_seeds(rows: Sequence[SuiteRow]) -> Interval:
+def _over_seeds(rows: pd.DataFrame) -> Interval:
     """The mean over training seeds with its interval; of one seed, the interval over its missions."""
-    return rows[0].aou if len(rows) == 1 else interval_over_trainings([row.aou.value for row in rows]).within(0)
+    if len(rows) > 1:
+        return interval_over_trainings(rows["mean_aou_slots"]).within(0)
+    (one,) = rows["aou"]
+    return Interval(*one)
 
 
 def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
@@ -221,7 +171,7 @@ def _finish(axes: Axes, table: SuiteTable, places: dict[str, float]) -> None:
     if table.scale == "category":
         axes.set_xlim(-0.6, len(places) - 0.4)
         axes.grid(axis="x", visible=False)
-    values = [row.aou.value for row in table.rows]
+    values = table.rows["mean_aou_slots"].tolist()
     if style.log_scale_if_wide(axes, values):
         axes.set_ylim(bottom=max(axes.get_ylim()[0], min(value for value in values if value > 0) / 2))
     else:
@@ -236,15 +186,14 @@ def _crowded(places: dict[str, float], *, log: bool) -> bool:
     return bool((0.91 * np.abs(np.diff(at)) < needed * np.ptp(at)).any())
 
 
-def _meanings(table: SuiteTable) -> list[str]:
+def _meanings(rows: pd.DataFrame) -> list[str]:
     """What markers and bars mean."""
-    kinds = {row.how for row in table.rows}
-    words = []
+    kinds, words = set(rows["how"]), []
     if {"trained", "zero-shot"} <= kinds:
         words.append("filled: trained for the point; hollow: zero-shot")
     elif "zero-shot" in kinds:
         words.append("hollow: zero-shot, not trained for the point")
-    runs = Counter((row.point, row.policy) for row in table.rows)
-    several = "seeds; of one seed: over missions" if min(runs.values()) == 1 else "seeds"
-    words.append("bars: 95 % interval over " + (several if max(runs.values()) > 1 else "missions"))
+    runs = rows.groupby(["point", "policy"]).size()
+    several = "seeds; of one seed: over missions" if runs.min() == 1 else "seeds"
+    words.append("bars: 95 % interval over " + (several if runs.max() > 1 else "missions"))
     return words

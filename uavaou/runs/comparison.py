@@ -68,7 +68,7 @@ def common_scenario(runs: Mapping[str, RunConfig]) -> Scenario:
 
 
 def load_runs(
-    folders: Iterable[str], scenario: Scenario, action: str | None = None, knows: str = "everything"
+    folders: Iterable[str], scenario: Scenario | None, action: str | None = None, knows: str = "everything"
 ) -> dict[str, Planner]:
     """The best policies of runs by folder; see :func:`uavaou.runs.policy.load_run`."""
     from uavaou.runs.policy import load_run  # imports torch, which planners do without

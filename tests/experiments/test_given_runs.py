@@ -7,43 +7,52 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
-from tests.suites.small_suites import GOOD
+from tests.experiments.small_suites import GOOD
 from uavaou.algorithms.registry import load_config
+from uavaou.experiments.given_runs import name_runs
+from uavaou.experiments.study import Study
+from uavaou.experiments.suite import Suite
+from uavaou.experiments.suite_flights import SuiteFlights, budget_lines, plan_suite
 from uavaou.family import Family
 from uavaou.runs.folder import RunConfig
 from uavaou.scenario import Scenario
-from uavaou.studies.study import Study
-from uavaou.suites.given_runs import budget_lines, name_runs
-from uavaou.suites.play import SuitePlan, plan_suite
-from uavaou.suites.suite import Suite
 from uavaou.zoo import zoo_names
 
 
-def configs(*stated: dict[str, Any]) -> dict[Path, RunConfig]:
+def configs(*stated: dict[str, Any]) -> dict[str, RunConfig]:
     """Runs on tiny with some changes: ``algorithm``, ``seed``, and fields of the scenario or the algorithm."""
     found = {}
     for number, given in enumerate(stated):
         fields = dict(given)
         name, seed = fields.pop("algorithm", "mappo-paper"), fields.pop("seed", 0)
         own = {key: fields.pop(key) for key in list(fields) if key in ("observation", "gamma", "slots")}
-        found[Path(f"run-{number}")] = RunConfig(Scenario.load("tiny").replace(**fields), load_config(name, own), seed)
+        found[f"run-{number}"] = RunConfig(Scenario.load("tiny").replace(**fields), load_config(name, own), seed)
     return found
 
 
-def planned(suite: Suite, given: dict[Path, RunConfig], **changes: Any) -> SuitePlan:
+def planned(suite: Suite, given: dict[str, RunConfig], **changes: Any) -> SuiteFlights:
     base = Scenario.load("tiny").replace(**changes)
-    return plan_suite(suite, {str(path): config for path, config in given.items()}, (), "tiny", base)
+    return plan_suite(suite, given, (), "tiny", base)
 
 
-def flown(suite: Suite, given: dict[Path, RunConfig]) -> dict[tuple[str, str], list[tuple[str, str]]]:
+def flown(suite: Suite, given: dict[str, RunConfig]) -> dict[tuple[str, str], list[tuple[str, str]]]:
     """(point, policy) -> the runs that fly it, each with how; none where no run of the policy fits."""
     plan = planned(suite, given)
-    found: dict[tuple[str, str], list[tuple[str, str]]] = {(point.label, policy): [] for point, policy in plan.unflown}
-    for flight in plan.flights:
+    found: dict[tuple[str, str], list[tuple[str, str]]] = {(one.point.label, one.policy): [] for one in plan.unflown}
+    for flight in plan.planned:
         assert flight.run is not None
-        found.setdefault((flight.point.label, flight.policy), []).append((flight.run.folder.path.name, flight.kind))
+        found.setdefault((flight.point.label, flight.policy), []).append((flight.run.name, flight.how))
+    return found
+
+
+def missing(flights: SuiteFlights) -> dict[str, list[str]]:
+    """The command of each missing training -> the points that it flies."""
+    found: dict[str, list[str]] = {}
+    for one in flights.unflown:
+        found.setdefault(shlex.join(one.training), []).append(one.point.label)
     return found
 
 
@@ -87,21 +96,30 @@ def test_scenarios_are_compared_without_their_names(by_devices: Suite) -> None:
 def test_an_unfinished_training_counts_with_its_trained_slots(by_devices: Suite, tmp_path: Path) -> None:
     (tmp_path / "meta.json").write_text('{"slots": 700, "agent_steps": 1400, "wall_s": 1.0, "finished": false}')
     config = RunConfig(Scenario.load("tiny"), load_config("mappo-paper", {"slots": 1000}), 0)
-    assert name_runs({tmp_path: config}, by_devices, [])[0].slots == 700
+    assert name_runs({str(tmp_path): config}, by_devices, [])[0].slots == 700
     for content in ('{"slots": 1020, "finished": true}', '{"slots": "many", "finished": false}', "[]", "{"):
         (tmp_path / "meta.json").write_text(content)
-        assert name_runs({tmp_path: config}, by_devices, [])[0].slots == 1000
+        assert name_runs({str(tmp_path): config}, by_devices, [])[0].slots == 1000
 
 
-def test_budgets_are_listed_where_they_differ() -> None:
-    assert budget_lines([("mappo", "10", 1000), ("mappo", "25", 1000), ("vdn", "10", 1000)]) == []
-    assert budget_lines([("mappo", "10", 1000), ("vdn", "10", 3000)]) == [
-        "mappo: trained with slots = 1,000",
-        "vdn: trained with slots = 3,000",
-    ]
-    assert budget_lines([("any-map", "10", 1000), ("vdn", "10", 3000)]) == []  # its model card states its stages
-    flown = [("mappo", "10", 1000), *[("mappo", "25", 3000)] * 5, ("mappo", "50", 1000)]
-    assert budget_lines(flown) == ["mappo: trained with slots = 1,000 at 10, 50; 3,000 at 25"]
+@pytest.mark.parametrize(
+    ("flown", "lines"),
+    [
+        ([("mappo", "10", 1000), ("mappo", "25", 1000), ("vdn", "10", 1000)], []),
+        (
+            [("mappo", "10", 1000), ("vdn", "10", 3000), ("greedy", "10", None)],
+            ["mappo: trained with slots = 1,000", "vdn: trained with slots = 3,000"],
+        ),
+        ([("any-map", "10", 1000), ("vdn", "10", 3000)], []),  # its model card states its stages
+        (
+            [("mappo", "10", 1000), *[("mappo", "25", 3000)] * 5, ("mappo", "50", 1000)],
+            ["mappo: trained with slots = 1,000 at 10, 50; 3,000 at 25"],
+        ),
+    ],
+)
+def test_budgets_are_listed_where_they_differ(flown: list[tuple[str, str, int | None]], lines: list[str]) -> None:
+    rows = pd.DataFrame(flown, columns=["policy", "point", "slots"]).astype({"slots": "Int64"})
+    assert budget_lines(rows) == lines
 
 
 def test_settings_budgets_and_starts_make_another_policy(by_devices: Suite) -> None:
@@ -112,7 +130,7 @@ def test_settings_budgets_and_starts_make_another_policy(by_devices: Suite) -> N
     assert policies({"slots": 1000}, {"slots": 3000}) == {"mappo+slots=1000", "mappo+slots=3000"}
     assert policies({}, {"seed": 1}) == {"mappo"}
     given = configs({}, {})
-    given[Path("run-1")] = replace(given[Path("run-1")], start="0123456789ab" + "c" * 52)
+    given["run-1"] = replace(given["run-1"], start="0123456789ab" + "c" * 52)
     assert [run.policy for run in planned(by_devices, given).runs] == ["mappo", "mappo+from=0123456789ab"]
 
 
@@ -127,45 +145,43 @@ def test_a_point_with_an_observation_is_flown_by_runs_that_have_it() -> None:
 
 
 def test_a_missing_training_comes_with_its_command(by_devices: Suite) -> None:
-    missing = planned(by_devices, configs({"algorithm": "vdn", "devices": 3, "gamma": 0.9})).missing
-    command = "uavaou train --scenario tiny --algorithm vdn --set algorithm.gamma=0.9"
-    assert [(one.labels, shlex.join(one.command)) for one in missing] == [(("4", "4 fast"), command)]
-    (missing,) = planned(by_devices, configs({}), layout_seed=4).missing
-    command = (
+    found = missing(planned(by_devices, configs({"algorithm": "vdn", "devices": 3, "gamma": 0.9})))
+    assert found == {"uavaou train --scenario tiny --algorithm vdn --set algorithm.gamma=0.9": ["4", "4 fast"]}
+    (command,) = missing(planned(by_devices, configs({}), layout_seed=4))
+    expected = (
         "uavaou train --scenario tiny --algorithm mappo-paper --set scenario.devices=3 --set scenario.layout_seed=4"
     )
-    assert sorted(shlex.join(missing.command).split(" --")) == sorted(command.split(" --"))
+    assert sorted(command.split(" --")) == sorted(expected.split(" --"))
 
 
 def test_a_missing_training_takes_the_budget_of_its_policy(by_devices: Suite) -> None:
-    missing = planned(by_devices, configs({"slots": 3000}, {"slots": 1000})).missing
-    assert [one.labels for one in missing] == [("3",), ("3",)]
-    assert ["algorithm.slots=3000" in one.command for one in missing] == [True, False]
-    assert ["algorithm.slots=1000" in one.command for one in missing] == [False, True]
+    one, other = missing(planned(by_devices, configs({"slots": 3000}, {"slots": 1000}))).items()
+    assert ("algorithm.slots=3000" in one[0], "algorithm.slots=1000" in other[0]) == (True, True)
+    assert one[1] == other[1] == ["3"]
 
 
 @pytest.mark.parametrize("name", [name for name in zoo_names("studies") if name.startswith("suite-")])
 def test_companion_studies_train_for_every_point(name: str) -> None:
     study, suite = Study.load(name), Suite.load(name.removeprefix("suite-"))
     configs = {
-        Path(f"{s}-{a}"): RunConfig(scenario, algorithm, 0)
+        f"{s}-{a}": RunConfig(scenario, algorithm, 0)
         for s, scenario in enumerate(study.scenarios.values())
         for a, algorithm in enumerate(study.variants.values())
     }
-    plan = plan_suite(suite, {str(path): config for path, config in configs.items()})
+    plan = plan_suite(suite, configs)
     # One training on layouts drawn anew flies all of the suite `layouts`, which none of them is from.
-    trained = {flight.point.label for flight in plan.flights if flight.kind == "trained"}
+    trained = {flight.point.label for flight in plan.planned if flight.how == "trained"}
     assert trained == (set() if name == "suite-layouts" else {point.label for point in suite.points})
     assert not plan.unflown
-    missing = plan_suite(suite, {}).missing
-    assert len(missing) == len(configs)
-    assert sum("scenario.layout=resample" in one.command for one in missing) == (name == "suite-layouts")
+    commands = missing(plan_suite(suite, {}))
+    assert len(commands) == len(configs)
+    assert sum("scenario.layout=resample" in command for command in commands) == (name == "suite-layouts")
 
 
 def test_runs_of_families_are_never_trained_for_a_point(by_devices: Suite) -> None:
     given = configs({}, {"layout": "resample"})
     family = Family.from_dict({"base": Scenario.load("tiny").to_dict(), "name": "mine"})
-    given[Path("drawn")] = replace(given[Path("run-0")], family=family)
+    given["drawn"] = replace(given["run-0"], family=family)
     found = flown(by_devices, given)
     assert found["4", "mappo"] == [("run-0", "trained")]
     (policy,) = {policy for _, policy in found if "family" in policy}

@@ -127,6 +127,11 @@ class ResolvedPoint:
         return self.stated.label
 
     @property
+    def told(self) -> str:
+        """What one should know of the point; empty where there is nothing."""
+        return f"infeasible: {self.problem}" if self.problem else self.remark
+
+    @property
     def played(self) -> Scenario:
         """The scenario of a feasible point."""
         assert self.scenario is not None

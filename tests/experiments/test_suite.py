@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.suites.small_suites import GOOD, POINT
+from tests.experiments.small_suites import GOOD, POINT
 from uavaou.errors import InfeasibleError, InputError
+from uavaou.experiments.suite import Suite, resolve_points
 from uavaou.runs.names import name_with
 from uavaou.scenario import Scenario
-from uavaou.suites.suite import Suite, resolve_points
 from uavaou.zoo import zoo_names
 
 

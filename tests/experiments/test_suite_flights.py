@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
-from tests.suites.small_suites import GOOD, OWN, call
-from uavaou.scenario import Scenario
+from tests.experiments.small_suites import GOOD, OWN, call
+from uavaou.evaluation.flights import FLIGHTS, Flights, read_table
+from uavaou.experiments.suite_flights import summary
+from uavaou.statistics import interval_over_missions
+
+
+def flights(path: Path) -> pd.DataFrame:
+    return read_table(path, FLIGHTS)
 
 
 def test_a_suite_is_played_printed_and_written(capsys: pytest.CaptureFixture[str], place: Path) -> None:
-    command = "eval run --policy greedy --suite own.yaml --episodes 3 --quiet --out out/own.csv --json all.json"
+    command = "eval run --policy greedy --suite own.yaml --episodes 3 --quiet --out out/own.csv.gz"
     code, out, err = call(capsys, command)
     assert (code, err) == (0, "")
     for words in (
@@ -33,69 +38,68 @@ def test_a_suite_is_played_printed_and_written(capsys: pytest.CaptureFixture[str
         "constraint violations: none",
     ):
         assert words in " ".join(out.split()), words
-    rows = list(csv.DictReader((place / "out" / "own.csv").open()))
-    assert [(row["point"], row["policy"], row["trained"], row["seed"]) for row in rows] == [
-        ("150", "mappo", "trained", "0"), ("150", "greedy", "planner", ""),
-        ("100", "mappo", "zero-shot", "0"), ("100", "greedy", "planner", ""),
-        ("other devices", "greedy", "planner", ""),
-        ("new layouts", "mappo", "zero-shot", "0"), ("new layouts", "greedy", "planner", ""),
-    ]  # fmt: skip
-    assert {(row["suite"], row["missions"], row["axis"], row["scale"]) for row in rows} == {
-        ("own", "3", "minimum rate (kbit/s)", "linear")
-    }
-    assert {(row["trained"], row["training_slots"]) for row in rows} == {
-        ("trained", "96"), ("zero-shot", "96"), ("planner", "")
-    }  # fmt: skip
-    assert [row["trained_on"] for row in rows if row["policy"] == "mappo"] == ["tiny"] * 3
-    assert {row["trained_on"] for row in rows if row["policy"] == "greedy"} == {""}
     assert "mappo: trained on tiny" in out
     assert "trained with slots" not in out
-    own = json.loads((place / "run" / "eval" / "own.json").read_text())
-    assert [point["label"] for point in own["points"]] == ["150", "100", "new layouts"]
-    assert [point["how"]["mappo"] for point in own["points"]] == ["trained", "zero-shot", "zero-shot"]
-    assert set(own["points"][0]["policies"]) == {"mappo", "greedy"}
-    assert own["points"][0]["trained_on"] == {"mappo": "tiny"}
-    assert own["points"][1]["set"] == {"rate_min_bit_s": 100000}
-    whole = json.loads((place / "all.json").read_text())
-    assert [set(point["policies"]) for point in whole["points"]][2] == {"greedy"}
+    flown = flights(place / "out" / "own.csv.gz")
+    assert list(flown[["point", "policy", "how"]].drop_duplicates().itertuples(index=False, name=None)) == [
+        ("150", "mappo", "trained"),
+        ("150", "greedy", "planner"),
+        ("100", "mappo", "zero-shot"),
+        ("100", "greedy", "planner"),
+        ("other devices", "greedy", "planner"),
+        ("new layouts", "mappo", "zero-shot"),
+        ("new layouts", "greedy", "planner"),
+    ]
+    seeds = flown.groupby(["point", "policy"])["mission_seed"].agg(tuple)
+    assert set(seeds) == {(10000, 10001, 10002)}
+    for column, value in {"suite": "own", "axis": "minimum rate (kbit/s)", "scale": "linear", "joined": "yes"}.items():
+        assert set(flown[column]) == {value}
+    mappo = flown[flown["policy"] == "mappo"]
+    same = mappo[["scenario", "trained_on", "knows", "algorithm", "seed", "slots"]].drop_duplicates()
+    assert same.to_numpy().tolist() == [["tiny", "tiny", "local", "mappo", 0, 96]]
+    assert flown.loc[flown["policy"] == "greedy", ["trained_on", "seed", "slots", "digest"]].isna().all(axis=None)
+    assert not list((place / "run").glob("flights*"))  # what the suite flew is not of the run's own scenario
 
 
 def test_policies_are_compared_with_best_first_mission_by_mission(
     capsys: pytest.CaptureFixture[str], place: Path
 ) -> None:
-    command = "eval run --policy best-first --suite own.yaml --episodes 3 --quiet --out own.csv --json all.json"
+    command = "eval run --policy best-first --suite own.yaml --episodes 3 --quiet --out own.csv"
     code, out, _ = call(capsys, command)
     assert code == 0
-    rows = {(row["point"], row["policy"]): row for row in csv.DictReader((place / "own.csv").open())}
-    tau = Scenario.load("tiny").slot_length_s
-    for point in json.loads((place / "all.json").read_text())["points"]:
-        row = rows.get((point["label"], "mappo"))
-        if row is None:
-            continue
-        own, best = (np.array(point["policies"][name]["mean_aou_s"]) / tau for name in ("run", "best-first"))
-        assert float(row["ratio"] or "inf") == pytest.approx(
-            own.mean() / best.mean() if best.any() else np.inf, rel=1e-5
-        )
-        assert float(row["difference"]) == pytest.approx(own.mean() - best.mean(), rel=1e-5)
-        assert float(row["worst_mission"]) == pytest.approx((own / (2 * best + 5)).max(), rel=1e-5)
-        words = f"{point['label']} mappo {own.mean() - best.mean():+.2f} slots {float(row['worst_mission']):.2f}"
+    flown = flights(place / "own.csv")
+    rows = summary(flown).set_index(["point", "policy"])
+    for point in ("150", "100", "new layouts"):
+        here = flown[flown["point"] == point]
+        own, best = (here.loc[here["policy"] == name, "mean_aou_slots"].to_numpy() for name in ("mappo", "best-first"))
+        row = rows.loc[point, "mappo"]
+        assert row["difference"] == pytest.approx(own.mean() - best.mean())
+        assert row["worst_mission"] == pytest.approx((own / (2 * best + 5)).max())
+        words = f"{point} mappo {own.mean() - best.mean():+.2f} slots {row['worst_mission']:.2f}"
         assert words in " ".join(out.split())
-    assert "geometric mean" not in out  # best-first has less than 20 slots everywhere
-    call(capsys, "eval run --suite own.yaml --episodes 2 --quiet --out own.csv")
-    assert {row["ratio"] for row in csv.DictReader((place / "own.csv").open())} == {""}  # best-first did not play
+    assert rows["ratio"].isna().all()  # best-first has less than 20 slots everywhere
+    assert "geometric mean" not in out
+    assert summary(flown[flown["policy"] == "mappo"])["difference"].isna().all()  # best-first did not play
+
+
+def test_a_copy_of_a_run_says_nothing_new_and_ratios_are_of_large_ages(tmp_path: Path) -> None:
+    same = {"suite": "s", "point": "1", "x": 1.0, "mission_seed": np.array([5, 6])}
+    best = Flights.of({**same, "policy": "best-first", "mean_aou_slots": np.array([30.0, 50.0])})
+    own = Flights.of({**same, "policy": "mappo", "seed": 0, "mean_aou_slots": np.array([10.0, 20.0])})
+    (first, second) = summary(Flights.joined([own, best, own]).flights).itertuples()
+    assert (first.policy, first.ratio, first.difference) == ("mappo", 15 / 40, -25)
+    assert first.aou == interval_over_missions([10, 20])
+    assert (second.policy, second.ratio, second.worst_mission) == ("best-first", 1, 50 / 105)
+    assert summary(Flights.joined([]).flights).empty
 
 
 def test_a_point_equals_eval_on_its_scenario(capsys: pytest.CaptureFixture[str], place: Path) -> None:
     assert call(capsys, "eval run --suite own.yaml --episodes 3 --quiet --out own.csv")[0] == 0
-    call(capsys, "eval run --set scenario.rate_min_bit_s=100000 --episodes 3 --quiet --json plain.json")
-    plain = json.loads((place / "plain.json").read_text())["policies"]["run"]
-    point = json.loads((place / "run" / "eval" / "own.json").read_text())["points"][1]["policies"]["mappo"]
-    assert point == plain
-    row = next(row for row in csv.DictReader((place / "own.csv").open()) if row["point"] == "100")
-    slots = np.array(plain["mean_aou_s"]) / Scenario.load("tiny").slot_length_s
-    assert float(row["mean_aou_slots"]) == pytest.approx(slots.mean(), rel=1e-5)
-    assert float(row["communications"]) == pytest.approx(np.mean(plain["communications"]), rel=1e-5)
-    assert float(row["low"]) <= float(row["mean_aou_slots"]) <= float(row["high"])
+    call(capsys, "eval run --set scenario.rate_min_bit_s=100000 --episodes 3 --quiet --out plain.csv")
+    plain, point = flights(place / "plain.csv"), flights(place / "own.csv")
+    point = point[point["point"] == "100"].reset_index(drop=True)
+    measured = ["mission_seed", "mean_aou_slots", "communications", "devices_served", "flight_time_s", "digest"]
+    assert plain[measured].equals(point[measured])
 
 
 def test_without_runs_the_missing_trainings_are_printed_and_nothing_is_written(
@@ -120,17 +124,16 @@ def test_a_planner_that_refuses_a_point_gives_its_reason(capsys: pytest.CaptureF
     assert code == 0
     (reason,) = (part for part in " ".join(out.split()).split("exact does not fly ")[1:])  # once
     assert reason.startswith("Rice, K = 2: fading = rician: needs a deterministic channel, fading: none")
-    played = {(row["point"], row["policy"]): row for row in csv.DictReader((place / "o.csv").open())}
-    assert list(played) == [("none", "exact"), ("none", "stay"), ("Rice", "stay"), ("K = 2", "stay")]
-    assert float(played["none", "exact"]["mean_aou_slots"]) == pytest.approx(4 / 3, abs=1e-3)  # the proven optimum
+    played = summary(flights(place / "o.csv")).set_index(["point", "policy"])["mean_aou_slots"]
+    assert list(played.index) == [("none", "exact"), ("none", "stay"), ("Rice", "stay"), ("K = 2", "stay")]
+    assert played["none", "exact"] == pytest.approx(4 / 3, abs=1e-3)  # the proven optimum
 
 
 def test_changes_of_the_scenario_are_part_of_every_name(capsys: pytest.CaptureFixture[str], place: Path) -> None:
     command = "eval run --suite own.yaml --set scenario.layout_seed=3 --episodes 2 --quiet --out own.csv"
     code, out, _ = call(capsys, command)
     assert code == 0
-    assert (place / "run" / "eval" / "own+layout_seed=3.json").is_file()
-    assert {row["suite"] for row in csv.DictReader((place / "own.csv").open())} == {"own+layout_seed=3"}
+    assert set(flights(place / "own.csv")["suite"]) == {"own+layout_seed=3"}
     assert "mappo: trained on tiny" in out
 
 
@@ -148,11 +151,9 @@ def test_all_runs_fly_and_names_and_lines_tell_them_apart(capsys: pytest.Capture
         "mappo+slots=48: trained on tiny+rate_min_bit_s=100000.0",
     ):
         assert words in out, words
-    played = [
-        (row["point"], row["policy"], row["trained"], row["training_slots"], row["trained_on"])
-        for row in csv.DictReader((place / "own.csv").open())
-    ]
-    short, long = ("48", "tiny+rate_min_bit_s=100000.0"), ("96", "tiny")
+    rows = summary(flights(place / "own.csv"))[["point", "policy", "how", "slots", "trained_on"]]
+    played = list(rows.itertuples(index=False, name=None))
+    short, long = (48, "tiny+rate_min_bit_s=100000.0"), (96, "tiny")
     assert played == [
         ("150", "mappo+slots=96", "trained", *long),
         ("150", "mappo+slots=48", "zero-shot", *short),
@@ -162,13 +163,6 @@ def test_all_runs_fly_and_names_and_lines_tell_them_apart(capsys: pytest.Capture
         ("new layouts", "mappo+slots=48", "zero-shot", *short),
     ]
     assert call(capsys, "plot suite own.csv --out .")[0] == 0
-
-
-def test_an_evaluation_of_more_missions_is_kept(capsys: pytest.CaptureFixture[str], place: Path) -> None:
-    assert call(capsys, "eval run --suite own.yaml --episodes 4 --quiet")[0] == 0
-    kept = (place / "run" / "eval" / "own.json").read_bytes()
-    assert "kept run/eval/own.json" in call(capsys, "eval run --suite own.yaml --episodes 2")[2]
-    assert (place / "run" / "eval" / "own.json").read_bytes() == kept
 
 
 def test_a_damaged_run_is_found_before_anything_is_played(capsys: pytest.CaptureFixture[str], place: Path) -> None:
@@ -194,20 +188,20 @@ def test_a_damaged_run_is_found_before_anything_is_played(capsys: pytest.Capture
             "eval run --suite rate --set scenario.rate_min_bit_s=3",
             "cannot be changed: the points of the suite 'rate' set it",
         ),
-        ("eval run --suite own.yaml --out a.csv --json ./a.csv", "--out and --json are both 'a.csv'"),
         ("eval run --suite fading --set algorithm.gamma=1", "only scenario.* can be set"),
-        ("eval run --out x.csv", "--out writes the table of a --suite"),
         ("eval run --suite fading --out .", "is a folder"),
         ("eval run --suite fading --time-limit 5", "needs a --policy that plans ahead"),
         ("eval run --suite fading --policy anneal --time-limit nan", "must be a positive number"),
         ("plot suite", "no FILE"),
-        ("plot suite own.yaml", "column 'suite' is missing"),
+        ("plot suite own.yaml", "own.yaml: not a table"),
+        ("plot suite other.csv", "column 'suite' is missing"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(
     capsys: pytest.CaptureFixture[str], place: Path, command: str, words: str
 ) -> None:
     (place / "empty.yaml").touch()
+    (place / "other.csv").write_text("x,y\n1,2\n")
     (place / "misspelt.yaml").write_text(OWN.replace("points", "ponits"))
     shutil.copytree(place / "run", place / "begun", ignore=shutil.ignore_patterns("*.safetensors"))
     before = sorted(place.rglob("*"))

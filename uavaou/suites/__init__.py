@@ -1,1 +1,0 @@
-"""Evaluation suites: one scenario changed point by point, and who flies each point."""
