@@ -38,8 +38,13 @@ TABLES = {
     "areas": ["--suite", "areas", *FEWER],
     "known-layouts": ["--suite", "known-layouts"],
     "unseen-layouts": ["--suite", "unseen-layouts", "--episodes", "8"],
+    "fading": ["--suite", "fading"],
+    "rate": ["--suite", "rate"],
 }
-PAGE_ORDER = ("unseen-layouts", "layouts", "known-layouts", "drawn-uavs", "drawn-devices", "areas", "uavs", "devices")
+PAGE_ORDER = (
+    "unseen-layouts", "layouts", "known-layouts", "drawn-uavs", "drawn-devices", "areas", "uavs", "devices", "fading",
+    "rate",
+)  # fmt: skip
 MOST_ROWS = 20  # of a table on the page
 CARD = re.compile(r"(<!-- zero-shot:begin -->\n).*?(<!-- zero-shot:end -->)", re.DOTALL)
 NOTE = f"""\
@@ -48,9 +53,7 @@ where each mission has a layout of its own, 8 of each layout in `unseen-layouts`
 mean AoU where `{REFERENCE}` has more than {RATIO_ABOVE} slots, elsewhere the difference. The *worst mission* has the
 largest mean AoU as a multiple of 2 x `{REFERENCE}` + 5 slots. The ratios of the first table are over the points where
 the other policy has more than {RATIO_ABOVE} slots; *elsewhere* has the smallest and the largest difference at the other
-points. It lists planners, and policies that were trained for the points: in `known-layouts` by three trainings of 3M
-slots (layout 0: ten), else by one of 1M. In `layouts`, `mappo` and `qmix` learned layout 0 alone;
-`mappo+layout=resample` trained on new ones."""
+points."""
 
 
 def main() -> None:

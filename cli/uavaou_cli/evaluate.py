@@ -199,7 +199,6 @@ def _evaluate_suite(
 
 def _point_lines(flights: SuiteFlights) -> list[str]:
     """The points of a suite, and the trainings that they need."""
-    from uavaou.zoo import zoo_names
 
     suite = flights.suite
     lines = wrapped(f"{suite.name}: {suite.description}")
@@ -209,8 +208,6 @@ def _point_lines(flights: SuiteFlights) -> list[str]:
         seen = [f"observation {point.observation}"] if point.observation else []
         rows.append((point.label, textwrap.shorten(", ".join([*changed, *seen]) or "as it is", 50)))
     lines += ["", *aligned(rows), *_reasons(flights), *_missing_lines(flights)]
-    if f"suite-{suite.name}" in zoo_names("studies"):
-        lines += ["", f"all of them: uavaou study run suite-{suite.name}"]
     return [*lines, "", f"then: uavaou eval RUN... --suite {suite.name}"]
 
 

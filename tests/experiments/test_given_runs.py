@@ -13,13 +13,11 @@ import pytest
 from tests.experiments.small_suites import GOOD
 from uavaou.algorithms.registry import load_config
 from uavaou.experiments.given_runs import name_runs
-from uavaou.experiments.study import Study
 from uavaou.experiments.suite import Suite
 from uavaou.experiments.suite_flights import SuiteFlights, budget_lines, plan_suite
 from uavaou.family import Family
 from uavaou.runs.folder import RunConfig
 from uavaou.scenario import Scenario
-from uavaou.zoo import zoo_names
 
 
 def configs(*stated: dict[str, Any]) -> dict[str, RunConfig]:
@@ -158,24 +156,6 @@ def test_a_missing_training_takes_the_budget_of_its_policy(by_devices: Suite) ->
     one, other = missing(planned(by_devices, configs({"slots": 3000}, {"slots": 1000}))).items()
     assert ("algorithm.slots=3000" in one[0], "algorithm.slots=1000" in other[0]) == (True, True)
     assert one[1] == other[1] == ["3"]
-
-
-@pytest.mark.parametrize("name", [name for name in zoo_names("studies") if name.startswith("suite-")])
-def test_companion_studies_train_for_every_point(name: str) -> None:
-    study, suite = Study.load(name), Suite.load(name.removeprefix("suite-"))
-    configs = {
-        f"{s}-{a}": RunConfig(scenario, algorithm, 0)
-        for s, scenario in enumerate(study.scenarios.values())
-        for a, algorithm in enumerate(study.variants.values())
-    }
-    plan = plan_suite(suite, configs)
-    # One training on layouts drawn anew flies all of the suite `layouts`, which none of them is from.
-    trained = {flight.point.label for flight in plan.planned if flight.how == "trained"}
-    assert trained == (set() if name == "suite-layouts" else {point.label for point in suite.points})
-    assert not plan.unflown
-    commands = missing(plan_suite(suite, {}))
-    assert len(commands) == len(configs)
-    assert sum("scenario.layout=resample" in command for command in commands) == (name == "suite-layouts")
 
 
 def test_runs_of_families_are_never_trained_for_a_point(by_devices: Suite) -> None:
