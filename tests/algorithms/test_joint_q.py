@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,15 +13,17 @@ from tests.two_step_game import TwoStepGame, play_greedily
 from uavaou import IQL, QMIX, VDN, InputError, Scenario, flatten
 from uavaou.algorithms.qlearning.branches import UtilityNetwork
 from uavaou.algorithms.qlearning.learner import JointQLearning
-from uavaou.algorithms.qlearning.mixers import MIXERS, MonotonicMixer, NoMixer, StateValueMixer, SumMixer
+from uavaou.algorithms.qlearning.mixers import MonotonicMixer, NoMixer, StateValueMixer, SumMixer
 from uavaou.algorithms.qlearning.replay import JointReplay
 from uavaou.world.views import Columns, RowLayout
 
 LEARNERS = [VDN, QMIX, IQL]
 
 
-def small_model(learner: type[JointQLearning] = VDN, collection: str = "select", **arguments: Any) -> JointQLearning:
-    env = flatten(Scenario.load("quickstart").replace(slots=12), missions=4, collection=collection)
+def small_model(
+    learner: type[JointQLearning] = VDN, collection: str = "select", rows: str = "flat", **arguments: Any
+) -> JointQLearning:
+    env = flatten(Scenario.load("quickstart").replace(slots=12), missions=4, collection=collection, rows=rows)
     quick: dict[str, Any] = {"learning_starts": 40, "batch_size": 16, "buffer_size": 400, "seed": 0, "device": "cpu"}
     return learner("JointQPolicy", env, **quick | arguments)
 
@@ -64,12 +65,16 @@ def test_vdn_may_add_a_value_of_the_state() -> None:
     assert len(value.detach().unique()) == 8
 
 
-@pytest.mark.parametrize("mixer", [*sorted(MIXERS), "sum and value"])
-def test_moving_the_statistics_moves_no_prediction(mixer: str) -> None:
-    learner = {"sum": VDN, "monotonic": QMIX, "none": IQL}.get(mixer, VDN)
-    policy = small_model(learner, policy_kwargs={"state_value_width": 8} if " " in mixer else {}).policy
-    rows = th.randn(6 * 2, policy.row_layout.local_size).abs()  # all allowed
-    states = th.randn(6, policy.row_layout.global_size)
+@pytest.mark.parametrize("network", [{}, {"network": "set"}, {"network": "set", "pull": 12.0}], ids=str)
+@pytest.mark.parametrize(("learner", "arguments"), [(VDN, {}), (QMIX, {}), (IQL, {}), (VDN, {"state_value_width": 8})])
+def test_moving_the_statistics_moves_no_prediction(
+    learner: type[JointQLearning], arguments: dict[str, Any], network: dict[str, Any]
+) -> None:
+    rows = "entities" if network else "flat"
+    model = small_model(learner, "auto" if "pull" in network else "select", rows, policy_kwargs=arguments | network)
+    policy, local_size = model.policy, model.policy.row_layout.local_size
+    seen = th.from_numpy(model.env.reset())
+    rows, states = seen[:, :local_size], seen[::2, local_size:]
     actions = policy.act(rows, None)
 
     def predicted() -> tuple[th.Tensor, th.Tensor]:
@@ -227,23 +232,10 @@ def test_whole_masks_are_read_where_a_row_has_them() -> None:
 # -- learning --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("learner", LEARNERS)
-def test_the_same_seed_gives_the_same_weights(learner: type[JointQLearning]) -> None:
-    first, second, other = (small_model(learner, seed=seed).learn(400).policy.state_dict() for seed in (0, 0, 1))
+def test_the_same_seed_gives_the_same_weights() -> None:
+    first, second, other = (small_model(QMIX, seed=seed).learn(160).policy.state_dict() for seed in (0, 0, 1))
     assert all(th.equal(first[name], second[name]) for name in first)
     assert any(not th.equal(first[name], other[name]) for name in first)
-
-
-@pytest.mark.parametrize("learner", LEARNERS)
-def test_save_and_load(learner: type[JointQLearning], tmp_path: Path) -> None:
-    model = small_model(learner).learn(300)
-    model.save(tmp_path / "model")
-    loaded = learner.load(tmp_path / "model", device="cpu")
-    rows = np.random.default_rng(0).random((8, model.policy.row_layout.local_size), dtype=np.float32)
-    np.testing.assert_array_equal(
-        model.predict(rows, deterministic=True)[0], loaded.predict(rows, deterministic=True)[0]
-    )
 
 
 def test_the_target_networks_move_at_their_period_alone() -> None:
@@ -274,7 +266,7 @@ def test_an_environment_without_row_layout_is_refused() -> None:
 @pytest.mark.parametrize(("learner", "best"), [(QMIX, 8.0), (VDN, 7.0)])
 def test_qmix_sees_the_8_of_the_two_step_game_and_vdn_the_7(learner: type[JointQLearning], best: float) -> None:
     returns = []
-    for seed in range(10):
+    for seed in range(4):
         model = learner(
             "JointQPolicy", TwoStepGame(32), seed=seed, learning_rate=5e-3, n_steps=1, buffer_size=6_400,
             learning_starts=64, batch_size=128, train_freq=1, tau=1.0, target_update_interval=20,
@@ -282,4 +274,4 @@ def test_qmix_sees_the_8_of_the_two_step_game_and_vdn_the_7(learner: type[JointQ
         )  # fmt: skip
         model.learn(2 * 32 * 120)
         returns.append(play_greedily(model))
-    assert returns == [best] * 10
+    assert returns == [best] * 4

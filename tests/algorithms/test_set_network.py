@@ -11,12 +11,11 @@ import torch as th
 
 from tests.algorithms.test_gradient import assert_close, both_gradients
 from tests.algorithms.test_set_encoder import entity_rows, shuffled, sized
-from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, InputError, RunConfig, flatten, load_run, train
+from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, InputError, RunConfig, flatten
 from uavaou.algorithms.fast.update import FastUpdate
 from uavaou.algorithms.mappo.buffer import ARRAYS, SlotRolloutBuffer
 from uavaou.algorithms.nets import set_encoder
 from uavaou.algorithms.nets.value_norm import ValueScale
-from uavaou.algorithms.qlearning.replay import JointBatch
 from uavaou.algorithms.registry import load_config
 from uavaou.family import Family
 from uavaou.runs.names import config_folder, train_command
@@ -150,22 +149,6 @@ def test_team_values_do_not_depend_on_padding_or_order(learner: Any, collection:
     th.testing.assert_close(again, own[:, order] if learner is IQL else own, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("learner", [VDN, QMIX, IQL])
-def test_a_change_of_the_statistics_does_not_change_what_is_predicted(learner: Any) -> None:
-    env = missions("select")
-    model = learner("JointQPolicy", env, policy_kwargs={"network": "set"}, **JOINT)
-    model.learn(200)
-    policy, batch = model.policy, model.replay_buffer.sample(8)
-
-    def values(batch: JointBatch) -> th.Tensor:
-        value: th.Tensor = policy.returns.denormalise(policy.team_values(batch.local, batch.states, batch.actions))
-        return value
-
-    before = values(batch)
-    policy.update_statistics(th.linspace(-40.0, -20.0, 50))
-    th.testing.assert_close(values(batch), before, rtol=1e-3, atol=1e-3)
-
-
 @pytest.mark.parametrize("learner", [MAPPO, IPPO, VDN, QMIX, IQL])
 def test_weights_of_one_size_are_loaded_for_another(learner: Any, tmp_path: Path) -> None:
     joint = {} if issubclass(learner, MAPPO) else JOINT
@@ -282,16 +265,6 @@ def test_published_settings_follow_from_the_network(tmp_path: Path) -> None:
     assert config_folder(tmp_path, config).path.parent.name == "ippo+epochs=2,network=set"
     words = train_command("paper", config.scenario, config.algorithm)
     assert [word for word in words if word.startswith("algorithm.")] == ["algorithm.network=set", "algorithm.epochs=2"]
-
-
-def test_a_run_flies_in_another_size(tmp_path: Path) -> None:
-    config = RunConfig.load(
-        "mappo", sized(2, 6).replace(slots=12), network="set", slots=100, missions=4, evaluate_every_slots=50,
-        evaluation_missions=2, rollout_slots=6,
-    )  # fmt: skip
-    train(config, tmp_path / "run", device="cpu")
-    policy = load_run(tmp_path / "run", sized(5, 30))
-    assert policy.views.layout.devices == 30
 
 
 def test_a_set_needs_rows_of_entities() -> None:
