@@ -28,8 +28,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     return now
 
 
-@pytest.fixture
-def _terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     for name, value in (("COLUMNS", "80"), ("TERM", "xterm"), ("FORCE_COLOR", "1")):
         monkeypatch.setenv(name, value)
@@ -63,8 +62,8 @@ def test_a_training_shows_the_search_for_its_plan(capsys: pytest.CaptureFixture[
     ]
 
 
-@pytest.mark.usefixtures("_terminal")
-def test_a_bar_that_was_taken_away_comes_again() -> None:
+def test_a_bar_that_was_taken_away_comes_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    on_a_terminal(monkeypatch)
     display = TrainingDisplay(slot_length_s=2.0)
     assert display._bar is None  # nor later, where the training is refused
     display.plan(PlanningStatus(0.25, 24.0))
@@ -94,8 +93,8 @@ def test_a_quiet_display_shows_nothing(capsys: pytest.CaptureFixture[str]) -> No
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.usefixtures("_terminal")
-def test_a_bar_fits_80_columns(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bar_fits_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    on_a_terminal(monkeypatch)
     with TrainingDisplay(slot_length_s=2.0) as display:
         display.start(total=3_000_000, done=0, uavs=3)
         display.update(1_234_567, 24.0)
