@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from uavaou import read_study
 from uavaou.reports.scores import study_scores
-from uavaou.studies.results import StudyResults, read_study
+from uavaou.studies.results import StudyResults
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 STUDIES = RESULTS / "studies"

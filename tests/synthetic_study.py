@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import yaml
 
+from uavaou import Scenario
 from uavaou.evaluation.recorded_mission import RecordedMission, record_mission, write_mission
 from uavaou.planners import make_planner
-from uavaou.scenario import Scenario
 from uavaou.studies.results import COLUMNS
 
 DEVICES = 10

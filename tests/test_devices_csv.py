@@ -9,11 +9,8 @@ import numpy as np
 import pytest
 
 from tests.scenario_files import refusal, write
-from uavaou import evaluate
-from uavaou.errors import InputError
+from uavaou import InputError, Scenario, World, evaluate
 from uavaou.reports.audit import audit
-from uavaou.scenario import Scenario
-from uavaou.world.world import World
 from uavaou_cli.overrides import parse_overrides
 
 CSV = "x_m,y_m\n0,0\n50,60\n"

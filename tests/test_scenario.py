@@ -13,16 +13,12 @@ from hypothesis import given, settings
 
 from tests.scenario_files import refusal, write
 from tests.strategies import scenarios
-from uavaou.errors import InputError
-from uavaou.scenario import Range, Scenario, WholeRange
-from uavaou.world.world import World
+from uavaou import InputError, Scenario, World
+from uavaou.scenario import Range, WholeRange
 from uavaou.zoo import zoo_names
 
 PRESETS = ["paper", "paper-table1", "quickstart", "tiny"]
 TINY = Scenario.load("tiny")
-
-
-# -- presets and units ---------------------------------------------------------------------------------
 
 
 def test_the_presets_are_these() -> None:
@@ -122,9 +118,6 @@ def test_stated_values_do_not_shift_what_is_drawn() -> None:
     assert np.array_equal(drawn.update_period, stated.update_period)
 
 
-# -- round trips and changes ---------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("preset", PRESETS)
 def test_presets_survive_yaml(preset: str, tmp_path: Path) -> None:
     scenario = Scenario.load(preset)
@@ -166,9 +159,6 @@ def test_the_newer_reference_gain_replaces_the_older() -> None:
 def test_scenarios_cannot_be_changed_in_place() -> None:
     with pytest.raises(ValueError, match="frozen"):
         TINY.slots = 3  # type: ignore[misc]
-
-
-# -- bad input -----------------------------------------------------------------------------------------
 
 
 BAD_CHANGES: list[tuple[dict[str, Any], list[str]]] = [

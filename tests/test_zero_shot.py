@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks.zero_shot import CARD, TABLES, told, write_pages
+from uavaou import read_study
 from uavaou.reports.suites import read_suite
 from uavaou.runs.released import released_folder
-from uavaou.studies.results import read_study
 from uavaou.suites.suite import Suite
 
 ROOT = Path(__file__).resolve().parents[1]

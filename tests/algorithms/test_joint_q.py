@@ -28,9 +28,6 @@ def small_model(
     return learner("JointQPolicy", env, **quick | arguments)
 
 
-# -- mixers ----------------------------------------------------------------------------------------------
-
-
 def test_vdn_sums_and_iql_does_not_mix() -> None:
     utilities, states = th.randn(8, 3), th.randn(8, 4)
     th.testing.assert_close(
@@ -45,7 +42,6 @@ def test_qmix_is_monotone_in_every_utility_everywhere(seed: int) -> None:
     mixer = MonotonicMixer(agents=3, state_size=4)
     utilities = (th.randn(500, 3) * 10).requires_grad_()
     mixer(utilities, th.randn(500, 4) * 5).sum().backward()
-    assert utilities.grad is not None
     assert (utilities.grad >= 0).all()
     assert (utilities.grad > 0).any()
 
@@ -87,8 +83,6 @@ def test_moving_the_statistics_moves_no_prediction(
     for old, new in zip(before, predicted(), strict=True):
         th.testing.assert_close(new, old, atol=1e-3, rtol=1e-4)
 
-
-# -- replay ----------------------------------------------------------------------------------------------
 
 LAYOUT = RowLayout(2, 0, "auto", (Columns("who", 0, 3),), (Columns("state", 0, 1),))
 
@@ -147,9 +141,6 @@ def test_a_replay_too_small_for_its_return_is_refused() -> None:
         small_model(buffer_size=8, n_steps=3)
 
 
-# -- targets ---------------------------------------------------------------------------------------------
-
-
 def test_the_targets_of_a_three_slot_mission_by_hand() -> None:
     """One agent, one state, Discrete(2): online values (1, 3) choose action 1, target values (5, 7) give it 7."""
     layout = RowLayout(1, 0, "auto", (Columns("who", 0, 1),), (Columns("state", 0, 1),))
@@ -182,9 +173,6 @@ def fix_values(network: UtilityNetwork, values: tuple[float, float]) -> None:
             head.weight.zero_()
         network.value.bias.fill_(middle)
         network.advantage.bias.copy_(th.tensor(values) - middle)
-
-
-# -- acting ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("learner", LEARNERS)
@@ -225,11 +213,7 @@ def test_whole_masks_are_read_where_a_row_has_them() -> None:
     model.policy.row_layout = layout
     local = th.tensor([[1.0, 0.0, 1.0, 0.0, 1.0]])
     allowed = model.policy.allowed(local)
-    assert allowed is not None
     assert allowed.tolist() == [[True, False, True, False, True]]
-
-
-# -- learning --------------------------------------------------------------------------------------------
 
 
 def test_the_same_seed_gives_the_same_weights() -> None:

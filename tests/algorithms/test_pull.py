@@ -12,13 +12,12 @@ import pytest
 import torch as th
 
 from tests.algorithms.test_set_encoder import entity_rows, shuffled
-from uavaou import MAPPO, Scenario, World, flatten
+from uavaou import MAPPO, RunConfig, Scenario, World, flatten, train
 from uavaou.algorithms.nets.pull import Pull
 from uavaou.algorithms.nets.symmetries import SquareSymmetries
 from uavaou.arrays import Ints
 from uavaou.planners.local_greedy import LocalGreedyParts
-from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.train import train
+from uavaou.runs.folder import RunFolder
 from uavaou.runs.validation import planner_score
 from uavaou.world.entities import EntityViews
 from uavaou.world.pull import TIE
@@ -174,5 +173,4 @@ def test_a_training_keeps_its_start_where_nothing_is_better(tmp_path: Path) -> N
     config = RunConfig.load("mappo", "quickstart", **settings)
     train(config, tmp_path / "run")
     meta = RunFolder(tmp_path / "run").read_meta()
-    assert meta.best_score is not None
     assert meta.best_score <= 1.03 * planner_score("local-greedy-parts", config)

@@ -17,11 +17,20 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from tests.cli.commands import Shell
 from tests.runs.stopped_runs import assert_ends_as, stopped_at
-from uavaou import AlgorithmConfig, InputError, LocalRows, Scenario, evaluate, flatten, register_algorithm
+from uavaou import (
+    AlgorithmConfig,
+    InputError,
+    LocalRows,
+    RunConfig,
+    Scenario,
+    evaluate,
+    flatten,
+    load_run,
+    register_algorithm,
+    train,
+)
 from uavaou.algorithms import registry
-from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.policy import load_run
-from uavaou.runs.train import train
+from uavaou.runs.folder import RunFolder
 from uavaou_cli.main import main
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "plain_ppo.py"
@@ -183,8 +192,7 @@ def test_what_cannot_be_registered(arguments: Any, says: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("build", "says"),
-    [(on_whole_rows, r"a UAV sees \(53,\)"), (on_normalised_rows, "VecNormalize")],
+    ("build", "says"), [(on_whole_rows, r"a UAV sees \(53,\)"), (on_normalised_rows, "VecNormalize")]
 )
 def test_a_policy_that_no_uav_could_fly_is_refused(build: Any, says: str, tmp_path: Path) -> None:
     register_algorithm("own", OwnConfig, build)

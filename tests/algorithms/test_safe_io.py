@@ -14,9 +14,8 @@ import torch as th
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
-from uavaou import IQL, MAPPO, QMIX, VDN, InputError, Scenario, flatten
+from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, InputError, Scenario, flatten
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
-from uavaou.algorithms.mappo import IPPO
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy
 
 OFF_POLICY = {"buffer_size": 800, "learning_starts": 40, "batch_size": 8}

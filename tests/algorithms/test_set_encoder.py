@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch as th
 
-from uavaou import Scenario
+from uavaou import Scenario, World
 from uavaou.algorithms.nets.set_encoder import SetEncoder
-from uavaou.world import World
 from uavaou.world.entities import make_views
 from uavaou.world.views import Columns, RowLayout
 

@@ -8,14 +8,22 @@ from typing import Any
 import pytest
 import torch as th
 
-from uavaou import VDN, AlgorithmConfig, InputError, Scenario, flatten, register_algorithm
+from uavaou import (
+    VDN,
+    AlgorithmConfig,
+    InputError,
+    RunConfig,
+    Scenario,
+    World,
+    flatten,
+    load_run,
+    register_algorithm,
+    train,
+)
 from uavaou.algorithms import registry
 from uavaou.algorithms.qlearning import JointQPolicy
 from uavaou.algorithms.qlearning.branches import UtilityNetwork
-from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.policy import load_run
-from uavaou.runs.train import train
-from uavaou.world import World
+from uavaou.runs.folder import RunFolder
 from uavaou.world.views import RowLayout
 
 QUICK: dict[str, Any] = {"learning_starts": 8, "batch_size": 8, "buffer_size": 400, "seed": 0, "device": "cpu"}

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 import torch as th
 
-from uavaou import Scenario, World
-from uavaou.algorithms.mappo import MAPPO
-from uavaou.algorithms.qlearning import VDN
-from uavaou.envs.flatten import flatten
-from uavaou.runs.folder import RunConfig
-from uavaou.runs.policy import load_run
+from uavaou import MAPPO, VDN, RunConfig, Scenario, World, flatten, load_run
 from uavaou.world.entities import make_views
 from uavaou.world.flight import STEP_OF_MOVE
 
@@ -88,7 +83,6 @@ def test_a_policy_that_learned_one_map_decides_by_its_own_view(learner: Any, tmp
 def test_a_step_and_its_mirror_image_belong_together() -> None:
     env = flatten(SCENARIO, 1, observation="local", collection="auto", rows="entities")
     symmetries = MAPPO(env=env, policy_kwargs=NETWORK).policy.symmetries
-    assert symmetries is not None
     rows = th.from_numpy(env.reset()[:, : env.local_size])
     home = rows[:, env.row_layout.token_feature("own", "home_x").start :][:, :2]  # (U, 2) the way home
 

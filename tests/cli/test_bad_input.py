@@ -19,7 +19,7 @@ import yaml
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from uavaou.scenario import Scenario
+from uavaou import Scenario
 from uavaou_cli.main import main
 
 TRAIN = (
@@ -149,9 +149,6 @@ def refused(place: Path) -> Iterator[Callable[..., None]]:
         yield check
 
 
-# -- what is typed -------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 @settings(max_examples=800)
 @given(data=st.data())
@@ -194,9 +191,6 @@ def test_settings(refused: Callable[..., None], key: str, value: str, joint: str
     refused("train", "--scenario", "tiny", "--set", f"{key}{joint}{value}")
 
 
-# -- scenario files ------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 @settings(max_examples=500)
 @given(
@@ -224,9 +218,6 @@ def test_files_that_are_no_scenario(refused: Callable[..., None], place: Path, c
     refused(*command.format("scenario.yaml").split())
 
 
-# -- suite files ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 @settings(max_examples=200)
 @given(field=st.sampled_from(SUITE_FIELDS), value=st.sampled_from(NONSENSE), inside=st.booleans())
@@ -249,8 +240,6 @@ def test_files_that_are_no_suite(refused: Callable[..., None], place: Path, text
     (place / "suite.yaml").write_text(text)
     refused("eval", "--suite", "suite.yaml")
 
-
-# -- study files ---------------------------------------------------------------------------------------
 
 STUDY = {"seeds": 1, "scenarios": ["tiny"], "variants": {"mappo": {}}, "planners": ["greedy"], "episodes": 2}
 
@@ -282,8 +271,6 @@ def test_files_that_are_no_study(refused: Callable[..., None], place: Path, text
     (place / "study.yaml").write_text(text)
     refused("study", "run", "study.yaml")
 
-
-# -- run folders ---------------------------------------------------------------------------------------
 
 POLICY_COMMANDS = [
     "eval run",

@@ -12,13 +12,10 @@ from typing import Any
 import pytest
 
 from tests.cli.commands import TINY, TRAIN, Shell, contents, runs
-from uavaou import Scenario, evaluate
-from uavaou.errors import InputError
+from uavaou import InputError, Scenario, evaluate
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou_cli import plan, train
 from uavaou_cli.tables import WIDTH
-
-# -- evaluation ----------------------------------------------------------------------------------------
 
 
 def test_planners_meet_the_same_missions_whatever_stands_beside_them(shell: Shell, workplace: Path) -> None:
@@ -75,9 +72,6 @@ def test_an_action_has_two_names_and_an_evaluation_elsewhere_leaves_the_run_alon
     assert "greedy" not in shown["greedy"]
     assert "sampled" in shown["sample"]
     assert "did you mean 'likeliest'?" in shell.refused(f"eval {run} --action likelyest")
-
-
-# -- the whole way -------------------------------------------------------------------------------------
 
 
 def test_a_plan_is_saved_flown_and_drawn(shell: Shell, workplace: Path) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from tests.cli.commands import TINY, Shell
-from uavaou.scenario import Scenario
+from uavaou import Scenario
 
 
 def killed(number: signal.Signals) -> Any:

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from tests.cli.commands import TINY, Shell, contents, runs
-from uavaou import evaluate
+from uavaou import Scenario, evaluate
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.reports import mission_figures
 from uavaou.runs.names import scenario_folder
 from uavaou.runs.released import released_folder, released_names
-from uavaou.scenario import Scenario
 from uavaou_cli.tables import WIDTH
 
 SUITE = """
@@ -36,8 +35,6 @@ variants: {mappo: {set: {missions: 8, rollout_slots: 12, hidden: [8], evaluation
 planners: [any-map, greedy]
 episodes: 2
 """
-
-# -- names -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -124,9 +121,6 @@ def test_a_misspelt_name_gets_the_nearest(command: str, shell: Shell, released: 
     assert not list(released.iterdir())
 
 
-# -- fly ---------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_fly_shows_a_mission_and_says_where_its_files_are(
     shell: Shell, released: Path, monkeypatch: pytest.MonkeyPatch
@@ -200,9 +194,6 @@ def test_fly_needs_no_released_policy(shell: Shell, workplace: Path, monkeypatch
     out = shell.done("fly tiny --seconds 0.5 --quiet")
     assert "local-greedy-parts" in out
     assert "any-map" not in out
-
-
-# -- trainings that follow on another ----------------------------------------------------------------------
 
 
 @pytest.mark.slow

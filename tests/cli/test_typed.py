@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.cli.commands import Shell
+from uavaou import Scenario
 from uavaou.errors import command_line
-from uavaou.scenario import Scenario
 from uavaou_cli.overrides import parse_overrides
 
 

@@ -59,7 +59,6 @@ class Drone:
         ]
         moves = [self.move, *(move for move, _, _ in decided)]
         self.world.step(np.array([moves]), np.array([[self.selected, *(chosen for _, _, chosen in decided)]]))
-        assert self.world.stepped is not None
         collected_by = self.world.stepped.association.collected_by[0]
         for pilot in self.others:
             pilot.end_slot(collected_by)

@@ -62,7 +62,6 @@ def fly(trained: TrainedPolicy, pilots: list[Pilot]) -> list[list[int]]:
             np.testing.assert_array_equal([selected for _, _, selected in decided], chosen[0])
         moves = np.array([[move for move, _, _ in decided]])
         world.step(moves, np.array([[selected for _, _, selected in decided]]))
-        assert world.stepped is not None
         made.append(moves[0].tolist())
         for pilot in pilots:
             collected_by = world.stepped.association.collected_by[0]
@@ -142,7 +141,6 @@ def test_it_samples_as_the_policy(algorithm: str, tmp_path: Path) -> None:
     expected = np.bincount(moves[:, 0], minlength=5) / 1500
     assert (expected > 0.05).sum() > 1
     np.testing.assert_allclose(np.bincount([move for move, _, _ in drawn], minlength=5) / 1500, expected, atol=0.06)
-    assert selections is not None
     chosen = selections[:, 0] & world.in_range[:, 0]
     np.testing.assert_allclose(np.mean([each for _, _, each in drawn], axis=0), chosen.mean(axis=0), atol=0.06)
 

@@ -1,4 +1,4 @@
-"""Evaluation files: written and read without a change, found, kept, and one of each kind a run."""
+"""Evaluation files: written, read, found and kept; what a training is judged by."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from uavaou import InputError, RunConfig, Scenario, evaluate
+from uavaou import Family, InputError, RunConfig, Scenario, evaluate
+from uavaou.algorithms.registry import load_config
+from uavaou.evaluation.seeds import VALIDATION_DRAWS, VALIDATION_SEED
 from uavaou.planners import make_planner
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunFolder
@@ -24,6 +27,7 @@ from uavaou.runs.results import (
     write_evaluation,
     write_own_evaluation,
 )
+from uavaou.runs.validation import planner_score
 
 CONFIG = RunConfig.load("mappo", "tiny")
 
@@ -126,3 +130,23 @@ def test_where_a_training_stands_is_checked() -> None:
     for impossible in ({"slots": "many"}, {"slots": 0.5}, {"recent": 1.0}, {"figures": []}, {"best_action": "x"}):
         with pytest.raises(ValueError, match="1 validation error"):
             TrainingProgress.model_validate(impossible)
+
+
+SETTINGS = load_config("mappo", {"evaluation_missions": 3})
+
+
+def test_planners_play_the_missions_of_the_validation() -> None:
+    scenario = Scenario.load("quickstart").replace(layout="resample", slots=20)
+    reached = planner_score("greedy", RunConfig(scenario, SETTINGS))
+    assert reached == evaluate("greedy", scenario, 3, VALIDATION_SEED).mean_aou_s
+    assert reached != evaluate("greedy", scenario, 3).mean_aou_s
+
+
+def test_planners_play_the_draws_of_the_validation() -> None:
+    family = Family.from_dict({"base": "quickstart", "uavs": {"low": 1, "high": 3}, "slots": {"low": 10, "high": 30}})
+    ages = [
+        evaluate("greedy", family.draw(VALIDATION_DRAWS[mission]), 1, VALIDATION_SEED + mission).mean_aou_slots
+        for mission in range(3)
+    ]
+    geometric_mean_s = float(np.exp(np.mean(np.log(ages)))) * family.base.slot_length_s
+    assert planner_score("greedy", RunConfig(family.base, SETTINGS, 0, family)) == pytest.approx(geometric_mean_s)
