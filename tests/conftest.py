@@ -89,8 +89,9 @@ def shell(capsys: pytest.CaptureFixture[str]) -> Shell:
 
 @pytest.fixture
 def quick_plans(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A policy that plans before it flies over a map searches a twenty-fifth as long, in this process."""
+    """A policy that plans before it flies over a map searches a hundredth as long, in this process."""
     monkeypatch.setattr("uavaou.runs.pull_plan._DEVICES", 1)
+    monkeypatch.setattr("uavaou.runs.pull_plan._IN_FLIGHT", 4)
 
 
 @pytest.fixture(autouse=True)

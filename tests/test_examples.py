@@ -42,9 +42,8 @@ def test_stock_ppo_trains_the_centralised_policy(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 def test_vdn_learns_the_switchboards() -> None:
-    ended = subprocess.run(
-        [sys.executable, str(EXAMPLES / "switchboards.py")], capture_output=True, text=True, check=True
-    )
+    words = [sys.executable, str(EXAMPLES / "switchboards.py")]
+    ended = subprocess.run(words, capture_output=True, text=True, check=True)
     before, after = (float(line.split()[1]) for line in ended.stdout.splitlines())
     assert before < 0.5
     assert after > 0.95

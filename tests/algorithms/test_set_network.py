@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch as th
 
+from tests.algorithms.small_mappo import weights
 from tests.algorithms.test_gradient import assert_close, both_gradients
 from tests.algorithms.test_set_encoder import entity_rows, shuffled, sized
 from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, Family, InputError, RunConfig, flatten
@@ -177,9 +178,8 @@ def test_a_family_is_trained_on(name: str) -> None:
             update={"learning_starts": 8, "batch_slots": 8, "slots_per_update": 4, "missions": 4, "replay_slots": 4000}
         )
     model = config.build(env, 0, "cpu")
-    before = th.nn.utils.parameters_to_vector(model.policy.parameters()).clone()
-    model.learn(16 * env.num_envs)
-    after = th.nn.utils.parameters_to_vector(model.policy.parameters())
+    before = weights(model)
+    after = weights(model.learn(16 * env.num_envs))
     assert after.isfinite().all()
     assert not th.equal(before, after)
     scale: Any = model.policy.scale
@@ -278,11 +278,8 @@ def test_a_set_needs_rows_of_entities() -> None:
 def test_training_without_the_compiled_encoder_gives_the_same_weights(
     learner: type[MAPPO], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    weights = []
-    for compiled in (True, False):
-        if not compiled:
-            monkeypatch.setattr(set_encoder, "compiled_module", lambda name: None)
-            monkeypatch.setattr(FastUpdate, "supports", staticmethod(lambda *_: False))
-        model = mappo(learner, missions("select")).learn(4 * 6 * 12)
-        weights.append(th.nn.utils.parameters_to_vector(model.policy.parameters()))
-    th.testing.assert_close(*weights, rtol=1e-3, atol=1e-5)
+    compiled = mappo(learner, missions("select")).learn(4 * 6 * 12)
+    monkeypatch.setattr(set_encoder, "compiled_module", lambda name: None)
+    monkeypatch.setattr(FastUpdate, "supports", staticmethod(lambda *_: False))
+    defined = mappo(learner, missions("select")).learn(4 * 6 * 12)
+    th.testing.assert_close(weights(defined), weights(compiled), rtol=1e-3, atol=1e-5)

@@ -112,16 +112,6 @@ def test_what_a_training_begins_with_is_in_the_name_of_its_folder(finished: RunF
     assert config_folder(Path("r"), other).path.parent.name == "mappo-from-any-map+observation=shared"
 
 
-def test_a_stopped_one_resumes_as_if_it_had_not_stopped(finished: RunFolder, tmp_path: Path) -> None:
-    config = Start.at(finished).training(Scenario.load("tiny"), {"slots": 192}, seed=1)
-    whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
-    train(config, whole, start=finished)
-    with stopped_at(96):
-        train(config, parted, start=finished, checkpoint_every_s=0)
-    train(config, parted, resume=True)  # the weights are in its checkpoint
-    assert_ends_as(parted, whole)
-
-
 def test_weights_that_do_not_fit_are_refused_with_their_sizes(finished: RunFolder, tmp_path: Path) -> None:
     start = Start.at(finished)
     said = refusal(lambda: start.training(Scenario.load("quickstart"), {}, seed=0))
