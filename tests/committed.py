@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from uavaou.experiments.results import StudyResults, read_study
+from uavaou import read_study
+from uavaou.experiments.results import StudyResults
 from uavaou.reports.scores import study_scores
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"

@@ -11,6 +11,7 @@ import pytest
 from filelock import FileLock
 from hypothesis import HealthCheck, settings
 
+from tests.cli.commands import Shell
 from uavaou.threads import use_threads
 
 # The same examples on every machine and every run: a red test is red for everybody.
@@ -82,9 +83,15 @@ def _files_are_not_flushed_to_the_disk() -> Iterator[None]:
 
 
 @pytest.fixture
+def shell(capsys: pytest.CaptureFixture[str]) -> Shell:
+    return Shell(capsys)
+
+
+@pytest.fixture
 def quick_plans(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A policy that plans before it flies over a map searches a twenty-fifth as long, in this process."""
+    """A policy that plans before it flies over a map searches a hundredth as long, in this process."""
     monkeypatch.setattr("uavaou.runs.pull_plan._DEVICES", 1)
+    monkeypatch.setattr("uavaou.runs.pull_plan._IN_FLIGHT", 4)
 
 
 @pytest.fixture(autouse=True)

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from uavaou.errors import InputError
+from uavaou import InputError
 
 Effect = Callable[[], None]
 KILLED, STOPPED = 9, (0, 130, 143, -signal.SIGTERM)  # how a process may end that was sent SIGKILL; SIGTERM or SIGINT

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from uavaou.errors import InputError
+from uavaou import InputError
 
 
 def refusal(action: Callable[[], object]) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from uavaou.scenario import Scenario
+from uavaou import Scenario
 
 seeds = st.integers(0, 2**32 - 1)
 

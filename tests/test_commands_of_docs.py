@@ -15,7 +15,7 @@ import pytest
 
 import uavaou.runs.train
 from tests.documents import ROOT, blocks, console
-from uavaou.runs.folder import RunConfig
+from uavaou import RunConfig
 from uavaou_cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_plans")]

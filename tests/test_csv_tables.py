@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from uavaou import InputError
 from uavaou.csv_tables import number, read_csv, write_csv
-from uavaou.errors import InputError
 
 
 def _file(folder: Path, text: str) -> Path:

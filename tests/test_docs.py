@@ -1,4 +1,4 @@
-"""What the pages name exists: links, files, modules, public names; their examples run."""
+"""What the pages name exists, their examples run, and their numbers are those of the committed tables."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import typer.main
 from PIL import Image
 from stable_baselines3 import PPO
 
+from benchmarks import pages as written
 from tests.documents import PAGES, ROOT, blocks, code_spans, commands, parse
 from uavaou import Family, Scenario, flatten
 from uavaou.algorithms.registry import ENTRY_POINTS
@@ -211,3 +212,42 @@ def test_frames_from_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_example_of_an_own_algorithm_is_the_file() -> None:
     code, *_ = blocks(DOCS / "own-algorithm.md", "python")
     assert code in (ROOT / "examples" / "plain_ppo.py").read_text(encoding="utf-8")
+
+
+RUNNING = {"README.md": "## Results", "results/README.md": "# Results"}  # pages whose text has no numbers from there on
+WRITTEN = r"<!-- numbers:.*?<!-- /numbers -->|<!-- claims:begin.*?<!-- claims:end -->|```.*?```|`[^`]*`|\]\([^)]*\)"
+
+
+@pytest.mark.parametrize("page", written.PAGES)
+def test_the_blocks_are_those_of_the_tables(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert written.rendered(text) == text
+
+
+def test_every_block_stands_on_a_page() -> None:
+    text = "".join((ROOT / page).read_text(encoding="utf-8") for page in written.PAGES)
+    assert {name for _, name, _ in written.BLOCK.findall(text)} == set(written.BLOCKS)
+
+
+@pytest.mark.parametrize("page", RUNNING)
+def test_running_text_has_no_numbers(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    plain = re.sub(WRITTEN, "", text[text.index(RUNNING[page]) :], flags=re.DOTALL)
+    found = [line for line in plain.splitlines() if re.search(r"\d", re.sub(r"95 %|Fig\. \d|Figures? \d", "", line))]
+    assert found == []
+
+
+def test_a_number_that_is_not_of_the_tables_is_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    held = (ROOT / "README.md").read_text(encoding="utf-8")
+    (tmp_path / "README.md").write_text(held.replace("| QMIX | ", "| QMIX | 1"), encoding="utf-8")
+    monkeypatch.setattr(written, "PAGES", ("README.md",))
+    (tmp_path / "results").symlink_to(ROOT / "results")
+    monkeypatch.setattr(written, "ROOT", tmp_path)
+    monkeypatch.setattr("sys.argv", ["pages", "--check"])
+    assert written.main() == 1
+    assert "make results" in capsys.readouterr().out
+    monkeypatch.setattr("sys.argv", ["pages"])
+    assert written.main() == 0
+    assert (tmp_path / "README.md").read_text(encoding="utf-8") == held

@@ -21,9 +21,8 @@ from tests.experiments.tiny_study import SET, Inline, run_inline
 from tests.faults import fail, fault
 from tests.scenario_files import refusal
 from tests.test_architecture import MODULES, ROOT
-from uavaou import RunConfig, train
+from uavaou import InputError, RunConfig, train
 from uavaou.algorithms.io.tensor_file import ArrayFile
-from uavaou.errors import InputError
 from uavaou.experiments.study import Study
 from uavaou.files import write_text
 from uavaou_cli.main import main

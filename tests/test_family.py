@@ -190,9 +190,6 @@ def test_extreme_values_are_refused_or_accepted_but_never_crash(fields: dict[str
         assert Family.from_dict(family.to_dict()) == family
 
 
-# -- beyond the draws -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", zoo_names("families"))
 def test_no_draw_of_a_family_is_beyond_it(name: str) -> None:
     family = Family.load(name)

@@ -11,9 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.scenario_files import refusal
-from uavaou.errors import InputError
-from uavaou.scenario import Scenario
-from uavaou.world.world import World
+from uavaou import InputError, Scenario, World
 
 TINY = Scenario.load("tiny")
 

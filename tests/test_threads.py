@@ -11,7 +11,7 @@ from functools import partial
 
 import pytest
 
-from uavaou.errors import InputError
+from uavaou import InputError
 from uavaou.threads import Tasks, available_threads, threads, use_threads
 
 

@@ -104,8 +104,7 @@ def test_branches_of_spaces() -> None:
 
 
 @pytest.mark.parametrize(
-    "space",
-    [spaces.Box(0, 1, (2,)), spaces.Discrete(3, start=1), spaces.MultiDiscrete([[2, 2], [2, 2]])],
+    "space", [spaces.Box(0, 1, (2,)), spaces.Discrete(3, start=1), spaces.MultiDiscrete([[2, 2], [2, 2]])]
 )
 def test_other_spaces_are_refused(space: spaces.Space[object]) -> None:
     with pytest.raises(InputError, match="expected Discrete"):

@@ -14,8 +14,9 @@ import torch as th
 from numpy.typing import NDArray
 from torch import nn
 
-from tests.algorithms.small_mappo import small_model
-from uavaou import IPPO, MAPPO, Scenario, flatten
+from tests.algorithms.small_mappo import small_model, trained_weights, weights
+from tests.documents import ROOT
+from uavaou import IPPO, MAPPO
 from uavaou.algorithms.fast import loss
 from uavaou.algorithms.fast.loss import GradientShard
 from uavaou.algorithms.fast.update import FastUpdate
@@ -69,24 +70,18 @@ def test_the_fast_gradient_is_that_of_the_loss(
     assert_close(pair)
 
 
+@pytest.mark.parametrize("observation", ["local", "location"])  # with masks in the rows, and without
 @pytest.mark.parametrize("critic_input", ["global", "both"])
-def test_the_gradients_of_shards_add_up_to_that_of_the_loss(critic_input: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_gradients_of_shards_add_up_to_that_of_the_loss(
+    critic_input: str, observation: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(loss, "ROWS", 4)
-    model = small_model(policy_kwargs={"critic_input": critic_input})
+    model = small_model(observation=observation, policy_kwargs={"critic_input": critic_input})
     model.learn(6 * 8)
     shard = GradientShard(model.policy, model.rollout_buffer)
     pieces = shard.pieces(18, len(shard.critic_rows(np.arange(9))))
     assert pieces == ((4, 2) if critic_input == "global" else (4, 4))  # of unequal sizes
     assert_close(both_gradients(model, np.arange(9)))
-
-
-@pytest.mark.parametrize("critic_input", ["global", "both"])
-def test_the_fast_gradient_is_that_of_the_loss_without_masks(critic_input: str) -> None:
-    env = flatten(Scenario.load("quickstart").replace(slots=12), missions=4, observation="location")
-    arguments: dict[str, Any] = {"n_steps": 6, "batch_size": 16, "seed": 0, "device": "cpu"}
-    model = MAPPO("CentralizedValuePolicy", env, policy_kwargs={"critic_input": critic_input}, **arguments)
-    model.learn(6 * 8)
-    assert_close(both_gradients(model, np.arange(7)))
 
 
 class Skip(nn.Module):
@@ -216,13 +211,10 @@ def test_a_step_that_clears_the_gradient_still_trains() -> None:
             super().step()
             self.policy.optimizer.zero_grad()
 
-    weights = []
-    for learner in (MAPPO, Clearing):
-        model = small_model(learner)
-        model.learn(2 * 6 * 8)
-        assert model.uses_fast
-        weights.append([parameter.detach() for parameter in model.policy.parameters()])
-    th.testing.assert_close(*weights, rtol=1e-4, atol=1e-6)
+    own, plain = (small_model(learner).learn(2 * 6 * 8) for learner in (Clearing, MAPPO))
+    assert own.uses_fast
+    assert plain.uses_fast
+    th.testing.assert_close(weights(own), weights(plain), rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("fused", [True, False])  # as published, Adam is fused
@@ -268,15 +260,6 @@ def test_target_kl_stops_before_the_step_of_a_minibatch_as_in_sb3(fast: bool, mo
     assert (steps, epochs) == (first, first // 3 + 1)
 
 
-def trained_weights() -> list[th.Tensor]:
-    weights = []
-    for learner in (MAPPO, IPPO):
-        model = small_model(learner)
-        model.learn(4 * 6 * 8)
-        weights.append(th.nn.utils.parameters_to_vector(model.policy.parameters()))
-    return weights
-
-
 WITHOUT_FAST = """
 import importlib.abc, sys
 
@@ -287,20 +270,15 @@ class Hidden(importlib.abc.MetaPathFinder):
 
 sys.meta_path.insert(0, Hidden())
 import torch as th
-from uavaou import IPPO, MAPPO, Scenario, flatten
-weights = []
-for learner in (MAPPO, IPPO):
-    env = flatten(Scenario.load("quickstart").replace(slots=12), missions=4)
-    model = learner("CentralizedValuePolicy", env, n_steps=6, batch_size=16, seed=0, device="cpu")
-    model.learn(4 * 6 * 8)
-    weights.append(th.nn.utils.parameters_to_vector(model.policy.parameters()))
-assert not model.uses_fast and "uavaou.algorithms.fast.loss" not in sys.modules
-th.save(weights, sys.argv[1])
+from tests.algorithms.small_mappo import trained_weights
+
+th.save(trained_weights(), sys.argv[1])
+assert not any(name.startswith("uavaou.algorithms.fast") for name in sys.modules)
 """
 
 
 @pytest.mark.slow
 def test_training_without_the_fast_folder_gives_the_same_weights(tmp_path: Path) -> None:
     saved = tmp_path / "weights.pt"
-    subprocess.run([sys.executable, "-c", WITHOUT_FAST, str(saved)], check=True, timeout=100)
+    subprocess.run([sys.executable, "-c", WITHOUT_FAST, str(saved)], check=True, timeout=100, cwd=ROOT)
     th.testing.assert_close(th.load(saved), trained_weights(), rtol=1e-3, atol=1e-5)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,20 +13,19 @@ from tests.two_step_game import TwoStepGame, play_greedily
 from uavaou import IQL, QMIX, VDN, InputError, Scenario, flatten
 from uavaou.algorithms.qlearning.branches import UtilityNetwork
 from uavaou.algorithms.qlearning.learner import JointQLearning
-from uavaou.algorithms.qlearning.mixers import MIXERS, MonotonicMixer, NoMixer, StateValueMixer, SumMixer
+from uavaou.algorithms.qlearning.mixers import MonotonicMixer, NoMixer, StateValueMixer, SumMixer
 from uavaou.algorithms.qlearning.replay import JointReplay
 from uavaou.world.views import Columns, RowLayout
 
 LEARNERS = [VDN, QMIX, IQL]
 
 
-def small_model(learner: type[JointQLearning] = VDN, collection: str = "select", **arguments: Any) -> JointQLearning:
-    env = flatten(Scenario.load("quickstart").replace(slots=12), missions=4, collection=collection)
+def small_model(
+    learner: type[JointQLearning] = VDN, collection: str = "select", rows: str = "flat", **arguments: Any
+) -> JointQLearning:
+    env = flatten(Scenario.load("quickstart").replace(slots=12), missions=4, collection=collection, rows=rows)
     quick: dict[str, Any] = {"learning_starts": 40, "batch_size": 16, "buffer_size": 400, "seed": 0, "device": "cpu"}
     return learner("JointQPolicy", env, **quick | arguments)
-
-
-# -- mixers ----------------------------------------------------------------------------------------------
 
 
 def test_vdn_sums_and_iql_does_not_mix() -> None:
@@ -44,7 +42,6 @@ def test_qmix_is_monotone_in_every_utility_everywhere(seed: int) -> None:
     mixer = MonotonicMixer(agents=3, state_size=4)
     utilities = (th.randn(500, 3) * 10).requires_grad_()
     mixer(utilities, th.randn(500, 4) * 5).sum().backward()
-    assert utilities.grad is not None
     assert (utilities.grad >= 0).all()
     assert (utilities.grad > 0).any()
 
@@ -64,12 +61,16 @@ def test_vdn_may_add_a_value_of_the_state() -> None:
     assert len(value.detach().unique()) == 8
 
 
-@pytest.mark.parametrize("mixer", [*sorted(MIXERS), "sum and value"])
-def test_moving_the_statistics_moves_no_prediction(mixer: str) -> None:
-    learner = {"sum": VDN, "monotonic": QMIX, "none": IQL}.get(mixer, VDN)
-    policy = small_model(learner, policy_kwargs={"state_value_width": 8} if " " in mixer else {}).policy
-    rows = th.randn(6 * 2, policy.row_layout.local_size).abs()  # all allowed
-    states = th.randn(6, policy.row_layout.global_size)
+@pytest.mark.parametrize("network", [{}, {"network": "set"}, {"network": "set", "pull": 12.0}], ids=str)
+@pytest.mark.parametrize(("learner", "arguments"), [(VDN, {}), (QMIX, {}), (IQL, {}), (VDN, {"state_value_width": 8})])
+def test_moving_the_statistics_moves_no_prediction(
+    learner: type[JointQLearning], arguments: dict[str, Any], network: dict[str, Any]
+) -> None:
+    rows = "entities" if network else "flat"
+    model = small_model(learner, "auto" if "pull" in network else "select", rows, policy_kwargs=arguments | network)
+    policy, local_size = model.policy, model.policy.row_layout.local_size
+    seen = th.from_numpy(model.env.reset())
+    rows, states = seen[:, :local_size], seen[::2, local_size:]
     actions = policy.act(rows, None)
 
     def predicted() -> tuple[th.Tensor, th.Tensor]:
@@ -82,8 +83,6 @@ def test_moving_the_statistics_moves_no_prediction(mixer: str) -> None:
     for old, new in zip(before, predicted(), strict=True):
         th.testing.assert_close(new, old, atol=1e-3, rtol=1e-4)
 
-
-# -- replay ----------------------------------------------------------------------------------------------
 
 LAYOUT = RowLayout(2, 0, "auto", (Columns("who", 0, 3),), (Columns("state", 0, 1),))
 
@@ -142,9 +141,6 @@ def test_a_replay_too_small_for_its_return_is_refused() -> None:
         small_model(buffer_size=8, n_steps=3)
 
 
-# -- targets ---------------------------------------------------------------------------------------------
-
-
 def test_the_targets_of_a_three_slot_mission_by_hand() -> None:
     """One agent, one state, Discrete(2): online values (1, 3) choose action 1, target values (5, 7) give it 7."""
     layout = RowLayout(1, 0, "auto", (Columns("who", 0, 1),), (Columns("state", 0, 1),))
@@ -177,9 +173,6 @@ def fix_values(network: UtilityNetwork, values: tuple[float, float]) -> None:
             head.weight.zero_()
         network.value.bias.fill_(middle)
         network.advantage.bias.copy_(th.tensor(values) - middle)
-
-
-# -- acting ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("learner", LEARNERS)
@@ -220,30 +213,13 @@ def test_whole_masks_are_read_where_a_row_has_them() -> None:
     model.policy.row_layout = layout
     local = th.tensor([[1.0, 0.0, 1.0, 0.0, 1.0]])
     allowed = model.policy.allowed(local)
-    assert allowed is not None
     assert allowed.tolist() == [[True, False, True, False, True]]
 
 
-# -- learning --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("learner", LEARNERS)
-def test_the_same_seed_gives_the_same_weights(learner: type[JointQLearning]) -> None:
-    first, second, other = (small_model(learner, seed=seed).learn(400).policy.state_dict() for seed in (0, 0, 1))
+def test_the_same_seed_gives_the_same_weights() -> None:
+    first, second, other = (small_model(QMIX, seed=seed).learn(160).policy.state_dict() for seed in (0, 0, 1))
     assert all(th.equal(first[name], second[name]) for name in first)
     assert any(not th.equal(first[name], other[name]) for name in first)
-
-
-@pytest.mark.parametrize("learner", LEARNERS)
-def test_save_and_load(learner: type[JointQLearning], tmp_path: Path) -> None:
-    model = small_model(learner).learn(300)
-    model.save(tmp_path / "model")
-    loaded = learner.load(tmp_path / "model", device="cpu")
-    rows = np.random.default_rng(0).random((8, model.policy.row_layout.local_size), dtype=np.float32)
-    np.testing.assert_array_equal(
-        model.predict(rows, deterministic=True)[0], loaded.predict(rows, deterministic=True)[0]
-    )
 
 
 def test_the_target_networks_move_at_their_period_alone() -> None:
@@ -274,7 +250,7 @@ def test_an_environment_without_row_layout_is_refused() -> None:
 @pytest.mark.parametrize(("learner", "best"), [(QMIX, 8.0), (VDN, 7.0)])
 def test_qmix_sees_the_8_of_the_two_step_game_and_vdn_the_7(learner: type[JointQLearning], best: float) -> None:
     returns = []
-    for seed in range(10):
+    for seed in range(4):
         model = learner(
             "JointQPolicy", TwoStepGame(32), seed=seed, learning_rate=5e-3, n_steps=1, buffer_size=6_400,
             learning_starts=64, batch_size=128, train_freq=1, tau=1.0, target_update_interval=20,
@@ -282,4 +258,4 @@ def test_qmix_sees_the_8_of_the_two_step_game_and_vdn_the_7(learner: type[JointQ
         )  # fmt: skip
         model.learn(2 * 32 * 120)
         returns.append(play_greedily(model))
-    assert returns == [best] * 10
+    assert returns == [best] * 4

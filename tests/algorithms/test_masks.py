@@ -12,14 +12,11 @@ import torch as th
 import yaml
 from stable_baselines3.common.vec_env import VecCheckNan, VecFrameStack, VecNormalize
 
-from uavaou import IPPO, MAPPO, QMIX, VDN, LocalRows
+from uavaou import IPPO, MAPPO, QMIX, VDN, InputError, LocalRows, Scenario, World, flatten
 from uavaou.algorithms.registry import load_config, make_model
-from uavaou.envs.flatten import flatten
-from uavaou.errors import InputError
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy
-from uavaou.scenario import Scenario
-from uavaou.world import Views, World
+from uavaou.world import Views
 from uavaou.zoo import zoo_path
 
 SMALL = {

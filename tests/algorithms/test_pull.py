@@ -12,13 +12,12 @@ import pytest
 import torch as th
 
 from tests.algorithms.test_set_encoder import entity_rows, shuffled
-from uavaou import MAPPO, QMIX, VDN, Scenario, World, flatten
+from uavaou import MAPPO, RunConfig, Scenario, World, flatten, train
 from uavaou.algorithms.nets.pull import Pull
 from uavaou.algorithms.nets.symmetries import SquareSymmetries
 from uavaou.arrays import Ints
 from uavaou.planners.local_greedy import LocalGreedyParts
-from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.train import train
+from uavaou.runs.folder import RunFolder
 from uavaou.runs.validation import planner_score
 from uavaou.world.entities import EntityViews
 from uavaou.world.pull import TIE
@@ -168,22 +167,10 @@ def test_the_critic_learns_first() -> None:
     assert "actor_body.pull.numbers" in changed
 
 
-@pytest.mark.parametrize("learner", [VDN, QMIX])
-def test_values_are_rescaled_with_their_pulls(learner: Any) -> None:
-    env = flatten("tiny", 4, collection="auto", rows="entities")
-    model = learner("JointQPolicy", env, seed=0, buffer_size=1000, learning_starts=10, policy_kwargs=SET)
-    utilities, rows = model.policy.utilities, th.from_numpy(env.reset()[:, : env.row_layout.local_size])
-    with th.no_grad():
-        before = utilities(rows, None)
-        utilities.rescale(th.tensor(2.0), th.tensor(0.5))
-        th.testing.assert_close(utilities(rows, None), before * 2 + 0.5, rtol=1e-4, atol=1e-5)
-
-
 @pytest.mark.slow
 def test_a_training_keeps_its_start_where_nothing_is_better(tmp_path: Path) -> None:
     settings = SET | {"slots": 4000, "missions": 4, "rollout_slots": 50, "critic_rollouts": 100}
     config = RunConfig.load("mappo", "quickstart", **settings)
     train(config, tmp_path / "run")
     meta = RunFolder(tmp_path / "run").read_meta()
-    assert meta.best_score is not None
     assert meta.best_score <= 1.03 * planner_score("local-greedy-parts", config)

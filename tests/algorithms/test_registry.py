@@ -15,12 +15,22 @@ import yaml
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
+from tests.cli.commands import Shell
 from tests.runs.stopped_runs import assert_ends_as, stopped_at
-from uavaou import AlgorithmConfig, InputError, LocalRows, Scenario, evaluate, flatten, register_algorithm
+from uavaou import (
+    AlgorithmConfig,
+    InputError,
+    LocalRows,
+    RunConfig,
+    Scenario,
+    evaluate,
+    flatten,
+    load_run,
+    register_algorithm,
+    train,
+)
 from uavaou.algorithms import registry
-from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.policy import load_run
-from uavaou.runs.train import train
+from uavaou.runs.folder import RunFolder
 from uavaou_cli.main import main
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "plain_ppo.py"
@@ -69,30 +79,19 @@ def own(name: str = "own", **changes: Any) -> RunConfig:
     return RunConfig(scenario, registry.load_config(name, SMALL | changes), 0)
 
 
-def call(capsys: pytest.CaptureFixture[str], command: str) -> tuple[int, str, str]:
-    capsys.readouterr()
-    code = main(shlex.split(command))
-    out, err = capsys.readouterr()
-    return code, out, err
-
-
 @pytest.mark.slow
 def test_the_example_trains_is_evaluated_and_drawn_by_name(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     settings = "--set algorithm.missions=4 --set algorithm.rollout_slots=64 --set algorithm.evaluation_missions=2"
-    code, out, err = call(
-        capsys, f"{PLUGIN} train --scenario quickstart --algorithm plain-ppo --slots 600 --quiet {settings}"
-    )
-    assert (code, err) == (0, "")
+    out = shell.done(f"{PLUGIN} train --scenario quickstart --algorithm plain-ppo --slots 600 --quiet {settings}")
     following = shlex.split(out.split("next:")[1])
     assert following[1:3] == ["--plugin", str(EXAMPLE)]
-    code, out, err = call(capsys, shlex.join([*following[1:], "--episodes", "2", "--quiet"]))
-    assert code == 0
+    shell.out(shlex.join([*following[1:], "--episodes", "2", "--quiet"]))
     (run,) = tmp_path.glob("results/quickstart/plain-ppo+*/seed-0")
     assert "plain-ppo" in (run / "eval" / "default.json").read_text()
-    assert call(capsys, f"{PLUGIN} plot trajectories {run}")[0] == 0
+    assert shell(f"{PLUGIN} plot trajectories {run}")[0] == 0
 
 
 def test_the_page_shows_the_example() -> None:
@@ -101,16 +100,14 @@ def test_the_page_shows_the_example() -> None:
     assert EXAMPLE.read_text(encoding="utf-8").endswith(shown)
 
 
-def test_a_run_folder_imports_nothing(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_folder_imports_nothing(shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     register_algorithm("own", OwnConfig, ppo)
     train(own(), RunFolder(tmp_path / "run"))
     del registry._ALGORITHMS["own"]
     (tmp_path / "own.py").write_text("raise SystemExit('imported')\n")
-    code, out, err = call(capsys, "eval run")
-    assert (code, out, err.count("\n")) == (2, "", 1)
+    err = shell.refused("eval run")
+    assert err.count("\n") == 1
     assert "algorithm.name = 'own'" in err
     assert "uavaou --plugin FILE.py" in err
 
@@ -130,7 +127,7 @@ def test_a_run_folder_imports_nothing(
     ],
 )
 def test_bad_plugins_are_one_line(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, says: str
+    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, says: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty.py").write_text("")
@@ -138,8 +135,8 @@ def test_bad_plugins_are_one_line(
         "from uavaou import AlgorithmConfig, register_algorithm\n"
         "register_algorithm('mappo', AlgorithmConfig, lambda *_: None)\n"
     )
-    code, out, err = call(capsys, command)
-    assert (code, out, err.count("\n")) == (2, "", 1)
+    err = shell.refused(command)
+    assert err.count("\n") == 1
     assert says in err
 
 
@@ -195,8 +192,7 @@ def test_what_cannot_be_registered(arguments: Any, says: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("build", "says"),
-    [(on_whole_rows, r"a UAV sees \(53,\)"), (on_normalised_rows, "VecNormalize")],
+    ("build", "says"), [(on_whole_rows, r"a UAV sees \(53,\)"), (on_normalised_rows, "VecNormalize")]
 )
 def test_a_policy_that_no_uav_could_fly_is_refused(build: Any, says: str, tmp_path: Path) -> None:
     register_algorithm("own", OwnConfig, build)
@@ -266,11 +262,6 @@ def test_local_rows_are_the_first_columns_at_the_end_of_a_mission_too() -> None:
         np.testing.assert_array_equal(
             info["terminal_observation"][: whole.local_size], seen_info["terminal_observation"]
         )
-
-
-def test_help_names_every_algorithm(capsys: pytest.CaptureFixture[str]) -> None:
-    _, out, _ = call(capsys, "train --help")
-    assert all(name in out for name in registry._ALGORITHMS)
 
 
 @pytest.mark.parametrize("name", ["mappo", "ippo", "vdn", "qmix"])

@@ -93,7 +93,6 @@ class CountCalls(BaseCallback):
 def test_a_truncated_mission_is_bootstrapped_as_by_sb3() -> None:
     def rewards(collect_rollouts: Any) -> NDArray[np.float32]:
         model = small_model(n_steps=20)
-        assert model.env is not None
         model.env = Truncating(model.env)
         _, callback = model._setup_learn(1000, None)
         collect_rollouts(model, model.env, callback, model.rollout_buffer, 20)
@@ -121,7 +120,6 @@ class Truncating(VecEnvWrapper):
 
 def test_ippo_bootstraps_each_uav_with_its_own_value() -> None:
     model = small_model(IPPO, n_steps=12)  # one mission
-    assert model.env is not None
     model.env = Truncating(model.env)
     played: list[tuple[Any, Any]] = []
     step_wait = model.env.step_wait

@@ -14,9 +14,8 @@ import torch as th
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
-from uavaou import MAPPO, QMIX, VDN, InputError, Scenario, flatten
+from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, InputError, Scenario, flatten
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
-from uavaou.algorithms.mappo import IPPO
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy
 
 OFF_POLICY = {"buffer_size": 800, "learning_starts": 40, "batch_size": 8}
@@ -24,6 +23,7 @@ LEARNERS = [
     (MAPPO, {"n_steps": 8, "batch_size": 20, "learning_rate": lambda left: 1e-3 * (1 + left)}),
     (IPPO, {"n_steps": 8, "batch_size": 20, "policy_kwargs": {"net_arch": [16, 8], "activation": "tanh"}}),
     (VDN, OFF_POLICY),
+    (IQL, OFF_POLICY),
     (QMIX, OFF_POLICY | {"policy_kwargs": {"mixer_width": 8}}),
 ]
 ALL = pytest.mark.parametrize(("learner", "arguments"), LEARNERS, ids=lambda value: getattr(value, "__name__", ""))

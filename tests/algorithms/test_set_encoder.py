@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch as th
 
-from uavaou import Scenario
+from uavaou import Scenario, World
 from uavaou.algorithms.nets.set_encoder import SetEncoder
-from uavaou.world import World
 from uavaou.world.entities import make_views
 from uavaou.world.views import Columns, RowLayout
 
@@ -99,11 +98,3 @@ def test_padding_changes_nothing_and_a_row_of_padding_is_finite(compiled: bool) 
     th.testing.assert_close(theirs[there][:, : encoder.size + 10], ours, rtol=1e-4, atol=1e-5)
     assert theirs.isfinite().all()
     assert not theirs[:, encoder.size + 10 :].any()
-
-
-def test_the_weights_do_not_depend_on_the_sizes() -> None:
-    shapes = [
-        {name: tensor.shape for name, tensor in encoder_of(entity_rows(*sizes)[0].local).state_dict().items()}
-        for sizes in ((1, 3), (5, 40))
-    ]
-    assert shapes[0] == shapes[1]

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 import torch as th
 
-from uavaou import Scenario, World
-from uavaou.algorithms.mappo import MAPPO
-from uavaou.algorithms.qlearning import VDN
-from uavaou.envs.flatten import flatten
-from uavaou.runs.folder import RunConfig
-from uavaou.runs.policy import load_run
+from uavaou import MAPPO, VDN, RunConfig, Scenario, World, flatten, load_run
 from uavaou.world.entities import make_views
 from uavaou.world.flight import STEP_OF_MOVE
 
@@ -56,10 +51,14 @@ def flown(policy: Any, scenario: Scenario, observation: str, collection: str) ->
 @pytest.mark.parametrize("learner", [MAPPO, VDN])
 def test_a_policy_flies_a_turned_map_as_the_map(learner: Any, collection: str) -> None:
     env = flatten(SCENARIO, 2, observation="shared", collection=collection, rows="entities")
-    model = learner(env=env, seed=1, policy_kwargs=NETWORK)
+    model = learner(env=env, seed=1, policy_kwargs=NETWORK, device="cpu")
     with th.no_grad():  # a policy with preferences, which an untrained one hardly has
         for parameter in model.policy.parameters():
             parameter.normal_(std=0.4)
+    rows = env.reset()
+    predicted = model.predict(rows, deterministic=True)[0]  # as a UAV in flight decides
+    acted = model.policy.act(th.from_numpy(rows[:, : env.local_size].copy()), None).numpy()
+    np.testing.assert_array_equal(predicted, acted.reshape(predicted.shape))
     cells, aou = flown(model.policy, turned(SCENARIO, False, False, False), "shared", collection)
     assert len({tuple(slot.ravel()) for slot in cells}) > 2
     for symmetry in ((True, False, False), (False, True, False), (True, True, False), (False, True, True)):
@@ -81,24 +80,9 @@ def test_a_policy_that_learned_one_map_decides_by_its_own_view(learner: Any, tmp
     assert not RunConfig.load("mappo", SCENARIO).maps_vary
 
 
-@pytest.mark.parametrize("collection", ["auto", "select"])
-@pytest.mark.parametrize("learner", [MAPPO, VDN])
-def test_predict_decides_as_a_flying_uav(learner: Any, collection: str) -> None:
-    env = flatten(SCENARIO, 4, observation="shared", collection=collection, rows="entities")
-    model = learner(env=env, seed=1, policy_kwargs=NETWORK, device="cpu")
-    with th.no_grad():
-        for parameter in model.policy.parameters():
-            parameter.normal_(std=0.4)
-    rows = env.reset()
-    local = th.from_numpy(rows[:, : env.local_size].copy())
-    predicted = model.predict(rows, deterministic=True)[0]
-    np.testing.assert_array_equal(predicted, model.policy.act(local, None).numpy().reshape(predicted.shape))
-
-
 def test_a_step_and_its_mirror_image_belong_together() -> None:
     env = flatten(SCENARIO, 1, observation="local", collection="auto", rows="entities")
     symmetries = MAPPO(env=env, policy_kwargs=NETWORK).policy.symmetries
-    assert symmetries is not None
     rows = th.from_numpy(env.reset()[:, : env.local_size])
     home = rows[:, env.row_layout.token_feature("own", "home_x").start :][:, :2]  # (U, 2) the way home
 

@@ -14,18 +14,13 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from torch import nn
 
-from tests.algorithms.small_mappo import small_model
+from tests.algorithms.small_mappo import small_model, weights
 from uavaou import IPPO, Family, Scenario, flatten
 from uavaou.algorithms.fast import loss
 from uavaou.algorithms.fast.loss import GradientShard
 from uavaou.algorithms.mappo.mappo import LossStatistics
 from uavaou.algorithms.registry import load_config, make_model
 from uavaou.threads import Tasks, use_threads
-
-
-def weights(model: BaseAlgorithm) -> th.Tensor:
-    return th.nn.utils.parameters_to_vector(model.policy.parameters()).detach()
-
 
 SMALL: dict[str, dict[str, Any]] = {
     "ppo": {"missions": 4, "rollout_slots": 30, "batch_rows": 120},

@@ -19,12 +19,36 @@ TRAIN = f"train --scenario quickstart --quiet {SMALL}"
 TINY = f"train --scenario tiny --quiet --slots 96 {SMALL.replace('rollout_slots=60', 'rollout_slots=12')}"
 
 
-def call(capsys: pytest.CaptureFixture[str], command: str) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of ``uavaou <command>``, in this process."""
-    capsys.readouterr()
-    code = main(shlex.split(command))
-    out, err = capsys.readouterr()
-    return code, out, err
+class Shell:
+    """``uavaou <command>`` in this process."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, command: str) -> tuple[int, str, str]:
+        """Exit code, stdout and stderr."""
+        self._capsys.readouterr()
+        code = main(shlex.split(command))
+        return code, *self._capsys.readouterr()
+
+    def out(self, command: str) -> str:
+        """What a command that ends well prints."""
+        code, out, err = self(command)
+        assert code == 0, err
+        return out
+
+    def done(self, command: str) -> str:
+        """The same, of a command that complains of nothing."""
+        code, out, err = self(command)
+        assert (code, err) == (0, ""), command
+        return out
+
+    def refused(self, command: str) -> str:
+        """What is said of bad input."""
+        code, out, err = self(command)
+        assert (code, out) == (2, ""), command
+        assert err.startswith("uavaou: ")
+        return err
 
 
 def contents(folder: Path) -> dict[str, bytes | None]:

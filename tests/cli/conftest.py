@@ -27,8 +27,8 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="session")
+def _trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which runs were trained, and some spoilt afterwards."""
     place = tmp_path_factory.mktemp("trained")
     with pytest.MonkeyPatch.context() as patch:
@@ -43,6 +43,13 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for checkpoint in (fresh / "checkpoints").iterdir():
             checkpoint.unlink()
     return place
+
+
+@pytest.fixture
+def trained(_trained: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder: one in which runs were trained."""
+    monkeypatch.chdir(_trained)
+    return _trained
 
 
 @pytest.fixture

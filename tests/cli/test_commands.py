@@ -11,23 +11,17 @@ from typing import Any
 
 import pytest
 
-from tests.cli.commands import TINY, TRAIN, call, contents, runs
-from uavaou import Scenario, evaluate
-from uavaou.errors import InputError
+from tests.cli.commands import TINY, TRAIN, Shell, contents, runs
+from uavaou import InputError, Scenario, evaluate
 from uavaou.evaluation.seeds import VALIDATION_SEED
-from uavaou.runs.recorder import Recorder
 from uavaou_cli import plan, train
 from uavaou_cli.tables import WIDTH
 
-# -- evaluation ----------------------------------------------------------------------------------------
 
-
-def test_planners_meet_the_same_missions_whatever_stands_beside_them(
-    capsys: pytest.CaptureFixture[str], workplace: Path
-) -> None:
+def test_planners_meet_the_same_missions_whatever_stands_beside_them(shell: Shell, workplace: Path) -> None:
     base = "eval --scenario quickstart --set scenario.layout_seed=3 --episodes 5 --seed 7 --json"
     for command in (f"{base} both.json --policy stay --policy random", f"{base} deep/one.json --policy random"):
-        code, _, err = call(capsys, command)
+        code, _, err = shell(command)
         assert (code, err.startswith("wrote ")) == (0, True)
     both, one = (json.loads((workplace / name).read_text()) for name in ("both.json", "deep/one.json"))
     assert both["policies"]["random"] == one["policies"]["random"]
@@ -37,71 +31,51 @@ def test_planners_meet_the_same_missions_whatever_stands_beside_them(
     assert both["policies"]["random"]["mean_aou_s"] == played.values("mean_aou_s").tolist()
 
 
-def test_the_default_scenario_is_the_papers(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = call(capsys, "eval --policy stay --episodes 1 --quiet")
-    assert (code, err) == (0, "")
-    assert out.startswith("paper: 1 mission, seed 10000")
-
-
-def test_progress_goes_to_stderr_unless_quiet(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_goes_to_stderr_unless_quiet(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uavaou_cli.progress._LINE_EVERY_S", 0)
     command = "eval --scenario tiny --policy stay --policy random --episodes 2"
-    _, out, err = call(capsys, command)
+    _, out, err = shell(command)
     lines = err.splitlines()
     assert len(lines) == 2 * 11  # a line a slot
     assert lines[-1].startswith("100%  random: ")
     assert all("slots/s, mean AoU so far" in line and "s left" in line for line in lines)
-    assert call(capsys, f"{command} --quiet") == (0, out, "")
+    assert shell(f"{command} --quiet") == (0, out, "")
 
 
-def test_one_episode_writes_json_without_nan(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
-    assert call(capsys, "eval --scenario tiny --policy stay --episodes 1 --json x.json")[0] == 0
-    assert "NaN" not in (workplace / "x.json").read_text()
-
-
-def test_the_table_fits_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    _, out, _ = call(capsys, "eval --policy stay --policy random --episodes 3 --scenario paper")
+def test_the_table_of_the_default_scenario_fits_a_terminal(shell: Shell) -> None:
+    out = shell.done("eval --policy stay --policy random --episodes 3 --quiet")
+    assert out.startswith("paper: 3 missions, seeds 10000 to 10002")
     assert all(len(line) <= WIDTH for line in out.splitlines())
     assert "violations" not in out
     assert "broke" not in out
 
 
-def test_what_one_should_know_first_stands_above_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_one_should_know_first_stands_above_the_table(shell: Shell) -> None:
     command = "eval --scenario tiny --policy stay --episodes 1 --quiet --set scenario.transmit_power_mw=0.001"
-    code, out, err = call(capsys, command)
-    assert (code, err) == (0, "")
+    out = shell.done(command)
     title, remark, table, _ = out.split("\n\n")
     assert title.startswith("tiny with transmit_power_mw=0.001")
     assert remark == "No device can be collected from anywhere: uavaou audit SCENARIO says why."
     assert "stay" in table
-    code, out, _ = call(capsys, "gap tiny --episodes 1 --time-limit 0.1 --quiet --set scenario.transmit_power_mw=0.001")
+    code, out, _ = shell("gap tiny --episodes 1 --time-limit 0.1 --quiet --set scenario.transmit_power_mw=0.001")
     assert (code, out.split("\n\n")[1]) == (0, remark)
 
 
-def test_an_action_has_two_names_and_no_planner_either(
-    capsys: pytest.CaptureFixture[str], trained: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(trained)
-    shown = {}
+def test_an_action_has_two_names_and_an_evaluation_elsewhere_leaves_the_run_alone(shell: Shell, trained: Path) -> None:
+    run, before, shown = runs(trained)["run"], contents(trained), {}
     for word in ("likeliest", "greedy", "sampled", "sample"):
-        command = f"eval {runs(trained)['run']} --scenario tiny --episodes 2 --quiet --action {word}"
-        code, shown[word], err = call(capsys, command)
-        assert (code, err) == (0, "")
+        shown[word] = shell.done(f"eval {run} --scenario tiny --episodes 2 --quiet --action {word}")
+    assert "sample" in shell.done(f"eval {run} --set scenario.layout_seed=5 --episodes 2 --action sample")
+    assert contents(trained) == before
     assert (shown["greedy"], shown["sample"]) == (shown["likeliest"], shown["sampled"])
     assert "likeliest" in shown["greedy"]
     assert "greedy" not in shown["greedy"]
     assert "sampled" in shown["sample"]
-    code, _, err = call(capsys, f"eval {runs(trained)['run']} --action likelyest")
-    assert (code, "did you mean 'likeliest'?" in err) == (2, True)
+    assert "did you mean 'likeliest'?" in shell.refused(f"eval {run} --action likelyest")
 
 
-# -- the whole way -------------------------------------------------------------------------------------
-
-
-def test_a_plan_is_saved_flown_and_drawn(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
-    code, out, err = call(capsys, "plan tiny --planner exact --episodes 1")
+def test_a_plan_is_saved_flown_and_drawn(shell: Shell, workplace: Path) -> None:
+    code, out, err = shell("plan tiny --planner exact --episodes 1")
     assert code == 0
     assert "proven optimal" in out
     assert "gap 0.0%" in err
@@ -110,14 +84,13 @@ def test_a_plan_is_saved_flown_and_drawn(capsys: pytest.CaptureFixture[str], wor
     assert {path.suffix for path in folder.iterdir()} == {".json", ".png", ".pdf"}
     assert json.loads((folder / "plan.json").read_text())["planner"] == "exact"
     before = contents(folder)
-    code, out, err = call(capsys, "plan tiny --planner exact --episodes 1")
-    assert (code, out) == (2, "")
+    err = shell.refused("plan tiny --planner exact --episodes 1")
     assert "'results/tiny/plan/exact' already holds a plan: add --replace" in err
     assert contents(folder) == before
 
 
 def test_a_plan_never_takes_the_place_of_another(
-    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
+    shell: Shell, workplace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def keep(*arguments: Any) -> None:
         folder = arguments[-2]
@@ -127,21 +100,20 @@ def test_a_plan_never_takes_the_place_of_another(
     monkeypatch.setattr(plan, "_plan_and_report", keep)
     commands = ["plan tiny", "plan tiny --planner tour", "plan tiny --time-limit 5", "plan tiny --set scenario.slots=9"]
     for command in commands:
-        assert call(capsys, command)[0] == 0, command
+        assert shell(command)[0] == 0, command
     for slots in (8, 9):  # one file, two contents
         (workplace / "valley.yaml").write_text(f"base: tiny\nslots: {slots}\n")
-        assert call(capsys, "plan valley.yaml")[0] == 0
+        assert shell("plan valley.yaml")[0] == 0
     assert len(list(workplace.glob("results/valley*/plan/anneal/plan.json"))) == 2
     for command in [*commands, "plan valley.yaml", "plan tiny --out results/tiny/plan/tour"]:
-        code, _, err = call(capsys, command)
-        assert (code, "already holds a plan" in err) == (2, True), command
+        assert "already holds a plan" in shell.refused(command), command
     monkeypatch.setattr(plan, "_plan_and_report", lambda *_: None)
-    assert call(capsys, "plan tiny --replace")[0] == 0
+    assert shell("plan tiny --replace")[0] == 0
 
 
 @pytest.mark.parametrize(("limit", "left"), [(1, 0.5), (5, 3.0), (90, 58.0), (60, 28.0)])
 def test_a_time_limit_is_that_of_bound_plan_and_flight_together(
-    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch, limit: int, left: float
+    shell: Shell, workplace: Path, monkeypatch: pytest.MonkeyPatch, limit: int, left: float
 ) -> None:
     clock, given = SimpleNamespace(s=0.0), []
 
@@ -156,13 +128,12 @@ def test_a_time_limit_is_that_of_bound_plan_and_flight_together(
     monkeypatch.setattr(plan, "time", SimpleNamespace(monotonic=lambda: clock.s))
     monkeypatch.setattr("uavaou.planners.bound.lower_bound", bound)
     monkeypatch.setattr("uavaou.planners.make_planner", planner)
-    assert call(capsys, f"plan tiny --time-limit {limit} --quiet") == (2, "", "uavaou: enough\n")
+    assert shell(f"plan tiny --time-limit {limit} --quiet") == (2, "", "uavaou: enough\n")
     assert given == [left]
 
 
-def test_gap_orders_policies_between_bound_and_random(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = call(capsys, "gap tiny --episodes 1 --time-limit 0.3 --quiet")
-    assert code == 0
+def test_gap_orders_policies_between_bound_and_random(shell: Shell) -> None:
+    out = shell.out("gap tiny --episodes 1 --time-limit 0.3 --quiet")
     names = [line.split()[0] for line in out.splitlines()[4:] if line]
     assert names[0] == "lower"
     assert {"exact", "rolling", "greedy", "random"} < set(names)
@@ -171,45 +142,8 @@ def test_gap_orders_policies_between_bound_and_random(capsys: pytest.CaptureFixt
     assert all(len(line) <= WIDTH for line in out.splitlines())
 
 
-@pytest.mark.slow
-def test_a_stopped_training_resumes_to_its_budget(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
-    command = f"{TRAIN} --slots 4000"
-    assert call(capsys, f"{command} --out whole")[0] == 0
-    after_update = Recorder._after_update
-
-    def stop(self: Recorder, finished: bool) -> None:
-        if self._slots > 2000:
-            raise KeyboardInterrupt
-        after_update(self, finished)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Recorder, "_after_update", stop)
-        code, out, err = call(capsys, f"{command} --out parts")
-    assert (code, out, err.count("\n")) == (130, "", 1)
-    again = err.split("to go on: uavaou ")[1]
-    assert "--resume" in again
-    code, out, err = call(capsys, again)
-    assert (code, err) == (0, "")
-    whole, parts = (next((workplace / name).glob("*/*/seed-0")) for name in ("whole", "parts"))
-    metas = [json.loads((folder / "meta.json").read_text()) for folder in (whole, parts)]
-    assert [meta["finished"] for meta in metas] == [True, True]
-    assert metas[1]["slots"] == metas[0]["slots"] >= 4000
-    assert rewards(parts) == rewards(whole)
-    assert call(capsys, again)[0] == 0  # a finished one has nothing left to do
-    assert rewards(parts) == rewards(whole)
-
-
-def rewards(folder: Path) -> list[str]:
-    """Mission, slots and reward of each training mission; wall-clock times differ."""
-    rows = [line.split(",") for line in (folder / "episodes.csv").read_text().splitlines()]
-    return [",".join((row[0], row[1], row[3])) for row in rows]
-
-
-def test_a_training_is_shown_beside_planners_on_its_validation_missions(
-    capsys: pytest.CaptureFixture[str], workplace: Path
-) -> None:
-    code, out, err = call(capsys, f"{TINY.replace('--slots 96', '--slots 10')} --algorithm mappo-paper --out short")
-    assert (code, err) == (0, "")
+def test_a_training_is_shown_beside_planners_on_its_validation_missions(shell: Shell, workplace: Path) -> None:
+    out = shell.done(f"{TINY.replace('--slots 96', '--slots 10')} --algorithm mappo-paper --out short")
     words = " ".join(out.split())
     assert "more than the 10 slots asked for: mappo learns from whole rollouts, here 96 slots of 8 missions" in words
     names = "best-first", "local-greedy-parts"
@@ -221,45 +155,44 @@ def test_a_training_is_shown_beside_planners_on_its_validation_missions(
 
 
 def test_a_training_that_is_below_planners_gets_no_advice(
-    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
+    shell: Shell, workplace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("uavaou.runs.validation.planner_score", lambda name, config: 1e9)
-    _, out, _ = call(capsys, f"{TINY} --out below")
+    out = shell.out(f"{TINY} --out below")
     assert "planners:" in out
     assert "above" not in out
     assert "asked for" not in out
     monkeypatch.setattr(train, "_MOST_WORK", 1)  # planners that would take minutes are left out
-    _, out, _ = call(capsys, f"{TINY} --out large")
+    out = shell.out(f"{TINY} --out large")
     assert "planners:" not in out
 
 
-def test_a_validation_says_how_little_a_policy_has_learnt(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+def test_a_validation_says_how_little_a_policy_has_learnt(shell: Shell, workplace: Path) -> None:
     options = "--slots 1000 --set algorithm.missions=4 --set algorithm.evaluate_every_slots=128"
     options += " --set algorithm.evaluation_missions=2 --set algorithm.learning_starts=200"
-    code, _, err = call(capsys, f"train tiny --algorithm vdn {options}")
+    code, _, err = shell(f"train tiny --algorithm vdn {options}")
     shown = [line.split(":")[0] for line in err.splitlines() if "validation missions" in line]
     assert (code, shown[0]) == (0, "128 slots (the untrained policy)")
     assert re.fullmatch(r"1,0\d\d slots", shown[-1])
     assert "likeliest actions" in err
 
 
-def test_a_training_that_can_collect_nothing_says_so_first(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
-    code, _, err = call(capsys, f"{TINY} --set scenario.transmit_power_mw=0.001")
+def test_a_training_that_can_collect_nothing_says_so_first(shell: Shell, workplace: Path) -> None:
+    code, _, err = shell(f"{TINY} --set scenario.transmit_power_mw=0.001")
     assert code == 0
     assert err.startswith("uavaou: warning: no device can be collected from anywhere; uavaou audit")
 
 
 @pytest.mark.slow
-def test_from_training_to_figures(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
-    code, out, err = call(capsys, f"{TRAIN} --slots 3000")
-    assert (code, err) == (0, "")
+def test_from_training_to_figures(shell: Shell, workplace: Path) -> None:
+    out = shell.done(f"{TRAIN} --slots 3000")
     assert "best validation: mean AoU" in out
     following = shlex.split(out.split("next:")[1])
     run = Path(following[2])
     assert f"run folder:      {run}\n" in out
-    assert call(capsys, "runs")[1].count("slots=3000") == 1
+    assert shell("runs")[1].count("slots=3000") == 1
 
-    code, out, err = call(capsys, shlex.join([*following[1:], "--episodes", "6", "--json", "e.json"]))
+    code, out, err = shell(shlex.join([*following[1:], "--episodes", "6", "--json", "e.json"]))
     assert code == 0
     assert err.splitlines() == [f"wrote {run / 'eval' / 'default.json'}", "wrote e.json"]
     assert all(len(line) <= WIDTH for line in out.splitlines() if line != str(run))
@@ -278,21 +211,6 @@ def test_from_training_to_figures(capsys: pytest.CaptureFixture[str], workplace:
     }
 
     for command, parts in ((f"plot figures {run}", 14), (f"plot trajectories {run} --out pictures", 4)):
-        code, out, err = call(capsys, command)
-        assert (code, err) == (0, "")
+        out = shell.done(command)
         assert len(out.splitlines()) == parts
         assert all((workplace / line).stat().st_size > 1000 for line in out.splitlines())
-
-
-@pytest.mark.slow
-def test_evaluating_elsewhere_leaves_the_run_alone(
-    capsys: pytest.CaptureFixture[str], trained: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(trained)
-    before = contents(trained)
-    run = runs(trained)["run"]
-    for options in ("--scenario tiny", "--set scenario.layout_seed=5"):
-        code, out, err = call(capsys, f"eval {run} --episodes 2 --action sample {options}")
-        assert (code, err) == (0, "")
-        assert "sample" in out
-    assert contents(trained) == before

@@ -6,12 +6,14 @@ import re
 import runpy
 import subprocess
 import sys
+from collections.abc import Iterable
 from typing import Any
 
 import pytest
 import typer
 
-from tests.cli.commands import call, run_process
+from tests.cli.commands import Shell, run_process
+from uavaou.algorithms.registry import algorithm_names
 from uavaou.planners import PLANNERS
 from uavaou_cli.main import app, main
 from uavaou_cli.tables import WIDTH
@@ -70,10 +72,10 @@ def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
     assert all(len(line) <= WIDTH for line in done.stdout.splitlines())
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+def test_version(shell: Shell) -> None:
     import uavaou
 
-    assert call(capsys, "--version") == (0, f"uavaou {uavaou.__version__}\n", "")
+    assert shell("--version") == (0, f"uavaou {uavaou.__version__}\n", "")
 
 
 def test_python_runs_the_package(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,26 +108,25 @@ def test_a_shell_completes(
     assert (ended.value.code, capsys.readouterr().out.split()) == (0, completed)
 
 
-def test_help_names_every_planner(capsys: pytest.CaptureFixture[str]) -> None:
-    _, out, _ = call(capsys, "eval --help")
-    assert all(name in re.sub(r"-\n +", "-", out) for name in PLANNERS)
+@pytest.mark.parametrize(("command", "names"), [("eval", PLANNERS), ("train", algorithm_names())])
+def test_help_names_all(command: str, names: Iterable[str], shell: Shell) -> None:
+    out = shell.out(f"{command} --help")
+    assert all(name in re.sub(r"-\n +", "-", out) for name in names)
 
 
-def test_scenarios_fit_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = call(capsys, "scenarios")
-    assert (code, err) == (0, "")
+def test_scenarios_fit_a_terminal(shell: Shell) -> None:
+    out = shell.done("scenarios")
     assert {"paper", "paper-table1", "quickstart", "tiny"} <= set(out.split())
     assert all(len(line) <= WIDTH for line in out.splitlines())
 
 
-def test_audit_prints(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = call(capsys, "audit quickstart")
-    assert (code, err) == (0, "")
+def test_audit_prints(shell: Shell) -> None:
+    out = shell.done("audit quickstart")
     assert "0 errors" in out
-    code, out, err = call(capsys, "audit --scenario paper-table1")
+    code, out, err = shell("audit --scenario paper-table1")
     assert (code, err) == (1, "")
     assert "5 errors" in out
-    assert "3 devices" in call(capsys, "audit quickstart --set scenario.devices=3")[1]
+    assert "3 devices" in shell("audit quickstart --set scenario.devices=3")[1]
 
 
 def test_a_reader_that_stops_early_is_no_error() -> None:
@@ -133,8 +134,6 @@ def test_a_reader_that_stops_early_is_no_error() -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    assert process.stdout is not None
-    assert process.stderr is not None
     process.stdout.close()
     assert process.stderr.read() == ""
     process.stderr.close()

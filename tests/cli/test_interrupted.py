@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from tests.cli.commands import TINY, call
-from uavaou.scenario import Scenario
+from tests.cli.commands import TINY, Shell
+from uavaou import Scenario
 
 
 def killed(number: signal.Signals) -> Any:
@@ -40,13 +40,13 @@ def killed(number: signal.Signals) -> Any:
 )
 def test_a_signal_at_any_moment_is_answered(
     number: signal.Signals, code: int, command: str, part: str, says: str, workplace: Path,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch, shell: Shell,
 ) -> None:  # fmt: skip
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(part, killed(number))
     ctrl_c = signal.signal(signal.SIGINT, signal.default_int_handler)  # which background jobs ignore
     try:
-        returned, out, err = call(capsys, command)
+        returned, out, err = shell(command)
     finally:
         signal.signal(signal.SIGINT, ctrl_c)
     assert (returned, out) == (code, "")
@@ -77,27 +77,22 @@ sys.exit(start())
     assert (done.returncode, done.stdout, done.stderr) == (code, "", "uavaou: interrupted\n")
 
 
-def test_a_process_that_ignores_sigterm_goes_on_doing_so(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_process_that_ignores_sigterm_goes_on_doing_so(monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
     before, load = signal.signal(signal.SIGTERM, signal.SIG_IGN), Scenario.load
     monkeypatch.setattr(Scenario, "load", lambda name: os.kill(os.getpid(), signal.SIGTERM) or load(name))
     try:
-        assert call(capsys, "audit tiny")[0] == 0
+        assert shell("audit tiny")[0] == 0
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
-def test_a_configuration_goes_on_in_the_folder_that_it_lies_in(
-    workplace: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(capsys, f"{TINY} --set algorithm.learning_rate=5e-4")[0] == 0
+def test_a_configuration_goes_on_in_the_folder_that_it_lies_in(workplace: Path, shell: Shell) -> None:
+    assert shell(f"{TINY} --set algorithm.learning_rate=5e-4")[0] == 0
     (config,) = workplace.glob("results/*/*/seed-0/config.yaml")
     again = f"train --quiet --config {shlex.quote(str(config))}"
-    code, out, _ = call(capsys, f"{again} --resume")
-    assert code == 0
+    out = shell.out(f"{again} --resume")
     assert f"run folder:      {config.parent}\n" in out
-    assert "already holds a run" in call(capsys, again)[2]
+    assert "already holds a run" in shell(again)[2]
     assert list(workplace.glob("results/*/*/seed-0")) == [config.parent]
-    assert call(capsys, f"{again} --out elsewhere")[0] == 0
+    assert shell(f"{again} --out elsewhere")[0] == 0
     assert len(list(workplace.glob("elsewhere/*/*/seed-0/config.yaml"))) == 1

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.cli.commands import TINY, call, contents, runs
-from uavaou import evaluate
+from tests.cli.commands import TINY, Shell, contents, runs
+from uavaou import Scenario, evaluate
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.reports import mission_figures
 from uavaou.runs.names import scenario_folder
 from uavaou.runs.released import released_folder, released_names
-from uavaou.scenario import Scenario
 from uavaou_cli.tables import WIDTH
 
 SUITE = """
@@ -37,8 +36,6 @@ planners: [any-map, greedy]
 episodes: 2
 """
 
-# -- names -------------------------------------------------------------------------------------------------
-
 
 @pytest.mark.slow
 def test_every_shipped_policy_can_be_read() -> None:
@@ -50,7 +47,7 @@ def test_every_shipped_policy_can_be_read() -> None:
 
 
 @pytest.mark.slow
-def test_commands_take_a_released_policy_by_name(capsys: pytest.CaptureFixture[str], released: Path) -> None:
+def test_commands_take_a_released_policy_by_name(shell: Shell, released: Path) -> None:
     before = contents(released_folder())
     (released / "own.yaml").write_text(SUITE)
     commands = {
@@ -63,8 +60,7 @@ def test_commands_take_a_released_policy_by_name(capsys: pytest.CaptureFixture[s
         "export any-map --out policy.safetensors": "policy.safetensors",
     }
     for command, shown in commands.items():
-        code, out, err = call(capsys, f"{command}{'' if command.startswith(('plot', 'export')) else ' --quiet'}")
-        assert (code, err) == (0, ""), command
+        out = shell.done(f"{command}{'' if command.startswith(('plot', 'export')) else ' --quiet'}")
         assert shown in out, command
         assert str(released_folder()) not in out
     assert contents(released_folder()) == before  # nothing is written into the package
@@ -86,55 +82,48 @@ def test_a_table_of_the_zero_shot_page_is_measured(released: Path, monkeypatch: 
 
 
 @pytest.mark.slow
-def test_a_study_evaluates_a_released_policy(capsys: pytest.CaptureFixture[str], released: Path) -> None:
+def test_a_study_evaluates_a_released_policy(shell: Shell, released: Path) -> None:
     from tests.experiments.tiny_study import Inline, run_inline
     from uavaou.experiments.study import Study
 
     (released / "mine.yaml").write_text(STUDY)
     ended = run_inline(Study.load(released / "mine.yaml"), released / "out", Inline())
     assert (ended.done, ended.failed) == (3, {})
-    assert call(capsys, "study report mine.yaml --out out")[0] == 0
+    assert shell("study report mine.yaml --out out")[0] == 0
     page = (released / "out" / "studies" / "mine" / "README.md").read_text()
     assert "| `any-map` | local |" in page
     (released / "mine.yaml").write_text(STUDY.replace("[tiny]", "[quickstart]"))
-    code, _, err = call(capsys, "study status mine.yaml --out out")
-    assert (code, "'any-map' was trained with 2 uavs and 4 devices" in err) == (2, True)
+    assert "'any-map' was trained with 2 uavs and 4 devices" in shell.refused("study status mine.yaml --out out")
 
 
-def test_a_folder_goes_before_it_only_with_a_path_separator(
-    capsys: pytest.CaptureFixture[str], released: Path, trained: Path
-) -> None:
+def test_a_folder_goes_before_it_only_with_a_path_separator(shell: Shell, released: Path, trained: Path) -> None:
     shutil.copytree(trained / runs(trained)["other"], released / "any-map")
-    code, out, err = call(capsys, "eval any-map ./any-map --episodes 2 --quiet")
+    code, out, err = shell("eval any-map ./any-map --episodes 2 --quiet")
     assert (code, "different scenarios" in err) == (2, True)  # ./any-map was trained on another layout
-    code, out, err = call(capsys, "eval any-map ./any-map --episodes 2 --quiet --scenario tiny")
-    assert (code, err) == (0, "")
+    out = shell.done("eval any-map ./any-map --episodes 2 --quiet --scenario tiny")
     rows = [line.split() for line in out.splitlines() if "any-map" in line]
     assert [row[0] for row in rows] == ["any-map", "./any-map"]
     # Beside a run's own policy it is kept as planners are, and so drawn in figures 7 and 8.
     shutil.copytree(trained / runs(trained)["run"], released / "own")
-    assert call(capsys, "eval own --policy any-map --policy greedy --episodes 2 --quiet")[0] == 0
+    assert shell("eval own --policy any-map --policy greedy --episodes 2 --quiet")[0] == 0
     kept = json.loads((released / "own" / "eval" / "default.json").read_text())
     assert list(kept["policies"]) == ["mappo", "any-map", "greedy"]
-    code, out, err = call(capsys, "eval ./x/any-map")
+    code, out, err = shell("eval ./x/any-map")
     assert err.endswith("does not exist; the released policy is named without a path: any-map\n")
 
 
 @pytest.mark.parametrize(
     "command", ["eval any-mpa", "gap tiny any-mpa", "plot trajectories any-mpa", "train --from any-mpa"]
 )
-def test_a_misspelt_name_gets_the_nearest(command: str, capsys: pytest.CaptureFixture[str], released: Path) -> None:
-    code, out, err = call(capsys, command)
+def test_a_misspelt_name_gets_the_nearest(command: str, shell: Shell, released: Path) -> None:
+    code, out, err = shell(command)
     assert (code, out, err) == (2, "", "uavaou: run folder 'any-mpa' does not exist; did you mean 'any-map'?\n")
     assert not list(released.iterdir())
 
 
-# -- fly ---------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_fly_shows_a_mission_and_says_where_its_files_are(
-    capsys: pytest.CaptureFixture[str], released: Path, monkeypatch: pytest.MonkeyPatch
+    shell: Shell, released: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[Any] = []
     draw = mission_figures.plot_trajectories
@@ -142,8 +131,7 @@ def test_fly_shows_a_mission_and_says_where_its_files_are(
         mission_figures, "plot_trajectories", lambda *given, **more: [drawn.append(given[1]), draw(*given, **more)][1]
     )
     (released / "mine.yaml").write_text("base: tiny\nlayout_seed: 3\n")
-    code, out, err = call(capsys, "fly mine.yaml --policy any-map --seed 7 --quiet")
-    assert (code, err) == (0, "")
+    out = shell.done("fly mine.yaml --policy any-map --seed 7 --quiet")
     table, files = out.split("one mission alone gives no interval\n")
     assert all(len(line) <= WIDTH for line in table.splitlines())
     names = [line.split()[0] for line in table.splitlines()[-6:-2]]
@@ -163,24 +151,19 @@ def test_fly_shows_a_mission_and_says_where_its_files_are(
 
 @pytest.mark.slow
 def test_fly_takes_runs_and_planners(
-    capsys: pytest.CaptureFixture[str], trained: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    shell: Shell, trained: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.chdir(trained)
     for name, reference in ((runs(trained)["run"], "best-first"), ("best-first", "greedy"), ("stay", "best-first")):
-        code, out, err = call(capsys, f"fly tiny --policy {name} --out {tmp_path} --quiet")
-        assert (code, err) == (0, "")
+        out = shell.done(f"fly tiny --policy {name} --out {tmp_path} --quiet")
         assert reference in out
-    code, out, err = call(capsys, f"fly quickstart --policy {runs(trained)['run']}")
-    assert (code, out) == (2, "")
+    err = shell.refused(f"fly quickstart --policy {runs(trained)['run']}")
     assert "trained with 2 uavs and 4 devices; scenario 'quickstart' has 2 and 8" in err
-    code, _, err = call(capsys, "fly tiny --policy gredy")
-    assert (code, "unknown policy 'gredy'; did you mean 'greedy'?" in err) == (2, True)
+    assert "unknown policy 'gredy'; did you mean 'greedy'?" in shell.refused("fly tiny --policy gredy")
 
 
-def test_fly_rehearses_and_serves_the_best(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+def test_fly_rehearses_and_serves_the_best(shell: Shell, workplace: Path) -> None:
     command = "fly tiny --set scenario.layout_seed=2 --seconds 1 --knows local --json found.json"
-    code, out, err = call(capsys, f"{command} --quiet")
-    assert (code, err) == (0, "")
+    out = shell.done(f"{command} --quiet")
     assert all(len(line) <= WIDTH for line in out.splitlines())
     found = json.loads(Path("found.json").read_text())
     first, second, *_ = found["candidates"]
@@ -196,75 +179,61 @@ def test_fly_rehearses_and_serves_the_best(capsys: pytest.CaptureFixture[str], w
 
 
 @pytest.mark.slow
-def test_fly_trains_beside_what_is_there(
-    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fly_trains_beside_what_is_there(shell: Shell, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uavaou.runs.rehearsal._TRAINS_FROM_S", 1.0)
     held = workplace / "out" / "training" / "mine.txt"
     held.parent.mkdir(parents=True)
     held.write_text("mine")
-    assert call(capsys, "fly tiny --seconds 4 --out out --quiet")[0] == 0
+    assert shell("fly tiny --seconds 4 --out out --quiet")[0] == 0
     assert held.read_text() == "mine"
     assert (workplace / "out" / "training-2" / "config.yaml").is_file()
 
 
-def test_fly_needs_no_released_policy(
-    capsys: pytest.CaptureFixture[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fly_needs_no_released_policy(shell: Shell, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uavaou.runs.released.zoo_folder", lambda kind: workplace)
-    code, out, err = call(capsys, "fly tiny --seconds 0.5 --quiet")
-    assert (code, err) == (0, "")
+    out = shell.done("fly tiny --seconds 0.5 --quiet")
     assert "local-greedy-parts" in out
     assert "any-map" not in out
 
 
-# -- trainings that follow on another ----------------------------------------------------------------------
-
-
 @pytest.mark.slow
-def test_train_begins_with_a_released_policy(capsys: pytest.CaptureFixture[str], released: Path) -> None:
-    code, out, err = call(capsys, "train --from any-map --set scenario.layout_seed=9 --slots 96 --quiet")
-    assert (code, err) == (0, "")
+def test_train_begins_with_a_released_policy(shell: Shell, released: Path) -> None:
+    out = shell.done("train --from any-map --set scenario.layout_seed=9 --slots 96 --quiet")
     assert "short training: 8 missions end together, every 96 slots" in out
     (folder,) = released.glob("results/tiny+layout_seed=9/mappo-paper-from-*/seed-0")
     assert str(folder.relative_to(released)) in out
     for place, start in (("found", ""), ("named", " --from any-map")):  # found by the digest of its weights
-        assert call(capsys, f"train --config {folder}/config.yaml --quiet --out {place}{start}")[0] == 0
+        assert shell(f"train --config {folder}/config.yaml --quiet --out {place}{start}")[0] == 0
         again = next(released.glob(f"{place}/*/*/seed-0"))
         assert (again / "config.yaml").read_text() == (folder / "config.yaml").read_text()
 
 
 @pytest.mark.slow
 def test_train_goes_on_with_a_finished_run(
-    capsys: pytest.CaptureFixture[str], trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    shell: Shell, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(trained / runs(trained)["run"], tmp_path / "run")
     monkeypatch.chdir(tmp_path)
-    code, out, err = call(capsys, "train --continue run --slots 192 --quiet")
-    assert (code, err) == (0, "")
+    out = shell.done("train --continue run --slots 192 --quiet")
     assert "192 slots" in out
     assert json.loads((tmp_path / "run" / "meta.json").read_text())["slots_budget"] == 192
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
-    code, _, err = call(capsys, f"{TINY} --out . --continue run")
-    assert (code, "--continue and --scenario: give one of them" in err) == (2, True)
+    assert "--continue and --scenario: give one of them" in shell.refused(f"{TINY} --out . --continue run")
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_plans")
-def test_train_on_a_family(capsys: pytest.CaptureFixture[str], workplace: Path) -> None:
+def test_train_on_a_family(shell: Shell, workplace: Path) -> None:
     (workplace / "two.yaml").write_text("base: tiny\nuavs: {low: 1, high: 2}\ndevices: {low: 2, high: 6}\n")
     settings = "--set algorithm.missions=8 --set algorithm.worlds=4 --set algorithm.evaluation_missions=4"
     settings += " --set algorithm.hidden=[8]"
-    code, out, err = call(capsys, f"train --family two.yaml --seed 3 --slots 192 {settings} --quiet")
-    assert (code, err) == (0, "")
+    out = shell.done(f"train --family two.yaml --seed 3 --slots 192 {settings} --quiet")
     (run,) = (workplace / "results").glob("family-two~*/mappo-family+*/seed-3")
     assert "trained mappo on family two: " in out
     assert "best validation: geometric mean AoU" in out
     assert f"run folder:      {run.relative_to(workplace)}" in out
-    code, out, err = call(capsys, f"eval {run} --scenario quickstart --episodes 2 --policy greedy --quiet")
-    assert (code, err) == (0, "")
+    out = shell.done(f"eval {run} --scenario quickstart --episodes 2 --policy greedy --quiet")
     (workplace / "own.yaml").write_text(SUITE)
-    code, out, err = call(capsys, f"eval {run} --suite own.yaml --episodes 2 --quiet")
-    assert (code, err) == (0, "")
+    out = shell.done(f"eval {run} --suite own.yaml --episodes 2 --quiet")
     assert out.count("mappo   zero-shot") == 3
     assert "mappo: trained on family-two~" in out

@@ -28,6 +28,12 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     return now
 
 
+def on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    for name, value in (("COLUMNS", "80"), ("TERM", "xterm"), ("FORCE_COLOR", "1")):
+        monkeypatch.setenv(name, value)
+
+
 def test_a_training_that_overshoots_its_budget_ends_at_100_percent(
     capsys: pytest.CaptureFixture[str], clock: SimpleNamespace
 ) -> None:
@@ -56,13 +62,10 @@ def test_a_training_shows_the_search_for_its_plan(capsys: pytest.CaptureFixture[
     ]
 
 
-def test_a_bar_that_was_taken_away_comes_again(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    for name, value in (("COLUMNS", "80"), ("TERM", "xterm"), ("FORCE_COLOR", "1")):
-        monkeypatch.setenv(name, value)
+def test_a_bar_that_was_taken_away_comes_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    on_a_terminal(monkeypatch)
     display = TrainingDisplay(slot_length_s=2.0)
+    assert display._bar is None  # nor later, where the training is refused
     display.plan(PlanningStatus(0.25, 24.0))
     searching = display._bar
     assert searching is not None
@@ -91,9 +94,7 @@ def test_a_quiet_display_shows_nothing(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_a_bar_fits_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    for name, value in (("COLUMNS", "80"), ("TERM", "xterm"), ("FORCE_COLOR", "1")):
-        monkeypatch.setenv(name, value)
+    on_a_terminal(monkeypatch)
     with TrainingDisplay(slot_length_s=2.0) as display:
         display.start(total=3_000_000, done=0, uavs=3)
         display.update(1_234_567, 24.0)
@@ -146,8 +147,3 @@ def test_a_job_that_stands_still_keeps_a_time_left(capsys: pytest.CaptureFixture
         clock.s += 1
         display.advance(done, "")
     assert capsys.readouterr().err.splitlines()[-1] == " 25%  5 min 3 s left"
-
-
-def test_a_training_that_is_refused_leaves_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    assert TrainingDisplay(slot_length_s=2.0)._bar is None

@@ -6,29 +6,28 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.commands import call
+from tests.cli.commands import Shell
 from uavaou_cli.options import trained
 
 
 @pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> Path:
     """A folder with two trainings, of which one changed more than a name can say."""
     monkeypatch.chdir(tmp_path)
     more = " --set algorithm.gamma=0.9 --set algorithm.clip_range=0.3 --set algorithm.max_gradient_norm=9"
     for settings in ("", more):
         line = "train tiny --algorithm ippo --slots 60 --set algorithm.missions=2 --set algorithm.hidden=[8] --quiet"
-        assert call(capsys, line + settings)[0] == 0
+        assert shell(line + settings)[0] == 0
     return tmp_path
 
 
-def test_they_are_listed_with_what_each_changed_and_reached(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_they_are_listed_with_what_each_changed_and_reached(place: Path, shell: Shell) -> None:
     (other,) = (path.name for path in (place / "results/tiny").glob("ippo+*") if "=" not in path.name)
     (place / "results/tiny" / other / "seed-0/meta.json").unlink()
     damaged = place / "results/tiny/vdn/seed-0/config.yaml"
     damaged.parent.mkdir(parents=True)
     damaged.write_text("schema: 1\n")
-    code, out, err = call(capsys, "runs")
-    assert (code, err) == (0, "")
+    out = shell.done("runs")
     lines = out.splitlines()
     assert lines[0].split() == ["run", "slots", "mean", "AoU", "state"]
     found = {line.split()[0]: line.split()[1:] for line in lines[1:] if line.startswith("results")}
@@ -42,9 +41,8 @@ def test_they_are_listed_with_what_each_changed_and_reached(place: Path, capsys:
     assert "vdn/seed-0/config.yaml" in out
 
 
-def test_a_folder_without_runs_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = call(capsys, f"runs --out {tmp_path}")
-    assert (code, out) == (2, "")
+def test_a_folder_without_runs_is_told(tmp_path: Path, shell: Shell) -> None:
+    err = shell.refused(f"runs --out {tmp_path}")
     assert "holds no training" in err
     assert err.count("\n") == 1
 

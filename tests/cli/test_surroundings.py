@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -36,20 +37,8 @@ def test_the_backend_of_a_notebook_does_not_matter(tmp_path: Path) -> None:
 )
 def test_a_name_that_the_console_cannot_print(stem: str, encoding: str, shown: bytes, tmp_path: Path) -> None:
     (tmp_path / f"{stem}.yaml").write_text("base: tiny\n", encoding="utf-8")
-    done = command(
-        tmp_path,
-        "eval",
-        "--policy",
-        "greedy",
-        "--scenario",
-        f"{stem}.yaml",
-        "--episodes",
-        "2",
-        "--quiet",
-        "--json",
-        f"{stem}.json",
-        PYTHONIOENCODING=encoding,
-    )
+    words = shlex.split(f"eval --policy greedy --scenario {stem}.yaml --episodes 2 --quiet --json {stem}.json")
+    done = command(tmp_path, *words, PYTHONIOENCODING=encoding)
     assert (done.returncode, done.stderr) == (0, b"")
     assert done.stdout.startswith(shown + b": 2 missions")
     assert (tmp_path / f"{stem}.json").is_file()

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uavaou import Family, InputError, Scenario, flatten
+from uavaou import Family, InputError, Scenario, World, flatten
 from uavaou.envs.vec_env import MissionVecEnv
-from uavaou.world import World
 from uavaou.world.entities import make_views
 
 FAMILY = Family.from_dict(

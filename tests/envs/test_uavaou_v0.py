@@ -1,14 +1,17 @@
-"""The PettingZoo environment against PettingZoo's own tests, and a seed test over whole missions."""
+"""The PettingZoo environment against PettingZoo's own tests, whole missions from one seed, and rewards by hand."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import pytest
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 
-from uavaou import InputError, Scenario, uavaou_v0
+from uavaou import Family, InputError, Scenario, World, uavaou_v0
+from uavaou.envs.rewards import training_reward
+from uavaou.planners.local_greedy import LocalGreedyParts
 
 FORMATS = [("location", "flat"), ("local", "flat"), ("shared", "flat"), ("local", "entities"), ("shared", "entities")]
 
@@ -109,7 +112,6 @@ def test_rendering() -> None:
     env.reset(seed=0)
     env.step({agent: env.action_space(agent).sample() for agent in env.agents})
     frame = env.render()
-    assert frame is not None
     assert frame.dtype == np.uint8
     assert frame.ndim == 3
     assert frame.std() > 5
@@ -118,3 +120,35 @@ def test_rendering() -> None:
         assert silent.render() is None
     with pytest.raises(InputError, match="did you mean 'rgb_array'"):
         uavaou_v0.parallel_env("tiny", render_mode="rgb_aray")
+
+
+def test_named_rewards_by_hand() -> None:
+    world = World(Scenario.load("quickstart"), 1)
+    for _ in range(5):
+        paper = world.step(np.zeros((1, 2), dtype=np.int64), np.zeros((1, 2, 8), dtype=bool))
+    ages = world.age_sum[0] / world.scenario.slot_length_s
+    assert paper[0] == pytest.approx(-world.age_sum.sum())
+    assert training_reward(world, "aou")[0] == pytest.approx(-ages.sum() / 8 / 20, rel=1e-6)
+    assert training_reward(world, "root")[0] == pytest.approx(-np.sqrt(ages).sum() / 8 / 5, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "draws", "most"),
+    [
+        ("layouts", range(1003, 1007), 0.1),
+        ("any", (1004, 1005, 1008, 1009), 0.1),
+        ("any", (1003, 1006, 1007), 0.9),  # what several UAVs reach, and a map so large that they soon have to fly home
+    ],
+)
+def test_the_relative_reward_of_the_rule_is_about_minus_one(name: str, draws: Iterable[int], most: float) -> None:
+    family = Family.load(name)
+    for draw in draws:
+        world, rule = World(family.draw(draw), 8, draw), LocalGreedyParts()
+        rule.reset(world, 0)
+        rewards = []
+        while not world.done:
+            world.step(*rule.act(world))
+            rewards.append(training_reward(world, "relative"))
+        assert np.shape(rewards) == (world.scenario.slots, 8)
+        age = world.metrics().mean_aou_s.mean() / world.scenario.slot_length_s
+        assert np.mean(rewards) == pytest.approx(-min(age, 1.0), rel=most)  # of at least one slot

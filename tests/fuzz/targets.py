@@ -17,16 +17,15 @@ from unittest.mock import patch
 
 import numpy as np
 
-from uavaou import zoo
+from uavaou import Family, InputError, RunConfig, Scenario, zoo
 from uavaou.algorithms.io.save_load import LearnerHeader
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
 from uavaou.algorithms.registry import load_config
 from uavaou.devices_csv import read_devices_csv
-from uavaou.errors import InputError, all_faults
+from uavaou.errors import all_faults
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.experiments.study import Study
 from uavaou.experiments.suite import Suite
-from uavaou.family import Family
 from uavaou.onboard import runner
 from uavaou.plain_yaml import parse_yaml
 from uavaou.planners.plan import RoutePlan
@@ -34,9 +33,8 @@ from uavaou.reports.figures import read_runs
 from uavaou.reports.suites import read_suites
 from uavaou.runs import folder
 from uavaou.runs.checkpoint_header import TrainingProgress
-from uavaou.runs.folder import EPISODE_COLUMNS, RunConfig, RunFolder
+from uavaou.runs.folder import EPISODE_COLUMNS, RunFolder
 from uavaou.runs.records import EpisodesCsv, ProgressCsv
-from uavaou.scenario import Scenario
 from uavaou.tuning.search import Search, SearchFolder
 from uavaou.tuning.search_space import SearchSpace
 from uavaou.zoo import zoo_path

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from tests.fuzz.targets import CORPUS, READERS, corpus, mutated, read, seeds
-from uavaou.errors import InputError
+from uavaou import InputError
 
 OF_EACH = 150  # mutations
 SLOW = ("family.yaml", "study.yaml", "search/search.yaml", "run/episodes.csv")  # a tenth of them

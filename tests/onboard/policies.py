@@ -9,10 +9,9 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
-from uavaou import Scenario, World
+from uavaou import Scenario, World, flatten
 from uavaou.algorithms.mappo import CentralizedValuePolicy
 from uavaou.algorithms.registry import load_config, make_model
-from uavaou.envs.flatten import flatten
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.world.entities import make_views
 from uavaou.world.pull import PullPlan

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.cli.commands import call
+from tests.cli.commands import Shell
 from tests.documents import ROOT, blocks
 from tests.onboard.policies import QUICK, lively
 from uavaou import InputError, World, evaluate, load_run
@@ -59,7 +59,6 @@ class Drone:
         ]
         moves = [self.move, *(move for move, _, _ in decided)]
         self.world.step(np.array([moves]), np.array([[self.selected, *(chosen for _, _, chosen in decided)]]))
-        assert self.world.stepped is not None
         collected_by = self.world.stepped.association.collected_by[0]
         for pilot in self.others:
             pilot.end_slot(collected_by)
@@ -72,14 +71,13 @@ class Drone:
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_plans")
 def test_the_worked_example_flies_as_an_evaluation(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    shell: Shell, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     model = ROOT / "docs" / "model.md"
     Path("valley.yaml").write_text(blocks(model, "yaml")[0].replace("base: paper", "base: paper\nslots: 60"))
     Path("valley.csv").write_text(blocks(model, "csv")[0])
-    code, out, err = call(capsys, "export any-map --format onnx --scenario valley.yaml --out drone")
-    assert (code, err) == (0, "")
+    out = shell.done("export any-map --format onnx --scenario valley.yaml --out drone")
     compared, *files = out.splitlines()
     assert compared == "compared with torch: 960 of 960 rows have the same action"
     assert files == [f"drone/{name}" for name in FILES]
@@ -100,9 +98,9 @@ def test_the_worked_example_flies_as_an_evaluation(
     monkeypatch.delitem(sys.modules, "runner")
 
 
-def test_a_map_is_for_onnx_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    code, out, err = call(capsys, f"export any-map --scenario paper --out {tmp_path}/x.safetensors")
-    assert (code, out, err) == (2, "", "uavaou: --scenario: --format onnx alone writes a map\n")
+def test_a_map_is_for_onnx_alone(shell: Shell, tmp_path: Path) -> None:
+    err = shell.refused(f"export any-map --scenario paper --out {tmp_path}/x.safetensors")
+    assert err == "uavaou: --scenario: --format onnx alone writes a map\n"
 
 
 def test_a_map_that_is_drawn_for_each_mission_is_refused(tmp_path: Path) -> None:

@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from uavaou import Scenario
 from uavaou.planners.ascent import bundle_ascent
 from uavaou.planners.bound import LagrangianRelaxation, lower_bound
 from uavaou.planners.decomposition import LagrangianDecomposition
 from uavaou.planners.exact import gap_ages
 from uavaou.planners.stationary_duals import stationary_duals
-from uavaou.scenario import Layout, Scenario
+from uavaou.scenario import Layout
 from uavaou.world.coverage import coverage_probability
 from uavaou.world.flight import STEP_OF_MOVE
 
@@ -95,7 +96,6 @@ def test_nor_is_that_of_prices_which_hold_in_several_slots(scenario: Scenario, h
         patch.setattr("uavaou.planners.decomposition._MOST_PRICES", most_prices(scenario, hold))
         copies = LagrangianDecomposition(scenario, layout)
         start = stationary_duals(copies, layout)
-        assert start is not None
         assert copies.ascend(*start, rounds=100) <= optimum(scenario, layout) * (1 + 1e-9)
 
 

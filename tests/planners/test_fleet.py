@@ -9,11 +9,10 @@ import pytest
 
 from tests.planners.test_bound import most_prices
 from tests.planners.verify_certificate import verify
-from uavaou.errors import InputError
+from uavaou import InputError, Scenario
 from uavaou.planners.bound import Bound, BoundSearch, LagrangianRelaxation
 from uavaou.planners.certificate import read_certificate, write_certificate
 from uavaou.planners.fleet import FleetDecomposition
-from uavaou.scenario import Scenario
 
 pytestmark = pytest.mark.slow
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from uavaou import Scenario, World
 from uavaou.planners import PLANNERS, make_planner
-from uavaou.scenario import Scenario
-from uavaou.world import World
 from uavaou.world.entities import make_views
 from uavaou.world.knowledge import knowledge
 from uavaou.world.pull import estimated_age, steps_to

@@ -15,20 +15,18 @@ import numpy as np
 import pytest
 
 from tests.planners.test_bound import most_prices
-from uavaou import evaluate
-from uavaou.errors import InputError
+from uavaou import InputError, Scenario, World, evaluate
 from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal, best_first_routes
 from uavaou.planners.bound import LagrangianRelaxation, lower_bound
 from uavaou.planners.decomposition import LagrangianDecomposition
 from uavaou.planners.exact import Exact, Program, gap_ages
-from uavaou.planners.plan import PlanningStatus, RoutePlan, RoutePlanner, broken_rule, expected_age, expected_mean_aou
+from uavaou.planners.plan import PlanningStatus, RoutePlan, broken_rule, expected_age, expected_mean_aou
 from uavaou.planners.rolling import Rolling
 from uavaou.planners.search import trial_age
 from uavaou.planners.stationary_duals import stationary_duals
 from uavaou.planners.tour import Tour, close_enough_tours, fleet_routes
-from uavaou.scenario import Layout, Scenario
-from uavaou.world import World
+from uavaou.scenario import Layout
 from uavaou.world.ages import AgeLedger
 from uavaou.world.coverage import coverage_probability
 
@@ -97,12 +95,11 @@ def bounds(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> list[float]:
         start = (
             LagrangianRelaxation(scenario, layout).as_charges() if copies.short else stationary_duals(copies, layout)
         )
-        assert start is not None
         found.append(copies.ascend(*start, rounds=200))
     return [total * scenario.slot_length_s / scenario.slots for total in found]
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 30))])
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 12))])
 def test_exact_is_the_optimum_by_dynamic_programming(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = small(seed)
     plan = Exact().plan(scenario, scenario.draw_layout())
@@ -147,7 +144,6 @@ def test_tours_search_longer_only_in_the_time_left(monkeypatch: pytest.MonkeyPat
         assert not Tour(limit).plan(TINY, TINY.draw_layout()).interrupted
     assert limits[:2] == [None, None]
     assert len(limits) == 3
-    assert limits[2] is not None
     assert 0 < limits[2] < 1000
 
 
@@ -190,7 +186,6 @@ def test_plans_can_be_flown_as_they_are(name: str, scenario: Scenario, monkeypat
     for changes in ({}, {"flight_time_budget_s": 30.0}, {"slots": 5}, {"layout_seed": 3}):
         changed = scenario.replace(**changes)
         planner = make_planner(name)
-        assert isinstance(planner, RoutePlanner)
         plan = planner.plan(changed, changed.draw_layout())
         assert broken_rule(changed, plan.routes) is None
         world = World(changed, 3)
@@ -235,7 +230,6 @@ def test_a_time_limit_lets_a_tour_search_on() -> None:
 @pytest.mark.parametrize("name", ["tour", "partition-tour"])
 def test_tours_dwell_where_it_pays(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     layout, planner, seen = QUICKSTART.draw_layout(), make_planner(name), []
-    assert isinstance(planner, RoutePlanner)
     plan = planner.plan(QUICKSTART, layout, seen.append)
     assert seen[-1] == PlanningStatus(1.0, pytest.approx(plan.mean_aou_s))
     assert (plan.routes[1:] == plan.routes[:-1]).all(axis=-1).any()
@@ -254,7 +248,6 @@ def test_a_tour_stays_home_where_nothing_is_in_reach() -> None:
     deaf = TINY.replace(rate_min_bit_s=1e9)
     for name in ("tour", "partition-tour"):
         planner = make_planner(name)
-        assert isinstance(planner, RoutePlanner)
         assert (planner.plan(deaf, deaf.draw_layout()).routes == deaf.cds_cells).all()
 
 
@@ -284,7 +277,6 @@ def test_annealing_improves_is_repeatable_and_reports() -> None:
     np.testing.assert_array_equal(plan.routes, Anneal().plan(QUICKSTART, layout).routes)
     for name in ("tour", "partition-tour"):
         planner = make_planner(name)
-        assert isinstance(planner, RoutePlanner)
         assert plan.mean_aou_s < planner.plan(QUICKSTART, layout).mean_aou_s
 
 
@@ -298,25 +290,22 @@ def test_an_interrupted_annealing_keeps_its_best() -> None:
 
 
 FLY = """
-import signal, sys
+import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are started with it ignored
-from uavaou.planners import make_planner
+from uavaou.planners.exact import Exact
 from uavaou.planners.plan import broken_rule
 from uavaou.scenario import Scenario
 # Far from being solved when the signal comes: its gap is 40 % after four minutes.
 field = {"area_x_m": 400, "area_y_m": 400, "devices": 8, "slots": 48, "flight_time_budget_s": 480}
 scenario = Scenario.load("tiny").replace(**field)
-planner = make_planner(sys.argv[1], 600)
-plan = planner.plan(scenario, scenario.draw_layout(), lambda progress: print("under way", flush=True))
+plan = Exact(600).plan(scenario, scenario.draw_layout(), lambda progress: print("under way", flush=True))
 print(plan.interrupted, broken_rule(scenario, plan.routes), plan.mean_aou_s < 1000)
 """
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["anneal", "exact"])
-def test_ctrl_c_keeps_the_incumbent(name: str) -> None:
-    with subprocess.Popen([sys.executable, "-c", FLY, name], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
+def test_ctrl_c_keeps_the_incumbent_of_exact() -> None:
+    with subprocess.Popen([sys.executable, "-c", FLY], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "under way\n"
         process.send_signal(signal.SIGINT)
         last = process.stdout.read().splitlines()[-1]

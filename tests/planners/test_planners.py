@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from tests.strategies import scenarios
-from uavaou.errors import InputError
+from uavaou import InputError, Scenario, World
 from uavaou.planners import PLANNERS, make_planner
-from uavaou.scenario import Scenario
-from uavaou.world import World
 
 QUICKSTART = Scenario.load("quickstart")
 

@@ -11,12 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.strategies import scenarios
-from uavaou import evaluate
+from uavaou import Scenario, World, evaluate
 from uavaou.planners import tuned
 from uavaou.planners.plan import PlanningStatus
 from uavaou.planners.tuned import LocalGreedyTuned, RulePlan, _Search
-from uavaou.scenario import Scenario
-from uavaou.world import World
 from uavaou.world.patrol import fly_fleet, patrol_area
 
 pytestmark = pytest.mark.slow

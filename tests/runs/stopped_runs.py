@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
-from uavaou import Scenario
+from uavaou import RunConfig, Scenario, train
 from uavaou.algorithms.registry import load_config
 from uavaou.runs import recorder
-from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.train import train
+from uavaou.runs.folder import RunFolder
 
+Runs = tuple[RunFolder, RunFolder]  # one as it ends, and one stopped after its third checkpoint
 SMALL = {"slots": 240, "missions": 4, "evaluate_every_slots": 120, "evaluation_missions": 2, "hidden": [8]}
 ON_POLICY = {"rollout_slots": 12, "batch_rows": 96}
 REPLAY = {"replay_slots": 96, "learning_starts": 24, "batch_slots": 8, "slots_per_update": 48, "epsilon_fraction": 1.0}

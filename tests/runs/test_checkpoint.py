@@ -16,29 +16,25 @@ import pytest
 import torch as th
 from safetensors.numpy import load_file
 
-from tests.runs.stopped_runs import (
-    SMALL,
-    assert_ends_as,
-    every_update,
-    flip,
-    small,
-    stopped_at,
-)
-from uavaou import InputError, Scenario
+from tests.runs.stopped_runs import Runs, assert_ends_as, every_update, flip, small, stopped_at
+from uavaou import InputError, load_run
 from uavaou.algorithms.io.tensor_file import SCHEMA, ArrayFile, write_arrays
-from uavaou.algorithms.registry import load_config
 from uavaou.runs import recorder as callback
 from uavaou.runs.checkpoint import DamagedCheckpointWarning
 from uavaou.runs.checkpoint_header import TrainingProgress
-from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.policy import load_run
-
-# -- damage --------------------------------------------------------------------------------------------
+from uavaou.runs.folder import RunFolder
 
 
-@pytest.mark.parametrize("place", [0, 3, 9, 60, 300, 900, -1, -700, -5000])
-def test_a_flipped_bit_costs_one_checkpoint(place: int, stopped: RunFolder, runs: tuple[RunFolder, RunFolder]) -> None:
-    flip(stopped.last, place)
+def truncate(path: Path, left: int) -> None:
+    path.write_bytes(path.read_bytes()[:left])
+
+
+@pytest.mark.parametrize(
+    ("damage", "place"),
+    [*((flip, place) for place in (0, 3, 9, 60, 300, 900, -1, -700)), *((truncate, left) for left in (0, 7, 3000, -1))],
+)
+def test_damage_costs_one_checkpoint(damage: Any, place: int, stopped: RunFolder, runs: Any) -> None:
+    damage(stopped.last, place)
     with pytest.warns(DamagedCheckpointWarning) as warned:
         every_update(small(), stopped, resume=True)
     said = str(warned[0].message)
@@ -46,14 +42,6 @@ def test_a_flipped_bit_costs_one_checkpoint(place: int, stopped: RunFolder, runs
     assert f"going on from {stopped.previous}, which has 96 slots" in said
     assert "\n" not in said
     assert stopped.last.with_suffix(".damaged").is_file()
-    assert_ends_as(stopped, runs[0])
-
-
-@pytest.mark.parametrize("left", [0, 7, 100, 3000, -1])
-def test_a_truncated_one_too(left: int, stopped: RunFolder, runs: tuple[RunFolder, RunFolder]) -> None:
-    stopped.last.write_bytes(stopped.last.read_bytes()[:left])
-    with pytest.warns(DamagedCheckpointWarning, match="going on from"):
-        every_update(small(), stopped, resume=True)
     assert_ends_as(stopped, runs[0])
 
 
@@ -68,9 +56,7 @@ def test_every_bit_of_a_checkpoint_is_covered(stopped: RunFolder, tmp_path: Path
             TrainingProgress.read(ArrayFile(path), oldest=SCHEMA)
 
 
-def test_a_kill_between_the_two_renames_costs_one_checkpoint(
-    stopped: RunFolder, runs: tuple[RunFolder, RunFolder]
-) -> None:
+def test_a_kill_between_the_two_renames_costs_one_checkpoint(stopped: RunFolder, runs: Runs) -> None:
     stopped.last.unlink()
     every_update(small(), stopped, resume=True)
     assert_ends_as(stopped, runs[0])
@@ -83,7 +69,7 @@ def test_two_damaged_ones_are_said_in_words(stopped: RunFolder) -> None:
         every_update(small(), stopped, resume=True)
 
 
-def test_a_finished_run_survives_damage(runs: tuple[RunFolder, RunFolder], tmp_path: Path) -> None:
+def test_a_finished_run_survives_damage(runs: Runs, tmp_path: Path) -> None:
     folder = RunFolder(Path(shutil.copytree(runs[0].path, tmp_path / "run")))
     flip(folder.last, -1)
     with pytest.warns(DamagedCheckpointWarning):
@@ -92,12 +78,10 @@ def test_a_finished_run_survives_damage(runs: tuple[RunFolder, RunFolder], tmp_p
 
 @pytest.mark.parametrize("name", ["episodes.csv", "progress.csv"])
 def test_rows_that_are_gone_are_missed(name: str, stopped: RunFolder) -> None:
-    (stopped.path / name).write_text("")
-    with pytest.raises(InputError, match="but the checkpoint counts"):
-        every_update(small(), stopped, resume=True)
-    (stopped.path / name).unlink()
-    with pytest.raises(InputError, match="but the checkpoint counts"):
-        every_update(small(), stopped, resume=True)
+    for lose in (lambda path: path.write_text(""), Path.unlink):
+        lose(stopped.path / name)
+        with pytest.raises(InputError, match="but the checkpoint counts"):
+            every_update(small(), stopped, resume=True)
 
 
 def test_checkpoints_of_another_schema_are_refused_in_words(stopped: RunFolder, tmp_path: Path) -> None:
@@ -110,9 +94,6 @@ def test_checkpoints_of_another_schema_are_refused_in_words(stopped: RunFolder, 
                 TrainingProgress.read(ArrayFile(path), oldest=SCHEMA)
     published = Path(__file__).parents[1] / "data" / "schema-1"
     assert load_run(RunFolder(published)).model is not None  # schema 1, without a checksum
-
-
-# -- disks ---------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -131,7 +112,7 @@ def files(folder: RunFolder) -> dict[str, bytes]:
 
 
 def test_a_limit_on_files_stops_the_training_in_words(
-    stopped: RunFolder, runs: tuple[RunFolder, RunFolder], request: pytest.FixtureRequest
+    stopped: RunFolder, runs: Runs, request: pytest.FixtureRequest
 ) -> None:
     before = files(stopped)
     request.getfixturevalue("_largest_file")
@@ -146,7 +127,7 @@ def test_a_limit_on_files_stops_the_training_in_words(
 @pytest.mark.parametrize(("code", "says"), [(errno.ENOSPC, "No space left on device"), (errno.EROFS, "Read-only file")])
 @pytest.mark.parametrize("call", ["fsync", "write", "row"])
 def test_a_disk_that_fails_stops_the_training_in_words(
-    code: int, says: str, call: str, stopped: RunFolder, runs: tuple[RunFolder, RunFolder]
+    code: int, says: str, call: str, stopped: RunFolder, runs: Runs
 ) -> None:
     before = files(stopped)
 
@@ -165,9 +146,6 @@ def test_a_disk_that_fails_stops_the_training_in_words(
     assert files(stopped) == before
     every_update(small(), stopped, resume=True)
     assert_ends_as(stopped, runs[0])
-
-
-# -- numbers -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("quantity", ["reward", "loss", "weight"])
@@ -202,16 +180,10 @@ def test_a_number_that_goes_bad_stops_the_training(
     assert files(stopped) == before
 
 
-# -- the interval --------------------------------------------------------------------------------------
-
-
 def test_costly_checkpoints_are_written_less_often() -> None:
     assert callback.pause_s(30.0, 0.1) == 30.0
     assert callback.pause_s(30.0, 2.0) == pytest.approx(2.0 / 0.025)
     assert callback.pause_s(0.0, 2.0) == 0.0
-
-
-# -- learners with a replay ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -223,12 +195,8 @@ def test_costly_checkpoints_are_written_less_often() -> None:
         pytest.param("vdn", 20, marks=pytest.mark.slow),
     ],
 )
-def test_a_replay_is_part_of_the_checkpoint(
-    algorithm: str, update: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    settings = {name: value for name, value in SMALL.items() if name not in ("rollout_slots", "batch_rows")}
-    replay = {"replay_slots": 160, "learning_starts": 24, "batch_slots": 8, "slots_per_update": 8}
-    config = RunConfig(Scenario.load("tiny"), load_config(algorithm, settings | replay), seed=0)
+def test_a_replay_is_part_of_the_checkpoint(algorithm: str, update: int, tmp_path: Path) -> None:
+    config = small(algorithm, replay_slots=160, slots_per_update=8)
     whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
     every_update(config, whole)
     with stopped_at(8 * (update + 1)):
@@ -243,15 +211,9 @@ def test_a_replay_is_part_of_the_checkpoint(
 
 @pytest.mark.parametrize(
     ("before", "after"),
-    [
-        ("batched", "batched"),
-        ("supersuit", "batched"),
-        pytest.param("batched", "supersuit", marks=pytest.mark.slow),
-    ],
+    [("batched", "batched"), ("supersuit", "batched"), pytest.param("batched", "supersuit", marks=pytest.mark.slow)],
 )
-def test_missions_in_other_processes_are_part_of_it_too(
-    before: str, after: str, runs: tuple[RunFolder, RunFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missions_in_other_processes_are_part_of_it_too(before: str, after: str, runs: Runs, tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
     config = small(processes=2)
     with stopped_at(192):

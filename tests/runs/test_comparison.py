@@ -7,15 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from uavaou import Family, InputError, RunConfig, Scenario, World
 from uavaou.algorithms.registry import load_config
-from uavaou.errors import InputError
-from uavaou.family import Family
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.runs.comparison import common_scenario, compare, read_runs
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.folder import RunFolder
 from uavaou.runs.released import released_names
-from uavaou.scenario import Scenario
-from uavaou.world import World
 
 
 class Told:
@@ -72,9 +69,6 @@ def test_a_run_that_was_trained_on_another_scenario_keeps_no_evaluation_of_this_
     assert [note.split()[0] for note in notes] == ["wrote", "left"]
 
 
-# -- what one should know first ---------------------------------------------------------------------------
-
-
 def remarks(scenario: Scenario, *names: str, policy: str = "stay") -> str:
     """The remarks on policies of these names, each of which acts as the planner ``policy`` or as that of its name."""
     planners = {name: make_planner(name if name in PLANNERS else policy) for name in names}
@@ -93,7 +87,6 @@ def test_a_policy_that_flies_beyond_its_draws_is_told_with_the_fresher_one() -> 
 def test_a_released_policy_was_trained_on_the_family_that_its_card_names() -> None:
     for name in released_names():
         family = RunFolder.at(name).read_config().family
-        assert family is not None
         assert Family.load(family.name) == family
         assert f"`{family.name}`" in (RunFolder.at(name).path / "README.md").read_text()
 

@@ -11,13 +11,12 @@ import pytest
 
 from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from tests.scenario_files import refusal
-from uavaou import Family, Scenario, evaluate, flatten, load_run
+from uavaou import Family, RunConfig, Scenario, evaluate, flatten, load_run, train
 from uavaou.algorithms.registry import load_config
 from uavaou.evaluation.seeds import VALIDATION_DRAWS, VALIDATION_SEED
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.folder import RunFolder
 from uavaou.runs.names import config_folder
 from uavaou.runs.start import Start, continued
-from uavaou.runs.train import train
 from uavaou.runs.validation import family_score
 
 pytestmark = pytest.mark.slow
@@ -95,7 +94,6 @@ def _learner(run: RunConfig, folder: RunFolder) -> Any:
     from uavaou.algorithms.io.tensor_file import ArrayFile
     from uavaou.algorithms.registry import make_model
 
-    assert run.family is not None
     settings = run.algorithm
     env = flatten(
         run.family, settings.missions, collection=settings.collection, rows=settings.rows, worlds=settings.worlds

@@ -16,8 +16,8 @@ import pytest
 
 from tests.faults import Trial, assert_ended_well, ended, play, sites_of
 from tests.runs.stopped_runs import assert_ends_as, every_update, small, stopped_at
-from uavaou.family import Family
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou import Family, RunConfig
+from uavaou.runs.folder import RunFolder
 from uavaou.runs.start import Start, continued
 
 pytestmark = pytest.mark.slow
@@ -32,16 +32,7 @@ LEARNERS: dict[str, RunConfig] = {
     "family": RunConfig(FAMILY.base, small(**TOKENS).algorithm, 0, FAMILY),
     "two processes": small(processes=2),
 }
-IN_CI = {
-    "mappo": 12,
-    "ippo": 3,
-    "vdn": 3,
-    "qmix": 4,
-    "family": 3,
-    "two processes": 1,
-    "from": 4,
-    "continue": 4,
-}
+IN_CI = {"mappo": 12, "ippo": 3, "vdn": 3, "qmix": 4, "family": 3, "two processes": 1, "from": 4, "continue": 4}
 
 
 @dataclass(frozen=True)

@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.runs.stopped_runs import assert_ends_as, assert_same_checkpoints, every_update, flip, small, stopped_at
+from tests.runs.stopped_runs import Runs, assert_ends_as, assert_same_checkpoints, every_update, flip, small, stopped_at
 from tests.scenario_files import refusal
+from uavaou import load_run
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
 from uavaou.runs.checkpoint import DamagedCheckpointWarning
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunFolder, read_config
-from uavaou.runs.policy import load_run
 from uavaou.runs.start import Start
-
-Runs = tuple[RunFolder, RunFolder]
 
 
 def rewrite(path: Path, **progress: Any) -> None:
@@ -32,9 +30,6 @@ def rewrite(path: Path, **progress: Any) -> None:
 
 def content(folder: RunFolder) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in folder.path.rglob("*") if path.is_file() and path != folder.lock}
-
-
-# -- lost ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("left", ["episodes.csv", "progress.csv", "checkpoints/best.safetensors"])
@@ -70,9 +65,6 @@ def test_the_last_policy_is_not_flown_in_place_of_a_lost_best_one(runs: Runs, tm
     assert load_run(folder).digest == Start.at(folder).digest
 
 
-# -- changed, with a checksum that fits ----------------------------------------------------------------
-
-
 @pytest.mark.parametrize("part", ["policy.", "stream.", "world.", "world.cells"])
 def test_a_checkpoint_that_lacks_a_part_costs_itself(part: str, stopped: RunFolder, runs: Runs) -> None:
     file = ArrayFile(stopped.last)
@@ -105,9 +97,6 @@ def test_a_training_of_several_candidates_is_flown_and_not_resumed(stopped: RunF
     for path in (stopped.last, stopped.previous):
         rewrite(path, candidate=0, candidate_score=None, set_aside=0)
     assert every_update(small(), stopped, resume=True).progress.slots == 240  # of one candidate, which was the default
-
-
-# -- records -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["episodes.csv", "progress.csv"])

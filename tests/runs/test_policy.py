@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from tests.runs.stopped_runs import small
-from uavaou import InputError, Scenario, evaluate, load_run
+from uavaou import InputError, RunConfig, Scenario, evaluate, load_run, train
 from uavaou.algorithms.registry import load_config
-from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.train import train
+from uavaou.runs.folder import RunFolder
 
 QUICK = Scenario.load("quickstart").replace(slots=40)
 MAPS: list[dict[str, Any]] = [

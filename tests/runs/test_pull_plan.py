@@ -16,7 +16,7 @@ from uavaou.planners import make_planner
 from uavaou.planners.tuned import LocalGreedyTuned, _Search
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy
-from uavaou.runs.pull_plan import PlanOfEachMap, plan_of
+from uavaou.runs.pull_plan import plan_of
 from uavaou.runs.start import Start
 from uavaou.world.pull import PullPlan, planned_steps, steps_left
 
@@ -48,14 +48,6 @@ def test_the_search_ends_with_its_slots() -> None:
     search = _Search(PAPER, layout)
     whole = 2 * 16 * PAPER.slots * 3 * 1.5  # both starts: each UAV's flight, and half as much to see what they leave
     assert search.slots == whole // 24
-    gains = []
-    for seed in (6, 7, 8):
-        scenario = PAPER.replace(layout_seed=seed)
-        ages = [
-            LocalGreedyTuned(slots=slots).plan(scenario, scenario.draw_layout()).mean_aou_s for slots in (1, 2_500_000)
-        ]
-        gains.append(ages[1] / ages[0])
-    assert np.prod(gains) < 0.96**3
 
 
 def test_the_search_grows_with_the_root_of_the_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,7 +65,7 @@ def test_the_search_grows_with_the_root_of_the_budget(tmp_path: Path, monkeypatc
 
 def test_planned_steps_are_the_plan_s_pull_and_a_new_policy_flies_it() -> None:
     layout = PAPER.draw_layout()
-    tuned = LocalGreedyTuned(slots=500_000)
+    tuned = LocalGreedyTuned(slots=100_000)
     plan, world = tuned.plan(PAPER, layout), World(PAPER, 4, 3)
     of_map = plan.of_map(PAPER, layout)
     steps = planned_steps(world, [of_map])[0].astype(np.float64)  # (U, C, I)
@@ -96,15 +88,11 @@ def test_planned_steps_are_the_plan_s_pull_and_a_new_policy_flies_it() -> None:
 
 def test_a_run_keeps_its_plan_and_flies_it(run: RunFolder) -> None:
     config = run.read_config()
-    plan = plan_of(config, run)
-    assert plan is not None
     views: Any = load_run(run).views
     assert views.plan is not None
     kept, flown = json.loads(run.plan.read_text()), evaluate(load_run(run), config.scenario, episodes=3).mean_aou_slots
     run.plan.unlink()  # found anew, it is the same
     again = plan_of(config, run)
-    assert again is not None
-    assert isinstance(again, PullPlan)
     assert again.to_dict() == kept
     assert evaluate(load_run(run), config.scenario, episodes=3).mean_aou_slots == flown
     run.plan.write_text(json.dumps(kept))
@@ -122,8 +110,6 @@ def test_a_plan_in_a_folder_without_a_run_is_left_aside(run: RunFolder, tmp_path
     config, stray = run.read_config(), RunFolder(tmp_path)
     stray.plan.write_text("{}")
     found, kept = plan_of(config, stray), plan_of(config, run)
-    assert isinstance(found, PullPlan)
-    assert isinstance(kept, PullPlan)
     assert found.to_dict() == kept.to_dict()
     stray.config.write_text(run.config.read_text())  # then it is the run's, and damaged
     with pytest.raises(InputError, match="is no plan of pulls"):
@@ -133,7 +119,6 @@ def test_a_plan_in_a_folder_without_a_run_is_left_aside(run: RunFolder, tmp_path
 def test_on_another_map_the_plan_is_left_aside(run: RunFolder) -> None:
     config = run.read_config()
     plan, other = plan_of(config, run), config.scenario.replace(layout_seed=7)
-    assert plan is not None
     assert plan.for_maps(World(config.scenario)) == [plan]
     assert plan.for_maps(World(other)) is None
     assert plan.for_maps(World(config.scenario.replace(layout="resample"), 2)) is None
@@ -146,18 +131,14 @@ def test_where_maps_vary_each_has_a_plan_and_a_longer_one_in_flight(tmp_path: Pa
     varied = Scenario.load("quickstart").replace(layout="resample")
     config = RunConfig.load("mappo", varied, **SETTINGS | {"map_plan_slots": 10_000})
     plans, longer = (plan_of(config, RunFolder(tmp_path), in_flight=flown) for flown in (False, True))
-    assert isinstance(plans, PlanOfEachMap)
-    assert isinstance(longer, PlanOfEachMap)
     assert longer._slots == 16 * plans._slots == 160_000
     world = World(varied, 3, 5)
     found = plans.for_maps(world)
-    assert found is not None
     for mission, plan in enumerate(found):
         slots = 10_000 * 25 // varied.devices
         alone = LocalGreedyTuned(slots=slots).plan(varied, world.layout(mission))
         np.testing.assert_array_equal(plan.weight, alone.weight)
     again = plans.for_maps(World(varied, 3, 5))
-    assert again is not None
     assert all(one is two for one, two in zip(found, again, strict=True))  # kept
     steps, single = planned_steps(world, found), Scenario.load("quickstart").pinned(world.layout(1))
     np.testing.assert_array_equal(steps[1], planned_steps(World(single), [found[1]])[0])
@@ -201,15 +182,11 @@ def test_missions_that_each_need_a_plan_first_are_told_a_few_at_a_time(planned: 
     np.testing.assert_array_equal(flown.values("mean_aou_s"), alone)
 
 
-def test_a_policy_of_varied_maps_says_that_it_plans() -> None:
-    assert load_run("any-map").plans_maps
-
-
 @pytest.mark.parametrize("name", ["paper", "quickstart"])
 def test_hearing_the_others_takes_no_uav_off_its_plan(name: str) -> None:
     """Before anything is learned: true ages of foreign devices once drew UAVs there, which cost 8 %."""
     scenario, layout = Scenario.load(name), Scenario.load(name).draw_layout()
-    plan = LocalGreedyTuned(slots=300_000).plan(scenario, layout).of_map(scenario, layout)
+    plan = LocalGreedyTuned(slots=100_000).plan(scenario, layout).of_map(scenario, layout)
     aou = []
     for level in ("local", "shared"):
         config = load_config("mappo", {"observation": level})
@@ -219,5 +196,6 @@ def test_hearing_the_others_takes_no_uav_off_its_plan(name: str) -> None:
     assert aou[1] == pytest.approx(aou[0], rel=0.03)
 
 
-def test_a_policy_of_one_map_says_that_it_has_its_plan(run: RunFolder) -> None:
+def test_a_policy_of_varied_maps_says_that_it_plans_and_one_of_one_map_does_not(run: RunFolder) -> None:
+    assert load_run("any-map").plans_maps
     assert not load_run(run).plans_maps

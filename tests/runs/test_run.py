@@ -17,7 +17,7 @@ import torch as th
 from safetensors.torch import load_file
 
 from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
-from uavaou import InputError, Scenario, evaluate
+from uavaou import InputError, RunConfig, Scenario, evaluate, load_run, train
 from uavaou.algorithms.io.tensor_file import ArrayFile
 from uavaou.algorithms.registry import load_config
 from uavaou.envs.vec_env import MissionVecEnv
@@ -27,11 +27,9 @@ from uavaou.evaluation.seeds import VALIDATION_SEED, training_seeds
 from uavaou.planners import make_planner
 from uavaou.runs import train as train_module
 from uavaou.runs.checkpoint_header import TrainingProgress
-from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.folder import RunFolder
 from uavaou.runs.names import config_folder, flight_folder
-from uavaou.runs.policy import load_run
 from uavaou.runs.recorder import Recorder
-from uavaou.runs.train import train
 
 SMALL = {
     "slots": 600, "missions": 4, "rollout_slots": 25, "batch_rows": 100, "evaluate_every_slots": 200,
@@ -66,10 +64,6 @@ def whole_runs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str],
         ("mappo-paper", "batched", "batched", "fixed"),
         ("ippo", "batched", "batched", "resample"),
         ("mappo-paper", "batched", "supersuit", "fixed"),
-        pytest.param("mappo", "batched", "batched", "resample", marks=pytest.mark.slow),
-        pytest.param("ippo", "batched", "batched", "fixed", marks=pytest.mark.slow),
-        pytest.param("mappo", "batched", "supersuit", "resample", marks=pytest.mark.slow),
-        pytest.param("mappo", "supersuit", "batched", "fixed", marks=pytest.mark.slow),
         pytest.param("mappo", "supersuit", "batched", "resample", marks=pytest.mark.slow),
     ],
 )
@@ -166,19 +160,6 @@ def test_the_best_policy_is_that_of_the_lowest_validation_by_the_action_that_rea
     policy = load_run(outcome.folder)
     assert policy.action == "sample"
     assert th.equal(policy.model.policy.state_dict()["actor_body.0.weight"], weights[2])
-
-
-@pytest.mark.slow
-def test_every_backend_trains_the_same_policy(tmp_path: Path) -> None:
-    def weights(processes: int, **arguments: Any) -> th.Tensor:
-        folder = RunFolder(tmp_path / f"{processes} {arguments}")
-        train(small(slots=300, processes=processes), folder, **arguments)
-        return load_file(folder.best)["policy.actor_body.0.weight"]
-
-    reference = weights(1)
-    for backend in ("batched", "supersuit"):
-        for processes in (1, 2):
-            assert th.equal(weights(processes, backend=backend), reference), (backend, processes)
 
 
 @pytest.fixture(scope="module")

@@ -12,20 +12,16 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from tests.runs import stopped_runs
 from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from tests.scenario_files import refusal
-from uavaou import Family, Scenario
+from uavaou import Family, RunConfig, Scenario, train
 from uavaou.algorithms.registry import load_config
-from uavaou.runs.folder import RunConfig, RunFolder, read_config
+from uavaou.runs.folder import RunFolder, read_config
 from uavaou.runs.names import config_folder
 from uavaou.runs.start import Start, continued
-from uavaou.runs.train import train
 
 pytestmark = pytest.mark.slow
-
-SMALL = {"slots": 192, "missions": 4, "evaluate_every_slots": 96, "evaluation_missions": 2, "hidden": [8]}
-ON_POLICY = {"rollout_slots": 12, "batch_rows": 48}
-REPLAY = {"replay_slots": 96, "learning_starts": 24, "batch_slots": 8, "slots_per_update": 8, "epsilon_fraction": 1.0}
 
 
 def test_a_policy_of_a_family_goes_on_with_one_map_by_the_settings_for_one() -> None:
@@ -41,8 +37,8 @@ def test_a_policy_of_a_family_goes_on_with_one_map_by_the_settings_for_one() -> 
 
 
 def small(algorithm: str = "mappo-paper", **changes: Any) -> RunConfig:
-    own = ON_POLICY if algorithm in ("mappo-paper", "ippo") else REPLAY
-    return RunConfig(Scenario.load("tiny"), load_config(algorithm, SMALL | own | changes))
+    own = {"batch_rows": 48} if algorithm == "mappo-paper" else {"slots_per_update": 8}
+    return stopped_runs.small(algorithm, slots=192, evaluate_every_slots=96, **own, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -55,9 +51,6 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 @pytest.fixture
 def run(finished: RunFolder, tmp_path: Path) -> RunFolder:
     return RunFolder(Path(shutil.copytree(finished.path, tmp_path / "run")))
-
-
-# -- from the weights of another -----------------------------------------------------------------------
 
 
 def test_a_training_begins_with_the_weights_of_another(finished: RunFolder, tmp_path: Path) -> None:
@@ -110,7 +103,6 @@ def test_a_released_policy_is_found_by_the_digest_of_its_weights(tmp_path: Path)
 
 def test_what_a_training_begins_with_is_in_the_name_of_its_folder(finished: RunFolder) -> None:
     config = Start.at(finished).training(Scenario.load("tiny"), {}, seed=0)
-    assert config.start is not None
     assert f"mappo-paper-from-{config.start[:6]}" in config_folder(Path("r"), config).path.parent.name
     plain = config_folder(Path("r"), replace(config, start=None))
     assert "from" not in str(plain.path)
@@ -118,16 +110,6 @@ def test_what_a_training_begins_with_is_in_the_name_of_its_folder(finished: RunF
     assert config_folder(Path("r"), named).path.parent.name == "mappo-from-any-map"
     other = Start.at("any-map").training(Scenario.load("tiny"), {"observation": "shared"}, seed=0)
     assert config_folder(Path("r"), other).path.parent.name == "mappo-from-any-map+observation=shared"
-
-
-def test_a_stopped_one_resumes_as_if_it_had_not_stopped(finished: RunFolder, tmp_path: Path) -> None:
-    config = Start.at(finished).training(Scenario.load("tiny"), {"slots": 192}, seed=1)
-    whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
-    train(config, whole, start=finished)
-    with stopped_at(96):
-        train(config, parted, start=finished, checkpoint_every_s=0)
-    train(config, parted, resume=True)  # the weights are in its checkpoint
-    assert_ends_as(parted, whole)
 
 
 def test_weights_that_do_not_fit_are_refused_with_their_sizes(finished: RunFolder, tmp_path: Path) -> None:
@@ -166,9 +148,6 @@ def test_other_weights_than_those_of_the_configuration_are_refused(finished: Run
     said = refusal(lambda: train(config, tmp_path / "new", start=finished))
     assert f"those of '{finished.path}' have {Start.at(finished).digest[:12]}" in said
     assert not (tmp_path / "new").exists()
-
-
-# -- to a larger budget --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("algorithm", ["mappo-paper", "qmix"])

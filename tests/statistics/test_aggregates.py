@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uavaou.statistics import (
-    Interval,
-    aggregates,
-    interquartile_mean,
-    performance_profile,
-    probability_of_improvement,
-)
+from uavaou.statistics import Interval, aggregates, interquartile_mean, performance_profile, probability_of_improvement
 
 Floats = NDArray[np.float64]
 Tasks = dict[str, Floats]
@@ -26,9 +20,6 @@ def scores(level: float, seeds: int = 5, missions: int = 6, tasks: int = 3, seed
     of_seed = rng.normal(0, 0.1 * level, (tasks, seeds, 1))
     drawn = level + of_seed + rng.normal(0, 0.1 * level, (tasks, seeds, missions))
     return {f"task {t}": np.rint(drawn[t]) for t in range(tasks)}
-
-
-# -- the same, literally -------------------------------------------------------------------------------
 
 
 def slow_iqm(tasks: Tasks) -> float:
@@ -68,10 +59,7 @@ X, Y = scores(40), scores(44, seeds=3)
 
 @pytest.mark.parametrize(
     ("fast", "slow", "policies"),
-    [
-        (interquartile_mean, slow_iqm, (X,)),
-        (probability_of_improvement, slow_improvement, (X, Y)),
-    ],
+    [(interquartile_mean, slow_iqm, (X,)), (probability_of_improvement, slow_improvement, (X, Y))],
 )
 def test_figures_and_intervals_are_those_of_a_literal_bootstrap(
     fast: Callable[..., Interval], slow: Callable[..., float], policies: tuple[Tasks, ...]

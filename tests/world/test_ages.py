@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uavaou.world import World
+from uavaou import World
 from uavaou.world.ages import AgeLedger
 
 
@@ -72,45 +72,9 @@ def test_ledger_equals_the_recursion_over_a_long_mission() -> None:
     play([1, 2, 3, 4, 5], rng.random((500, 5)) < 0.02)
 
 
-def test_figure_1() -> None:
-    """k = (2, 1, 3), K = 7, tau = 1: A_1^1[3] = 2 tau; a collection of device 1 at slot 5 gives A_1^1[5] = 0."""
-    device = LiteralAges(period=2)
-    ledger = AgeLedger(1, 3)
-    periods = np.array([[2, 1, 3]])
-    sums, pending = [], []
-    for slot in range(1, 8):
-        device.advance(slot, collected=slot == 5)
-        ledger.advance(slot, periods, np.array([[slot == 5, False, False]]))
-        if slot == 3:
-            assert device.ages == [3, 2]
-        if slot == 5:
-            assert device.ages == [0, 0, 0]
-        sums.append(ledger.age_slots[0].tolist())
-        pending.append(ledger.pending[0].tolist())
-    # Device 1: 1 | 2+1 | 3+2 | 4+3+1 | collected | 1 | 2. Device 2: t updates more each slot. Device 3: k = 3.
-    assert [s[0] for s in sums] == [1, 3, 5, 8, 0, 1, 2]
-    assert [s[1] for s in sums] == [2, 5, 9, 14, 20, 27, 35]
-    assert [s[2] for s in sums] == [1, 2, 4, 6, 8, 11, 14]
-    assert [p[0] for p in pending] == [1, 2, 2, 3, 0, 1, 1]
-
-
 def test_reset_returns_to_the_moment_before_slot_1() -> None:
     world = World("tiny", missions=2)
     world.step(np.zeros((2, 2), dtype=int))
     world.reset()
     assert (world.pending == 1).all()
     assert (world.age_sum == 0).all()
-
-
-def test_empty_transfer_is_no_communication() -> None:
-    ledger = AgeLedger(1, 1)
-    everything, period = np.ones((1, 1), dtype=bool), np.array([[3]])
-    outcomes = [bool(ledger.advance(slot, period, everything)[0, 0]) for slot in range(1, 7)]
-    assert outcomes == [True, False, True, False, False, True]  # the first update, then n = 1 and n = 2
-
-
-def test_periods_of_their_own_in_each_mission() -> None:
-    ledger = AgeLedger(2, 1)
-    for slot in range(1, 5):
-        ledger.advance(slot, np.array([[1], [4]]), np.zeros((2, 1), dtype=bool))
-    assert ledger.pending[:, 0].tolist() == [5, 2]

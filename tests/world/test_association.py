@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from uavaou.scenario import Scenario
+from uavaou import Scenario
 from uavaou.world.association import associate
 
 QUICK = Scenario.load("quickstart")

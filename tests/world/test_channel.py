@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from uavaou.scenario import Scenario
+from uavaou import Scenario, World
 from uavaou.world.channel import Channel, minimum_snr, random_bits, rate, uniform
-from uavaou.world.world import World
 
 DRAWS = 200_000
 
@@ -93,15 +92,6 @@ def test_pairs_that_are_not_computed_are_out_of_range(factor: float, rate_min: f
         )
 
 
-def test_devices_of_their_own_in_each_mission() -> None:
-    scenario = Scenario.load("quickstart").replace(layout="resample")
-    world = World(scenario, missions=3, seed=9)
-    for lane in range(3):
-        alone = World(scenario, seed=9 + lane)
-        assert np.array_equal(world.snr[lane], alone.snr[0])
-        assert np.array_equal(world.in_range[lane], alone.in_range[0])
-
-
 def literal_gains(factor: float, seed: int) -> np.ndarray:
     """|sqrt(Phi/(Phi+1)) xi_LoS + sqrt(1/(Phi+1)) xi_NLoS|^2 with a LoS term of random phase, (DRAWS,)."""
     rng = np.random.default_rng(seed)
@@ -112,17 +102,11 @@ def literal_gains(factor: float, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("factor", [0.0, 1.0, 10.0, 100.0])
-def test_moments_of_the_power_gain(factor: float) -> None:
-    gains = drawn_gains(factor, seed=1)
-    variance = (1 + 2 * factor) / (1 + factor) ** 2
-    assert gains.mean() == pytest.approx(1, abs=5 * math.sqrt(variance / DRAWS))
-    assert gains.var() == pytest.approx(variance, rel=0.03)
-
-
-@pytest.mark.parametrize("factor", [0.0, 1.0, 10.0])
 def test_distribution_of_the_power_gain(factor: float) -> None:
     """The phase of xi_LoS, which the library takes as 0, does not matter; |h|^2 is non-central chi-square."""
-    gains = drawn_gains(factor, seed=2)
+    gains, variance = drawn_gains(factor, seed=2), (1 + 2 * factor) / (1 + factor) ** 2
+    assert gains.mean() == pytest.approx(1, abs=5 * math.sqrt(variance / DRAWS))
+    assert gains.var() == pytest.approx(variance, rel=0.03)
     assert stats.ks_2samp(gains, literal_gains(factor, seed=3)).pvalue > 0.01
     scaled = gains * 2 * (factor + 1)  # two normals of unit variance, one of mean sqrt(2 Phi)
     theory = stats.ncx2(df=2, nc=2 * factor) if factor else stats.chi2(df=2)
@@ -181,16 +165,9 @@ def test_minimum_snr_is_exact(bandwidth: float, rate_min: float) -> None:
     assert rate(bandwidths, np.nextafter(least, 0))[0] < rate_min
 
 
-def test_minimum_snr_is_exact_in_an_array() -> None:
-    bandwidths = 150_000 / np.random.default_rng(0).uniform(0.001, 50, size=5000)
-    least = minimum_snr(bandwidths, 150_000.0)
-    assert (rate(bandwidths, least) >= 150_000).all()
-    assert (rate(bandwidths, np.nextafter(least, 0)) < 150_000).all()
-
-
-def test_minimum_snr_beyond_53_bits_of_spectral_efficiency() -> None:
-    """Where 1 + SNR rounds to SNR the first guess 2^(R/B) may fall an ulp short."""
-    bandwidths = 150_000 / np.random.default_rng(0).uniform(53, 1000, size=5000)
+@pytest.mark.parametrize("efficiency", [(0.001, 50), (53, 1000)])  # bit/s/Hz; beyond 53 bits 1 + SNR rounds to SNR
+def test_minimum_snr_is_exact_in_an_array(efficiency: tuple[float, float]) -> None:
+    bandwidths = 150_000 / np.random.default_rng(0).uniform(*efficiency, size=5000)
     least = minimum_snr(bandwidths, 150_000.0)
     assert (rate(bandwidths, least) >= 150_000).all()
     assert (rate(bandwidths, np.nextafter(least, 0)) < 150_000).all()

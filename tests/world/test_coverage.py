@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uavaou.scenario import Scenario
-from uavaou.world import World
+from uavaou import Scenario, World
 from uavaou.world.coverage import coverage_probability, coverage_radius, grid_positions, rician_exceedance
 
 

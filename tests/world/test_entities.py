@@ -190,7 +190,6 @@ def test_padding_changes_nothing_and_is_zero(observation: str) -> None:
     assert rows.shape == (3 * 5, padded.layout.local_size + padded.layout.global_size)
     by_uav = rows.reshape(3, 5, -1)
     present = padded.layout.present_column
-    assert present is not None
     np.testing.assert_array_equal(by_uav[:, :, present], [[1, 1, 1, 0, 0]] * 3)
     local, state = by_uav[..., : padded.layout.local_size], by_uav[:, 0, padded.layout.local_size :]
     np.testing.assert_array_equal(local, padded.local(world))
@@ -201,7 +200,6 @@ def test_padding_changes_nothing_and_is_zero(observation: str) -> None:
             np.testing.assert_array_equal(many[..., : few.shape[-2], :], few)
             assert not many[..., few.shape[-2] :, :].any()
     moves = padded.layout.local_columns("allowed_moves")
-    assert moves is not None
     np.testing.assert_array_equal(local[:, 3:, moves], np.broadcast_to([1, 0, 0, 0, 0], (3, 2, 5)))
     local[:, 3:, moves] = 0
     assert not by_uav[:, 3:].any()

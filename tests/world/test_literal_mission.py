@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 
 from tests.strategies import random_actions, scenarios, seeds
-from uavaou.scenario import Scenario
-from uavaou.world.world import World
+from uavaou import Scenario, World
 
 QUICK = Scenario.load("quickstart")
 

@@ -1,4 +1,4 @@
-"""Parts of a map flown in simulation, against their literal form."""
+"""Parts of a map flown in simulation, against their literal form, and the steps that devices pull by."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from uavaou.arrays import Bools
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.partition import partition
 from uavaou.world.patrol import PatrolArea, age_sums, patrol_area, plans_age_sums, without_return
+from uavaou.world.pull import steps_left, steps_to
 
 
 def area_of(world: World) -> PatrolArea:
@@ -100,3 +101,15 @@ def test_no_single_device_is_better_moved() -> None:
         plans[np.arange(6), np.arange(6)] = 1 - plan
         sums = plans_age_sums(fixed, plans, len(area.draws))
         assert (sums[:6] >= sums[6] - 1e-5).all()
+
+
+@pytest.mark.parametrize("changes", [{}, {"fading": "none"}, {"rician_factor": 0}, {"rate_min_bit_s": 3e6}])
+def test_steps_are_to_cells_with_half_of_the_best_probability(changes: dict[str, Any]) -> None:
+    for seed in (6, 7, 8):
+        scenario = Scenario.load("paper").replace(layout_seed=seed, altitudes_m=[80, 100, 120], **changes)
+        world = World(scenario, 1, 0)
+        probability = cell_coverage(scenario, world.layout(0))  # (U, C, I)
+        best = probability.max(axis=1, keepdims=True)
+        grid = (scenario.uavs, scenario.columns, scenario.rows, scenario.devices)
+        good = ((probability >= 0.5 * best) & (best > 0)).reshape(grid)
+        np.testing.assert_array_equal(steps_left(world)[0], steps_to(good).reshape(probability.shape))

@@ -10,9 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.strategies import random_actions, scenarios, seeds
+from uavaou import Scenario, World
 from uavaou.evaluation.checker import CONSTRAINTS, ViolationCounter, total
-from uavaou.scenario import Scenario
-from uavaou.world.world import World
 
 QUICK = Scenario.load("quickstart")
 
