@@ -132,8 +132,8 @@ def test_a_scenario_of_your_own(tmp_path: Path) -> None:
 
 def test_reading_a_study(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(ROOT)
-    (code,) = blocks(DOCS / "studies.md", "python")
-    exec(code, {})
+    for code in blocks(DOCS / "studies.md", "python"):
+        exec(code, {})
     assert "17.5" in capsys.readouterr().out
 
 

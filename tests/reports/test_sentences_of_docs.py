@@ -200,7 +200,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "over validation draws 8000": "tests/runs/test_family_training.py",
     "Made with": "versions: the run's meta.json",
     "the exit code is 130 or 143": "tests/cli/test_interrupted.py",
-    "The exit code is then 1": "tests/studies/test_runner.py",
+    "The exit code is then 1": "tests/experiments/test_study_failures.py",
     "VDN and QMIX send their replay": "docs/reliability.md",
     "the lease time": "a property of NFSv4",
     "less than 10 MB for eighty runs": "the committed study: its folder",
