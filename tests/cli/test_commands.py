@@ -9,26 +9,31 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.cli.commands import TINY, TRAIN, Shell, contents, runs
 from uavaou import InputError, Scenario, evaluate
+from uavaou.evaluation.flights import FLIGHTS, read_table
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou_cli import plan, train
 from uavaou_cli.tables import WIDTH
 
 
 def test_planners_meet_the_same_missions_whatever_stands_beside_them(shell: Shell, workplace: Path) -> None:
-    base = "eval --scenario quickstart --set scenario.layout_seed=3 --episodes 5 --seed 7 --json"
-    for command in (f"{base} both.json --policy stay --policy random", f"{base} deep/one.json --policy random"):
+    base = "eval --scenario quickstart --set scenario.layout_seed=3 --episodes 5 --seed 7 --out"
+    for command in (f"{base} both.csv --policy stay --policy random", f"{base} deep/one.csv --policy random"):
         code, _, err = shell(command)
         assert (code, err.startswith("wrote ")) == (0, True)
-    both, one = (json.loads((workplace / name).read_text()) for name in ("both.json", "deep/one.json"))
-    assert both["policies"]["random"] == one["policies"]["random"]
-    assert (both["scenario"], both["episodes"], both["seed"]) == ("quickstart", 5, 7)
-    assert list(both["policies"]) == ["stay", "random"]
+    both, one = (read_table(workplace / name, FLIGHTS) for name in ("both.csv", "deep/one.csv"))
+    random = both[both["policy"] == "random"].reset_index(drop=True)
+    assert random.equals(one)
+    assert set(both["scenario"]) == {"quickstart"}
+    assert one["mission_seed"].tolist() == [7, 8, 9, 10, 11]
+    assert list(both["policy"].unique()) == ["stay", "random"]
     played = evaluate("random", Scenario.load("quickstart").replace(layout_seed=3), 5, seed=7)
-    assert both["policies"]["random"]["mean_aou_s"] == played.values("mean_aou_s").tolist()
+    tau = played.slot_length_s
+    np.testing.assert_allclose(one["mean_aou_slots"], played.values("mean_aou_s") / tau, rtol=1e-5)
 
 
 def test_progress_goes_to_stderr_unless_quiet(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:

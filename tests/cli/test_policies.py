@@ -12,6 +12,7 @@ import pytest
 
 from tests.cli.commands import TINY, Shell, contents, runs
 from uavaou import Scenario, evaluate
+from uavaou.evaluation.flights import Flights
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.reports import mission_figures
 from uavaou.runs.names import scenario_folder
@@ -106,8 +107,8 @@ def test_a_folder_goes_before_it_only_with_a_path_separator(shell: Shell, releas
     # Beside a run's own policy it is kept as planners are, and so drawn in figures 7 and 8.
     shutil.copytree(trained / runs(trained)["run"], released / "own")
     assert shell("eval own --policy any-map --policy greedy --episodes 2 --quiet")[0] == 0
-    kept = json.loads((released / "own" / "eval" / "default.json").read_text())
-    assert list(kept["policies"]) == ["mappo", "any-map", "greedy"]
+    kept = Flights.read(released / "own").flights
+    assert list(kept["policy"].unique()) == ["mappo", "any-map", "greedy"]
     code, out, err = shell("eval ./x/any-map")
     assert err.endswith("does not exist; the released policy is named without a path: any-map\n")
 

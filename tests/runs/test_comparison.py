@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from uavaou import Family, InputError, RunConfig, Scenario, World
 from uavaou.algorithms.registry import load_config
+from uavaou.evaluation.flights import FLIGHTS, read_table
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.runs.comparison import common_scenario, compare, read_runs
 from uavaou.runs.folder import RunFolder
@@ -54,18 +55,21 @@ def test_policies_play_in_order_and_are_written_together(tmp_path: Path) -> None
     comparison = compare(planners, Scenario.load("tiny"), 3, 5, told)
     assert told.names == ["stay", "greedy"]
     assert told.slots == 2 * [3 * slot for slot in range(1, 13)]
-    assert [result.action for result in comparison.contents().values()] == [None, None]
-    comparison.write(tmp_path / "both.json")
-    written = json.loads((tmp_path / "both.json").read_text())
-    assert (written["scenario"], written["episodes"], written["seed"]) == ("tiny", 3, 5)
-    assert written["policies"]["greedy"]["mean_aou_s"] == comparison.results["greedy"].values("mean_aou_s").tolist()
+    comparison.write(tmp_path / "both.csv")
+    written = read_table(tmp_path / "both.csv", FLIGHTS)
+    assert set(written["scenario"]) == {"tiny"}
+    greedy = written[written["policy"] == "greedy"]
+    assert greedy["mission_seed"].tolist() == [5, 6, 7]
+    assert greedy["action"].isna().all()
+    ages = comparison.results["greedy"].values("mean_aou_s") / Scenario.load("tiny").slot_length_s
+    np.testing.assert_allclose(greedy["mean_aou_slots"], ages, rtol=1e-5)
 
 
 def test_a_run_that_was_trained_on_another_scenario_keeps_no_evaluation_of_this_one(tmp_path: Path) -> None:
     folders = [write_run(tmp_path / "one", "tiny"), write_run(tmp_path / "two", "quickstart")]
     planners = {name: make_planner("greedy") for name in folders}
     notes = compare(planners, Scenario.load("tiny"), 2, 5, Told()).keep(read_runs(folders))
-    assert [(Path(folder) / "eval" / "default.json").exists() for folder in folders] == [True, False]
+    assert [(Path(folder) / "flights.csv.gz").exists() for folder in folders] == [True, False]
     assert [note.split()[0] for note in notes] == ["wrote", "left"]
 
 

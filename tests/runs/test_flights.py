@@ -84,7 +84,7 @@ def test_a_runs_own_flights_are_of_its_best_policy_and_action(stopped: RunFolder
 )
 def test_a_damaged_table_is_one_line_that_names_file_and_column(tmp_path: Path, old: str, new: str, says: str) -> None:
     scenario, policy = Scenario.load("tiny"), make_planner("greedy")
-    flown(evaluate(policy, scenario, 2, 5), scenario, policy, 5, policy="greedy").write(tmp_path)
+    flown(evaluate(policy, scenario, 2, 5), scenario, policy, 5, policy="greedy", scenario="tiny").write(tmp_path)
     path = tmp_path / "flights.csv.gz"
     text = gzip.decompress(path.read_bytes()).decode()
     assert old in text

@@ -30,7 +30,7 @@ class PolicyScores:
         seeds: trainings; 0 for planners and the bound.
         scores: (S, M) mean AoU in slots of each seed and mission; (1, 1) of the bound.
         wall_s: mean duration of a training, s; None for planners and the bound.
-        violations: constraint violations in all missions; None for the bound.
+        violations: constraint violations in all missions; None for the bound, and where the flights do not say.
     """
 
     policy: str
@@ -71,7 +71,8 @@ def _of_scenario(results: StudyResults, scenario: str) -> list[PolicyScores]:
         scores, trainings = results.stack(variant, scenario), results.trainings(variant, scenario)
         if scores.size:
             wall_s = float(trainings["wall_s"].mean()) if len(trainings) else None
-            violations = int(results.table.where(policy=variant, scenario=scenario).flights["violations"].sum())
+            counts = results.table.where(policy=variant, scenario=scenario).flights["violations"]
+            violations = None if counts.isna().any() else int(counts.sum())
             knows = results.knows(variant)
             found.append(PolicyScores(variant, knows, len(trainings), scores, wall_s, violations))
     if scenario in results.bounds:
