@@ -7,22 +7,25 @@ from typing import Any
 
 import pytest
 
-from tests.tuning.small_search import score
+from tests.experiments.small_search import Here, score
+from uavaou.experiments import trials, tune
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.recorder import TrainingStatus
 from uavaou.runs.train import Outcome
-from uavaou.tuning import trials
 
 
 @pytest.fixture
 def played(monkeypatch: pytest.MonkeyPatch) -> list[RunConfig]:
-    """Trainings made up in no time; returns those that were begun."""
+    """Trainings made up in no time, in this process; returns those that were begun."""
     begun: list[RunConfig] = []
 
     def made_up(
         config: RunConfig, folder: RunFolder, *, after_update: Callable[[TrainingStatus], None], **_: Any
     ) -> Outcome:
+        if config.algorithm.slots == 10**12:  # its rate is measured
+            after_update(TrainingStatus(100, 1, 0.1, False, None, "greedy"))
+            after_update(TrainingStatus(1000, 2, 1000.0, False, None, "greedy"))
         begun.append(config)
         slots, final = config.algorithm.slots, score(config)
         for tenth in range(11):
@@ -31,4 +34,5 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[RunConfig]:
         return Outcome(folder, TrainingProgress(slots=slots, best_score=final), slots * 2)
 
     monkeypatch.setattr(trials, "train", made_up)
+    monkeypatch.setattr(tune, "Processes", Here)
     return begun
