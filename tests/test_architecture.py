@@ -34,8 +34,7 @@ LAYERS = (
     "runs",
     "onboard",
     "suites",
-    "studies",
-    "tuning",
+    "experiments",
     "reports",
     "uavaou_cli",
 )

@@ -18,10 +18,10 @@ from uavaou.errors import InputError
 from uavaou.family import Family
 from uavaou.plain_yaml import parse_yaml, to_yaml
 from uavaou.runs.folder import read_config
+from uavaou.experiments.search_space import SearchSpace
 from uavaou.scenario import Scenario
 from uavaou.studies.study import Study
 from uavaou.suites.suite import Suite
-from uavaou.tuning.search_space import SearchSpace
 from uavaou.zoo import zoo_folder
 
 VALUES = [

@@ -15,7 +15,7 @@ from uavaou_cli.tables import duration, figure
 
 if TYPE_CHECKING:
     from uavaou.evaluation.recorded_mission import RecordedMission
-    from uavaou.experiments.search_folder import Trial
+    from uavaou.experiments.search import Trial
     from uavaou.planners.bound import Bound
     from uavaou.planners.plan import PlanningStatus
     from uavaou.scenario import Scenario

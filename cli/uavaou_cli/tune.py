@@ -19,8 +19,7 @@ from uavaou_cli.progress import TuningDisplay, stopped
 from uavaou_cli.tables import aligned, duration, figure, show, wrapped
 
 if TYPE_CHECKING:
-    from uavaou.experiments.search import Arm, Search
-    from uavaou.experiments.search_folder import SearchFolder, Trial
+    from uavaou.experiments.search import Arm, Search, SearchFolder, Trial
 
 DEFAULT_SCENARIO = "quickstart"
 DEFAULT_TRIALS = 12
@@ -64,9 +63,10 @@ def tune(
     command goes on with a search that was stopped. `--search` writes the same to DIR/<name>/.
     """
     if search is not None:
-        given: dict[str, Any] = {"SCENARIO": scenario or scenario_option, "--algorithm": algorithm, "--seconds": seconds}
-        given |= {"--slots": slots, "--trials": trials, "--from": from_, "--top": top, "--space": space}
-        _refuse(given | {"--set": set_ or None}, "--search and {}: give one of them; the search's file says everything")
+        given: dict[str, Any] = {}
+        given |= {"SCENARIO": scenario or scenario_option, "--algorithm": algorithm, "--trials": trials, "--top": top}
+        given |= {"--seconds": seconds, "--slots": slots, "--from": from_, "--space": space, "--set": set_ or None}
+        _refuse(given, "--search and {}: give one of them; the search's file says everything")
         _play_all(ctx, search, jobs, out, quiet)
         return
     if (seconds is None) == (slots is None):
@@ -76,11 +76,12 @@ def tune(
         _refuse({"--top": top}, "{} needs a search to take trials from: add --from DIR")
         trials, arm = trials or DEFAULT_TRIALS, _start((algorithm or "mappo").lower(), space, overrides)
     else:
-        _refuse({"--trials": trials, "--space": space}, "{} and --from: give one of them; --top says how many trials run")
+        _refuse(
+            {"--trials": trials, "--space": space}, "{} and --from: give one of them; --top says how many trials run"
+        )
         trials = top or DEFAULT_TOP
         arm = _best(from_, trials, algorithm, overrides)
-    from uavaou.experiments.search import Search, Stage
-    from uavaou.experiments.search_folder import SearchFolder
+    from uavaou.experiments.search import Search, SearchFolder, Stage
     from uavaou.runs.folder import RunConfig
     from uavaou.runs.names import config_folder, train_command
     from uavaou.scenario import Scenario
@@ -106,8 +107,7 @@ def _refuse(given: Mapping[str, Any], words: str) -> None:
 
 def _play_all(ctx: typer.Context, name: str, jobs: int, out: Path, quiet: bool) -> None:
     """Go on with a search for several algorithms."""
-    from uavaou.experiments.search import Search
-    from uavaou.experiments.search_folder import SearchFolder
+    from uavaou.experiments.search import Search, SearchFolder
     from uavaou.zoo import name_of_file, zoo_or_file
 
     path = zoo_or_file("searches", name)
@@ -121,7 +121,7 @@ def _play_all(ctx: typer.Context, name: str, jobs: int, out: Path, quiet: bool) 
 
 def _play(ctx: typer.Context, folder: SearchFolder, search: Search, jobs: int, quiet: bool) -> Trial | None:
     """Go on with a search and show its last stage; returns the best trial of the last arm there, if there is one."""
-    from uavaou.experiments.search_folder import part
+    from uavaou.experiments.search import part
     from uavaou.experiments.tune import run_search
 
     writable_folder(folder.path)
@@ -151,7 +151,7 @@ def _start(name: str, space: Path | None, overrides: Overrides) -> Arm:
 
 def _best(source: Path, top: int, name: str | None, overrides: Overrides) -> Arm:
     """What a search starts from that plays the best trials of another one again."""
-    from uavaou.experiments.search_folder import SearchFolder, part, ranked
+    from uavaou.experiments.search import SearchFolder, part, ranked
 
     for field in overrides.algorithm:
         raise InputError(f"--set algorithm.{field} and --from: the other search's settings are taken as they are")
@@ -168,7 +168,7 @@ def _best(source: Path, top: int, name: str | None, overrides: Overrides) -> Arm
 
 def _lines(search: Search, name: str, trials: Sequence[Trial]) -> tuple[list[str], Trial | None]:
     """The best trials of an arm's last stage, what they changed, and the ends of their scores on each layout."""
-    from uavaou.experiments.search_folder import STATES, ranked
+    from uavaou.experiments.search import STATES, ranked
     from uavaou.runs.checkpoint_header import ACTIONS
 
     states = ", ".join(f"{sum(trial.state == state for trial in trials)} {state}" for state in STATES)

@@ -14,8 +14,7 @@ from uavaou import Scenario
 from uavaou.algorithms.registry import load_config
 from uavaou.experiments import trials
 from uavaou.experiments.executor import Executor, StoppedEarlyError, Tell
-from uavaou.experiments.search import Arm, Search, Stage
-from uavaou.experiments.search_folder import SearchFolder, Trial
+from uavaou.experiments.search import Arm, Search, SearchFolder, Stage, Trial
 from uavaou.experiments.search_space import SearchSpace
 from uavaou.experiments.tune import run_search
 from uavaou.runs.folder import RunConfig

@@ -13,8 +13,7 @@ import pytest
 from tests.documents import ROOT
 from tests.experiments.small_search import SMALL, a_search, interrupted_after, read_trials, states, work
 from uavaou import InputError
-from uavaou.experiments.search import Search
-from uavaou.experiments.search_folder import SearchFolder, part, ranked
+from uavaou.experiments.search import Search, SearchFolder, part, ranked
 from uavaou.runs.folder import RunConfig
 from uavaou.zoo import zoo_path
 from uavaou_cli.main import main

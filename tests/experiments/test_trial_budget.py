@@ -12,8 +12,7 @@ from tests.experiments.small_search import SMALL, SPACE, a_search
 from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import load_config
 from uavaou.experiments import trials
-from uavaou.experiments.search import Arm, Search, Stage
-from uavaou.experiments.search_folder import Trial
+from uavaou.experiments.search import Arm, Search, Stage, Trial
 from uavaou.experiments.search_space import SearchSpace
 from uavaou.experiments.trials import TrialJob
 from uavaou.runs.folder import RunConfig, RunFolder

@@ -24,8 +24,7 @@ from tests.experiments.small_search import (
 from uavaou import InputError
 from uavaou.algorithms.registry import load_config
 from uavaou.experiments import trials
-from uavaou.experiments.search import Arm
-from uavaou.experiments.search_folder import SearchFolder, ranked
+from uavaou.experiments.search import Arm, SearchFolder, ranked
 from uavaou.experiments.search_space import SearchSpace
 from uavaou.runs.folder import RunConfig
 from uavaou.runs.lock import one_writer

@@ -17,7 +17,7 @@ import yaml
 
 from tests.experiments.small_search import SET, SPACE, read_trials, states
 from uavaou import Scenario
-from uavaou.experiments.search_folder import SearchFolder, ranked
+from uavaou.experiments.search import SearchFolder, ranked
 from uavaou.runs.folder import RunConfig
 from uavaou_cli.main import main
 from uavaou_cli.tables import WIDTH

@@ -14,7 +14,7 @@ from tests.experiments.small_search import a_folder, read_trials, work
 from tests.faults import Trial, assert_ended_well, ended, play, sites_of
 from uavaou.errors import InputError
 from uavaou.experiments import trials
-from uavaou.experiments.search_folder import SearchFolder
+from uavaou.experiments.search import SearchFolder
 from uavaou.runs.folder import RunConfig
 
 

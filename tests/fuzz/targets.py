@@ -38,8 +38,8 @@ from uavaou.runs.results import read_evaluation
 from uavaou.scenario import Scenario
 from uavaou.studies.study import Study
 from uavaou.suites.suite import Suite
-from uavaou.tuning.search import Search, SearchFolder
-from uavaou.tuning.search_space import SearchSpace
+from uavaou.experiments.search import Arm, Search, SearchFolder, Stage
+from uavaou.experiments.search_space import SearchSpace
 from uavaou.zoo import zoo_path
 from uavaou_cli.overrides import parse_overrides
 
@@ -213,7 +213,7 @@ def seeds() -> dict[str, bytes]:
         "age_sum_slots": [[1] * devices] * slots,
     }
     plan = {"planner": "tour", "scenario": tiny.to_dict(), "mean_aou_s": 1.0, "bound_s": None, "interrupted": False}
-    search = Search(tiny, mappo, SearchSpace.load("mappo"), None, 500, 0, ())
+    search = Search(tiny, 0, {"mappo": Arm.of(mappo, ())}, (Stage(trials=3, slots=500),))
     texts = {
         "scenario.yaml": "base: tiny\nslots: 20\nbandwidth_hz: {low: 15000, high: 2.0e+4}\ndevices_csv: devices.csv\n",
         "config.yaml": config().to_yaml(),

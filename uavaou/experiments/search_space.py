@@ -28,7 +28,7 @@ RESERVED = ("name", "slots", "evaluate_every_slots", "processes")
 
 
 def as_text(value: Any) -> str:
-    """A value as the table has it, and Optuna where it is one of a few: text as it is, and JSON."""
+    """A value as a table has it: text as it is, and JSON."""
     return value if isinstance(value, str) else json.dumps(value)
 
 
@@ -41,7 +41,15 @@ class Dimension(BaseModel, frozen=True, extra="forbid"):
 
     @abstractmethod
     def distribution(self) -> BaseDistribution:
-        """What Optuna draws from."""
+        """What Optuna draws from: the values, or the places of choices."""
+
+    def told(self, value: Any) -> Any:
+        """A value as Optuna has it."""
+        return value
+
+    def drawn(self, told: Any) -> Any:
+        """The value that Optuna has drawn."""
+        return told
 
 
 class _Range(Dimension):
@@ -59,6 +67,9 @@ class _Range(Dimension):
         return self
 
 
+_DIGITS = 4  # of a drawn number
+
+
 class LogUniform(_Range):
     """A number between two bounds, its logarithm uniform."""
 
@@ -70,6 +81,10 @@ class LogUniform(_Range):
         from optuna.distributions import FloatDistribution
 
         return FloatDistribution(self.low, self.high, log=True)
+
+    def drawn(self, told: float) -> float:  # noqa: D102
+        # Digits that no training can tell apart make commands that no person can read.
+        return min(max(float(f"{told:.{_DIGITS}g}"), self.low), self.high)
 
 
 class Integer(_Range):
@@ -93,10 +108,9 @@ class Categorical(Dimension):
 
     @model_validator(mode="after")
     def _distinct(self) -> Self:
-        texts = list(map(as_text, self.choices))
-        for place, text in enumerate(texts):
-            if text in texts[:place]:
-                raise ValueError(f"choices: {text} stands there twice")
+        for place, choice in enumerate(self.choices):
+            if choice in self.choices[:place]:
+                raise ValueError(f"choices: {short(choice)} stands there twice")
         return self
 
     def holds(self, value: Any) -> bool:  # noqa: D102
@@ -105,11 +119,16 @@ class Categorical(Dimension):
     def distribution(self) -> BaseDistribution:  # noqa: D102
         from optuna.distributions import CategoricalDistribution
 
-        return CategoricalDistribution(list(map(as_text, self.choices)))
+        return CategoricalDistribution(range(len(self.choices)))
+
+    def told(self, value: Any) -> int:  # noqa: D102
+        return self.choices.index(value)
+
+    def drawn(self, told: int) -> Any:  # noqa: D102
+        return self.choices[told]
 
 
 KINDS: dict[str, type[Dimension]] = {"log-uniform": LogUniform, "integer": Integer, "categorical": Categorical}
-_DIGITS = 4  # of a drawn number: what no training can tell apart makes commands that no person can read
 
 
 @dataclass(frozen=True)
@@ -196,20 +215,13 @@ class SearchSpace:
         """What Optuna draws from, by field."""
         return {name: dimension.distribution() for name, dimension in self.dimensions.items()}
 
-    def params(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Values by field as Optuna draws them."""
-        return {
-            name: value if isinstance(self.dimensions[name], _Range) else as_text(value)
-            for name, value in values.items()
-        }
+    def told(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Values by field as Optuna has them."""
+        return {name: dimension.told(values[name]) for name, dimension in self.dimensions.items()}
 
-    def drawn(self, params: Mapping[str, Any]) -> dict[str, Any]:
-        """The values by field that Optuna has drawn, with few digits."""
-        values = {}
-        for name, value in params.items():
-            few = float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
-            values[name] = few if self.dimensions[name].holds(few) else value
-        return self.read(values)
+    def drawn(self, told: Mapping[str, Any]) -> dict[str, Any]:
+        """The values by field that Optuna has drawn."""
+        return {name: dimension.drawn(told[name]) for name, dimension in self.dimensions.items()}
 
     def read(self, texts: Mapping[str, Any]) -> dict[str, Any]:
         """The values by field whose texts stand in a table; a ValueError where one is outside of the space."""

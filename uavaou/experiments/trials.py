@@ -18,8 +18,7 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.csv_tables import number
 from uavaou.errors import InputError
 from uavaou.experiments.executor import StoppedEarlyError
-from uavaou.experiments.search import REPORTS, Search, Stage
-from uavaou.experiments.search_folder import TrainingScore, Trial
+from uavaou.experiments.search import REPORTS, Search, Stage, TrainingScore, Trial
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.recorder import AfterUpdate, TrainingStatus
 from uavaou.runs.train import train

@@ -17,8 +17,7 @@ import numpy as np
 from uavaou.csv_tables import number
 from uavaou.errors import InputError
 from uavaou.experiments.executor import Processes, StoppedEarlyError
-from uavaou.experiments.search import REPORTS, Search
-from uavaou.experiments.search_folder import TENTHS, SearchFolder, Trial, part, ranked
+from uavaou.experiments.search import REPORTS, TENTHS, Search, SearchFolder, Trial, part, ranked
 from uavaou.experiments.trials import TrialJob, TrialReport
 from uavaou.runs.lock import one_writer
 
@@ -134,7 +133,7 @@ class _Contest:
         return optuna.trial.create_trial(
             state=optuna.trial.TrialState[trial.state.upper()],
             value=trial.score if trial.state == "complete" else None,
-            params=self._space.params(trial.values),
+            params=self._space.told(trial.values),
             distributions=self._space.distributions(),
             intermediate_values={TENTHS.index(tenth) + 1: score for tenth, score in trial.tenths.items()},
         )
