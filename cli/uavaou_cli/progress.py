@@ -297,16 +297,16 @@ class TuningDisplay(Display):
 
     def show(self, trials: list[Trial]) -> None:
         """The trials as they stand."""
-        ended = [trial for trial in trials if trial.counts]
-        best = ""
+        ended, best = [trial for trial in trials if trial.counts], ""
         if self._told is None:
             self._told = {trial.number for trial in ended}
             self.measure_from(len(ended))
-        for trial in ended:
+        news = [trial for trial in ended if trial.number not in self._told]
+        for trial in news or ended[-1:]:
+            self._told.add(trial.number)
             same = [one.score for one in ended if (one.arm, one.stage) == (trial.arm, trial.stage) and one.score]
             best = f"best mean AoU of {trial.arm} {min(same):,.2f} slots" if same else ""
-            if self._bar is None and trial.number not in self._told:
-                self._told.add(trial.number)
+            if news and self._bar is None:
                 score = "" if trial.score is None else f" {trial.score:,.2f} slots,"
                 detail = f": {trial.reason}" if trial.reason else f",{score} {best}"
                 self.message(f"{len(self._told)}/{self.total:.0f}  trial {trial.number} {trial.state}{detail}")

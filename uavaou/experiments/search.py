@@ -297,15 +297,18 @@ class SearchFolder:
             return found
         frame = read_table(self.table, _columns(search), _TRIAL)
         for number, rows in frame.groupby("trial"):
-            _, arm, stage, state, reason = rows[[*_TRIAL, "reason"]].fillna("").iloc[0]
+            first = rows.iloc[0]
             try:
-                values = search.arms[arm].space.read(rows.iloc[0])
-                trial = Trial(len(found), arm, int(stage), values, state, reason)
-            except (KeyError, ValueError) as error:
+                values = search.arms[first["arm"]].space.read(first)
+                trial = Trial(len(found), first["arm"], int(first["stage"]), values)
+            except (KeyError, TypeError, ValueError) as error:
                 raise InputError(f"{self.table}: trial {number}: not of this search: {error}") from None
             trial.trainings = [TrainingScore(*one) for one in rows[list(_SCORE)].dropna().itertuples(False, None)]
             trial.ended = len(trial.trainings)
-            trial.tenths = rows[TENTHS].iloc[0].dropna().to_dict()
+            trial.tenths = first[TENTHS].dropna().to_dict()
+            trial.reason = "".join(rows["reason"].dropna()[:1])
+            if first["state"] in STATES and (trial.ended or trial.reason):
+                trial.state = first["state"]
             found.append(trial)
         return found
 

@@ -54,6 +54,7 @@ def run_search(
         folder.claim(search)
         trials = folder.trials(search)
         playing: dict[Future[str], Trial] = {}
+        kept: list[tuple[str, int]] | None = None
         show(trials)
         try:
             for number, name in product(range(1, len(search.stages) + 1), search.arms):
@@ -62,7 +63,9 @@ def run_search(
                     while len(playing) < jobs and (trial := contest.next(list(playing.values()))) is not None:
                         job = TrialJob(search, trial, folder.trial(trial.number))
                         playing[executor.submit(job, partial(contest.take, trial))] = trial
-                    folder.write(search, trials)
+                    if (stand := [(trial.state, trial.ended) for trial in trials]) != kept:
+                        folder.write(search, trials)
+                        kept = stand
                     show(trials)
                     if not playing:
                         break
