@@ -86,7 +86,7 @@ fuzz: install
 	$(BIN)/python tests/fuzz/loaders.py .fuzz-corpus $(RUNS)
 
 # For some of them: make faults ONLY="tests/runs/test_faults.py -k qmix". To go on after a stop: add --tally FILE to ONLY.
-faults: ONLY ?= tests/runs/test_faults.py tests/cli/test_faults.py tests/experiments/test_study_faults.py tests/tuning/test_tune_faults.py
+faults: ONLY ?= tests/runs/test_faults.py tests/cli/test_faults.py tests/experiments/test_study_faults.py tests/experiments/test_tune_faults.py
 faults: install
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal --exhaustive $(ONLY)
 

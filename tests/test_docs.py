@@ -152,14 +152,15 @@ def test_a_study_and_a_suite_of_your_own(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_search_space_of_your_own(tmp_path: Path) -> None:
     import yaml
 
-    from uavaou.tuning.search_space import SearchSpace
-    from uavaou.tuning.tournament import Tournament
+    from uavaou.experiments.search import Search
+    from uavaou.experiments.search_space import SearchSpace
+    from uavaou.zoo import zoo_path
 
     search, space = blocks(DOCS / "tuning.md", "yaml")
     assert len(SearchSpace.from_dict(yaml.safe_load(space), "tuning.md").dimensions) == 3
     (tmp_path / "own.yaml").write_text(search, encoding="utf-8")
-    assert Tournament.load(tmp_path / "own.yaml").trainings == 2 * (16 + 3 * 2 * 3)
-    shipped = Tournament.load("local")
+    assert Search.load(tmp_path / "own.yaml").trainings == 2 * (16 + 3 * 2 * 3)
+    shipped = Search.load(zoo_path("searches", "local"))
     assert f"It has {shipped.trainings} trainings" in (DOCS / "tuning.md").read_text(encoding="utf-8")
 
 

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from tests.scenario_files import refusal, write
 from uavaou import Family, InputError, Scenario, plain_yaml
+from uavaou.experiments.search_space import SearchSpace
 from uavaou.experiments.study import Study
 from uavaou.experiments.suite import Suite
 from uavaou.plain_yaml import parse_yaml, to_yaml
 from uavaou.runs.folder import read_config
-from uavaou.tuning.search_space import SearchSpace
 from uavaou.zoo import zoo_folder
 
 VALUES = [

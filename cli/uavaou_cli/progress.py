@@ -16,10 +16,10 @@ from uavaou_cli.tables import duration, figure
 if TYPE_CHECKING:
     from uavaou.evaluation.recorded_mission import RecordedMission
     from uavaou.experiments.run import StudyState
+    from uavaou.experiments.search import Trial
     from uavaou.planners.bound import Bound
     from uavaou.planners.plan import PlanningStatus
     from uavaou.scenario import Scenario
-    from uavaou.tuning.search import TrialRecord
     from uavaou.world import World
 
 _BAR_EVERY_S = 0.5
@@ -291,28 +291,28 @@ class BoundDisplay(Display):
 class TuningDisplay(Display):
     """Shows the trials of a search: a bar on a terminal, a line for each finished trial elsewhere."""
 
-    def __init__(self, quiet: bool, trials: int, slot_length_s: float) -> None:
-        super().__init__(quiet, trials, "", slot_length_s)
+    def __init__(self, quiet: bool, trials: int) -> None:
+        super().__init__(quiet, trials, "")
         self._told: set[int] | None = None  # trials that ended before this command are not news
 
-    def show(self, records: list[TrialRecord]) -> None:
+    def show(self, trials: list[Trial]) -> None:
         """The trials as they stand."""
-        ended = [record for record in records if record.counts]
-        scores = [record.score / self._tau_s for record in ended if record.score is not None]
-        best = f"best mean AoU {min(scores):,.2f} slots" if scores else ""
+        ended, best = [trial for trial in trials if trial.counts], ""
         if self._told is None:
-            self._told = {record.number for record in ended}
+            self._told = {trial.number for trial in ended}
             self.measure_from(len(ended))
+        news = [trial for trial in ended if trial.number not in self._told]
+        for trial in news or ended[-1:]:
+            self._told.add(trial.number)
+            same = [one.score for one in ended if (one.arm, one.stage) == (trial.arm, trial.stage) and one.score]
+            best = f"best mean AoU of {trial.arm} {min(same):,.2f} slots" if same else ""
+            if news and self._bar is None:
+                score = "" if trial.score is None else f" {trial.score:,.2f} slots,"
+                detail = f": {trial.reason}" if trial.reason else f",{score} {best}"
+                self.message(f"{len(self._told)}/{self.total:.0f}  trial {trial.number} {trial.state}{detail}")
         if self._bar is not None:
-            running = sum(record.state == "running" for record in records)
+            running = len(trials) - len(ended)
             self.advance(len(ended), best, f"{len(ended)}/{self.total:.0f} trials, {running} running")
-            return
-        for record in ended:
-            if record.number not in self._told:
-                self._told.add(record.number)
-                score = "" if record.score is None else f" {record.score / self._tau_s:,.2f} slots,"
-                detail = f": {record.reason}" if record.reason else f",{score} {best}"
-                self.message(f"{len(self._told)}/{self.total:.0f}  trial {record.number} {record.state}{detail}")
 
 
 class StudyDisplay(Display):

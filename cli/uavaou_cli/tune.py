@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,11 +19,7 @@ from uavaou_cli.progress import TuningDisplay, stopped
 from uavaou_cli.tables import aligned, duration, figure, show, wrapped
 
 if TYPE_CHECKING:
-    from uavaou.algorithms.config import AlgorithmConfig
-    from uavaou.tuning.search import Search, SearchFolder, TrialRecord
-    from uavaou.tuning.search_space import SearchSpace
-
-    Start = tuple[AlgorithmConfig, SearchSpace, tuple[dict[str, Any], ...]]  # settings, space, first trials
+    from uavaou.experiments.search import Arm, Search, SearchFolder, Trial
 
 DEFAULT_SCENARIO = "quickstart"
 DEFAULT_TRIALS = 12
@@ -62,181 +59,141 @@ def tune(
 ) -> None:
     """Search for better settings, on validation missions, at equal budgets.
 
-    Writes DIR/<scenario>/<algorithm>/: tune.csv, best.yaml, and a run folder for each trial. The same
-    command goes on with a search that was stopped; processes on several machines can share one.
-    `--search` writes DIR/<name>/: search.csv, and the same for each stage of each algorithm.
+    Writes DIR/<scenario>/<algorithm>/: search.csv, best.yaml, and a run folder for each trial. The same
+    command goes on with a search that was stopped. `--search` writes the same to DIR/<name>/.
     """
     if search is not None:
-        others = {
-            "SCENARIO": scenario or scenario_option, "--algorithm": algorithm, "--seconds": seconds, "--slots": slots,
-            "--trials": trials, "--from": from_, "--top": top, "--space": space, "--set": set_ or None,
-        }  # fmt: skip
-        for name, given in others.items():
-            if given is not None:
-                raise InputError(f"--search and {name}: give one of them; the search's file says everything")
+        given: dict[str, Any] = {}
+        given |= {"SCENARIO": scenario or scenario_option, "--algorithm": algorithm, "--trials": trials, "--top": top}
+        given |= {"--seconds": seconds, "--slots": slots, "--from": from_, "--space": space, "--set": set_ or None}
+        _refuse(given, "--search and {}: give one of them; the search's file says everything")
         _play_all(ctx, search, jobs, out, quiet)
         return
     if (seconds is None) == (slots is None):
         raise InputError("each trial's budget: give --seconds S or --slots N, one of them")
     overrides = parse_overrides(set_ or [])
-    algorithm = None if algorithm is None else algorithm.lower()
     if from_ is None:
-        if top is not None:
-            raise InputError("--top needs a search to take trials from: add --from DIR")
-        settings, varied, first = _start(algorithm or "mappo", space, overrides)
+        _refuse({"--top": top}, "{} needs a search to take trials from: add --from DIR")
+        trials, arm = trials or DEFAULT_TRIALS, _start((algorithm or "mappo").lower(), space, overrides)
     else:
-        for option, given in (("--trials", trials), ("--space", space)):
-            if given is not None:
-                raise InputError(f"{option} and --from: give one of them; --top says how many trials run")
-        top = top or DEFAULT_TOP
-        settings, varied, first = _best(from_, top, algorithm, overrides)
+        _refuse(
+            {"--trials": trials, "--space": space}, "{} and --from: give one of them; --top says how many trials run"
+        )
+        trials = top or DEFAULT_TOP
+        arm = _best(from_, trials, algorithm, overrides)
+    from uavaou.experiments.search import Search, SearchFolder, Stage
     from uavaou.runs.folder import RunConfig
-    from uavaou.runs.names import config_folder
+    from uavaou.runs.names import config_folder, train_command
     from uavaou.scenario import Scenario
-    from uavaou.tuning.search import Search, SearchFolder
 
     source = stated_scenario(scenario, scenario_option) or DEFAULT_SCENARIO
-    base = Scenario.load(source)
-    searched = Search(overrides.of_scenario(base), settings, varied, seconds, slots, seed, first)
-    folder = SearchFolder(config_folder(out, RunConfig(searched.scenario, settings, seed)).path.parent)
+    place, stage = overrides.of_scenario(Scenario.load(source)), Stage(trials=trials, seconds=seconds, slots=slots)
+    searched = Search(place, seed, {arm.algorithm.name: arm}, (stage,))
+    folder = SearchFolder(config_folder(out, RunConfig(place, arm.algorithm, seed)).path.parent)
     if from_ is not None and realpath(folder.path) == realpath(from_):
         raise InputError(f"--from {from_}: the best of it would go into its own folder: choose another --out")
-    wanted = top or trials or DEFAULT_TRIALS
-    records = _play(ctx, folder, searched, wanted, jobs, quiet)
-    show(_lines(folder, searched, records, source, ctx.obj["plugins"]))
+    best = _play(ctx, folder, searched, jobs, quiet)
+    if best is not None:
+        command = train_command(source, place, arm.settings(best.values), ctx.obj["plugins"])
+        show([f"best:   {folder.best(searched, best.arm)}", f"train:  {command_line(command)}"])
 
 
-def _play(
-    ctx: typer.Context, folder: SearchFolder, search: Search, wanted: int, jobs: int, quiet: bool
-) -> list[TrialRecord]:
-    """Go on with a search until so many trials have ended."""
-    from uavaou.tuning.trials import read_trials, run_search
-
-    writable_folder(folder.path)
-    folder.claim(search)
-    try:
-        with TuningDisplay(quiet, wanted, search.scenario.slot_length_s) as progress:
-            progress.show(read_trials(folder))
-            return run_search(folder, wanted, jobs, ctx.obj["plugins"], progress.show)
-    except KeyboardInterrupt as error:
-        raise stopped(ctx.obj["arguments"], error) from None
+def _refuse(given: Mapping[str, Any], words: str) -> None:
+    """Refuse options that say nothing here; those that are not given are None."""
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(words.format(name))
 
 
 def _play_all(ctx: typer.Context, name: str, jobs: int, out: Path, quiet: bool) -> None:
-    """Go on with a search for several algorithms, stage by stage."""
-    from uavaou.tuning.tournament import Tournament, write_table
-    from uavaou.tuning.trials import read_trials
+    """Go on with a search for several algorithms."""
+    from uavaou.experiments.search import Search, SearchFolder
+    from uavaou.zoo import name_of_file, zoo_or_file
 
-    tournament = Tournament.load(name)
+    path = zoo_or_file("searches", name)
+    search = Search.load(path)
     if not quiet:
-        show(wrapped(
-            f"search {tournament.name}: {len(tournament.arms)} arms, {len(tournament.stages)} stages, "
-            f"{tournament.trainings} trainings; as a whole about {duration(tournament.cpu_s)} of CPU, "
-            f"{duration(tournament.cpu_s / jobs)} with --jobs {jobs}"
-        ))  # fmt: skip
-    table = out / tournament.name / "search.csv"
-    found: dict[tuple[str, int], list[TrialRecord]] = {}
-    for contest in tournament.contests(out):
-        ended = [] if contest.before is None else read_trials(contest.before)
-        search = tournament.search(contest, ended)
-        settings = contest.stage.trials or len(search.first)
-        if not quiet:
-            show([f"{contest.arm}, stage {contest.number}: {settings} settings"])
-        found[contest.arm, contest.number] = _play(ctx, contest.folder, search, settings, jobs, quiet)
-        write_table(table, tournament, found)
-    last = {arm: _ranked_lines(records, tournament.scenario.slot_length_s) for (arm, _), records in found.items()}
-    lines = [line for arm, told in last.items() for line in ("", arm, *told)]
-    show([*lines[1:], "", f"table:  {table}"])
+        told = f"search {name_of_file(path)}: {len(search.arms)} arms, {len(search.stages)} stages, "
+        told += f"{search.trainings} trainings; as a whole about {duration(search.cpu_s)} of CPU, "
+        show(wrapped(f"{told}{duration(search.cpu_s / jobs)} with --jobs {jobs}"))
+    _play(ctx, SearchFolder(out / name_of_file(path)), search, jobs, quiet)
 
 
-def _ranked_lines(records: Sequence[TrialRecord], slot_length_s: float) -> list[str]:
-    """The trials of a stage, the best first: the geometric mean AoU of each, and that of each of its layouts."""
-    from uavaou.statistics import geometric_mean
-    from uavaou.tuning.search import ranked
+def _play(ctx: typer.Context, folder: SearchFolder, search: Search, jobs: int, quiet: bool) -> Trial | None:
+    """Go on with a search and show its last stage; returns the best trial of the last arm there, if there is one."""
+    from uavaou.experiments.search import part
+    from uavaou.experiments.tune import run_search
 
-    best = ranked(records)[:_BEST_TRIALS]
-    layouts = sorted({one.layout_seed for record in best for one in record.trainings})
-    rows = [("trial", "mean AoU (slots)", *(f"layout {layout}" for layout in layouts), "trainings")]
-    for record in best:
-        assert record.score is not None
-        cells = []
-        for layout in layouts:
-            scores = [one.score / slot_length_s for one in record.trainings if one.layout_seed == layout]
-            among = f" ({figure(min(scores))}-{figure(max(scores))})" if len(scores) > 1 else ""
-            cells.append(f"{figure(geometric_mean(scores))}{among}" if scores else "-")
-        score = figure(record.score / slot_length_s)
-        rows.append((str(record.number), score, *cells, str(len(record.trainings))))
-    return aligned(rows)
+    writable_folder(folder.path)
+    wanted = len(search.arms) * sum(stage.settings for stage in search.stages)
+    try:
+        with TuningDisplay(quiet, wanted) as progress:
+            trials = run_search(folder, search, jobs, ctx.obj["plugins"], progress.show)
+    except KeyboardInterrupt as error:
+        raise stopped(ctx.obj["arguments"], error) from None
+    for name in search.arms:
+        lines, best = _lines(search, name, part(trials, name, len(search.stages)))
+        show([*lines, ""])
+    show([f"table:  {folder.table}"])
+    return best
 
 
-def _start(name: str, space: Path | None, overrides: Overrides) -> Start:
-    """What a new search starts from: the published settings and the overrides, the space, and the first trial."""
-    from uavaou.tuning.search_space import RESERVED, SearchSpace
+def _start(name: str, space: Path | None, overrides: Overrides) -> Arm:
+    """What a new search starts from: the published settings and the overrides."""
+    from uavaou.experiments.search import Arm
+    from uavaou.experiments.search_space import RESERVED
 
     for field in RESERVED:
         if field in overrides.algorithm:
             raise InputError(f"--set algorithm.{field}: the search sets it itself")
-    settings = overrides.of_algorithm(name)
-    varied = SearchSpace.load(settings.name, space, getattr(settings, "network", "mlp")).without(overrides.algorithm)
-    varied.check(settings)
-    return settings, varied, (varied.values(settings),)
+    return Arm.of(overrides.of_algorithm(name), overrides.algorithm, space)
 
 
-def _best(source: Path, top: int, name: str | None, overrides: Overrides) -> Start:
+def _best(source: Path, top: int, name: str | None, overrides: Overrides) -> Arm:
     """What a search starts from that plays the best trials of another one again."""
-    from uavaou.tuning.search import SearchFolder, ranked
+    from uavaou.experiments.search import SearchFolder, part, ranked
 
     for field in overrides.algorithm:
         raise InputError(f"--set algorithm.{field} and --from: the other search's settings are taken as they are")
-    before = SearchFolder(source).read()
-    if name not in (None, before.algorithm.name):
-        raise InputError(f"--from {source}: a search of {before.algorithm.name}, not of --algorithm {name}")
-    from uavaou.tuning.trials import read_trials
-
-    best = ranked(read_trials(SearchFolder(source)))
+    folder = SearchFolder(source)
+    before = folder.read()
+    arm = next(iter(before.arms)) if name is None and len(before.arms) == 1 else (name or "").lower()
+    if arm not in before.arms:
+        raise InputError(f"--from {source}: a search of {', '.join(before.arms)}, not of --algorithm {name}")
+    best = ranked(part(folder.trials(before), arm, len(before.stages)))
     if len(best) < top:
         raise InputError(f"--top {top}: '{source}' holds {len(best)} trials that were played to the end")
-    return before.algorithm, before.space, tuple(record.values for record in best[:top])
+    return replace(before.arms[arm], first=tuple(trial.values for trial in best[:top]))
 
 
-def _lines(
-    folder: SearchFolder, search: Search, records: Sequence[TrialRecord], scenario: str, plugins: Sequence[str]
-) -> list[str]:
-    """The best trials of a search, what they changed, and the command that trains with the best."""
+def _lines(search: Search, name: str, trials: Sequence[Trial]) -> tuple[list[str], Trial | None]:
+    """The best trials of an arm's last stage, what they changed, and the ends of their scores on each layout."""
+    from uavaou.experiments.search import STATES, ranked
     from uavaou.runs.checkpoint_header import ACTIONS
-    from uavaou.runs.names import train_command
-    from uavaou.tuning.search import ranked
 
-    best = ranked(records)
-    counted = [record for record in records if record.counts]
-    states = [f"{sum(r.state == state for r in counted)} {state}" for state in ("complete", "pruned", "failed")]
-    lines = [
-        f"{search.algorithm.name} on {search.scenario.name}: "
-        f"{len(counted)} {'trial' if len(counted) == 1 else 'trials'}, {', '.join(states)}"
-    ]
+    states = ", ".join(f"{sum(trial.state == state for trial in trials)} {state}" for state in STATES)
+    count = f"{len(trials)} {'trial' if len(trials) == 1 else 'trials'}"
+    lines = [f"{name} on {search.scenario.name}: {count}, {states}"]
+    best = ranked(trials)[:_BEST_TRIALS]
     if not best:
-        reasons = {record.reason for record in counted if record.reason}
-        return [*lines, *(f"failed: {reason}" for reason in sorted(reasons)), f"table:  {folder.table}"]
-    start, tau = search.space.values(search.algorithm), search.scenario.slot_length_s
-    rows = [("trial", "mean AoU (slots)", "action", "slots", "CPU (s)")]
-    for record in best[:_BEST_TRIALS]:
-        assert record.score is not None
-        figures = (
-            figure(record.score / tau),
-            ACTIONS.get(record.action or "", "-"),
-            f"{record.slots:,}",
-            f"{record.cpu_s:,.1f}",
-        )
-        rows.append((str(record.number), *figures))
-    table = aligned(rows)
-    lines += ["", table[0]]
-    for line, record in zip(table[1:], best, strict=False):
+        return lines + sorted({f"failed: {trial.reason}" for trial in trials if trial.reason}), None
+    layouts, arm = search.stages[-1].layouts, search.arms[name]
+    start = arm.space.values(arm.algorithm)
+    rows = [("trial", "mean AoU (slots)", *(f"layout {layout}" for layout in layouts), "action", "slots", "CPU (s)")]
+    for trial in best:
+        done, cells = trial.trainings, [str(trial.number), figure(trial.score or 0.0)]
+        for layout in layouts:
+            scores = [one.mean_aou_slots for one in done if one.layout_seed == layout]
+            cells.append("-".join(dict.fromkeys(map(figure, (min(scores), max(scores))))))
+        actions = ", ".join(dict.fromkeys(ACTIONS.get(one.action, "-") for one in done))
+        rows.append((*cells, actions, f"{done[-1].slots:,}", f"{sum(one.cpu_s for one in done):,.1f}"))
+    heading, *table = aligned(rows)
+    lines += ["", heading]
+    for line, trial in zip(table, best, strict=True):
         changed = [
             f"{name}={value:.3g}" if isinstance(value, float) else f"{name}={value}"
-            for name, value in record.values.items()
+            for name, value in trial.values.items()
             if value != start[name]
         ]
         lines += [line, *wrapped(", ".join(changed) or "as published", indent="    ")]
-    settings = search.settings(search.space.restored(best[0].values))
-    command = command_line(train_command(scenario, search.scenario, settings, plugins))
-    return [*lines, "", f"table:  {folder.table}", f"best:   {folder.best}", f"train:  {command}"]
+    return lines, best[0]

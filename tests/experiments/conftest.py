@@ -1,16 +1,24 @@
-"""A small study, run once, and a run on tiny with a suite: copied for each test that changes them."""
+"""A small study, a run on tiny with a suite, and trainings that take no time."""
 
 from __future__ import annotations
 
 import shlex
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from tests.experiments.small_search import Here, score
 from tests.experiments.small_suites import OWN, TRAIN
 from tests.experiments.tiny_study import TINY, Inline, Write, run_inline
+from uavaou.experiments import trials, tune
 from uavaou.experiments.study import Study
+from uavaou.runs.checkpoint_header import TrainingProgress
+from uavaou.runs.folder import RunConfig, RunFolder
+from uavaou.runs.recorder import TrainingStatus
+from uavaou.runs.train import Outcome
 from uavaou_cli.main import main
 
 
@@ -58,3 +66,26 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     shutil.copytree(trained, tmp_path / "place")
     monkeypatch.chdir(tmp_path / "place")
     return tmp_path / "place"
+
+
+@pytest.fixture
+def played(monkeypatch: pytest.MonkeyPatch) -> list[RunConfig]:
+    """Trainings made up in no time, in this process; returns those that were begun."""
+    begun: list[RunConfig] = []
+
+    def made_up(
+        config: RunConfig, folder: RunFolder, *, after_update: Callable[[TrainingStatus], None], **_: Any
+    ) -> Outcome:
+        if config.algorithm.slots == 10**12:  # its rate is measured
+            after_update(TrainingStatus(100, 1, 0.1, False, None, "greedy"))
+            after_update(TrainingStatus(1000, 2, 1000.0, False, None, "greedy"))
+        begun.append(config)
+        slots, final = config.algorithm.slots, score(config)
+        for tenth in range(11):
+            scored = final + 10 - tenth if tenth else None
+            after_update(TrainingStatus(slots * tenth // 10, tenth, 0.1 * tenth, tenth > 0, scored, "greedy"))
+        return Outcome(folder, TrainingProgress(slots=slots, best_score=final), slots * 2)
+
+    monkeypatch.setattr(trials, "train", made_up)
+    monkeypatch.setattr(tune, "Processes", Here)
+    return begun

@@ -24,6 +24,8 @@ from uavaou.algorithms.registry import load_config
 from uavaou.devices_csv import read_devices_csv
 from uavaou.errors import all_faults
 from uavaou.evaluation.recorded_mission import read_mission
+from uavaou.experiments.search import Arm, Search, SearchFolder, Stage
+from uavaou.experiments.search_space import SearchSpace
 from uavaou.experiments.study import Study
 from uavaou.experiments.suite import Suite
 from uavaou.onboard import runner
@@ -35,8 +37,6 @@ from uavaou.runs import folder
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import EPISODE_COLUMNS, RunFolder
 from uavaou.runs.records import EpisodesCsv, ProgressCsv
-from uavaou.tuning.search import Search, SearchFolder
-from uavaou.tuning.search_space import SearchSpace
 from uavaou.zoo import zoo_path
 from uavaou_cli.overrides import parse_overrides
 
@@ -209,7 +209,7 @@ def seeds() -> dict[str, bytes]:
         "age_sum_slots": [[1] * devices] * slots,
     }
     plan = {"planner": "tour", "scenario": tiny.to_dict(), "mean_aou_s": 1.0, "bound_s": None, "interrupted": False}
-    search = Search(tiny, mappo, SearchSpace.load("mappo"), None, 500, 0, ())
+    search = Search(tiny, 0, {"mappo": Arm.of(mappo, ())}, (Stage(trials=3, slots=500),))
     texts = {
         "scenario.yaml": "base: tiny\nslots: 20\nbandwidth_hz: {low: 15000, high: 2.0e+4}\ndevices_csv: devices.csv\n",
         "config.yaml": config().to_yaml(),

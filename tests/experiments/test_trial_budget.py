@@ -8,16 +8,16 @@ from typing import Any
 
 import pytest
 
-from tests.tuning.small_search import SMALL, SPACE, a_search
+from tests.experiments.small_search import SMALL, SPACE, a_search
 from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import load_config
+from uavaou.experiments import trials
+from uavaou.experiments.search import Arm, Search, Stage, Trial
+from uavaou.experiments.search_space import SearchSpace
+from uavaou.experiments.trials import TrialJob
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.recorder import TrainingStatus
 from uavaou.runs.train import train
-from uavaou.tuning import trials
-from uavaou.tuning.search import Search
-from uavaou.tuning.search_space import SearchSpace
-from uavaou.tuning.trials import affordable_slots, warm_up
 
 
 def statuses(rollout: int, warm_up: int, slow: float, quick: float) -> list[TrainingStatus]:
@@ -63,14 +63,14 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
     }
     config = load_config(algorithm, own[algorithm] | {"hidden": [16], "evaluation_missions": 2, "gamma": 0.9})
     space = SearchSpace.from_dict({"gamma": SPACE["gamma"]}, "space")
-    search = Search(Scenario.load("tiny"), config, space, 1.0, None, 0, ())
-    warm_up(search)
-    slots = affordable_slots(search, {"gamma": 0.9})
+    arm = Arm(config, space)
+    search = Search(Scenario.load("tiny"), 0, {algorithm: arm}, (Stage(trials=1, seconds=1.0),))
+    slots = TrialJob(search, Trial(0, algorithm, 1, {"gamma": 0.9}), tmp_path).affordable_slots()
     rollout = 48 if algorithm == "mappo" else 8
     assert slots % rollout == 0
     seen: list[TrainingStatus] = []
-    played = search.settings({"gamma": 0.9}, slots)
-    train(RunConfig(search.scenario, played, 0), RunFolder(tmp_path), after_update=seen.append)
+    played = arm.settings({"gamma": 0.9}, slots)
+    train(RunConfig(search.scenario, played, 0), RunFolder(tmp_path / "run"), after_update=seen.append)
     assert seen[-1].slots == slots  # to the slot: schedules end with the budget
     assert 0.5 < seen[-1].cpu_s < 2.0
     assert sum(status.evaluated for status in seen) == 10
@@ -80,7 +80,8 @@ def test_a_trial_takes_its_seconds(algorithm: str, tmp_path: Path) -> None:
 def test_cpu_seconds_are_those_of_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from uavaou.runs import recorder as callback
 
-    warm_up(a_search())
+    search = a_search(seconds=0.1)
+    TrialJob(search, Trial(0, "mappo", 1, search.arms["mappo"].first[0]), tmp_path).affordable_slots()  # compiles
     mission_means = callback.mission_means
 
     def costly(*arguments: Any) -> Any:
@@ -92,6 +93,6 @@ def test_cpu_seconds_are_those_of_learning(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(callback, "mission_means", costly)
     seen: list[TrainingStatus] = []
     config = load_config("mappo", SMALL | {"slots": 96, "evaluate_every_slots": 48, "epochs": 1})
-    train(RunConfig(Scenario.load("tiny"), config, 0), RunFolder(tmp_path), after_update=seen.append)
+    train(RunConfig(Scenario.load("tiny"), config, 0), RunFolder(tmp_path / "run"), after_update=seen.append)
     assert [(status.slots, status.evaluated) for status in seen] == [(48, True), (96, True)]
     assert seen[-1].cpu_s < 1.0

@@ -21,30 +21,35 @@ from uavaou.fields import Positive, Whole, short, validated
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 if TYPE_CHECKING:
-    from optuna import Trial
+    from optuna.distributions import BaseDistribution
 
 # The search sets these itself: trials differ in nothing but the space, and take the same time.
 RESERVED = ("name", "slots", "evaluate_every_slots", "processes")
+
+
+def as_text(value: Any) -> str:
+    """A value as a table has it: text as it is, and JSON."""
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 class Dimension(BaseModel, frozen=True, extra="forbid"):
     """The values of one field."""
 
     @abstractmethod
-    def suggest(self, trial: Trial, field: str) -> Any:
-        """The value that a trial gets."""
-
-    @abstractmethod
     def holds(self, value: Any) -> bool:
         """Whether the value is one of them."""
 
-    def stored(self, value: Any) -> Any:
-        """A value as Optuna keeps it."""
+    @abstractmethod
+    def distribution(self) -> BaseDistribution:
+        """What Optuna draws from: the values, or the places of choices."""
+
+    def told(self, value: Any) -> Any:
+        """A value as Optuna has it."""
         return value
 
-    def restored(self, stored: Any) -> Any:
-        """The value that Optuna keeps as ``stored``."""
-        return stored
+    def drawn(self, told: Any) -> Any:
+        """The value that Optuna has drawn."""
+        return told
 
 
 class _Range(Dimension):
@@ -72,12 +77,14 @@ class LogUniform(_Range):
     low: Positive
     high: Positive
 
-    def suggest(self, trial: Trial, field: str) -> float:  # noqa: D102
-        return self.restored(trial.suggest_float(field, self.low, self.high, log=True))
+    def distribution(self) -> BaseDistribution:  # noqa: D102
+        from optuna.distributions import FloatDistribution
 
-    def restored(self, stored: float) -> float:  # noqa: D102
+        return FloatDistribution(self.low, self.high, log=True)
+
+    def drawn(self, told: float) -> float:  # noqa: D102
         # Digits that no training can tell apart make commands that no person can read.
-        return min(max(float(f"{stored:.{_DIGITS}g}"), self.low), self.high)
+        return min(max(float(f"{told:.{_DIGITS}g}"), self.low), self.high)
 
 
 class Integer(_Range):
@@ -87,8 +94,10 @@ class Integer(_Range):
     low: Whole
     high: Whole
 
-    def suggest(self, trial: Trial, field: str) -> int:  # noqa: D102
-        return trial.suggest_int(field, self.low, self.high)
+    def distribution(self) -> BaseDistribution:  # noqa: D102
+        from optuna.distributions import IntDistribution
+
+        return IntDistribution(self.low, self.high)
 
 
 class Categorical(Dimension):
@@ -99,23 +108,24 @@ class Categorical(Dimension):
 
     @model_validator(mode="after")
     def _distinct(self) -> Self:
-        for index, choice in enumerate(self.choices):
-            if choice in self.choices[:index]:
+        for place, choice in enumerate(self.choices):
+            if choice in self.choices[:place]:
                 raise ValueError(f"choices: {short(choice)} stands there twice")
         return self
-
-    def suggest(self, trial: Trial, field: str) -> Any:  # noqa: D102
-        return self.restored(trial.suggest_categorical(field, list(map(self.stored, self.choices))))
 
     def holds(self, value: Any) -> bool:  # noqa: D102
         return value in self.choices
 
-    def stored(self, value: Any) -> Any:
-        """Lists and mappings as JSON text: Optuna's categories are plain values."""
-        return json.dumps(value) if isinstance(value, list | dict) else value
+    def distribution(self) -> BaseDistribution:  # noqa: D102
+        from optuna.distributions import CategoricalDistribution
 
-    def restored(self, stored: Any) -> Any:  # noqa: D102
-        return next(choice for choice in self.choices if self.stored(choice) == stored)
+        return CategoricalDistribution(range(len(self.choices)))
+
+    def told(self, value: Any) -> int:  # noqa: D102
+        return self.choices.index(value)
+
+    def drawn(self, told: int) -> Any:  # noqa: D102
+        return self.choices[told]
 
 
 KINDS: dict[str, type[Dimension]] = {"log-uniform": LogUniform, "integer": Integer, "categorical": Categorical}
@@ -156,9 +166,9 @@ class SearchSpace:
             where = f"{source}: {name}"
             if not isinstance(content, dict) or "kind" not in content:
                 raise InputError(f"{where}: expected a mapping such as {{kind: integer, low: 1, high: 9}}")
-            kind = content["kind"]
-            if not isinstance(kind, str) or kind not in KINDS:
-                raise InputError(f"{where}: {unknown('kind', str(kind), KINDS)}")
+            kind = str(content["kind"])
+            if kind not in KINDS:
+                raise InputError(f"{where}: {unknown('kind', kind, KINDS)}")
             dimensions[name] = validated(KINDS[kind], content, where)
         return cls(dimensions)
 
@@ -184,27 +194,43 @@ class SearchSpace:
             InputError: a field is unknown or the search's own, or its present value is outside of its range.
         """
         known = [name for name in type(config).model_fields if name not in RESERVED]
-        present = config.model_dump(mode="json")
-        for name, dimension in self.dimensions.items():
+        for name in self.dimensions:
             if name in RESERVED:
                 raise InputError(f"search space: {name} is set by the search itself")
             if name not in known:
                 raise InputError(f"search space: '{config.name}' has no field '{name}'{nearest(name, known)}")
-            if not dimension.holds(present[name]):
+        for name, value in self.values(config).items():
+            if not self.dimensions[name].holds(value):
                 raise InputError(
-                    f"search space: {name} = {short(present[name])}, where the search starts, is outside of its range: "
+                    f"search space: {name} = {short(value)}, where the search starts, is outside of its range: "
                     f"fix it with --set algorithm.{name}=VALUE, or give another space with --space"
                 )
 
     def values(self, config: AlgorithmConfig) -> dict[str, Any]:
-        """A configuration's values of the varied fields, as Optuna keeps them."""
+        """A configuration's values of the varied fields."""
         present = config.model_dump(mode="json")
-        return {name: dimension.stored(present[name]) for name, dimension in self.dimensions.items()}
+        return {name: present[name] for name in self.dimensions}
 
-    def restored(self, stored: Mapping[str, Any]) -> dict[str, Any]:
-        """The values by field that Optuna keeps so."""
-        return {name: dimension.restored(stored[name]) for name, dimension in self.dimensions.items()}
+    def distributions(self) -> dict[str, BaseDistribution]:
+        """What Optuna draws from, by field."""
+        return {name: dimension.distribution() for name, dimension in self.dimensions.items()}
 
-    def suggest(self, trial: Trial) -> dict[str, Any]:
-        """The values that a trial gets, by field."""
-        return {name: dimension.suggest(trial, name) for name, dimension in self.dimensions.items()}
+    def told(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Values by field as Optuna has them."""
+        return {name: dimension.told(values[name]) for name, dimension in self.dimensions.items()}
+
+    def drawn(self, told: Mapping[str, Any]) -> dict[str, Any]:
+        """The values by field that Optuna has drawn."""
+        return {name: dimension.drawn(told[name]) for name, dimension in self.dimensions.items()}
+
+    def read(self, texts: Mapping[str, Any]) -> dict[str, Any]:
+        """The values by field whose texts stand in a table; a ValueError where one is outside of the space."""
+        values = {}
+        for name, dimension in self.dimensions.items():
+            try:
+                values[name] = json.loads(texts[name])
+            except (TypeError, ValueError):  # text as it is
+                values[name] = texts[name]
+            if not dimension.holds(values[name]):
+                raise ValueError(f"{name} = {short(texts[name])}: outside of the search space")
+        return values

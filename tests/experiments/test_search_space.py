@@ -8,12 +8,11 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.tuning.small_search import PUBLISHED, SPACE, a_folder, a_search
+from tests.experiments.small_search import PUBLISHED, SPACE, a_folder, a_search, work
 from uavaou import InputError
 from uavaou.algorithms.registry import algorithm_names, load_config
+from uavaou.experiments.search_space import SearchSpace
 from uavaou.runs.folder import RunConfig
-from uavaou.tuning.search_space import SearchSpace
-from uavaou.tuning.trials import work
 from uavaou.zoo import zoo_names
 
 
@@ -70,14 +69,14 @@ def test_lists_are_chosen_from_too(tmp_path: Path, played: list[RunConfig]) -> N
     [
         ({"seed": "abc"}, "seed = 'abc': expected a number, not text"),
         ({"seed": -1}, "seed = -1"),
-        ({"schema": 2}, "schema = 2: this version reads schema 1"),
-        ({"budget": {"seconds": "long"}}, "budget.seconds = 'long'"),
-        ({"budget": {}}, "give seconds or slots"),
-        ({"budget": {"hours": 3}}, "budget.hours"),
-        ({"space": None}, "space = None"),
-        ({"first": {}}, "first = "),
+        ({"schema": 1}, "schema = 1: this version reads schema 2"),
+        ({"stages": [{"trials": 3, "seconds": "long"}]}, "stages[0].seconds = 'long'"),
+        ({"stages": [{"trials": 3}]}, "give seconds or slots"),
+        ({"stages": [{"trials": 3, "hours": 3}]}, "stages[0].hours"),
+        ({"arms": {"mappo": {"algorithm": PUBLISHED, "space": None}}}, "space: no field to vary"),
+        ({"arms": {"mappo": {"first": {}}}}, "arms.mappo.first = "),
         ({"scenario": {"uavs": 0}}, "scenario"),
-        ({"algorithm": {"name": "mapo"}}, "algorithm.name = 'mapo'"),
+        ({"arms": {"mappo": {"algorithm": {"name": "mapo"}}}}, "algorithm.name = 'mapo'"),
     ],
 )
 def test_a_damaged_search_yaml_is_one_line_that_names_the_field(
@@ -95,6 +94,20 @@ def test_drawn_numbers_have_few_digits_and_stay_in_their_range() -> None:
     space = SearchSpace.from_dict(
         {"learning_rate": {"kind": "log-uniform", "low": 0.00012344321, "high": 0.01}}, "mine"
     )
-    stored = {"learning_rate": 0.00098765432101}
-    assert space.restored(stored) == {"learning_rate": 0.0009877}
-    assert space.restored({"learning_rate": 0.00012344321}) == {"learning_rate": 0.00012344321}
+    assert space.drawn({"learning_rate": 0.00098765432101}) == {"learning_rate": 0.0009877}
+    assert space.drawn({"learning_rate": 0.00012344321}) == {"learning_rate": 0.00012344321}
+
+
+def test_a_damaged_table_is_one_line(tmp_path: Path, played: list[RunConfig]) -> None:
+    folder = a_folder(tmp_path)
+    work(folder, 2)
+    text = folder.table.read_text()
+    for old, new, says in (
+        ("\n1,mappo,", "\n1,vdn,", "trial 1: not of this search: 'vdn'"),
+        (f",{PUBLISHED['gamma']},", ",0.55,", "gamma = '0.55': outside of the search space"),
+        (",stage,", ",stages,", "column 'stage' is missing"),
+    ):
+        assert old in text
+        folder.table.write_text(text.replace(old, new))
+        with pytest.raises(InputError, match=says):
+            folder.trials(folder.read())

@@ -1,1 +1,0 @@
-"""Hyperparameter search: what is searched, its trials, and its results."""
