@@ -30,7 +30,7 @@ LESS = {  # work than the page asks for
 ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that runs its like
     "uavaou eval any-map --policy best-first --suite uavs": "tests/experiments",
     "uavaou plot suite": "tests/experiments",
-    "uavaou tune": "tests/tuning",
+    "uavaou tune": "tests/experiments",
     "uavaou study run smoke": "tests/experiments",
     "uavaou study run ours.yaml": "the test below",
     "uavaou eval results/paper*/": "tests/experiments",

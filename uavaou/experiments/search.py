@@ -295,7 +295,7 @@ class SearchFolder:
         found: list[Trial] = []
         if not self.table.is_file():
             return found
-        frame = read_table(self.table, _columns(search), _TRIAL)
+        frame = read_table(self.table, _columns(search), [*_TRIAL])
         for number, rows in frame.groupby("trial"):
             first = rows.iloc[0]
             try:
