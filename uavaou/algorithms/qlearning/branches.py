@@ -70,7 +70,7 @@ class Branches:
 
     def _split(self, values: th.Tensor) -> Iterator[tuple[BranchGroup, th.Tensor]]:
         for group in self.groups:
-            options = values[:, group.columns].reshape(len(values), group.count, group.size)  # (B, branches, options)
+            options = values[:, group.columns].reshape(-1, group.count, group.size)  # (B, branches, options)
             yield group, options
 
     def greedy(self, values: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
@@ -122,9 +122,9 @@ class Branches:
         """Advantages: values less their mean over the allowed options of their branch, (B, sum(n_b))."""
         weights = th.ones_like(values) if allowed is None else allowed.to(values.dtype)
         centred = []
-        for (group, options), (_, weight) in zip(self._split(values), self._split(weights), strict=True):
+        for (_, options), (_, weight) in zip(self._split(values), self._split(weights), strict=True):
             mean = (options * weight).sum(dim=2, keepdim=True) / weight.sum(dim=2, keepdim=True).clamp_min(1.0)
-            centred.append((options - mean).reshape(len(values), group.count * group.size))
+            centred.append((options - mean).flatten(1))
         return th.cat(centred, dim=1)
 
 
@@ -192,14 +192,19 @@ class SetUtilityNetwork(UtilityNetwork):
 
     def forward(self, local: th.Tensor, allowed: th.Tensor | None) -> th.Tensor:
         """Branch values (B, sum(n_b)) of ``local`` (B, local), for the options ``allowed`` (B, sum(n_b))."""
-        sizes = [self.value.in_features, 0 if self.body.pull is None else MOVES, self.branches.count - 1]
-        features, pulls, by_device = self.body(local).split(sizes, dim=1)
-        selecting = by_device + self.selection_bias  # (B, I)
+        features, moves, selecting = self.parts(self.body(local))
         bits = th.stack([th.zeros_like(selecting), selecting], dim=2).flatten(1)  # (B, 2 I)
-        moves = self.advantage(features)
-        advantages = th.cat([moves if self.body.pull is None else moves + pulls, bits], dim=1)
-        values: th.Tensor = self.value(features) + self.branches.centre(advantages, allowed)
+        values: th.Tensor = self.value(features) + self.branches.centre(th.cat([moves, bits], dim=1), allowed)
         return values
+
+    def parts(self, outputs: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+        """The features, and the advantages of moves (B, 5) and of devices (B, I), in the outputs of the body."""
+        size = self.value.in_features
+        features, rest = outputs[:, :size], outputs[:, size:]
+        moves = self.advantage(features)
+        if self.body.pull is not None:
+            moves, rest = moves + rest[:, :MOVES], rest[:, MOVES:]
+        return features, moves, rest + self.selection_bias
 
     def rescale(self, ratio: th.Tensor, shift: th.Tensor) -> None:
         """Change the outputs to ``values * ratio + shift``."""
