@@ -10,14 +10,14 @@ from torch import nn
 
 from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.action_head import MoveAndDeviceLogits, MoveSelectionDistribution
-from uavaou.algorithms.nets.mlp import ACTIVATIONS, mlp
+from uavaou.algorithms.nets.mlp import ACTIVATIONS
 from uavaou.algorithms.nets.pull import Pull
 from uavaou.algorithms.nets.set_encoder import TOKEN_WIDTH, check_network, make_body
 from uavaou.algorithms.nets.value_norm import PopArt, ValueScale
-from uavaou.errors import InputError, unknown
+from uavaou.errors import unknown
 from uavaou.world.views import RowLayout
 
-CRITIC_INPUTS = ("global", "local", "both")
+CRITIC_INPUTS = ("global", "local")
 
 
 def inherits(instance: object, base: type, *methods: str) -> bool:
@@ -36,7 +36,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     Args:
         observation_space, action_space, lr_schedule: as SB3 passes them.
         row_layout: names the columns of a row; :class:`~uavaou.MAPPO` takes it from the VecEnv.
-        critic_input: ``global`` (MAPPO), ``local`` (IPPO), or ``both``: a UAV's whole row, flat.
+        critic_input: ``global`` (MAPPO) or ``local`` (IPPO).
         network: ``mlp``, or for rows of entities ``set``, whose weights fit any number of UAVs and devices.
         net_arch: hidden layer sizes of actor and critic; of a ``set``, after its encoder.
         activation: ``relu`` or ``tanh``.
@@ -71,8 +71,6 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         if activation not in ACTIVATIONS:
             raise unknown("activation", activation, ACTIVATIONS)
         check_network(network, row_layout)
-        if critic_input == "both" and network != "mlp":
-            raise InputError("critic_input = 'both': expected network = 'mlp'")
         self.row_layout = row_layout
         self.network = network
         self.critic_input = critic_input
@@ -97,7 +95,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         self.actor_body = make_body(layout.local, *network, selects=by_token, pull=pull, width=self._token_width)
         head: nn.Linear = self.action_dist.proba_distribution_net(self.actor_body.size, 0 if by_token else devices)
         of_slot = self.critic_input == "global"
-        self.critic_body = self._make_critic_body()
+        self.critic_body = make_body(layout.state if of_slot else layout.local, *network, width=self._token_width)
         self.value_net = PopArt(self._hidden[-1])
         # With pulls, the moves' logits are these alone at first, also where some are equal.
         for module, gain in ((head, 0.0 if self.pull else 0.01), (self.value_net.linear, 1.0)):
@@ -113,13 +111,6 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
             lr=lr_schedule(1),
             **self.optimizer_kwargs,
         )
-
-    def _make_critic_body(self) -> nn.Module:
-        layout, sizes = self.row_layout, (self._hidden, self._activation)
-        if self.critic_input == "both":
-            return mlp(layout.local_size + layout.global_size, *sizes)
-        columns = layout.state if self.critic_input == "global" else layout.local
-        return make_body(columns, self.network, *sizes, width=self._token_width)
 
     def actor_parameters(self) -> list[nn.Parameter]:
         """Parameters of the actor, which the critic does not share."""
@@ -164,7 +155,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         return self.distribution_of(self.symmetries.mean(self.logits, local), local)
 
     def normalised_values(self, critic_rows: th.Tensor) -> th.Tensor:
-        """Normalised values of critic inputs (B, global), (B, local) or (B, local + global); (B,)."""
+        """Normalised values of critic inputs (B, global) or (B, local); (B,)."""
         values: th.Tensor = self.value_net(self.critic_body(critic_rows))
         return values[:, 0]
 
@@ -190,8 +181,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     def predict_values(self, obs: th.Tensor) -> th.Tensor:  # type: ignore[override]
         """Values of rows, (B, 1); the critic evaluates each slot's state once where the rows are whole slots."""
         local_size, uavs = self.row_layout.local_size, self.row_layout.uavs
-        if self.critic_input != "global":
-            return self.critic_values(obs[:, :local_size] if self.critic_input == "local" else obs)[:, None]
+        if self.critic_input == "local":
+            return self.critic_values(obs[:, :local_size])[:, None]
         states = obs[:, local_size:]
         if len(states) % uavs == 0:
             slots = states.view(-1, uavs, states.shape[1])  # (slots, U, global)
