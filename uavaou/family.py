@@ -284,7 +284,7 @@ class Family(BaseModel):
             span = (drawn.high - drawn.low) * ((_LEAST_SPAN + (1 - _LEAST_SPAN) * part) if uavs > 1 else 0.0)
             low = drawn.low + place * (drawn.high - drawn.low - span)
             high = low + span
-        even: Floats = np.linspace(low, high, uavs)
+        even = np.linspace(low, high, uavs)
         return [float(altitude) for altitude in rng.permutation(even.round(2))]
 
 

@@ -84,7 +84,7 @@ def flatten(
             raise InputError(f"{name} = {value!r}: expected a whole number from {least} on")
     views_of = partial(make_views, collection=collection, rows=rows, plan=plan)
     views = views_of(base, level(observation))
-    draws: BatchedDraws | None = None
+    draws = None
     stage: Any
     if observation == "mixed" and (family is None or rows != "entities"):
         raise InputError("observation = 'mixed': alternates between draws of a family, in rows of entities")

@@ -48,7 +48,7 @@ def uav_dash(uav: int) -> Any:
 def uav_offset(scenario: Scenario) -> Floats:
     """Offset at which each UAV is drawn, so that UAVs on the same path stay apart; (U, 1) m, on both axes."""
     apart = min(0.09, 0.4 / scenario.uavs) * scenario.grid_step_m
-    centred: Floats = np.arange(scenario.uavs, dtype=np.float64)[:, None] - (scenario.uavs - 1) / 2  # (U, 1)
+    centred = np.arange(scenario.uavs, dtype=np.float64)[:, None] - (scenario.uavs - 1) / 2  # (U, 1)
     return centred * apart
 
 

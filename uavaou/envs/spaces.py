@@ -37,7 +37,7 @@ def action_masks(rows: Rows, layout: RowLayout) -> NDArray[np.bool_] | None:
     allowed, in_range = layout.local_columns("allowed_moves"), layout.in_range_columns
     if allowed is None or in_range is None:
         return None
-    masks: NDArray[np.bool_] = rows[:, allowed] > 0
+    masks = rows[:, allowed] > 0
     if layout.selects:
         select = rows[:, in_range] > 0  # (B, I)
         devices = np.stack([np.ones_like(select), select], axis=2)  # (B, I, 2)

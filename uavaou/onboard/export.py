@@ -4,8 +4,6 @@ The folder holds ``policy.onnx`` (:mod:`uavaou.onboard.graph`), ``policy.json`` 
 ``mission.json`` (what is told before take-off) and ``runner.py`` (:mod:`uavaou.onboard.runner`, as it is).
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -170,7 +168,7 @@ def _describe(name: str, trained: TrainedPolicy) -> dict[str, Any]:
     epsilon = getattr(policy, "epsilon", None)
     devices = ["rows", "devices" if layout.rows == "entities" else layout.devices]
     meaning = "logit" if epsilon is None else "value"
-    outputs: dict[str, Any] = {
+    outputs = {
         "move_logits": {
             "shape": ["rows", 5], "columns": ["stay", "up (+y)", "down (-y)", "right (+x)", "left (-x)"],
             "meaning": f"{meaning} of the move; -1e9 where it is not allowed; the largest is the likeliest",

@@ -13,8 +13,6 @@ is not allowed, or not in range, has -1e9. The likeliest action is the move with
 a logit above 0. Of VDN, QMIX and IQL, they are the values of the moves, and by how much to select a device is better.
 """
 
-from __future__ import annotations
-
 import io
 import warnings
 from importlib import import_module

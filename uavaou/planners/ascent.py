@@ -160,7 +160,7 @@ def subgradient_ascent(
     """
     started, stale, point = time.monotonic(), 0, start.copy()
     best, at_best, slope_at_best = -np.inf, point, np.zeros_like(point)
-    direction: Floats | None = None
+    direction = None
     for _ in range(rounds):
         now, slope = value(point)
         stale += 1

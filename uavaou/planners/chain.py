@@ -3,8 +3,6 @@
 One change makes one UAV or two fly anew, in the kernel of :mod:`uavaou.world.patrol`; the others keep their routes.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

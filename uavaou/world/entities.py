@@ -5,8 +5,6 @@ no token holds an id. Tokens of a kind follow each other. The first feature of e
 zero. :mod:`uavaou.world.views` names the features of the local observation and has the other format.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

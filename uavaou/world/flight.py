@@ -32,8 +32,7 @@ class Flight:
 
     def flight_time(self, flown: Ints) -> Floats:
         """Return zeta_u in s after ``flown`` grid steps (..., U), with take-off and landing (eq. flighttime)."""
-        time: Floats = (self._vertical + flown * self._scenario.grid_step_m) / self._scenario.speed_m_s
-        return time
+        return (self._vertical + flown * self._scenario.grid_step_m) / self._scenario.speed_m_s
 
     def allowed(self, cells: Ints, flown: Ints, slot: int) -> tuple[Bools, Bools]:
         """Return which moves are allowed, and which stay on the grid.
@@ -59,8 +58,7 @@ class Flight:
 
 def grid_cells(scenario: Scenario) -> Ints:
     """Return the (column, row) of every grid cell, column by column, (C, 2); cell c is column * rows + row."""
-    cells: Ints = np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T
-    return cells
+    return np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T
 
 
 def neighbours(scenario: Scenario) -> tuple[Ints, Bools]:
@@ -76,8 +74,7 @@ def first_step(way: Ints) -> Ints:
     """Return the first move of a way of (columns, rows), (..., 2): along x first, then y; stay if both are 0."""
     along_x = np.where(way[..., 0] > 0, RIGHT, LEFT)
     along_y = np.where(way[..., 1] > 0, UP, DOWN)
-    step: Ints = np.where(way[..., 0] != 0, along_x, np.where(way[..., 1] != 0, along_y, STAY))
-    return step
+    return np.where(way[..., 0] != 0, along_x, np.where(way[..., 1] != 0, along_y, STAY))
 
 
 @compiled

@@ -80,8 +80,7 @@ def patrol_area(
 def _draws(shape: tuple[int, ...], seed: int = 0) -> Singles:
     """Uniform numbers, (missions, slots, W)."""
     size = prod(shape)
-    drawn: Singles = _uniform(seed, 1 << (size - 1).bit_length())[:size].reshape(shape)
-    return drawn
+    return _uniform(seed, 1 << (size - 1).bit_length())[:size].reshape(shape)
 
 
 @lru_cache(maxsize=4)

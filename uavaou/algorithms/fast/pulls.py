@@ -3,8 +3,6 @@
 :class:`uavaou.algorithms.nets.pull.Pull` is the definition.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ layer to memory and read them again, which takes longer than the arithmetic on t
 a gradient will need them, and tokens that are not there cost next to nothing.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ How a minibatch is divided, and the order of sums, depend on the minibatch alone
 bits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any

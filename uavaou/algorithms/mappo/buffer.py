@@ -121,8 +121,7 @@ class SlotRolloutBuffer(RolloutBuffer):
         """Return the entry of an array (T, N, V) for each UAV that is there."""
         if self.present is None:
             return array
-        each: Rows = np.broadcast_to(array, self.present.shape)[self.present]
-        return each
+        return np.broadcast_to(array, self.present.shape)[self.present]
 
     def compute_returns_and_advantage(self, last_values: th.Tensor, dones: NDArray[Any]) -> None:
         """GAE(lambda) (Schulman et al. 2016), for each mission and critic."""

@@ -134,7 +134,7 @@ class MAPPO(SafeSaveLoad, PPO):
         self.policy.set_training_mode(False)
         buffer.reset()
         callback.on_rollout_start()
-        logits: list[th.Tensor] = []  # (N * U, 5 + I) for each slot
+        logits = []  # (N * U, 5 + I) for each slot
         for _ in range(slots):
             assert isinstance(self._last_obs, np.ndarray)
             local = th.from_numpy(buffer.add_rows(self._last_obs)).to(self.device)  # (N * U, local)
@@ -238,7 +238,7 @@ class MAPPO(SafeSaveLoad, PPO):
         self, gradient: Callable[[NDArray[np.int64]], LossStatistics], step: Callable[[], None]
     ) -> list[LossStatistics]:
         """Take a step on each minibatch; as SB3's, stop before the step where the policy has moved too far."""
-        statistics: list[LossStatistics] = []
+        statistics = []
         slots_in_batch = max(int(self.batch_size / self.rollout_buffer.rows_per_slot), 1)
         for epoch in range(self.n_epochs):
             self._n_updates += 1

@@ -93,7 +93,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         self.action_dist = MoveSelectionDistribution(devices)
         pull = Pull(layout, self._sharpness) if self.pull else None
         self.actor_body = make_body(layout.local, *network, selects=by_token, pull=pull, width=self._token_width)
-        head: nn.Linear = self.action_dist.proba_distribution_net(self.actor_body.size, 0 if by_token else devices)
+        head = self.action_dist.proba_distribution_net(self.actor_body.size, 0 if by_token else devices)
         of_slot = self.critic_input == "global"
         self.critic_body = make_body(layout.state if of_slot else layout.local, *network, width=self._token_width)
         self.value_net = PopArt(self._hidden[-1])

@@ -43,13 +43,12 @@ class Mlp(nn.Sequential):
     def forward(self, rows: th.Tensor) -> th.Tensor:
         """Features (..., outputs) of rows (..., inputs)."""
         layers = fully_connected(self) if rows.dim() == 2 and _uses_onednn(rows) else None
-        features: th.Tensor = super().forward(rows) if layers is None else layers(rows)  # type: ignore[no-untyped-call]
-        return features
+        return super().forward(rows) if layers is None else layers(rows)  # type: ignore[no-untyped-call]
 
 
 def mlp(inputs: int, hidden: list[int], activation: str) -> Mlp:
     """Fully connected layers of ``hidden`` sizes with an ``activation`` after each, and orthogonal weights."""
-    layers: list[nn.Module] = []
+    layers = []
     for outputs in hidden:
         linear = Linear(inputs, outputs)
         nn.init.orthogonal_(linear.weight, gain=math.sqrt(2))
@@ -161,7 +160,7 @@ def is_exactly(module: nn.Module, *types: type[nn.Module]) -> bool:
 
 def fully_connected(*modules: nn.Module) -> FullyConnected | None:
     """The layers of modules that follow each other; None where one is not exactly a known layer or has a hook."""
-    layers: list[Layer] = []
+    layers = []
     for part in (part for module in modules for part in ((module, *module) if type(module) is Mlp else (module,))):
         if is_exactly(part, Linear, nn.Linear) and part.bias is not None:
             layers.append(Layer(part.weight, part.bias, "none", type(part) is Linear and _uses_onednn(part.weight)))

@@ -17,8 +17,6 @@ controller is residual policy learning (Silver et al. 2018, arXiv 1812.06298); m
 artificial potential fields (Khatib 1986).
 """
 
-from __future__ import annotations
-
 from functools import cache
 from importlib import import_module
 from typing import Any

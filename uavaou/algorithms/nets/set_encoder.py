@@ -6,8 +6,6 @@ and attention heads, whose queries come from the row's own features (Zaheer et a
 moves with it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 
