@@ -7,7 +7,7 @@ stays that of its base. All draws have ``layout: resample``, so that each missio
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -310,21 +310,21 @@ def _range(value: float | tuple[float, ...] | Range) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,)
 
 
-# Quantity, its unit, the field of a family that draws it (if any does), and its values in a scenario.
-_QUANTITIES: tuple[tuple[str, str, str, Callable[[Scenario], Sequence[float]]], ...] = (
-    ("sides", "m", "area_m", lambda one: (one.area_x_m, one.area_y_m)),
-    ("uavs", "", "uavs", lambda one: (one.uavs,)),
-    ("devices", "", "devices", lambda one: (one.devices,)),
-    ("slots", "", "slots", lambda one: (one.slots,)),
-    ("grid steps", "m", "grid_step_m", lambda one: (one.grid_step_m,)),
-    ("altitudes", "m", "altitudes_m", lambda one: one.altitudes_m),
-    ("longest update periods", "slots", "longest_update_period_slots", lambda one: (one.longest_update_period,)),
-    ("minimum rates", "bit/s", "rate_min_bit_s", lambda one: (one.rate_min_bit_s,)),
-    ("Rician factors", "", "rician_factor", lambda one: (one.rician_factor,)),
-    ("bandwidths", "Hz", "", lambda one: _range(one.bandwidth_hz)),
-    ("transmit powers", "mW", "", lambda one: _range(one.transmit_power_mw)),
-    ("noise powers", "dBm", "", lambda one: (one.noise_power_dbm,)),
-    ("reference gains", "dB", "", lambda one: (10 * math.log10(one.reference_gain),)),
+# Quantity, its unit, the field of a family that draws it (if any does), and its fields in a scenario.
+_QUANTITIES = (
+    ("sides", "m", "area_m", "area_x_m area_y_m"),
+    ("uavs", "", "uavs", "uavs"),
+    ("devices", "", "devices", "devices"),
+    ("slots", "", "slots", "slots"),
+    ("grid steps", "m", "grid_step_m", "grid_step_m"),
+    ("altitudes", "m", "altitudes_m", "altitudes_m"),
+    ("longest update periods", "slots", "longest_update_period_slots", "longest_update_period"),
+    ("minimum rates", "bit/s", "rate_min_bit_s", "rate_min_bit_s"),
+    ("Rician factors", "", "rician_factor", "rician_factor"),
+    ("bandwidths", "Hz", "", "bandwidth_hz"),
+    ("transmit powers", "mW", "", "transmit_power_mw"),
+    ("noise powers", "dBm", "", "noise_power_dbm"),
+    ("reference gains", "dB", "", "gain_db"),
 )
 _ROUNDING = 1e-9  # relative
 
@@ -335,10 +335,12 @@ def beyond(family: Family, scenario: Scenario) -> list[str]:
     Each quantity is compared by itself: a scenario within all bounds may still be an unusual draw.
     """
     found = []
-    for quantity, unit, field, values in _QUANTITIES:
-        low, high = family.ends(field, values(family.base))
+    for quantity, unit, field, names in _QUANTITIES:
+        of_base, own = (
+            [v for name in names.split() for v in _range(getattr(of, name))] for of in (family.base, scenario)
+        )
+        low, high = family.ends(field, of_base)
         drawn_to = scenario.grid_step_m / 2 if field == "area_m" else _ROUNDING * max(abs(low), abs(high))
-        own = values(scenario)
         if min(own) < low - drawn_to or max(own) > high + drawn_to:
             found.append(f"{quantity} {_span(min(own), max(own), unit)} (in training {_span(low, high, unit)})")
     return found

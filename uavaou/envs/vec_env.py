@@ -165,13 +165,13 @@ class MissionVecEnv(SB3VecEnvWrapper):
         state = completed(state)
         environments = self._workers.copies if self._workers else len(self._environments())
         if self._draws is None:
-            check(state, self.missions_state(), self.scenario)
+            check(state, self.missions_state())
             states = split(state, environments)
         else:
             states = split_numbered(state, environments)
             for number, part in enumerate(states):
                 self._draws.start_draw(part["draw"])
-                check(part, _state(self._draws), self._draws.scenario, f"missions of World {number}")
+                check(part, _state(self._draws), f"missions of World {number}")
         rows = self._workers.load_states(states) if self._workers else _load_states(self._environments(), states)
         self._last_rows = rows
         return rows

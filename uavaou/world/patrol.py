@@ -121,26 +121,11 @@ def age_sums(area: PatrolArea, uav: Ints, serves: Singles, missions: int) -> Flo
         missions: the first of the area's draws, so many.
     """
     sums, ages = np.zeros(len(uav)), np.empty(missions)
+    route = np.empty((missions, len(area.generated)), np.int32)
     for b in range(len(uav)):
-        fly_part(area, uav[b], serves[b], area.pull[uav[b]], 0, ages)
+        fly(area, uav[b], serves[b], area.pull[uav[b]], 0, route, ages)
         sums[b] = ages.mean()
     return sums
-
-
-@compiled_fast
-def fly_part(area: PatrolArea, uav: int, serves: Singles, pull: Singles, first: int, ages: Floats) -> None:
-    """Write the age sum in slots that a UAV leaves which serves some devices alone, in each of some missions.
-
-    Args:
-        area: what it flies over.
-        uav: which one.
-        serves: 1 for its devices, else 0, (W,).
-        pull: of each device in each cell, (C, W).
-        first: number of the first draw.
-        ages: (missions,), written.
-    """
-    route = np.empty((len(ages), len(area.generated)), np.int32)
-    fly(area, uav, serves, pull, first, route, ages)
 
 
 @compiled_fast

@@ -18,18 +18,9 @@ from uavaou.algorithms.io.save_load import SafeSaveLoad
 from uavaou.algorithms.mappo.buffer import SlotBatch, SlotRolloutBuffer
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
 from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
+from uavaou.algorithms.nets.pull import compiled_module
 from uavaou.errors import InputError, unknown
 from uavaou.threads import compute_with_one_thread
-
-try:
-    from uavaou.algorithms.fast.loss import LossCoefficients
-    from uavaou.algorithms.fast.update import FastUpdate
-
-    HAS_FAST = True
-except ModuleNotFoundError as error:  # the folder may be deleted: autograd then takes every gradient, more slowly
-    if not (error.name or "").startswith("uavaou.algorithms.fast"):
-        raise
-    HAS_FAST = False
 
 ADVANTAGES = ("none", "rollout", "batch")
 _MOST_ROWS = 1 << 14  # evaluated at once when a rollout is complete
@@ -265,12 +256,12 @@ class MAPPO(SafeSaveLoad, PPO):
                 return statistics
 
             return gradient, self.step
-        value_net = self.policy.value_net
-        coefficients = LossCoefficients(
+        value_net, loss, update = self.policy.value_net, compiled_module("loss"), compiled_module("update")
+        coefficients = loss.LossCoefficients(
             mean, 1 / std, clip_range, self.ent_coef, self.vf_coef, float(value_net.mean), float(value_net.std)
         )
         normalises_batches = self.advantage_normalization == "batch"
-        fast = FastUpdate(
+        fast = update.FastUpdate(
             self.policy, self.rollout_buffer, coefficients, normalises_batches, self.max_grad_norm, critic_alone
         )
         step = fast.adam.step if fast.adam and inherits(self, MAPPO, "step") else self.step
@@ -280,7 +271,8 @@ class MAPPO(SafeSaveLoad, PPO):
     def uses_fast(self) -> bool:
         """Whether ``algorithms/fast`` computes the gradient: on a CPU, with the loss and distribution defined here."""
         own = inherits(self, MAPPO, "loss", "backward")
-        return HAS_FAST and own and FastUpdate.supports(self.policy, self.rollout_buffer)
+        update = compiled_module("update")  # without it, autograd takes every gradient, more slowly
+        return own and update is not None and update.FastUpdate.supports(self.policy, self.rollout_buffer)
 
     def loss(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> LossStatistics:
         """PPO's loss on a minibatch.

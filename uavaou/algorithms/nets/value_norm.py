@@ -5,17 +5,19 @@ from torch import nn
 
 from uavaou.algorithms.nets.mlp import rescale_linear
 
+_DECAY, _SCALE_DECAY = 0.9, 0.98  # weight of what was seen before in an update of the statistics, and of the scale
+_RIDGE = 0.5  # strength of the scale's pull to 0, in updates
+
 
 class ReturnStatistics(nn.Module):
-    """Running mean and variance of returns, to normalise values; ``decay`` weights the old ones in an update."""
+    """Running mean and variance of returns, to normalise values."""
 
     mean: th.Tensor
     mean_square: th.Tensor
     seen: th.Tensor
 
-    def __init__(self, decay: float) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.decay = decay
         self.register_buffer("mean", th.zeros(()))
         self.register_buffer("mean_square", th.ones(()))
         self.register_buffer("seen", th.zeros(()))
@@ -41,7 +43,7 @@ class ReturnStatistics(nn.Module):
             ``ratio`` and ``shift``: ``v * ratio + shift`` means what the normalised value ``v`` meant before.
         """
         old_mean, old_std = self.mean.clone(), self.std.clone()
-        decay = self.decay if self.seen > 0 else 0.0
+        decay = _DECAY if self.seen > 0 else 0.0
         self.mean.mul_(decay).add_((1 - decay) * returns.mean())
         self.mean_square.mul_(decay).add_((1 - decay) * returns.square().mean())
         self.seen.fill_(1.0)
@@ -56,22 +58,20 @@ class ValueScale(nn.Module):
 
     Args:
         columns: of a row that hold the logarithms of its sizes.
-        decay: weight of what was seen before, in an update.
-        ridge: strength of the pull, in updates.
     """
 
     weights: th.Tensor  # (F,)
     moments: th.Tensor  # (1 + F, 1 + F) of (1, f)
     products: th.Tensor  # (1 + F,) with log |return|
 
-    def __init__(self, columns: list[int], decay: float = 0.98, ridge: float = 0.5) -> None:
+    def __init__(self, columns: list[int]) -> None:
         super().__init__()
-        self.columns, self.decay = columns, decay
+        self.columns = columns
         size = len(columns) + 1
         self.register_buffer("weights", th.zeros(size))
         self.register_buffer("moments", th.zeros(size + 1, size + 1))
         self.register_buffer("products", th.zeros(size + 1))
-        self._pull = ridge * th.diag(th.tensor([0.0] + size * [1.0], dtype=th.float64))
+        self._pull = _RIDGE * th.diag(th.tensor([0.0] + size * [1.0], dtype=th.float64))
 
     def _features(self, rows: th.Tensor) -> th.Tensor:
         sizes = rows[:, self.columns]  # (B, S)
@@ -87,8 +87,8 @@ class ValueScale(nn.Module):
         features = self._features(rows).double()
         features = th.cat([th.ones_like(features[:, :1]), features], dim=1)  # (B, 1 + F)
         targets = returns.abs().clamp_min(1e-3).log().double()
-        self.moments.mul_(self.decay).add_(features.t() @ features / len(rows))
-        self.products.mul_(self.decay).add_(features.t() @ targets / len(rows))
+        self.moments.mul_(_SCALE_DECAY).add_(features.t() @ features / len(rows))
+        self.products.mul_(_SCALE_DECAY).add_(features.t() @ targets / len(rows))
         pulled = self.moments.double() + self._pull.to(rows.device)
         self.weights.copy_(th.linalg.solve(pulled, self.products.double())[1:])
 
@@ -99,8 +99,8 @@ class PopArt(ReturnStatistics):
     An update rescales weights and bias, so that the predicted values stay the same.
     """
 
-    def __init__(self, features: int, decay: float = 0.9) -> None:
-        super().__init__(decay)
+    def __init__(self, features: int) -> None:
+        super().__init__()
         self.linear = nn.Linear(features, 1)
 
     def forward(self, features: th.Tensor) -> th.Tensor:

@@ -1,6 +1,5 @@
 """Mixers: from the agents' utilities to the team's value, which is monotone in each of them."""
 
-from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Sequence
 from typing import cast
@@ -14,36 +13,26 @@ from uavaou.algorithms.nets.set_encoder import SetEncoder
 from uavaou.algorithms.qlearning.branches import UtilityNetwork
 from uavaou.world.views import Columns, RowLayout
 
+MIXERS = ("none", "sum", "monotonic")  # of IQL, VDN and QMIX
 
-class Mixer(nn.Module, ABC):
-    """Mixes utilities (B, U) in states (B, state) to team values (B, V).
 
-    Args:
-        agents: U.
-        state_size: of the global state.
-        width: units of the hidden layer of QMIX's mixing network.
-        hypernet_width: units of the hidden layer of the networks that give its weights.
+class Mixer(nn.Module):
+    """Mixes utilities (B, U) of U ``agents`` in states (B, state) to team values (B, V): V is 1, or U without mixing.
+
+    This class does not mix: every agent is for itself, as in independent Q-learning on the team's reward.
     """
 
-    def __init__(self, agents: int, state_size: int, width: int = 32, hypernet_width: int = 64) -> None:
+    def __init__(self, agents: int = 1) -> None:
         super().__init__()
         self.agents = agents
 
-    @abstractmethod
     def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
-        """Team values, (B, V): V is 1, or U without mixing."""
+        """Team values, (B, V)."""
+        return utilities
 
     def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
         """Change the outputs to ``values * ratio + shift`` for the utilities of ``network``, which may change too."""
         network.rescale(ratio, shift)
-
-
-class NoMixer(Mixer):
-    """Every agent for itself: independent Q-learning on the team's reward."""
-
-    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
-        """The utilities, (B, U)."""
-        return utilities
 
 
 class SumMixer(Mixer):
@@ -59,10 +48,17 @@ class SumMixer(Mixer):
 
 
 class MonotonicMixer(Mixer):
-    """QMIX's mixing network, whose weights >= 0 come from the state (Rashid et al. 2018, arXiv 1803.11485)."""
+    """QMIX's mixing network, whose weights >= 0 come from the state (Rashid et al. 2018, arXiv 1803.11485).
+
+    Args:
+        agents: U.
+        state_size: of the global state.
+        width: units of the hidden layer.
+        hypernet_width: units of the hidden layer of the networks that give the weights.
+    """
 
     def __init__(self, agents: int, state_size: int, width: int = 32, hypernet_width: int = 64) -> None:
-        super().__init__(agents, state_size)
+        super().__init__(agents)
         self.width = width
         self.first_weights = _hypernet(state_size, hypernet_width, agents * width)
         self.first_bias = Linear(state_size, width)
@@ -90,7 +86,7 @@ class SetSumMixer(SumMixer):
     """Q_tot = b + sum_u Q_u over the UAVs that are there; ``columns`` are the state's, of entities."""
 
     def __init__(self, columns: Sequence[Columns]) -> None:
-        nn.Module.__init__(self)
+        super().__init__()
         self._uavs = columns[-2]
         self.bias = nn.Parameter(th.zeros(()))
 
@@ -116,8 +112,8 @@ class StateValueMixer(Mixer):
         hypernet_width: units of the hidden layer of V.
     """
 
-    def __init__(self, inner: SumMixer, features: nn.Module, size: int, hypernet_width: int) -> None:
-        nn.Module.__init__(self)
+    def __init__(self, inner: Mixer, features: nn.Module, size: int, hypernet_width: int) -> None:
+        super().__init__()
         self.inner, self.features = inner, features
         self.value = _hypernet(size, hypernet_width, 1)
 
@@ -137,7 +133,7 @@ class SetMixer(MonotonicMixer):
 
     Args:
         columns: the state's, of entities.
-        width, hypernet_width: as :class:`Mixer`'s.
+        width, hypernet_width: as :class:`MonotonicMixer`'s.
     """
 
     def __init__(self, columns: Sequence[Columns], width: int = 32, hypernet_width: int = 64) -> None:
@@ -164,24 +160,25 @@ def make_mixer(
         name: of :data:`MIXERS`.
         network: ``set`` for any number of UAVs.
         layout: of the rows.
-        width, hypernet_width: as :class:`Mixer`'s.
+        width, hypernet_width: as :class:`MonotonicMixer`'s.
         state_value_width: hidden units of a value of the state beside the sum; 0: there is none.
     """
-    if state_value_width and name == "sum":
-        inner = cast("SumMixer", make_mixer(name, network, layout, width, hypernet_width))
-        if network == "mlp":
-            return StateValueMixer(inner, nn.Identity(), layout.global_size, state_value_width)
-        encoder = SetEncoder(layout.state)
-        return StateValueMixer(inner, encoder, encoder.size, state_value_width)
-    if network == "mlp" or name == "none":
-        return MIXERS[name](layout.uavs, layout.global_size, width, hypernet_width)
-    return SetSumMixer(layout.state) if name == "sum" else SetMixer(layout.state, width, hypernet_width)
+    flat = network == "mlp"
+    if name == "none":
+        return Mixer()
+    if name == "monotonic":
+        sizes = width, hypernet_width
+        return MonotonicMixer(layout.uavs, layout.global_size, *sizes) if flat else SetMixer(layout.state, *sizes)
+    mixer = SumMixer(layout.uavs) if flat else SetSumMixer(layout.state)
+    if not state_value_width:
+        return mixer
+    if flat:
+        return StateValueMixer(mixer, nn.Identity(), layout.global_size, state_value_width)
+    encoder = SetEncoder(layout.state)
+    return StateValueMixer(mixer, encoder, encoder.size, state_value_width)
 
 
 def _hypernet(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     """Weights of the mixing network from the state."""
     layers = {"inner": Linear(inputs, hidden), "relu": nn.ReLU(), "outer": Linear(hidden, outputs)}
     return nn.Sequential(OrderedDict(layers))
-
-
-MIXERS: dict[str, type[Mixer]] = {"none": NoMixer, "sum": SumMixer, "monotonic": MonotonicMixer}  # IQL, VDN, QMIX

@@ -78,7 +78,7 @@ class JointQPolicy(LocalPolicy):
         self.mixer = make_mixer(mixer, network, row_layout, mixer_width, hypernet_width, state_value_width)
         self.target_utilities = deepcopy(self.utilities).requires_grad_(False)
         self.target_mixer = deepcopy(self.mixer).requires_grad_(False)
-        self.returns = ReturnStatistics(decay=0.9)
+        self.returns = ReturnStatistics()
         self.scale = ValueScale(row_layout.size_columns(of_state=True)) if network == "set" else None
         self.epsilon: th.Tensor
         self.register_buffer("epsilon", th.zeros(()))  # exploration when the policy was last trained
