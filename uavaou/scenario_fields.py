@@ -6,7 +6,7 @@ from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from uavaou.arrays import Floats
 from uavaou.errors import InfeasibleError, InputError, all_faults
@@ -21,6 +21,7 @@ from uavaou.fields import (
     Point,
     Positive,
     PositiveWhole,
+    Strict,
     Unbounded,
     Whole,
 )
@@ -37,10 +38,8 @@ _MOST_SHOWN = 8  # entries of a list in an error
 _BREAKS = "which breaks constraint"
 
 
-class Range(BaseModel):
+class Range(Strict):
     """Values drawn uniformly between two ends, one for each device: ``{low: 0.2, high: 1}``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     low: NonNegative
     high: Positive
@@ -59,10 +58,8 @@ class WholeRange(Range):
     high: Period
 
 
-class ScenarioFields(BaseModel):
+class ScenarioFields(Strict):
     """Area, fleet, devices, channel and mission."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: FolderName = "custom"
     description: str = ""

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 import torch as th
-from numpy.typing import NDArray
 
 from uavaou import __version__
-from uavaou.arrays import Floats
+from uavaou.arrays import Floats, Ints, Singles
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.files import replacing, write_text, writing
@@ -99,7 +98,7 @@ def start_graph(graph: bytes) -> Any:
     return onnxruntime.InferenceSession(graph, options, ["CPUExecutionProvider"])
 
 
-def actions_of(outputs: list[NDArray[np.float32]]) -> NDArray[np.int64]:
+def actions_of(outputs: list[Singles]) -> Ints:
     """The likeliest actions (B, 1 + I), or (B, 1), of a graph's outputs."""
     move = outputs[0].argmax(axis=1)[:, None]
     return np.concatenate([move, *(logits > 0 for logits in outputs[1:])], axis=1)

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import torch as th
-from torch import nn
+from torch import Tensor, nn
 from torch.nn import functional
 
 from uavaou.algorithms.mappo import CentralizedValuePolicy
@@ -106,7 +106,7 @@ class _Decision(nn.Module):
         self.policy, self.is_actor = policy, isinstance(policy, CentralizedValuePolicy)
         self.symmetries = SquareSymmetries(_LAYOUT)
 
-    def forward(self, *inputs: th.Tensor) -> tuple[th.Tensor, ...]:
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         policy, layout = self.policy, self.policy.row_layout
         if layout.rows == "flat":
             logits = self._of_flat_rows(*inputs)
@@ -120,14 +120,14 @@ class _Decision(nn.Module):
             for each, mask in zip(logits[: 1 + layout.selects], masks, strict=False)
         )
 
-    def _of_flat_rows(self, local: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+    def _of_flat_rows(self, local: Tensor) -> tuple[Tensor, Tensor]:
         if self.is_actor:
             logits = self.policy.logits(local)
             return logits[:, :MOVES], logits[:, MOVES:]
         values = self.policy.utilities(local, self.policy.allowed(local))
         return values[:, :MOVES], values[:, MOVES + 1 :: 2] - values[:, MOVES::2]
 
-    def _of_entities(self, *inputs: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+    def _of_entities(self, *inputs: Tensor) -> tuple[Tensor, Tensor]:
         """The mean over the eight views of the map, or the row's own view."""
         policy, symmetries, views, seen = self.policy, self.symmetries, 1 if self.policy.symmetries is None else 8, []
         for part, tokens in zip(_LAYOUT.local, inputs, strict=False):

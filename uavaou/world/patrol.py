@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaou.arrays import Bools, Floats, Ints
+from uavaou.arrays import Bools, Floats, Ints, Singles
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.flight import Flight, first_step, grid_cells, neighbours
@@ -22,7 +22,6 @@ _MISSIONS, _FLOWN_DEVICES = 8, 800  # flown for each part, fewer where there are
 _WORSE = 0.02  # in one mission, from which a change is not flown in more
 _LANES = 32  # columns are a multiple of it: whole vectors of the processor
 
-Singles = NDArray[np.float32]
 Cells = NDArray[np.int32]
 
 

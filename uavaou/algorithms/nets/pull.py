@@ -22,7 +22,7 @@ from importlib import import_module
 from typing import Any
 
 import torch as th
-from torch import nn
+from torch import Tensor, nn
 from torch.nn import functional
 
 from uavaou.world.pull import NOTHING, OTHERS, SCORE_RANGE, TIE
@@ -50,7 +50,7 @@ class Pull(nn.Module):
         self.columns = layout.token_feature("pulls", PULL[0]).start, own.start, present.start, own.step
         self.numbers = nn.Parameter(th.tensor([sharpness, 1.0, *part]).log())  # beta, lambda, part twice
 
-    def forward(self, rows: th.Tensor, changes: th.Tensor) -> th.Tensor:
+    def forward(self, rows: Tensor, changes: Tensor) -> Tensor:
         """Return the pull of each move, (B, 5), at most 0.
 
         Args:
@@ -59,16 +59,16 @@ class Pull(nn.Module):
         """
         fast = compiled_module("pulls")
         if fast is not None and fast.supports(rows):
-            pulls: th.Tensor = fast.pull(rows, changes, self.numbers, self.columns)
+            pulls: Tensor = fast.pull(rows, changes, self.numbers, self.columns)
             return pulls
         return self.define(rows, changes)
 
     @th.no_grad()
-    def rescale(self, ratio: th.Tensor) -> None:
+    def rescale(self, ratio: Tensor) -> None:
         """Multiply the pulls by ``ratio``."""
         self.numbers[0] += ratio.log()
 
-    def define(self, rows: th.Tensor, changes: th.Tensor) -> th.Tensor:
+    def define(self, rows: Tensor, changes: Tensor) -> Tensor:
         """Return what :meth:`forward` does, by torch's operators."""
         first, own, present, width = self.columns
         devices = changes.shape[1] // CHANGES
@@ -76,7 +76,7 @@ class Pull(nn.Module):
         own, there = (rows[:, at : at + devices * width : width] for at in (own, present))  # (B, I) each
         return self.combine(own, there, pulls, changes)
 
-    def combine(self, own: th.Tensor, there: th.Tensor, pulls: th.Tensor, changes: th.Tensor) -> th.Tensor:
+    def combine(self, own: Tensor, there: Tensor, pulls: Tensor, changes: Tensor) -> Tensor:
         """Return the same for the flags of own parts and of presence (B, I), and the tokens of pulls (B, I, 7)."""
         sharpness, reach, part, part_shared = self.numbers.exp().unbind()
         score_change, reach_change = changes.tanh().chunk(CHANGES, dim=1)  # (B, I) each

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 
 import torch as th
-from torch import nn
+from torch import Tensor, nn
 from torch.nn import functional
 
 from uavaou.algorithms.nets.action_head import FORBIDDEN
@@ -52,22 +52,22 @@ class SetEncoder(nn.Module):
             self.query.weight[heads * width :] *= 0.01  # as the action head: at first nothing is preferred
         self.size = self.query.in_features + (heads + 2) * width
 
-    def forward(self, rows: th.Tensor) -> th.Tensor:
+    def forward(self, rows: Tensor) -> Tensor:
         """Return features of ``rows`` (B, columns), and behind them the devices' numbers, (B, size + n I)."""
         fast = compiled_module("tokens")
         if fast is not None and fast.supports(rows):
-            encoded: th.Tensor = fast.encode(rows, self.columns[-1].stop, self.uavs, self.heads, *self.parameters())
+            encoded: Tensor = fast.encode(rows, self.columns[-1].stop, self.uavs, self.heads, *self.parameters())
             return encoded
         return self.define(rows)
 
-    def define(self, rows: th.Tensor) -> th.Tensor:
+    def define(self, rows: Tensor) -> Tensor:
         """Return what :meth:`forward` does, by torch's operators."""
         *own, uavs, devices = (rows[:, columns.slice] for columns in self.columns)
         mates = uavs.reshape(len(rows), self.uavs, self.columns[-2].width)  # (B, V, uav)
         mates = functional.pad(mates, (0, 0, 0, 1))  # with a token of padding, there is a maximum without UAVs too
         return self.encode(th.cat(own, dim=1), mates, devices.reshape(len(rows), -1, self.columns[-1].width))
 
-    def encode(self, own: th.Tensor, mates: th.Tensor, tokens: th.Tensor) -> th.Tensor:
+    def encode(self, own: Tensor, mates: Tensor, tokens: Tensor) -> Tensor:
         """Return the same for own columns (B, own), tokens of UAVs (B, V, uav) and devices (B, I, device)."""
         width = self.width
         context = th.relu(self.own(own))  # (B, w)
@@ -90,7 +90,7 @@ class SetEncoder(nn.Module):
             tensor[(self.heads + first) * self.width :] = 0.0
 
     @th.no_grad()
-    def rescale_logits(self, ratio: th.Tensor) -> None:
+    def rescale_logits(self, ratio: Tensor) -> None:
         """Multiply the first number of each device, a logit, by ``ratio``."""
         for tensor in (self.query.weight, self.query.bias):
             tensor[self.heads * self.width : (self.heads + 1) * self.width] *= ratio
@@ -127,11 +127,11 @@ class SetNetwork(nn.Module):
         if pull is not None:
             self.encoder.zero_numbers(selects)
 
-    def forward(self, rows: th.Tensor) -> th.Tensor:
+    def forward(self, rows: Tensor) -> Tensor:
         """Return features of ``rows`` (B, columns), and behind them pulls and logits, (B, hidden (+ 5) (+ I))."""
         return self.outputs(self.encoder(rows), lambda pull, changes: pull(rows, changes))
 
-    def outputs(self, encoded: th.Tensor, pulled: Callable[[Pull, th.Tensor], th.Tensor]) -> th.Tensor:
+    def outputs(self, encoded: Tensor, pulled: Callable[[Pull, Tensor], Tensor]) -> Tensor:
         """Return the same for what the encoder gives; ``pulled`` gives the pulls for the changes of the devices'."""
         size = self.encoder.size
         parts = [self.layers(encoded[:, :size])]

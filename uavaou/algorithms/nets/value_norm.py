@@ -1,7 +1,7 @@
 """Value normalisation: the critic learns returns of mean 0 and variance 1 (van Hasselt et al. 2016, PopArt)."""
 
 import torch as th
-from torch import nn
+from torch import Tensor, nn
 
 from uavaou.algorithms.nets.mlp import rescale_linear
 
@@ -12,9 +12,9 @@ _RIDGE = 0.5  # strength of the scale's pull to 0, in updates
 class ReturnStatistics(nn.Module):
     """Running mean and variance of returns, to normalise values."""
 
-    mean: th.Tensor
-    mean_square: th.Tensor
-    seen: th.Tensor
+    mean: Tensor
+    mean_square: Tensor
+    seen: Tensor
 
     def __init__(self) -> None:
         super().__init__()
@@ -23,20 +23,20 @@ class ReturnStatistics(nn.Module):
         self.register_buffer("seen", th.zeros(()))
 
     @property
-    def std(self) -> th.Tensor:
+    def std(self) -> Tensor:
         """Standard deviation of the returns."""
         return (self.mean_square - self.mean**2).clamp_min(1e-8).sqrt()
 
-    def denormalise(self, normalised: th.Tensor) -> th.Tensor:
+    def denormalise(self, normalised: Tensor) -> Tensor:
         """Values in units of the training reward."""
         return normalised * self.std + self.mean
 
-    def normalise(self, returns: th.Tensor) -> th.Tensor:
+    def normalise(self, returns: Tensor) -> Tensor:
         """Targets of the value loss."""
         return (returns - self.mean) / self.std
 
     @th.no_grad()
-    def update(self, returns: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+    def update(self, returns: Tensor) -> tuple[Tensor, Tensor]:
         """Take in returns.
 
         Returns:
@@ -60,9 +60,9 @@ class ValueScale(nn.Module):
         columns: of a row that hold the logarithms of its sizes.
     """
 
-    weights: th.Tensor  # (F,)
-    moments: th.Tensor  # (1 + F, 1 + F) of (1, f)
-    products: th.Tensor  # (1 + F,) with log |return|
+    weights: Tensor  # (F,)
+    moments: Tensor  # (1 + F, 1 + F) of (1, f)
+    products: Tensor  # (1 + F,) with log |return|
 
     def __init__(self, columns: list[int]) -> None:
         super().__init__()
@@ -73,16 +73,16 @@ class ValueScale(nn.Module):
         self.register_buffer("products", th.zeros(size + 1))
         self._pull = _RIDGE * th.diag(th.tensor([0.0] + size * [1.0], dtype=th.float64))
 
-    def _features(self, rows: th.Tensor) -> th.Tensor:
+    def _features(self, rows: Tensor) -> Tensor:
         sizes = rows[:, self.columns]  # (B, S)
         return th.cat([sizes, sizes[:, :1] * sizes[:, 1:2]], dim=1)
 
-    def forward(self, rows: th.Tensor) -> th.Tensor:
+    def forward(self, rows: Tensor) -> Tensor:
         """Return the scale of values (B,) of ``rows`` (B, columns)."""
         return th.exp(self._features(rows) @ self.weights)
 
     @th.no_grad()
-    def update(self, rows: th.Tensor, returns: th.Tensor) -> None:
+    def update(self, rows: Tensor, returns: Tensor) -> None:
         """Take in the returns (B,) of a rollout, in units of the reward, in ``rows`` (B, columns)."""
         features = self._features(rows).double()
         features = th.cat([th.ones_like(features[:, :1]), features], dim=1)  # (B, 1 + F)
@@ -103,12 +103,12 @@ class PopArt(ReturnStatistics):
         super().__init__()
         self.linear = nn.Linear(features, 1)
 
-    def forward(self, features: th.Tensor) -> th.Tensor:
+    def forward(self, features: Tensor) -> Tensor:
         """Normalised values, (B, 1)."""
-        normalised: th.Tensor = self.linear(features)
+        normalised: Tensor = self.linear(features)
         return normalised
 
-    def update(self, returns: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+    def update(self, returns: Tensor) -> tuple[Tensor, Tensor]:
         """Take in the returns of a rollout."""
         ratio, shift = super().update(returns)
         rescale_linear(self.linear, ratio, shift)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import cast
 
 import torch as th
-from torch import nn
+from torch import Tensor, nn
 from torch.nn import functional
 
 from uavaou.algorithms.nets.mlp import Linear, rescale_linear
@@ -26,11 +26,11 @@ class Mixer(nn.Module):
         super().__init__()
         self.agents = agents
 
-    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+    def forward(self, utilities: Tensor, states: Tensor) -> Tensor:
         """Team values, (B, V)."""
         return utilities
 
-    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
+    def rescale(self, network: UtilityNetwork, ratio: Tensor, shift: Tensor) -> None:
         """Change the outputs to ``values * ratio + shift`` for the utilities of ``network``, which may change too."""
         network.rescale(ratio, shift)
 
@@ -38,11 +38,11 @@ class Mixer(nn.Module):
 class SumMixer(Mixer):
     """Q_tot = sum_u Q_u: value decomposition networks (Sunehag et al. 2018, arXiv 1706.05296)."""
 
-    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+    def forward(self, utilities: Tensor, states: Tensor) -> Tensor:
         """Q_tot, (B, 1)."""
         return utilities.sum(dim=1, keepdim=True)
 
-    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
+    def rescale(self, network: UtilityNetwork, ratio: Tensor, shift: Tensor) -> None:
         """Rescale every utility and spread the shift over them."""
         network.rescale(ratio, shift / self.agents)
 
@@ -65,18 +65,18 @@ class MonotonicMixer(Mixer):
         self.second_weights = _hypernet(state_size, hypernet_width, width)
         self.value = _hypernet(state_size, hypernet_width, 1)
 
-    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+    def forward(self, utilities: Tensor, states: Tensor) -> Tensor:
         """Q_tot, (B, 1)."""
         return self._mix(utilities, self.first_weights(states).abs().view(-1, self.agents, self.width), states)
 
-    def _mix(self, utilities: th.Tensor, first: th.Tensor, states: th.Tensor) -> th.Tensor:
+    def _mix(self, utilities: Tensor, first: Tensor, states: Tensor) -> Tensor:
         """Q_tot, (B, 1), with the first layer's weights (B, U, width); the others come from ``states``."""
         hidden = functional.elu(th.bmm(utilities[:, None], first)[:, 0] + self.first_bias(states))  # (B, width)
         second = self.second_weights(states).abs()  # (B, width)
-        mixed: th.Tensor = (hidden * second).sum(dim=1, keepdim=True) + self.value(states)
+        mixed: Tensor = (hidden * second).sum(dim=1, keepdim=True) + self.value(states)
         return mixed
 
-    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
+    def rescale(self, network: UtilityNetwork, ratio: Tensor, shift: Tensor) -> None:
         """Rescale the outer layer of the mixing network; the utilities do not change."""
         rescale_linear(cast("Linear", self.second_weights[-1]), ratio)
         rescale_linear(cast("Linear", self.value[-1]), ratio, shift)
@@ -90,12 +90,12 @@ class SetSumMixer(SumMixer):
         self._uavs = columns[-2]
         self.bias = nn.Parameter(th.zeros(()))
 
-    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+    def forward(self, utilities: Tensor, states: Tensor) -> Tensor:
         """Q_tot, (B, 1)."""
         present = states[:, self._uavs.start : self._uavs.stop : self._uavs.width]  # (B, U)
         return (utilities * present).sum(dim=1, keepdim=True) + self.bias
 
-    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
+    def rescale(self, network: UtilityNetwork, ratio: Tensor, shift: Tensor) -> None:
         """Rescale every utility, and shift the bias."""
         network.rescale(ratio, th.zeros_like(shift))
         with th.no_grad():
@@ -117,12 +117,12 @@ class StateValueMixer(Mixer):
         self.inner, self.features = inner, features
         self.value = _hypernet(size, hypernet_width, 1)
 
-    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+    def forward(self, utilities: Tensor, states: Tensor) -> Tensor:
         """Q_tot, (B, 1)."""
-        mixed: th.Tensor = self.inner(utilities, states) + self.value(self.features(states))
+        mixed: Tensor = self.inner(utilities, states) + self.value(self.features(states))
         return mixed
 
-    def rescale(self, network: UtilityNetwork, ratio: th.Tensor, shift: th.Tensor) -> None:
+    def rescale(self, network: UtilityNetwork, ratio: Tensor, shift: Tensor) -> None:
         """Rescale the sum, which takes the shift, and the value."""
         self.inner.rescale(network, ratio, shift)
         rescale_linear(cast("Linear", self.value[-1]), ratio)
@@ -143,7 +143,7 @@ class SetMixer(MonotonicMixer):
         self.encoder = encoder
         self.first_weights = _hypernet(encoder.size + self._uavs.width, hypernet_width, width)
 
-    def forward(self, utilities: th.Tensor, states: th.Tensor) -> th.Tensor:
+    def forward(self, utilities: Tensor, states: Tensor) -> Tensor:
         """Q_tot, (B, 1); UAVs that are not there have weights 0."""
         features = self.encoder(states)  # (B, size)
         tokens = states[:, self._uavs.slice].reshape(*utilities.shape, self._uavs.width)  # (B, U, uav)
