@@ -1,17 +1,19 @@
 """What the policies of all learners share: they act on the local part of a row."""
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from stable_baselines3.common.policies import BasePolicy
 
-from uavaou.algorithms.nets.mlp import ACTIVATIONS
-from uavaou.algorithms.nets.set_encoder import TOKEN_WIDTH, check_network
+from uavaou.algorithms.nets.mlp import ACTIVATIONS, Mlp, mlp
+from uavaou.algorithms.nets.pull import Pull
+from uavaou.algorithms.nets.set_encoder import TOKEN_WIDTH, SetNetwork, check_network
 from uavaou.algorithms.nets.symmetries import SquareSymmetries
 from uavaou.algorithms.postpone_dynamo import postpone_dynamo
 from uavaou.errors import InputError, unknown
-from uavaou.world.views import RowLayout
+from uavaou.world.views import Columns, RowLayout
 
 
 class LocalPolicy(BasePolicy):
@@ -64,6 +66,14 @@ class LocalPolicy(BasePolicy):
         self._sharpness, self._token_width = pull, token_width
         postpone_dynamo()
         super().__init__(*args, **kwargs)
+
+    def make_body(
+        self, columns: Sequence[Columns], selects: bool = False, pull: Pull | None = None
+    ) -> Mlp | SetNetwork:
+        """Make the layers between rows and heads; of a set, each device has a logit if it ``selects``."""
+        if self.network == "mlp":
+            return mlp(columns[-1].stop, self._hidden, self._activation)
+        return SetNetwork(columns, self._hidden, self._activation, selects, pull, self._token_width)
 
     @cached_property
     def symmetries(self) -> SquareSymmetries | None:

@@ -25,6 +25,7 @@ class Flight:
         self._scenario = scenario
         self._vertical = 2 * scenario.altitudes  # (U,) m, take-off and landing
         self.cds: Ints = scenario.cds_cells  # (U, 2)
+        self.homes: Ints = self.cds @ np.array([scenario.rows, 1])  # (U,) the same as numbers of cells
         affordable = (scenario.flight_time_budget_s + ZETA_TOLERANCE_S) * scenario.speed_m_s - self._vertical
         moves = np.minimum(np.floor(affordable / scenario.grid_step_m), _UNLIMITED).astype(np.int64)
         # Without (Time), the budget is the number of slots, so it never binds.

@@ -11,7 +11,6 @@ from torch import Tensor, nn
 from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.action_head import MoveAndDeviceLogits, MoveSelectionDistribution
 from uavaou.algorithms.nets.pull import Pull
-from uavaou.algorithms.nets.set_encoder import make_body
 from uavaou.algorithms.nets.value_norm import PopArt, ValueScale
 from uavaou.errors import unknown
 
@@ -58,17 +57,17 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         )
 
     def _build(self, lr_schedule: Schedule) -> None:
-        layout, network = self.row_layout, (self.network, self._hidden, self._activation)
+        layout = self.row_layout
         self.allowed_columns = layout.local_columns("allowed_moves") if self.masks else None
         self.in_range_columns = layout.in_range_columns if self.masks and layout.selects else None
         devices = layout.devices if layout.selects else 0
         by_token = self.network != "mlp" and layout.selects
         self.action_dist = MoveSelectionDistribution(devices)
         pull = Pull(layout, self._sharpness) if self.pull else None
-        self.actor_body = make_body(layout.local, *network, selects=by_token, pull=pull, width=self._token_width)
+        self.actor_body = self.make_body(layout.local, by_token, pull)
         head = self.action_dist.proba_distribution_net(self.actor_body.size, 0 if by_token else devices)
         of_slot = self.critic_input == "global"
-        self.critic_body = make_body(layout.state if of_slot else layout.local, *network, width=self._token_width)
+        self.critic_body = self.make_body(layout.state if of_slot else layout.local)
         self.value_net = PopArt(self._hidden[-1])
         # With pulls, the moves' logits are these alone at first, also where some are equal.
         for module, gain in ((head, 0.0 if self.pull else 0.01), (self.value_net.linear, 1.0)):

@@ -143,21 +143,6 @@ class SetNetwork(nn.Module):
         return th.cat(parts, dim=1)
 
 
-def make_body(
-    columns: Sequence[Columns],
-    network: str,
-    hidden: list[int],
-    activation: str,
-    selects: bool = False,
-    pull: Pull | None = None,
-    width: int = TOKEN_WIDTH,
-) -> Mlp | SetNetwork:
-    """Make the layers between rows and heads: an ``mlp``, or a set whose devices have logits if it ``selects``."""
-    if network == "mlp":
-        return mlp(columns[-1].stop, hidden, activation)
-    return SetNetwork(columns, hidden, activation, selects, pull, width)
-
-
 def without_pulls(columns: Sequence[Columns]) -> tuple[Columns, ...]:
     """Return the columns that an encoder reads."""
     return tuple(part for part in columns if part.name != "pulls")
