@@ -69,7 +69,7 @@ def test_the_fast_gradient_is_that_of_the_loss(
     assert_close(pair)
 
 
-@pytest.mark.parametrize("critic_input", ["global", "local"])
+@pytest.mark.parametrize("critic_input", ["global", "both"])
 def test_the_gradients_of_shards_add_up_to_that_of_the_loss(critic_input: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loss, "ROWS", 4)
     model = small_model(policy_kwargs={"critic_input": critic_input})
@@ -80,7 +80,7 @@ def test_the_gradients_of_shards_add_up_to_that_of_the_loss(critic_input: str, m
     assert_close(both_gradients(model, np.arange(9)))
 
 
-@pytest.mark.parametrize("critic_input", ["global", "local"])
+@pytest.mark.parametrize("critic_input", ["global", "both"])
 def test_the_fast_gradient_is_that_of_the_loss_without_masks(critic_input: str) -> None:
     env = flatten(Scenario.load("quickstart").replace(slots=12), missions=4, observation="location")
     arguments: dict[str, Any] = {"n_steps": 6, "batch_size": 16, "seed": 0, "device": "cpu"}

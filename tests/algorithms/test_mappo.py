@@ -132,10 +132,25 @@ def test_every_advantage_normalisation_trains(advantage_normalization: str) -> N
     assert all(th.isfinite(parameter).all() for parameter in model.policy.parameters())
 
 
+def test_a_critic_of_both_reads_whole_rows() -> None:
+    model = small_model(policy_kwargs={"critic_input": "both"})
+    model.learn(6 * 8)
+    layout, rows = model.policy.row_layout, th.from_numpy(model._last_obs)
+    values = model.policy.predict_values(rows)
+    for column in (0, layout.local_size):  # of the local part, and of the global one
+        changed = rows.clone()
+        changed[:, column] += 1
+        assert not th.equal(model.policy.predict_values(changed), values)
+    buffer = model.rollout_buffer
+    assert buffer.values.shape[2] == layout.uavs
+    assert np.array_equal(buffer.critic_rows[..., : layout.local_size], buffer.local)
+    assert np.array_equal(buffer.critic_rows[:, :, 1, layout.local_size :], buffer.state)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"policy_kwargs": {"network": "set"}}, "reads rows of entities"),
+        ({"policy_kwargs": {"critic_input": "both", "network": "set"}}, "reads rows of entities"),
         ({"clip_range_vf": 0.2}, "clip_range_vf: not an argument of MAPPO"),
         ({"normalize_advantage": True}, "see advantage_normalization"),
         ({"policy_kwargs": {"activation": "gelu"}}, "unknown activation 'gelu'"),

@@ -116,3 +116,4 @@ def test_the_shipped_search_fits_four_hours_of_two_cores_and_chooses_on_layouts_
     assert last.seeds == 3
     for config, space in shipped.arms.values():
         assert {"hidden", "masks"} <= space.dimensions.keys(), config.name
+    assert "critic_input" in shipped.arms["mappo"][1].dimensions

@@ -91,7 +91,7 @@ def make_graph(policy: Any) -> bytes:
             _Decision(policy), given, written, dynamo=False, opset_version=OPSET, input_names=[*rows],
             output_names=outputs, dynamic_axes={name: axes[name] for name in (*rows, *outputs)},
         )  # fmt: skip
-    return bytes(written.getvalue())
+    return written.getvalue()
 
 
 def _body(policy: Any) -> Any:
