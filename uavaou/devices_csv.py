@@ -121,7 +121,7 @@ def read_devices(
         if stated_devices is not None and stated_devices != len(table):
             faults.append(InputError(f"devices = {short(stated_devices)}: but {csv} holds {len(table)}"))
         fields["devices"] = len(table)
-        values: dict[str, list[float]] = {}
+        values = {}
         for name, column in columns.items():
             with collecting(faults):
                 values[name] = table.floats(column).tolist()

@@ -7,16 +7,16 @@ stays that of its base. All draws have ``layout: resample``, so that each missio
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, StrictStr, model_validator
+from pydantic import BeforeValidator, Field, StrictBool, StrictStr, model_validator
 
 from uavaou.arrays import Floats
 from uavaou.errors import InputError
-from uavaou.fields import FolderName, Length, NonNegative, Positive, PositiveWhole, validated
+from uavaou.fields import FolderName, Fraction, Length, NonNegative, Positive, PositiveWhole, Strict, validated
 from uavaou.scenario import Scenario
 from uavaou.scenario_fields import Range
 from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_or_file
@@ -26,21 +26,18 @@ _TRIED = 64  # draws that are made when a family is read
 _LEAST_SPAN = 0.25  # the part of the range of altitudes that a fleet takes at least
 _CLUSTER = 0.08  # standard deviation of the devices of a cluster along each side, in lengths of the side
 
-Share = Annotated[NonNegative, Field(le=1)]  # of the draws
 Count = Annotated[PositiveWhole, Field(le=100_000)]
 
 
-class Draw(BaseModel):
+class Draw(Strict):
     """A quantity: between two ends, ``{low: 5, high: 120, log: true}``, or one of some values, ``{among: [0, 3]}``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     low: NonNegative | None = None
     high: NonNegative | None = None  # included
     log: StrictBool = False  # the logarithm is uniform
     among: Annotated[tuple[NonNegative, ...], Field(min_length=1)] | None = None
     weights: tuple[Positive, ...] | None = None  # of the values in ``among``; None for equal ones
-    share: Share = 1.0  # the other draws keep the value of the base
+    share: Fraction = 1.0  # the other draws keep the value of the base
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -95,13 +92,11 @@ class WholeDraw(Draw):
 class AltitudeDraw(Range):
     """Altitudes of a fleet, evenly apart in a part of the range, in a random order."""
 
-    share: Share = 1.0  # the other fleets take the range of the base
+    share: Fraction = 1.0  # the other fleets take the range of the base
 
 
-class CdsDraw(BaseModel):
+class CdsDraw(Strict):
     """How often the CDSs lie in which way; the four numbers are weights."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     corners: NonNegative = 0.0  # in the corners, in a random order; from the fifth UAV on again
     edges: NonNegative = 0.0  # anywhere at the edges of the area
@@ -137,24 +132,22 @@ def _base(value: Any) -> Any:
     return value
 
 
-class Family(BaseModel):
+class Family(Strict):
     """A base scenario and what is drawn anew; each field that is not given stays that of the base.
 
     :meth:`load` reads a family, :meth:`draw` makes a member.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     name: FolderName = "custom"
     description: StrictStr = ""
     base: Annotated[Scenario, BeforeValidator(_base)]  # in a file: a name or a path, or the fields
-    base_share: Share = 0.0  # of the draws: the base itself, on new layouts
+    base_share: Fraction = 0.0  # of the draws: the base itself, on new layouts
     uavs: WholeDraw | None = None
     devices: WholeDraw | None = None
     clusters: WholeDraw | None = None  # that the devices lie in; without, they lie anywhere
     grid_step_m: LengthDraw | None = None  # a slot takes as long for each step as in the base
     area_m: LengthDraw | None = None  # of a side, rounded to whole grid steps
-    square: Share = 1.0  # of the drawn areas have equal sides
+    square: Fraction = 1.0  # of the drawn areas have equal sides
     cds: CdsDraw = CdsDraw(corners=1)
     altitudes_m: AltitudeDraw | None = None
     slots: WholeDraw | None = None  # the flight-time budget is in proportion
@@ -284,7 +277,7 @@ class Family(BaseModel):
             span = (drawn.high - drawn.low) * ((_LEAST_SPAN + (1 - _LEAST_SPAN) * part) if uavs > 1 else 0.0)
             low = drawn.low + place * (drawn.high - drawn.low - span)
             high = low + span
-        even: Floats = np.linspace(low, high, uavs)
+        even = np.linspace(low, high, uavs)
         return [float(altitude) for altitude in rng.permutation(even.round(2))]
 
 
@@ -310,21 +303,21 @@ def _range(value: float | tuple[float, ...] | Range) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,)
 
 
-# Quantity, its unit, the field of a family that draws it (if any does), and its values in a scenario.
-_QUANTITIES: tuple[tuple[str, str, str, Callable[[Scenario], Sequence[float]]], ...] = (
-    ("sides", "m", "area_m", lambda one: (one.area_x_m, one.area_y_m)),
-    ("uavs", "", "uavs", lambda one: (one.uavs,)),
-    ("devices", "", "devices", lambda one: (one.devices,)),
-    ("slots", "", "slots", lambda one: (one.slots,)),
-    ("grid steps", "m", "grid_step_m", lambda one: (one.grid_step_m,)),
-    ("altitudes", "m", "altitudes_m", lambda one: one.altitudes_m),
-    ("longest update periods", "slots", "longest_update_period_slots", lambda one: (one.longest_update_period,)),
-    ("minimum rates", "bit/s", "rate_min_bit_s", lambda one: (one.rate_min_bit_s,)),
-    ("Rician factors", "", "rician_factor", lambda one: (one.rician_factor,)),
-    ("bandwidths", "Hz", "", lambda one: _range(one.bandwidth_hz)),
-    ("transmit powers", "mW", "", lambda one: _range(one.transmit_power_mw)),
-    ("noise powers", "dBm", "", lambda one: (one.noise_power_dbm,)),
-    ("reference gains", "dB", "", lambda one: (10 * math.log10(one.reference_gain),)),
+# Quantity, its unit, the field of a family that draws it (if any does), and its fields in a scenario.
+_QUANTITIES = (
+    ("sides", "m", "area_m", "area_x_m area_y_m"),
+    ("uavs", "", "uavs", "uavs"),
+    ("devices", "", "devices", "devices"),
+    ("slots", "", "slots", "slots"),
+    ("grid steps", "m", "grid_step_m", "grid_step_m"),
+    ("altitudes", "m", "altitudes_m", "altitudes_m"),
+    ("longest update periods", "slots", "longest_update_period_slots", "longest_update_period"),
+    ("minimum rates", "bit/s", "rate_min_bit_s", "rate_min_bit_s"),
+    ("Rician factors", "", "rician_factor", "rician_factor"),
+    ("bandwidths", "Hz", "", "bandwidth_hz"),
+    ("transmit powers", "mW", "", "transmit_power_mw"),
+    ("noise powers", "dBm", "", "noise_power_dbm"),
+    ("reference gains", "dB", "", "gain_db"),
 )
 _ROUNDING = 1e-9  # relative
 
@@ -335,10 +328,12 @@ def beyond(family: Family, scenario: Scenario) -> list[str]:
     Each quantity is compared by itself: a scenario within all bounds may still be an unusual draw.
     """
     found = []
-    for quantity, unit, field, values in _QUANTITIES:
-        low, high = family.ends(field, values(family.base))
+    for quantity, unit, field, names in _QUANTITIES:
+        of_base, own = (
+            [v for name in names.split() for v in _range(getattr(of, name))] for of in (family.base, scenario)
+        )
+        low, high = family.ends(field, of_base)
         drawn_to = scenario.grid_step_m / 2 if field == "area_m" else _ROUNDING * max(abs(low), abs(high))
-        own = values(scenario)
         if min(own) < low - drawn_to or max(own) > high + drawn_to:
             found.append(f"{quantity} {_span(min(own), max(own), unit)} (in training {_span(low, high, unit)})")
     return found

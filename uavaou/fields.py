@@ -11,9 +11,25 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PlainSerializer, ValidationError, create_model
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    create_model,
+)
 
 from uavaou.errors import InputError, all_faults, nearest
+
+
+class Strict(BaseModel):
+    """A model that does not change and refuses unknown fields."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
 
 DEVICE_COLUMNS = ("bandwidth_hz", "transmit_power_mw", "update_period_slots")  # a value, a range, or one a device
 
@@ -42,6 +58,7 @@ def _plain_number(value: Any) -> Any:
 Number = Annotated[float, BeforeValidator(_plain_number), Field(allow_inf_nan=False, ge=-1e15, le=1e15)]
 Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
+Fraction = Annotated[NonNegative, Field(le=1)]
 Unbounded = Annotated[float, BeforeValidator(_plain_number), Field(gt=0, allow_inf_nan=False)]
 Length = Annotated[Number, Field(ge=1e-3, le=1e9)]  # m
 Coordinate = Annotated[Number, Field(ge=-1e9, le=1e9)]  # m

@@ -47,7 +47,7 @@ def parse_yaml(text: str, source: str) -> Any:
     try:
         return _Reader(text, source).document()
     except yaml.MarkedYAMLError as error:
-        mark: Any = error.problem_mark or error.context_mark
+        mark = error.problem_mark or error.context_mark
         where = "" if mark is None else f" at line {mark.line + 1}"
         raise InputError(f"{source}: not valid YAML{where}: {error.problem or error.context}") from None
     except (yaml.YAMLError, UnicodeError) as error:  # characters that YAML does not allow
@@ -104,7 +104,7 @@ class _Reader:
 
     def _plain(self, event: Any) -> Any:
         """The value of an unquoted scalar."""
-        text: str = event.value
+        text = event.value
         if text in _WORDS:
             return _WORDS[text]
         if text[0] not in "+-.0123456789":

@@ -135,6 +135,11 @@ class Scenario(ScenarioFields):
         return float(10 ** (self.reference_gain_db / 10))
 
     @property
+    def gain_db(self) -> float:
+        """beta_0 in dB."""
+        return 10 * math.log10(self.reference_gain)
+
+    @property
     def altitudes(self) -> Floats:
         """H_u in m, shape (U,)."""
         return np.asarray(self.altitudes_m, dtype=np.float64)

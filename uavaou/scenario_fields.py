@@ -1,14 +1,12 @@
 """The fields of a scenario with their units, and what does not fit together in them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from uavaou.arrays import Floats
 from uavaou.errors import InfeasibleError, InputError, all_faults
@@ -23,6 +21,7 @@ from uavaou.fields import (
     Point,
     Positive,
     PositiveWhole,
+    Strict,
     Unbounded,
     Whole,
 )
@@ -39,10 +38,8 @@ _MOST_SHOWN = 8  # entries of a list in an error
 _BREAKS = "which breaks constraint"
 
 
-class Range(BaseModel):
+class Range(Strict):
     """Values drawn uniformly between two ends, one for each device: ``{low: 0.2, high: 1}``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     low: NonNegative
     high: Positive
@@ -61,10 +58,8 @@ class WholeRange(Range):
     high: Period
 
 
-class ScenarioFields(BaseModel):
+class ScenarioFields(Strict):
     """Area, fleet, devices, channel and mission."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: FolderName = "custom"
     description: str = ""
@@ -113,10 +108,10 @@ class ScenarioFields(BaseModel):
     def _correct_rounding(self) -> None:
         """Move stations onto the grid and devices into the area, by what the misfits let pass."""
         step = self.grid_step_m
-        stations: Floats = np.asarray(self.cds_m, dtype=np.float64) / step  # (U, 2) grid steps
+        stations = np.asarray(self.cds_m, dtype=np.float64) / step  # (U, 2) grid steps
         if (abs(stations - np.rint(stations)) > _GRID_TOLERANCE * np.maximum(1.0, stations)).any():
             object.__setattr__(self, "cds_m", tuple(map(tuple, (np.rint(stations) * step).tolist())))
-        devices: Floats = np.asarray(self.devices_m or [(0.0, 0.0)], dtype=np.float64)  # (I, 2) m
+        devices = np.asarray(self.devices_m or [(0.0, 0.0)], dtype=np.float64)  # (I, 2) m
         inside = devices.clip(0, [self.area_x_m, self.area_y_m])
         if (inside != devices).any():
             object.__setattr__(self, "devices_m", tuple(map(tuple, inside.tolist())))
@@ -172,7 +167,7 @@ class ScenarioFields(BaseModel):
     def _misfits_of_altitudes(self) -> Iterator[str]:
         given = list(self.altitudes_m)
         highest = max(given, default=80.0)
-        fitting: list[float] = []
+        fitting = []
         for altitude in (given + [highest] * self.uavs)[: self.uavs]:
             highest += _APART_M * (altitude in fitting)
             fitting.append(highest if altitude in fitting else altitude)
@@ -216,7 +211,7 @@ class ScenarioFields(BaseModel):
     def _misfits_of_devices(self) -> Iterator[str]:
         if not self.devices_m:
             return
-        places: Floats = np.asarray(self.devices_m, dtype=np.float64)  # (I, 2) m
+        places = np.asarray(self.devices_m, dtype=np.float64)  # (I, 2) m
         area = np.array([self.area_x_m, self.area_y_m])
         outside = np.flatnonzero(((places < -_ROUNDING_M) | (places > area + _ROUNDING_M)).any(axis=1))
         if not len(outside):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from uavaou import InputError
 from uavaou.algorithms.qlearning.branches import Branches
-from uavaou.algorithms.qlearning.mixers import MIXERS
+from uavaou.algorithms.qlearning.mixers import MIXERS, Mixer, MonotonicMixer, SumMixer
 
 SIZES = st.lists(st.integers(1, 3), min_size=1, max_size=3)
 
@@ -45,7 +45,8 @@ def test_the_greedy_joint_action_is_the_best_of_all_joint_actions(
     values = th.randn((agents, branches.total), generator=generator)
     allowed = some_masks(branches, agents, generator) if masked else th.ones((agents, branches.total), dtype=th.bool)
     state = th.randn((1, 4), generator=generator)
-    mix = MIXERS[mixer](agents, state_size=4)
+    mixers = {"none": Mixer(), "sum": SumMixer(agents), "monotonic": MonotonicMixer(agents, state_size=4)}
+    mix = mixers[mixer]
 
     def team_value(actions: th.Tensor) -> float:
         return float(mix(branches.mean(values, actions)[None], state).detach().sum())

@@ -13,7 +13,7 @@ from tests.two_step_game import TwoStepGame, play_greedily
 from uavaou import IQL, QMIX, VDN, InputError, Scenario, flatten
 from uavaou.algorithms.qlearning.branches import UtilityNetwork
 from uavaou.algorithms.qlearning.learner import JointQLearning
-from uavaou.algorithms.qlearning.mixers import MonotonicMixer, NoMixer, StateValueMixer, SumMixer
+from uavaou.algorithms.qlearning.mixers import Mixer, MonotonicMixer, StateValueMixer, SumMixer
 from uavaou.algorithms.qlearning.replay import JointReplay
 from uavaou.world.views import Columns, RowLayout
 
@@ -30,10 +30,8 @@ def small_model(
 
 def test_vdn_sums_and_iql_does_not_mix() -> None:
     utilities, states = th.randn(8, 3), th.randn(8, 4)
-    th.testing.assert_close(
-        SumMixer(3, 4)(utilities, states)[:, 0], utilities[:, 0] + utilities[:, 1] + utilities[:, 2]
-    )
-    th.testing.assert_close(NoMixer(3, 4)(utilities, states), utilities)
+    th.testing.assert_close(SumMixer(3)(utilities, states)[:, 0], utilities[:, 0] + utilities[:, 1] + utilities[:, 2])
+    th.testing.assert_close(Mixer(3)(utilities, states), utilities)
 
 
 @pytest.mark.parametrize("seed", range(5))

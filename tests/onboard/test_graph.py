@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from tests.onboard.policies import QUICK, lively, local_rows, scores
 from uavaou import InputError
 from uavaou.algorithms.mappo import CentralizedValuePolicy
-from uavaou.onboard.export import actions_of, inputs_of, start_graph
-from uavaou.onboard.graph import make_graph
+from uavaou.onboard.export import actions_of, start_graph
+from uavaou.onboard.graph import inputs_of, make_graph
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.world.views import MOVES
 
@@ -83,9 +83,15 @@ def test_one_graph_serves_any_number_of_uavs_and_devices(network: str, uavs: int
         np.testing.assert_array_equal(got, policy.act(th.from_numpy(rows), None).numpy().reshape(len(rows), -1))
 
 
-def test_networks_of_their_own_are_refused() -> None:
-    policy: Any = lively().model.policy
+def test_flat_networks_of_their_own_decide_alike() -> None:
+    trained = lively()
+    policy: Any = trained.model.policy
     policy.actor_body.append(th.nn.Softplus())
-    policy.actor_body.forward = policy.actor_body.forward
+    assert_equal(trained, local_rows("flat", trained.views.observation)[:2000])
+
+
+def test_other_networks_over_tokens_are_refused() -> None:
+    policy: Any = lively(network="set").model.policy
+    policy.actor_body = th.nn.Identity()
     with pytest.raises(InputError, match="networks of its own"):
         make_graph(policy)

@@ -15,7 +15,8 @@ import pytest
 from tests.fuzz.targets import seeds
 from tests.onboard.policies import QUICK, lively
 from uavaou import World
-from uavaou.onboard.export import FILES, inputs_of, write_policy
+from uavaou.onboard.export import FILES, write_policy
+from uavaou.onboard.graph import inputs_of
 from uavaou.onboard.runner import Pilot, read_mission, read_policy
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.world.pull import PullPlan

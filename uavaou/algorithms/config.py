@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
+from pydantic import Field, StrictBool, model_validator
 
-from uavaou.fields import NonNegative, Positive, PositiveWhole, Whole
+from uavaou.fields import Fraction, NonNegative, Positive, PositiveWhole, Strict, Whole
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -18,18 +18,15 @@ FEWEST_VALIDATIONS = 5  # of a training, where its settings do not say how often
 FEWEST_MISSIONS = 8  # of a validation, where its settings do not say how many
 
 Observation = Literal["location", "part", "local", "shared", "mixed"]  # mixed: local and shared, of a family
-Fraction = Annotated[NonNegative, Field(le=1)]
 Count = Annotated[Whole, Field(ge=0, le=10**12)]  # 0 for none
 HiddenSizes = Annotated[tuple[Annotated[PositiveWhole, Field(le=65_536)], ...], Field(min_length=1, max_length=16)]
 
 
-class AlgorithmConfig(BaseModel):
+class AlgorithmConfig(Strict):
     """What every algorithm's configuration holds: the task as the learner sees it, and the budget.
 
     An algorithm of your own derives its configuration from this one (docs/own-algorithm.md).
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     slots: PositiveWhole  # training budget: slots of all missions together
@@ -136,7 +133,7 @@ class LearnerConfig(AlgorithmConfig):
 class IppoConfig(LearnerConfig):
     """IPPO; the fields are the arguments of :class:`uavaou.IPPO` and its policy."""
 
-    adam = {"fused": True, "eps": 1e-5}
+    adam: ClassVar[dict[str, Any]] = {"fused": True, "eps": 1e-5}
     name: Literal["mappo", "ippo"] = "ippo"
     rollout_slots: Annotated[PositiveWhole, Field(le=1_000_000)]  # slots a mission between updates
     batch_rows: PositiveWhole  # agent steps in a minibatch

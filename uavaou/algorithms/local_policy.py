@@ -1,21 +1,34 @@
 """What the policies of all learners share: they act on the local part of a row."""
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from stable_baselines3.common.policies import BasePolicy
 
+from uavaou.algorithms.nets.mlp import ACTIVATIONS, Mlp, mlp
+from uavaou.algorithms.nets.pull import Pull
+from uavaou.algorithms.nets.set_encoder import TOKEN_WIDTH, SetNetwork, check_network
 from uavaou.algorithms.nets.symmetries import SquareSymmetries
 from uavaou.algorithms.postpone_dynamo import postpone_dynamo
-from uavaou.errors import InputError
-from uavaou.world.views import RowLayout
+from uavaou.errors import InputError, unknown
+from uavaou.world.views import Columns, RowLayout
 
 
 class LocalPolicy(BasePolicy):
     """An SB3 policy over rows ``[local | global]`` that acts on ``local``; comes before SB3's class among the bases.
 
     Args:
+        row_layout: names the columns of a row; the learner takes it from the VecEnv.
+        activation: ``relu`` or ``tanh``.
+        selection_bias: what is in favour of selecting a device in range at first; it costs nothing in this model.
+        network: ``mlp``, or for rows of entities ``set``, whose weights fit any number of UAVs and devices.
+        net_arch: hidden layer sizes; of a ``set``, after its encoder.
+        masks: whether forbidden moves and devices out of range are never chosen, in training and in flight. Without
+            masks the policy may choose them, and the World rejects them; the observation is the same.
+        pull: how sharply devices pull the UAVs of a ``set`` at first (:mod:`uavaou.algorithms.nets.pull`); 0: not.
+        token_width: features of a device in a ``set``.
         averages_views: whether a policy of entities decides in flight by the mean over the symmetries of the square.
             It should where maps vary in training; the algorithm fills it in from the VecEnv. One that devices pull does
             not: pulls are turned with the map, and are most of what decides.
@@ -27,14 +40,40 @@ class LocalPolicy(BasePolicy):
             The file of a policy that says False is loaded for other numbers too.
     """
 
-    row_layout: RowLayout
-    pull: bool = False
     depends_on_sizes: ClassVar[bool] = True
 
-    def __init__(self, *args: Any, averages_views: bool = True, **kwargs: Any) -> None:
-        self.averages_views = averages_views
+    def __init__(
+        self,
+        *args: Any,
+        row_layout: RowLayout,
+        activation: str,
+        selection_bias: float,
+        network: str = "mlp",
+        net_arch: list[int] | None = None,
+        masks: bool = True,
+        pull: float = 0.0,
+        token_width: int = TOKEN_WIDTH,
+        averages_views: bool = True,
+        **kwargs: Any,
+    ) -> None:
+        if activation not in ACTIVATIONS:
+            raise unknown("activation", activation, ACTIVATIONS)
+        check_network(network, row_layout)
+        self.row_layout, self.network, self.masks = row_layout, network, masks
+        self.selection_bias, self.averages_views = selection_bias, averages_views
+        self.pull = pull > 0 and network == "set"
+        self._hidden, self._activation = list(net_arch or [128, 128]), activation
+        self._sharpness, self._token_width = pull, token_width
         postpone_dynamo()
         super().__init__(*args, **kwargs)
+
+    def make_body(
+        self, columns: Sequence[Columns], selects: bool = False, pull: Pull | None = None
+    ) -> Mlp | SetNetwork:
+        """Make the layers between rows and heads; of a set, each device has a logit if it ``selects``."""
+        if self.network == "mlp":
+            return mlp(columns[-1].stop, self._hidden, self._activation)
+        return SetNetwork(columns, self._hidden, self._activation, selects, pull, self._token_width)
 
     @cached_property
     def symmetries(self) -> SquareSymmetries | None:

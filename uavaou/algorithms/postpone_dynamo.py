@@ -4,8 +4,6 @@ Every optimizer of torch imports ``torch._dynamo`` when it is made, so that a co
 compile. That import takes 1.5 s, half of what else passes before a training begins or a policy flies.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -27,7 +25,7 @@ def postpone_dynamo() -> None:
 
 def _postponed(function: Callable[..., Any]) -> Callable[..., Any]:
     def call(*args: Any, **kwargs: Any) -> Any:
-        dynamo: Any = sys.modules.get("torch._dynamo")
+        dynamo = sys.modules.get("torch._dynamo")
         if dynamo is None:  # nothing can be being compiled
             return function(*args, **kwargs)
         setattr(function, _KEPT, dynamo.disable(function, True, wrapping=False))  # as torch does

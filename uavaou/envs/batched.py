@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
+from uavaou.arrays import Bools, Ints
 from uavaou.envs.rewards import training_reward
 from uavaou.envs.spaces import action_space, row_space, split_actions
 from uavaou.envs.uavaou_v0 import warn_of_no_mode
@@ -56,7 +57,7 @@ class BatchedMissions(VectorEnv[Any, Any, Any]):
 
     def step(  # type: ignore[override]
         self, actions: NDArray[Any]
-    ) -> tuple[Rows, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]:
+    ) -> tuple[Rows, Rows, Bools, Bools, list[dict[str, Any]]]:
         """Play one slot in every mission."""
         assert self.world is not None, "call reset() first"
         layout = self.views.layout
@@ -152,10 +153,10 @@ class BatchedDraws(BatchedMissions):
         self.world = World(scenario, self.missions, draw * self.missions)
 
     @property
-    def draw(self) -> NDArray[np.int64]:
+    def draw(self) -> Ints:
         """The number of the present draw and how many came before it, (2,): the state beside that of the World."""
         return np.array([self._draw, self._draws_before])
 
-    def start_draw(self, draw: NDArray[np.int64]) -> None:
+    def start_draw(self, draw: Ints) -> None:
         """Start the missions of a draw, given as :attr:`draw`, from their beginning."""
         self._play(int(draw[0]), int(draw[1]))

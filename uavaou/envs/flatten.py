@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import supersuit
 from gymnasium import spaces
-from numpy.typing import NDArray
 from pettingzoo.utils import BaseParallelWrapper
 
+from uavaou.arrays import Singles
 from uavaou.envs.batched import BatchedDraws, BatchedMissions
 from uavaou.envs.rewards import REWARDS, training_reward
 from uavaou.envs.spaces import row_space
@@ -84,7 +84,7 @@ def flatten(
             raise InputError(f"{name} = {value!r}: expected a whole number from {least} on")
     views_of = partial(make_views, collection=collection, rows=rows, plan=plan)
     views = views_of(base, level(observation))
-    draws: BatchedDraws | None = None
+    draws = None
     stage: Any
     if observation == "mixed" and (family is None or rows != "entities"):
         raise InputError("observation = 'mixed': alternates between draws of a family, in rows of entities")
@@ -137,7 +137,7 @@ def _check_family(family: Family, backend: str, rows: str) -> None:
         )
 
 
-class _TrainingView(BaseParallelWrapper[str, NDArray[np.float32], Any]):
+class _TrainingView(BaseParallelWrapper[str, Singles, Any]):
     """A mission as it is trained on: ``state()`` behind every observation, a named reward, truncations marked."""
 
     def __init__(self, env: UavAouEnv, reward: str) -> None:
@@ -161,6 +161,6 @@ class _TrainingView(BaseParallelWrapper[str, NDArray[np.float32], Any]):
                 infos[agent]["TimeLimit.truncated"] = truncations[agent] and not terminations[agent]
         return self._append(observations), dict.fromkeys(rewards, reward), terminations, truncations, infos
 
-    def _append(self, observations: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
+    def _append(self, observations: dict[str, Singles]) -> dict[str, Singles]:
         state = self._base.state()
         return {agent: np.concatenate([local, state]) for agent, local in observations.items()}

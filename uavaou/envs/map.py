@@ -17,7 +17,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
-from uavaou.arrays import Floats
+from uavaou.arrays import Floats, Ints
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import drawn_radius
 
@@ -48,7 +48,7 @@ def uav_dash(uav: int) -> Any:
 def uav_offset(scenario: Scenario) -> Floats:
     """Offset at which each UAV is drawn, so that UAVs on the same path stay apart; (U, 1) m, on both axes."""
     apart = min(0.09, 0.4 / scenario.uavs) * scenario.grid_step_m
-    centred: Floats = np.arange(scenario.uavs, dtype=np.float64)[:, None] - (scenario.uavs - 1) / 2  # (U, 1)
+    centred = np.arange(scenario.uavs, dtype=np.float64)[:, None] - (scenario.uavs - 1) / 2  # (U, 1)
     return centred * apart
 
 
@@ -152,7 +152,7 @@ def _draw_uavs(axes: Axes, scenario: Scenario, positions: Floats) -> None:
         number.set(ha="center", va="center", zorder=8, fontweight="bold", annotation_clip=False)
 
 
-def _draw_links(axes: Axes, scenario: Scenario, layout: Layout, positions: Floats, uavs: NDArray[np.int64]) -> None:
+def _draw_links(axes: Axes, scenario: Scenario, layout: Layout, positions: Floats, uavs: Ints) -> None:
     """A line from each UAV to the devices that it collects: ``uavs`` (I,) hold the UAV of each, or -1."""
     collected = np.flatnonzero(uavs >= 0)
     start = (positions + uav_offset(scenario))[uavs[collected]]  # (links, 2) m

@@ -5,8 +5,8 @@ five orders of magnitude between an untrained and a trained fleet.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaou.arrays import Singles
 from uavaou.world import World
 from uavaou.world.partition import parts_in_flight
 
@@ -16,7 +16,7 @@ _AOU_SCALE = 20.0  # scales the age sum of a patrolled device, in slots, to the 
 _ROOT_SCALE = 5.0
 
 
-def training_reward(world: World, name: str) -> NDArray[np.float32]:
+def training_reward(world: World, name: str) -> Singles:
     """The reward of the slot just stepped, (N,), the same for all UAVs of a mission.
 
     ``aou`` is the paper's -sum_i S_i and ``root`` is -sum_i sqrt(S_i), where S_i = sum_n A_i^n[t] in
@@ -30,5 +30,5 @@ def training_reward(world: World, name: str) -> NDArray[np.float32]:
     else:
         scaled = ages / _AOU_SCALE if name == "aou" else np.sqrt(ages) / _ROOT_SCALE
         value = scaled.sum(axis=1) / world.scenario.devices
-    reward: NDArray[np.float32] = (-value).astype(np.float32)
+    reward: Singles = (-value).astype(np.float32)
     return reward

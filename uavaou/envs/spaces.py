@@ -6,6 +6,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from uavaou.arrays import Bools, Ints
 from uavaou.world.views import MOVES, RowLayout, Rows
 
 
@@ -24,7 +25,7 @@ def action_space(layout: RowLayout) -> spaces.MultiDiscrete | spaces.Discrete:
     return spaces.MultiDiscrete([MOVES] + [2] * layout.devices) if layout.selects else spaces.Discrete(MOVES)
 
 
-def action_masks(rows: Rows, layout: RowLayout) -> NDArray[np.bool_] | None:
+def action_masks(rows: Rows, layout: RowLayout) -> Bools | None:
     """Which values of each part of an action are allowed: the five moves, then leave and select for each device.
 
     Args:
@@ -37,7 +38,7 @@ def action_masks(rows: Rows, layout: RowLayout) -> NDArray[np.bool_] | None:
     allowed, in_range = layout.local_columns("allowed_moves"), layout.in_range_columns
     if allowed is None or in_range is None:
         return None
-    masks: NDArray[np.bool_] = rows[:, allowed] > 0
+    masks = rows[:, allowed] > 0
     if layout.selects:
         select = rows[:, in_range] > 0  # (B, I)
         devices = np.stack([np.ones_like(select), select], axis=2)  # (B, I, 2)
@@ -45,9 +46,7 @@ def action_masks(rows: Rows, layout: RowLayout) -> NDArray[np.bool_] | None:
     return masks
 
 
-def split_actions(
-    actions: NDArray[Any], missions: int, uavs: int, selects: bool
-) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
+def split_actions(actions: NDArray[Any], missions: int, uavs: int, selects: bool) -> tuple[Ints, Bools | None]:
     """Split rows of actions into moves (N, U) and selections (N, U, I).
 
     Args:

@@ -20,6 +20,7 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils import parallel_to_aec
 from pettingzoo.utils.env import AECEnv
 
+from uavaou.arrays import Floats, Singles
 from uavaou.envs.spaces import action_space, split_actions, vector_space
 from uavaou.errors import unknown
 from uavaou.scenario import Scenario
@@ -27,7 +28,7 @@ from uavaou.world import World
 from uavaou.world.entities import make_views
 from uavaou.world.views import RowViews
 
-Observations = dict[str, NDArray[np.float32]]
+Observations = dict[str, Singles]
 Infos = dict[str, dict[str, Any]]
 RENDER_MODES = ("rgb_array",)
 
@@ -54,7 +55,7 @@ def parallel_env(
     return UavAouEnv(make_views(Scenario.load(scenario), observation, collection, rows), render_mode)
 
 
-def env(**kwargs: Any) -> AECEnv[str, NDArray[np.float32], Any]:
+def env(**kwargs: Any) -> AECEnv[str, Singles, Any]:
     """Make the same environment in PettingZoo's turn-based (AEC) form."""
     return parallel_to_aec(parallel_env(**kwargs))
 
@@ -73,7 +74,7 @@ def check_render_mode(render_mode: str | None) -> None:
         raise unknown("render_mode", render_mode, RENDER_MODES)
 
 
-class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
+class UavAouEnv(ParallelEnv[str, Singles, Any]):
     """One mission of a scenario; see the module's docstring, and :func:`parallel_env` to make one."""
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -91,7 +92,7 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         self.action_spaces = {agent: action_space(views.layout) for agent in self.possible_agents}
         self.state_space = vector_space(views.layout.global_size)
         self.world: World | None = None
-        self._trail: list[NDArray[np.float64]] = []
+        self._trail: list[Floats] = []
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The same object at every call, as PettingZoo requires."""
@@ -132,9 +133,9 @@ class UavAouEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         ends, truncations = dict.fromkeys(agents, over), dict.fromkeys(agents, False)
         return self._observations(self.world), dict.fromkeys(agents, reward), ends, truncations, infos
 
-    def state(self) -> NDArray[np.float32]:
+    def state(self) -> Singles:
         """The global state, a flat float32 vector."""
-        state: NDArray[np.float32] = self.views.state(self._running())[0]
+        state: Singles = self.views.state(self._running())[0]
         return state
 
     def snapshot(self) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from supersuit.vector.concat_vec_env import ConcatVecEnv
 from supersuit.vector.multiproc_vec import ProcConcatVec, async_loop, decompress_info
 from supersuit.vector.sb3_vector_wrapper import SB3VecEnvWrapper
 
+from uavaou.arrays import Bools
 from uavaou.envs.batched import BatchedDraws
 from uavaou.envs.missions_state import State, check, completed, joined, numbered, split, split_numbered
 from uavaou.envs.spaces import action_masks, action_space, row_space, vector_space
@@ -131,13 +132,13 @@ class MissionVecEnv(SB3VecEnvWrapper):
         self._last_rows = rows
         return rows
 
-    def step_wait(self) -> tuple[Rows, Rows, NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Rows, Rows, Bools, list[dict[str, Any]]]:
         """Play one slot of every mission."""
         rows, rewards, dones, infos = super().step_wait()
         self._last_rows = rows
         return rows, rewards, dones.astype(bool, copy=False), infos
 
-    def action_masks(self) -> NDArray[np.bool_]:
+    def action_masks(self) -> Bools:
         """Which values of each part of the next action are allowed; see :func:`uavaou.envs.spaces.action_masks`.
 
         sb3-contrib's ``MaskablePPO`` asks for them.
@@ -165,13 +166,13 @@ class MissionVecEnv(SB3VecEnvWrapper):
         state = completed(state)
         environments = self._workers.copies if self._workers else len(self._environments())
         if self._draws is None:
-            check(state, self.missions_state(), self.scenario)
+            check(state, self.missions_state())
             states = split(state, environments)
         else:
             states = split_numbered(state, environments)
             for number, part in enumerate(states):
                 self._draws.start_draw(part["draw"])
-                check(part, _state(self._draws), self._draws.scenario, f"missions of World {number}")
+                check(part, _state(self._draws), f"missions of World {number}")
         rows = self._workers.load_states(states) if self._workers else _load_states(self._environments(), states)
         self._last_rows = rows
         return rows
@@ -257,7 +258,7 @@ class LocalRows(VecEnvWrapper):
         """Start all missions; rows (N * U, local)."""
         return self._local(self.venv.reset())
 
-    def step_wait(self) -> tuple[Rows, Rows, NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Rows, Rows, Bools, list[dict[str, Any]]]:
         """One slot of every mission."""
         rows, rewards, dones, infos = self.venv.step_wait()
         for row in np.flatnonzero(dones):

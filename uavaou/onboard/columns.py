@@ -1,7 +1,5 @@
 """What the columns of a policy's input mean: unit, scaling, and where a UAV in flight has the value from."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from uavaou.world.views import DEVICE, MOVES, OWN, PULL, TEAMMATE, RowLayout

@@ -4,8 +4,6 @@ The folder holds ``policy.onnx`` (:mod:`uavaou.onboard.graph`), ``policy.json`` 
 ``mission.json`` (what is told before take-off) and ``runner.py`` (:mod:`uavaou.onboard.runner`, as it is).
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,16 +11,15 @@ from typing import Any
 
 import numpy as np
 import torch as th
-from numpy.typing import NDArray
 
 from uavaou import __version__
-from uavaou.algorithms.nets.set_encoder import without_pulls
-from uavaou.arrays import Floats
+from uavaou.arrays import Floats, Ints, Singles
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.files import replacing, write_text, writing
 from uavaou.onboard import runner
 from uavaou.onboard.columns import NOTATION, SOURCES, describe_inputs
+from uavaou.onboard.graph import inputs_of, make_graph, optional
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy, load_run
 from uavaou.scenario import Scenario
@@ -30,7 +27,6 @@ from uavaou.world import World
 from uavaou.world.entities import told_before_take_off
 from uavaou.world.flight import grid_cells
 from uavaou.world.pull import SHARE, Plans, steps_left
-from uavaou.world.views import RowLayout, Rows
 
 SCHEMA = 1
 FILES = ("policy.onnx", "policy.json", "mission.json", "runner.py")
@@ -70,8 +66,6 @@ def write_policy(trained: TrainedPolicy, name: str, folder: Path) -> Exported:
         InputError: ONNX is not installed, the policy has networks of its own, the scenario draws its devices anew for
             each mission, or the files cannot be written.
     """
-    from uavaou.onboard.graph import make_graph  # needs onnx, which is optional
-
     flown, policy = trained.views.scenario, trained.model.policy
     if flown.layout == "resample":
         raise InputError(
@@ -96,29 +90,15 @@ def write_policy(trained: TrainedPolicy, name: str, folder: Path) -> Exported:
     return Exported([folder / file_name for file_name in FILES], rows, same)
 
 
-def inputs_of(local: Rows, layout: RowLayout, pulled: bool = False) -> dict[str, Rows]:
-    """The inputs of a graph for rows ``local`` (B, local); ``pulled``: of a policy that devices pull."""
-    if layout.rows == "flat":
-        return {"local": local}
-    parts = {}
-    for columns in layout.local if pulled else without_pulls(layout.local):
-        part = local[:, columns.slice]
-        parts[columns.name] = part.reshape(len(local), -1, columns.width) if columns.width > 1 else part
-    return parts | {"own": parts["own"][:, 0]}
-
-
 def start_graph(graph: bytes) -> Any:
     """An onnxruntime session of a graph, on one core."""
-    try:
-        import onnxruntime
-    except ModuleNotFoundError as error:
-        raise InputError(f"--format onnx: '{error.name}' is not installed: pip install 'uavaou[onnx]'") from None
+    onnxruntime = optional("onnxruntime")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     return onnxruntime.InferenceSession(graph, options, ["CPUExecutionProvider"])
 
 
-def actions_of(outputs: list[NDArray[np.float32]]) -> NDArray[np.int64]:
+def actions_of(outputs: list[Singles]) -> Ints:
     """The likeliest actions (B, 1 + I), or (B, 1), of a graph's outputs."""
     move = outputs[0].argmax(axis=1)[:, None]
     return np.concatenate([move, *(logits > 0 for logits in outputs[1:])], axis=1)
@@ -187,7 +167,7 @@ def _describe(name: str, trained: TrainedPolicy) -> dict[str, Any]:
     epsilon = getattr(policy, "epsilon", None)
     devices = ["rows", "devices" if layout.rows == "entities" else layout.devices]
     meaning = "logit" if epsilon is None else "value"
-    outputs: dict[str, Any] = {
+    outputs = {
         "move_logits": {
             "shape": ["rows", 5], "columns": ["stay", "up (+y)", "down (-y)", "right (+x)", "left (-x)"],
             "meaning": f"{meaning} of the move; -1e9 where it is not allowed; the largest is the likeliest",

@@ -222,12 +222,8 @@ class Pilot:
             move, selected = int(np.argmax(moves)), in_range if devices is None else devices > 0
         return move, selected & in_range
 
-    def ages(self, last: Any) -> Any:
-        """Age sums (I,) in slots before this slot, of devices collected in the slots ``last`` (I,); eq. (1)."""
-        return self.ages_before(self.slot, last)
-
-    def ages_before(self, slot: int, last: Any) -> Any:
-        """The same before any ``slot``."""
+    def ages(self, slot: int, last: Any) -> Any:
+        """Age sums (I,) in slots before a ``slot``, of devices collected in the slots ``last`` (I,); eq. (1)."""
         first, newest = last // self.period, (slot - 1) // self.period  # numbers of updates
         waiting = newest * (newest + 1) - first * (first + 1)
         return (newest - first) * slot - self.period * waiting // 2 + np.where(last == 0, slot - 1, 0)
@@ -267,7 +263,7 @@ class Pilot:
             "in_range": in_range,
             "since_own_collection": self.waiting(self.last_own),
             "other_positions": others_m / self.area,
-            "age_sum": np.sqrt(self.ages(self.last)) / 20,
+            "age_sum": np.sqrt(self.ages(self.slot, self.last)) / 20,
         }
 
     def tokens(self, cell: Any, allowed: Any, in_range: Any, cells: Any) -> list[Any]:
@@ -292,7 +288,7 @@ class Pilot:
         other = np.maximum(steps, 0).min(axis=0, initial=20)  # (I,) until the nearest other UAV does
         other = np.full_like(other, 20) if self.alone else other
         last = self.last if self.shared else self.last_own
-        age = np.sqrt(self.ages(last)) / 20
+        age = np.sqrt(self.ages(self.slot, last)) / 20
         devices = np.column_stack([
             ones, to_device / 5, distance / 5, away / 5, radius / 2, in_range, self.period / 5,
             self.waiting(self.last_own), age, self.waiting(last), other / 5, np.clip(away - other, -10, 10) / 5,
@@ -304,7 +300,7 @@ class Pilot:
         if self.pulled:
             moved = np.where(self.on_grid(cell)[:, None], cell + STEPS, cell)  # (5, 2)
             last = self.last_in_range if self.auto and not self.shared else last
-            age = np.where(in_range, 0, self.ages_before(self.slot + 1, last))
+            age = np.where(in_range, 0, self.ages(self.slot + 1, last))
             pulls = np.column_stack([age, self.steps[moved[:, 0], moved[:, 1]].T, ones * self.shared])
             pulls[~mine & self.alone] = 0
             tokens.append(pulls)

@@ -7,7 +7,6 @@ at the CDS, and a proposal that exceeds the flight-time budget is rejected.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator
 from typing import ClassVar
@@ -42,11 +41,10 @@ class Anneal(RoutePlanner):
 
     def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
         """Anneal; see :class:`RoutePlanner`."""
-        started, limit_s = time.monotonic(), math.inf if self.time_limit_s is None else self.time_limit_s
-        starts = []
+        started, starts = time.monotonic(), []
         for tour in (Tour(), PartitionTour()):
-            tour.give_up_at = started + _TOURS_END * limit_s
-            if time.monotonic() - started < _TOURS_SHARE * limit_s:
+            tour.give_up_at = started + _TOURS_END * self.most_s
+            if time.monotonic() - started < _TOURS_SHARE * self.most_s:
                 starts.append(tour.plan(scenario, layout).routes)
         starts.append(best_first_routes(scenario, layout))
         start = min(starts, key=lambda routes: expected_mean_aou(scenario, layout, routes))
@@ -63,7 +61,7 @@ class Anneal(RoutePlanner):
     def _cool(self, search: _Annealing, started: float) -> Iterator[float]:
         """Run the search in chunks; yield the fraction of it that is done."""
         fraction, done, proposals, work = 0.0, 0, _FIRST_CHUNK, PROPOSALS_A_SLOT * search.slots
-        if self.time_limit_s is not None and time.monotonic() - started >= self.time_limit_s:
+        if time.monotonic() - started >= self.most_s:
             return  # even one chunk may have to be compiled
         while fraction < 1.0:
             chunk_started, before = time.monotonic(), fraction

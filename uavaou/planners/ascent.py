@@ -32,7 +32,7 @@ def bundle_ascent(
     start: Floats,
     first_gain: float,
     rounds: int,
-    time_limit_s: float | None = None,
+    time_limit_s: float = np.inf,
 ) -> float:
     """Maximise a concave function by a proximal bundle method (Kiwiel, 1990); return the best value.
 
@@ -54,8 +54,7 @@ def bundle_ascent(
     for _ in range(rounds - 1):
         direction, slack = cuts.combined(length)
         expected = length * float(direction @ direction) + slack
-        late = time_limit_s is not None and time.monotonic() - began > time_limit_s
-        if late or expected < max(_CLOSE * abs(best), _FLAT):
+        if time.monotonic() - began > time_limit_s or expected < max(_CLOSE * abs(best), _FLAT):
             break
         step = length * direction
         now, slope = value(best_point + step)
@@ -142,7 +141,7 @@ def subgradient_ascent(
     rounds: int,
     patience: int,
     floor: float = -np.inf,
-    time_limit_s: float | None = None,
+    time_limit_s: float = np.inf,
 ) -> tuple[float, Floats]:
     """Maximise a concave function by Polyak steps (1969) along an averaged subgradient; return value and point.
 
@@ -160,7 +159,7 @@ def subgradient_ascent(
     """
     started, stale, point = time.monotonic(), 0, start.copy()
     best, at_best, slope_at_best = -np.inf, point, np.zeros_like(point)
-    direction: Floats | None = None
+    direction = None
     for _ in range(rounds):
         now, slope = value(point)
         stale += 1
@@ -173,7 +172,7 @@ def subgradient_ascent(
         direction = slope if direction is None else _INERTIA * direction + (1 - _INERTIA) * slope
         # An average that nearly cancels must not make a long step of a short one.
         norm = max(float(np.vdot(direction, direction)), (1 - _INERTIA) ** 2 * float(np.vdot(slope, slope)))
-        late = time_limit_s is not None and time.monotonic() - started > time_limit_s
+        late = time.monotonic() - started > time_limit_s
         if norm < _FLAT or late or level < max(_CLOSE * best, _FLAT):
             break
         point = np.maximum(floor, point + (best + level - now) / norm * direction)

@@ -77,7 +77,7 @@ class BoundSearch:
         start: Bound | None = None,
     ) -> None:
         self._scenario, self._layout, self._on_round = scenario, layout, on_round
-        self._limit_s, self._started = time_limit_s, time.monotonic()
+        self._limit_s, self._started = np.inf if time_limit_s is None else time_limit_s, time.monotonic()
         self._start = start if start is not None and start.method in ("fleet", "copies") else None
         self._rounds, self._most_rounds = 0, _ROUNDS_SHORT
         self.best = Bound(0.0)
@@ -114,8 +114,7 @@ class BoundSearch:
             start = self._start.multipliers["charges"], self._start.multipliers["prices"]
             differences = self._start.multipliers["differences"]
         else:
-            half = None if self._limit_s is None else self._limit_s / 2
-            found = None if decomposition.short else stationary_duals(decomposition, self._layout, half)
+            found = None if decomposition.short else stationary_duals(decomposition, self._layout, self._limit_s / 2)
             if found is None:
                 relaxation = LagrangianRelaxation(self._scenario, self._layout)
                 self._by_prices(relaxation)
@@ -128,17 +127,18 @@ class BoundSearch:
         decomposition.ascend(*start, rounds, differences, self._left(), told)
 
     def _by_prices(self, relaxation: "LagrangianRelaxation") -> None:
-        total = relaxation.ascend(None if self._limit_s is None else self._limit_s / 2)
+        total = relaxation.ascend(self._limit_s / 2)
         no_step_prices = np.zeros(self._scenario.uavs)
         self._offer("prices", ("prices", "step_prices"), total, relaxation.prices, no_step_prices)
 
     def _allow(self, rounds: int) -> int:
         """Allow so many rounds of the ascent, or more within a long time limit; return the number."""
-        self._most_rounds = round(rounds * max(1.0, (self._limit_s or 0.0) / _USUAL_S))
+        longer = self._limit_s / _USUAL_S if np.isfinite(self._limit_s) else 1.0
+        self._most_rounds = round(rounds * max(1.0, longer))
         return self._most_rounds
 
-    def _left(self) -> float | None:
-        return None if self._limit_s is None else max(0.0, self._limit_s - (time.monotonic() - self._started))
+    def _left(self) -> float:
+        return max(0.0, self._limit_s - (time.monotonic() - self._started))
 
     def _offer(self, method: str, names: tuple[str, ...], total: float, *multipliers: Floats) -> None:
         """Keep the bound ``total``, in slots squared, if it is the best, and tell the best."""
@@ -146,9 +146,7 @@ class BoundSearch:
         if mean > self.best.mean_aou_s:
             self.best = Bound(mean, method, dict(zip(names, multipliers, strict=True)))
         self._rounds += 1
-        share = self._rounds / self._most_rounds
-        if self._limit_s is not None:
-            share = max(share, (time.monotonic() - self._started) / self._limit_s)
+        share = max(self._rounds / self._most_rounds, (time.monotonic() - self._started) / self._limit_s)
         self._on_round(self.best, min(share, 1.0))
 
 
@@ -178,7 +176,7 @@ class LagrangianRelaxation:
         gaps = np.stack([gap_ages(int(k), scenario.slots).T for k in periods])  # (G, K+2, K+1), [t, s]
         self._gap_ages = np.ascontiguousarray(gaps, dtype=np.float64)  # contiguous along s, the inner loop
         flight = Flight(scenario)
-        self._homes = flight.cds @ [scenario.rows, 1]  # (U,) cells
+        self._homes = flight.homes  # (U,) cells
         self._budget = flight.budget  # (U,) grid steps
         self._affordable = affordable_cells(scenario)  # (U, C)
         self._neighbours, _ = neighbours(scenario)  # (C, 5)
@@ -204,7 +202,7 @@ class LagrangianRelaxation:
             offered[1:] += probability[walk[1:]]
         return float(total - _ROUNDING * size), collected - offered
 
-    def ascend(self, time_limit_s: float | None = None) -> float:
+    def ascend(self, time_limit_s: float = np.inf) -> float:
         """Return the best bound met on the total age, in slots squared, and keep its prices."""
         level = float(len(self.prices))  # a slot of age for each slot
         best, self.prices = subgradient_ascent(

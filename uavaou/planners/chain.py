@@ -3,15 +3,13 @@
 One change makes one UAV or two fly anew, in the kernel of :mod:`uavaou.world.patrol`; the others keep their routes.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
-from uavaou.arrays import Bools, Floats, Ints
+from uavaou.arrays import Bools, Floats, Ints, Singles
 from uavaou.world.compiled import compiled_fast
-from uavaou.world.patrol import Cells, PatrolArea, Singles, fly_fleet
+from uavaou.world.patrol import Cells, PatrolArea, fly_fleet
 
 _HOT = 0.003  # first temperature, in mean AoU; it falls to 0
 _TOGETHER, _WORK = 64, 400_000_000  # changes of one call at most, fewer where one flies over so many columns in slots

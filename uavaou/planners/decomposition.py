@@ -67,7 +67,7 @@ class LagrangianDecomposition:
         self.slots = scenario.slots
         self.probability = coverage_at_most(scenario, layout)  # (U, C, I)
         self.neighbours, self.on_grid = neighbours(scenario)
-        self._homes = Flight(scenario).cds @ [scenario.rows, 1]  # (U,) cells
+        self._homes = Flight(scenario).homes  # (U,) cells
         self._gap_ages = [gap_ages(int(k), scenario.slots).astype(np.float64) for k in layout.update_period]
         uavs, cells, devices = self.probability.shape
         self.short = is_short(scenario)
@@ -136,8 +136,8 @@ class LagrangianDecomposition:
         prices: Floats,
         rounds: int,
         differences: Floats | None = None,
-        time_limit_s: float | None = None,
-        on_round: Callable[[float, Floats, Floats, Floats], None] | None = None,
+        time_limit_s: float = np.inf,
+        on_round: Callable[..., None] = lambda *_: None,
     ) -> float:
         """Return the best bound met on the total age, in slots squared, starting from these arguments of ``bound``.
 
@@ -157,8 +157,7 @@ class LagrangianDecomposition:
         def value(point: Floats) -> tuple[float, Floats]:
             arguments = parts(point)
             total, *slopes = self.bound(*arguments)
-            if on_round is not None:
-                on_round(total, *arguments)
+            on_round(total, *arguments)
             return total, np.concatenate([scale * slope.ravel() for scale, slope in zip(scales, slopes, strict=True)])
 
         start = np.concatenate([start.ravel() / scale for scale, start in zip(scales, starts, strict=True)])

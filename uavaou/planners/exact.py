@@ -59,7 +59,7 @@ class Exact(RoutePlanner):
 
         def in_time(_: PlanningStatus) -> None:
             nonlocal late
-            late = self.time_limit_s is not None and time.monotonic() - started > self.time_limit_s / 2
+            late = time.monotonic() - started > self.most_s / 2
             if late:
                 raise KeyboardInterrupt  # ends the annealing, which keeps the best routes
 
@@ -70,13 +70,12 @@ class Exact(RoutePlanner):
         incumbent = start.mean_aou_s
 
         def report(total: float, bound: float) -> None:
-            share = (time.monotonic() - started) / self.time_limit_s if self.time_limit_s is not None else 0.0
             if on_progress is not None:
-                best = min(total * per_slot, incumbent)
+                share, best = (time.monotonic() - started) / self.most_s, min(total * per_slot, incumbent)
                 on_progress(PlanningStatus(min(share, 1.0), best, max(bound, 0.0) * per_slot))
 
         program = Program(scenario, layout)
-        left = None if self.time_limit_s is None else max(self.time_limit_s - (time.monotonic() - started), 0.0)
+        left = max(self.most_s - (time.monotonic() - started), 0.0)
         solution = program.solve(start.routes, left, report)
         mean = expected_mean_aou(scenario, layout, solution.routes)
         routes, mean = (solution.routes, mean) if mean <= incumbent else (start.routes, incumbent)
@@ -162,7 +161,7 @@ class Program:
     def solve(
         self,
         start: Ints,
-        time_limit_s: float | None = None,
+        time_limit_s: float = np.inf,
         on_progress: Callable[[float, float], None] = lambda total, bound: None,
     ) -> Solution:
         """Return the best routes found and the bound proven.
@@ -177,8 +176,7 @@ class Program:
         solver.changeColsIntegrality(steps, integers, np.full(steps, highspy.HighsVarType.kInteger))
         solver.setOptionValue("mip_rel_gap", 0.0)
         solver.setOptionValue("mip_abs_gap", 1.0 - _INTEGRALITY)  # the objective is an integer
-        if time_limit_s is not None:
-            solver.setOptionValue("time_limit", time_limit_s)
+        solver.setOptionValue("time_limit", time_limit_s)
         solver.setSolution(steps, integers, self._steps_of(start))
         interrupted = run_interruptibly(solver, on_progress)
         found = solver.getSolution()
@@ -228,9 +226,8 @@ class Program:
         leaves, arrives = flow.slot * cells + flow.here, (flow.slot + 1) * cells + flow.there  # nodes
         nodes, node = np.unique(np.concatenate([leaves, arrives]), return_inverse=True)
         net = np.zeros(len(nodes))
-        home = flight.cds[uav] @ [scenario.rows, 1]  # cell
-        net[np.searchsorted(nodes, cells + home)] += 1.0
-        net[np.searchsorted(nodes, scenario.slots * cells + home)] -= 1.0
+        net[np.searchsorted(nodes, cells + flight.homes[uav])] += 1.0
+        net[np.searchsorted(nodes, scenario.slots * cells + flight.homes[uav])] -= 1.0
         conserved = program.add_constraints(len(nodes), net, net)
         program.add_terms(conserved[node], np.concatenate([steps, steps]), np.repeat([1.0, -1.0], len(steps)))
         within_budget = program.add_constraints(1, -np.inf, float(flight.budget[uav]))

@@ -61,7 +61,7 @@ class FleetDecomposition:
         self._neighbours, on_grid = neighbours(scenario)
         # (U, C, 5) the move stays on the grid, and its end within the budget
         self._allowed = on_grid & affordable_cells(scenario)[:, self._neighbours]
-        self._homes: Ints = np.asarray(Flight(scenario).cds @ [scenario.rows, 1], dtype=np.int64)  # (U,) cells
+        self._homes = Flight(scenario).homes  # (U,) cells
         self._missed = [_all_missed(probability[:, :, i]) for i in range(scenario.devices)]  # (C**U,) each
         self._ages = [_ages(int(k), scenario.slots) for k in layout.update_period]  # (K+1, G+1) each
         self._most_age = sum(float(ages.max(axis=1).sum()) for ages in self._ages)
@@ -92,8 +92,8 @@ class FleetDecomposition:
         self,
         prices: Floats,
         rounds: int,
-        time_limit_s: float | None = None,
-        on_round: Callable[[float, Floats], None] | None = None,
+        time_limit_s: float = np.inf,
+        on_round: Callable[..., None] = lambda *_: None,
     ) -> float:
         """Return the best bound met on the total age, in slots squared, starting from these prices.
 
@@ -102,8 +102,7 @@ class FleetDecomposition:
 
         def value(point: Floats) -> tuple[float, Floats]:
             total, slope = self.bound(point)
-            if on_round is not None:
-                on_round(total, point)
+            on_round(total, point)
             return total, slope
 
         level = _FIRST_LEVEL * max(self.bound(prices)[0], float(self.slots))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -151,6 +152,7 @@ class AheadPlanner(ABC, Generic[P]):
 
     def __init__(self, time_limit_s: float | None = None) -> None:
         self.time_limit_s = time_limit_s
+        self.most_s = math.inf if time_limit_s is None else time_limit_s
         self._plans: dict[tuple[str | bytes, ...], P] = {}
 
     @abstractmethod

@@ -34,7 +34,7 @@ _TOLERANCE = 1e-3
 
 
 def stationary_duals(
-    problem: LagrangianDecomposition, layout: Layout, time_limit_s: float | None = None
+    problem: LagrangianDecomposition, layout: Layout, time_limit_s: float = np.inf
 ) -> tuple[Floats, Floats] | None:
     """Return charges (K, I) and prices (B, U, I, C, 5); None if the program is too large or takes too long."""
     began, devices = time.monotonic(), len(problem.tables)
@@ -47,14 +47,14 @@ def stationary_duals(
     ages = np.array([coarse.age(i) for i in range(devices)])
     costly = ages > _COSTLY * ages.sum()
     phases = np.ones(devices, dtype=np.int64) if problem.short else problem.tables.max(axis=1) + 1
-    soon = time_limit_s is not None and time_limit_s < _SOON_S
+    soon = time_limit_s < _SOON_S
     rest = 0 if soon else per_gap * _GAPS[0] * int(phases[~costly].sum())
     room = (_VARIABLES_SOON if soon else _VARIABLES) - rest
     gaps = int(np.clip(room // (per_gap * max(int(phases[costly].sum()), 1)), *_GAPS))
     if per_gap * gaps * int(phases[costly].sum()) + rest > _MOST_VARIABLES:
         phases[:] = 1
     program = _Periodic(problem, layout, phases.tolist(), np.where(costly, gaps, 0 if soon else _GAPS[0]).tolist())
-    left = None if time_limit_s is None else max(0.0, time_limit_s - (time.monotonic() - began))
+    left = max(0.0, time_limit_s - (time.monotonic() - began))
     return (program if program.solve(left) else coarse).duals()
 
 
@@ -86,15 +86,14 @@ class _Periodic:
                 flow, links = self._add_copy(reached, flows[p], number)
                 self._rows[i] = self._add_gaps(i, _gap_costs(period, p), flow, reached), links
 
-    def solve(self, time_limit_s: float | None) -> bool:
+    def solve(self, time_limit_s: float) -> bool:
         """Return whether the solver has found the duals in time."""
         solver = self._program.solver()
         solver.setOptionValue("solver", "ipm")
         solver.setOptionValue("run_crossover", "off")
         solver.setOptionValue("ipm_optimality_tolerance", _TOLERANCE)
         solver.setOptionValue("kkt_tolerance", _TOLERANCE)
-        if time_limit_s is not None:
-            solver.setOptionValue("time_limit", time_limit_s)
+        solver.setOptionValue("time_limit", time_limit_s)
         solver.run()
         solution = solver.getSolution()
         self._value, self._dual = np.asarray(solution.col_value), np.asarray(solution.row_dual)

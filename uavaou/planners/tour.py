@@ -94,7 +94,7 @@ class PartitionTour(_Tours):
 
     def _tours(self, scenario: Scenario, coverages: list[Bools], time_limit_s: float | None) -> list[list[Ints]]:
         half = None if time_limit_s is None else time_limit_s / 2
-        parts: list[list[Bools]] = []  # of each coverage, (X, Y, devices of the part) each
+        parts = []  # of each coverage, (X, Y, devices of the part) each
         whole = close_enough_tours(coverages, half, self.give_up_at)
         for covered, (cells, device) in zip(coverages, whole, strict=True):
             part = _cut(cells, scenario.uavs)  # (V,)
@@ -245,7 +245,7 @@ def _solve(coverages: list[Bools], seconds: float | None, give_up_at: float) -> 
         raise TimeoutError from None
     if solved.returncode:
         raise RuntimeError(f"OR-Tools ended with {solved.returncode}:\n{solved.stderr.decode(errors='replace')}")
-    orders: list[list[int]] = pickle.loads(solved.stdout)
+    orders = pickle.loads(solved.stdout)
     return [(cells[order], device[order]) for (cells, device), order in zip(nodes, orders, strict=True)]
 
 

@@ -30,8 +30,7 @@ _MARGIN = 1e-9  # of the amplitude |h|, far above rounding errors: a pair this c
 
 def rate(bandwidth: Floats, snr: Floats) -> Floats:
     """Return R = B log2(1 + Gamma) in bit/s, elementwise."""
-    result: Floats = bandwidth * np.log2(1.0 + snr)
-    return result
+    return bandwidth * np.log2(1.0 + snr)
 
 
 @compiled
@@ -187,14 +186,13 @@ class Channel:
     def mean_snr(self, positions: Floats) -> Floats:
         """Return the SNR without fading for UAVs at ``positions`` (N, U, 2) m; (N, U, I)."""
         positions = np.require(positions, requirements=("C", "W"))  # each other layout would be compiled anew
-        snr: Floats = np.empty((*positions.shape[:2], self._device_x.shape[1]))  # (N, U, I)
+        snr = np.empty((*positions.shape[:2], self._device_x.shape[1]))  # (N, U, I)
         _mean_snr(positions, self._device_x, self._device_y, self._altitude_squared, self._snr_at_1_m, snr)
         return snr
 
     def mean_snr_above(self) -> Floats:
         """Return the SNR without fading of each UAV right above each device, (L, U, I)."""
-        above: Floats = self._snr_at_1_m[:, None, :] / self._altitude_squared[:, None]
-        return above
+        return self._snr_at_1_m[:, None, :] / self._altitude_squared[:, None]
 
     def snr(self, positions: Floats, slot: int, all_pairs: bool = True) -> Floats:
         """Return the SNR Gamma_iu in a slot, for UAVs at ``positions`` (N, U, 2) m; (N, U, I).

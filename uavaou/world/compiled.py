@@ -59,7 +59,7 @@ def uninterrupted(function: F) -> F:
 def _compiled(function: F, **options: Any) -> F:
     compiler = partial(numba.njit, nogil=True, error_model="numpy", **options)
     try:
-        dispatcher: Any = compiler(cache=True)(function)
+        dispatcher = compiler(cache=True)(function)
         if hasattr(dispatcher, "_cache"):  # else NUMBA_DISABLE_JIT is set
             dispatcher._cache._cache_file.__class__ = _CheckedCacheFile
     except RuntimeError:  # neither the folder of the file nor the user's cache folder is writable

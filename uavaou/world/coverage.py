@@ -53,8 +53,7 @@ def coverage_radius(scenario: Scenario, layout: Layout) -> Floats:
     snr_min = minimum_snr(layout.bandwidth, scenario.rate_min_bit_s)  # (I,)
     with np.errstate(invalid="ignore"):
         headroom = mean_snr(scenario, below, np.zeros(2)) / snr_min  # (U, I)
-        radius: Floats = scenario.altitudes[:, None] * np.sqrt(headroom - 1.0)  # (U, I) m
-    return radius
+        return scenario.altitudes[:, None] * np.sqrt(headroom - 1.0)  # (U, I) m
 
 
 def drawn_radius(scenario: Scenario, layout: Layout) -> Floats:

@@ -5,8 +5,6 @@ no token holds an id. Tokens of a kind follow each other. The first feature of e
 zero. :mod:`uavaou.world.views` names the features of the local observation and has the other format.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -124,6 +122,14 @@ class EntityViews(RowViews):
         InputError: an argument has none of these values, or ``most`` is less than the scenario has.
     """
 
+    # Of the map:
+    _devices: Floats  # (L, I, 2) grid steps
+    _middle: Floats  # (L, 2) of the devices, grid steps
+    _radius: Floats  # (L, U, I) grid steps
+    _steps: Floats  # (L, U, C, I) grid steps to where a UAV collects a device well
+    _own: Bools  # (L, U, I) whether a device is in a UAV's part of the map
+    _places: Ints  # (L, U, I) of a device's token in a row, or -1
+
     def __init__(
         self,
         scenario: Scenario,
@@ -150,14 +156,8 @@ class EntityViews(RowViews):
         cells = scenario.columns * scenario.rows
         self._sizes = np.log([own[1] / _PAPER_DEVICES, own[0] / _PAPER_UAVS, cells / 121]).astype(np.float32)  # (3,)
         self._altitudes = scenario.altitudes  # (U,) m
-        self._placed: Floats | None = None  # the positions of the devices that the arrays below are of
-        self._devices: Floats = np.empty(0)  # (L, I, 2) grid steps
-        self._middle: Floats = np.empty(0)  # (L, 2) of the devices, grid steps
-        self._radius: Floats = np.empty(0)  # (L, U, I) grid steps
-        self._steps: Floats = np.empty(0)  # (L, U, C, I) grid steps to where a UAV collects a device well
+        self._placed: Floats | None = None  # the positions of the devices that the arrays of the map are of
         self._target = neighbours(scenario)[0]  # (C, 5)
-        self._own: Bools = np.empty(0, dtype=np.bool_)  # (L, U, I) whether a device is in a UAV's part of the map
-        self._places: Ints = np.empty(0, dtype=np.int64)  # (L, U, I) of a device's token in a row, or -1
 
     def local(self, world: World, out: Rows | None = None) -> Rows:
         """Return the local observations, (N, U, local), or write them into the first columns of ``out``."""

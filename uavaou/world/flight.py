@@ -25,6 +25,7 @@ class Flight:
         self._scenario = scenario
         self._vertical = 2 * scenario.altitudes  # (U,) m, take-off and landing
         self.cds: Ints = scenario.cds_cells  # (U, 2)
+        self.homes: Ints = self.cds @ np.array([scenario.rows, 1])  # (U,) the same as numbers of cells
         affordable = (scenario.flight_time_budget_s + ZETA_TOLERANCE_S) * scenario.speed_m_s - self._vertical
         moves = np.minimum(np.floor(affordable / scenario.grid_step_m), _UNLIMITED).astype(np.int64)
         # Without (Time), the budget is the number of slots, so it never binds.
@@ -32,8 +33,7 @@ class Flight:
 
     def flight_time(self, flown: Ints) -> Floats:
         """Return zeta_u in s after ``flown`` grid steps (..., U), with take-off and landing (eq. flighttime)."""
-        time: Floats = (self._vertical + flown * self._scenario.grid_step_m) / self._scenario.speed_m_s
-        return time
+        return (self._vertical + flown * self._scenario.grid_step_m) / self._scenario.speed_m_s
 
     def allowed(self, cells: Ints, flown: Ints, slot: int) -> tuple[Bools, Bools]:
         """Return which moves are allowed, and which stay on the grid.
@@ -59,8 +59,7 @@ class Flight:
 
 def grid_cells(scenario: Scenario) -> Ints:
     """Return the (column, row) of every grid cell, column by column, (C, 2); cell c is column * rows + row."""
-    cells: Ints = np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T
-    return cells
+    return np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T
 
 
 def neighbours(scenario: Scenario) -> tuple[Ints, Bools]:
@@ -76,8 +75,7 @@ def first_step(way: Ints) -> Ints:
     """Return the first move of a way of (columns, rows), (..., 2): along x first, then y; stay if both are 0."""
     along_x = np.where(way[..., 0] > 0, RIGHT, LEFT)
     along_y = np.where(way[..., 1] > 0, UP, DOWN)
-    step: Ints = np.where(way[..., 0] != 0, along_x, np.where(way[..., 1] != 0, along_y, STAY))
-    return step
+    return np.where(way[..., 0] != 0, along_x, np.where(way[..., 1] != 0, along_y, STAY))
 
 
 @compiled

@@ -15,8 +15,7 @@ LIMITS: tuple[Knowledge, ...] = ("local", "shared", "everything")  # that a user
 
 def knowledge(policy: object) -> Knowledge:
     """Return what a policy, or a class of policies, reads; one without an attribute ``knows`` may read everything."""
-    known: Knowledge = getattr(policy, "knows", "everything")
-    return known
+    return getattr(policy, "knows", "everything")
 
 
 def within(known: Knowledge, limit: str) -> bool:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaou.arrays import Bools, Floats, Ints
+from uavaou.arrays import Bools, Floats, Ints, Singles
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.flight import Flight, first_step, grid_cells, neighbours
@@ -22,7 +22,6 @@ _MISSIONS, _FLOWN_DEVICES = 8, 800  # flown for each part, fewer where there are
 _WORSE = 0.02  # in one mission, from which a change is not flown in more
 _LANES = 32  # columns are a multiple of it: whole vectors of the processor
 
-Singles = NDArray[np.float32]
 Cells = NDArray[np.int32]
 
 
@@ -80,8 +79,7 @@ def patrol_area(
 def _draws(shape: tuple[int, ...], seed: int = 0) -> Singles:
     """Uniform numbers, (missions, slots, W)."""
     size = prod(shape)
-    drawn: Singles = _uniform(seed, 1 << (size - 1).bit_length())[:size].reshape(shape)
-    return drawn
+    return _uniform(seed, 1 << (size - 1).bit_length())[:size].reshape(shape)
 
 
 @lru_cache(maxsize=4)
@@ -122,26 +120,11 @@ def age_sums(area: PatrolArea, uav: Ints, serves: Singles, missions: int) -> Flo
         missions: the first of the area's draws, so many.
     """
     sums, ages = np.zeros(len(uav)), np.empty(missions)
+    route = np.empty((missions, len(area.generated)), np.int32)
     for b in range(len(uav)):
-        fly_part(area, uav[b], serves[b], area.pull[uav[b]], 0, ages)
+        fly(area, uav[b], serves[b], area.pull[uav[b]], 0, route, ages)
         sums[b] = ages.mean()
     return sums
-
-
-@compiled_fast
-def fly_part(area: PatrolArea, uav: int, serves: Singles, pull: Singles, first: int, ages: Floats) -> None:
-    """Write the age sum in slots that a UAV leaves which serves some devices alone, in each of some missions.
-
-    Args:
-        area: what it flies over.
-        uav: which one.
-        serves: 1 for its devices, else 0, (W,).
-        pull: of each device in each cell, (C, W).
-        first: number of the first draw.
-        ages: (missions,), written.
-    """
-    route = np.empty((len(ages), len(area.generated)), np.int32)
-    fly(area, uav, serves, pull, first, route, ages)
 
 
 @compiled_fast

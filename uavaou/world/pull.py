@@ -116,7 +116,7 @@ def steps_left(world: World, share: float | Floats = SHARE) -> Floats:
     scenario = world.scenario
     with np.errstate(divide="ignore"):
         above = world.channel.snr_min[:, None, :] / world.channel.mean_snr_above()  # (L, U, I) power gain needed there
-    shares: Floats = np.broadcast_to(share, above.shape)
+    shares = np.broadcast_to(share, above.shape)
     each = zip(world.device_positions / scenario.grid_step_m, above, shares, strict=True)
     tables = [steps_where(scenario, gain_needed(scenario, at, least), fair) for at, least, fair in each]
     return np.stack(tables).astype(np.float32)
@@ -140,15 +140,13 @@ def gain_needed(scenario: Scenario, positions: Floats, above: Floats) -> Floats:
 def chance(scenario: Scenario, needed: Floats) -> Floats:
     """Return how probable a power gain above ``needed`` is, elementwise."""
     gain, exceeded = exceedance(scenario.fading, scenario.rician_factor)
-    probability: Floats = np.interp(needed, gain, exceeded, right=0.0)
-    return probability
+    return np.interp(needed, gain, exceeded, right=0.0)
 
 
 def gain_exceeded(scenario: Scenario, probability: Floats) -> Floats:
     """Return the power gain that fading exceeds with a ``probability``, elementwise."""
     gain, exceeded = exceedance(scenario.fading, scenario.rician_factor)
-    least: Floats = np.interp(-probability, -exceeded, gain)
-    return least
+    return np.interp(-probability, -exceeded, gain)
 
 
 def steps_where(scenario: Scenario, needed: Floats, share: float | Floats) -> Floats:
@@ -181,7 +179,7 @@ def planned_steps(world: World, plans: Sequence[PullPlan]) -> Floats:
 
 def steps_to(good: Bools) -> Floats:
     """Return the grid steps from each cell to the nearest that is ``good``, (..., X, Y, I); infinite without one."""
-    steps: Floats = np.where(good, 0.0, np.inf)
+    steps = np.where(good, 0.0, np.inf)
     for axis in (-3, -2):
         line = np.moveaxis(steps, axis, 0)  # a view
         for there in range(1, len(line)):

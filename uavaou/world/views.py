@@ -195,8 +195,7 @@ class RowViews(ABC):
 
     def _new(self, *shape: int) -> Rows:
         """Return memory to write to."""
-        memory: Rows = np.empty(shape, dtype=np.float32)
-        return memory
+        return np.empty(shape, dtype=np.float32)
 
 
 class Views(RowViews):
@@ -273,8 +272,7 @@ class Views(RowViews):
 
     def _age_sum(self, world: World) -> Floats:
         # An age sum grows with the square of the waiting time; its root is linear.
-        scaled: Floats = np.sqrt(world.ages.age_slots) / RECENT_SLOTS
-        return scaled
+        return np.sqrt(world.ages.age_slots) / RECENT_SLOTS
 
 
 @compiled

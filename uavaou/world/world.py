@@ -132,12 +132,10 @@ class World:
         self.flown = np.zeros((missions, uavs), dtype=np.int64)
         self.ages = AgeLedger(missions, devices)
         self.last_collection = np.zeros((missions, devices), dtype=np.int64)
-        self.last_collection_by = np.zeros((missions, uavs, devices), dtype=np.int64)
-        self.last_in_range = np.zeros((missions, uavs, devices), dtype=np.int64)
-        self._age_total: Ints = np.zeros((missions, devices), dtype=np.int64)  # (N, I) slots, over the slots played
-        self._communications: Ints = np.zeros((missions, devices), dtype=np.int64)  # (N, I)
-        self._rejected_rate: Ints = np.zeros(missions, dtype=np.int64)  # (N,)
-        self._rejected_association: Ints = np.zeros(missions, dtype=np.int64)  # (N,)
+        self.last_collection_by, self.last_in_range = np.zeros((2, missions, uavs, devices), dtype=np.int64)
+        # (N, I) slots, over the slots played; (N, I)
+        self._age_total, self._communications = np.zeros((2, missions, devices), dtype=np.int64)
+        self._rejected_rate, self._rejected_association = np.zeros((2, missions), dtype=np.int64)  # (N,) each
         self.stepped = None
         self.channel.start_missions(self._rngs)
         self._open_slot()
@@ -239,24 +237,28 @@ class World:
             those positions; ``rejected_rate``, ``rejected_association`` int; ``bandwidth`` (I,) Hz;
             ``transmit_power`` (I,) W. Arrays are float64 or int64, and copies.
         """
-        devices, last = self.scenario.devices, self.stepped
-        snr = self.snr if last is None else self.channel.snr(last.positions, last.slot)  # (N, U, I)
-        bandwidth = self._of_mission(self.channel.bandwidth, mission)
+        layout, last = self.layout(mission), self.stepped
+        if last is None:
+            snr, none = self.snr, np.zeros(self.missions, dtype=np.int64)
+            association = Association(np.full_like(self.pending, -1), none, none)
+            last = Stepped(0, self.positions, self.flown, snr, association)
+        else:
+            snr, association = self.channel.snr(last.positions, last.slot), last.association
         return {
-            "slot": 0 if last is None else last.slot,
-            "positions": (self.positions if last is None else last.positions)[mission].copy(),
+            "slot": last.slot,
+            "positions": last.positions[mission].copy(),
             "altitudes": self.scenario.altitudes.copy(),
-            "devices": self._of_mission(self.device_positions, mission),
+            "devices": layout.positions,
             "age_sum": self.age_sum[mission].copy(),
             "pending": self.pending[mission].copy(),
-            "update_period": self._of_mission(self.update_period, mission),
-            "collected_by": np.full(devices, -1) if last is None else last.association.collected_by[mission].copy(),
-            "rate": rate(bandwidth, snr[mission]),
-            "flight_time": self.flight.flight_time((self.flown if last is None else last.flown)[mission]),
-            "rejected_rate": 0 if last is None else int(last.association.rejected_rate[mission]),
-            "rejected_association": 0 if last is None else int(last.association.rejected_association[mission]),
-            "bandwidth": bandwidth,
-            "transmit_power": self._of_mission(self.channel.transmit_power, mission),
+            "update_period": layout.update_period,
+            "collected_by": association.collected_by[mission].copy(),
+            "rate": rate(layout.bandwidth, snr[mission]),
+            "flight_time": self.flight.flight_time(last.flown[mission]),
+            "rejected_rate": int(association.rejected_rate[mission]),
+            "rejected_association": int(association.rejected_association[mission]),
+            "bandwidth": layout.bandwidth,
+            "transmit_power": layout.transmit_power,
         }
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
@@ -291,28 +293,16 @@ class World:
 
     def layout(self, mission: int = 0) -> Layout:
         """Return the devices of one mission."""
-        return Layout(
-            positions=self._of_mission(self.device_positions, mission),
-            bandwidth=self._of_mission(self.channel.bandwidth, mission),
-            transmit_power=self._of_mission(self.channel.transmit_power, mission),
-            update_period=self._of_mission(self.update_period, mission),
-        )
-
-    def _of_mission(self, values: NDArray[Any], mission: int) -> NDArray[Any]:
-        own: NDArray[Any] = values[0 if len(values) == 1 else mission].copy()
-        return own
+        of_all = self.device_positions, self.channel.bandwidth, self.channel.transmit_power, self.update_period
+        return Layout(*(values[0 if self._fixed_layout else mission].copy() for values in of_all))
 
     def _place_devices(self) -> None:
         # A fixed layout is stored once, (1, I), and broadcast; a resampled one comes from the stream of each mission.
         rngs = [None] if self._fixed_layout else self._rngs
         layouts = [self.scenario.draw_layout(rng) for rng in rngs]
-        self.device_positions = np.stack([layout.positions for layout in layouts])
-        self.update_period = np.stack([layout.update_period for layout in layouts])
-        self.channel.set_devices(
-            self.device_positions,
-            np.stack([layout.bandwidth for layout in layouts]),
-            np.stack([layout.transmit_power for layout in layouts]),
-        )
+        fields = (np.stack(each) for each in zip(*(vars(layout).values() for layout in layouts), strict=True))
+        self.device_positions, bandwidth, transmit_power, self.update_period = fields
+        self.channel.set_devices(self.device_positions, bandwidth, transmit_power)
 
     def _open_slot(self) -> None:
         """Compute the channel and the allowed moves of the slot."""

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch as th
-from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _NormBase
 from torch.nn.modules.dropout import _DropoutNd
 
@@ -19,13 +18,11 @@ from uavaou.algorithms.mappo.buffer import SlotRolloutBuffer
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
 from uavaou.algorithms.nets.mlp import FullyConnected, Later, fully_connected, has_hooks, is_exactly
 from uavaou.algorithms.nets.value_norm import PopArt
+from uavaou.arrays import Floats, Ints, Singles
 from uavaou.world.compiled import compiled
 from uavaou.world.views import MOVES
 
-Floats = NDArray[np.float32]
-Doubles = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Gradient = tuple[list[th.Tensor], Doubles]  # by a network's parameters, and the loss statistics
+Gradient = tuple[list[Tensor], Floats]  # by a network's parameters, and the loss statistics
 
 ROWS = 1024  # of a shard, about: a shard's products cost as much as 50 rows before the first row
 AUTOGRAD_ROWS = 256  # the same of networks whose products are not tasks of their own
@@ -90,24 +87,24 @@ class GradientShard:
         actor, critic = (ROWS if isinstance(network, FullyConnected) else AUTOGRAD_ROWS for network in self._networks)
         return max(rows // actor, 1), max(critic_rows // critic, 1)
 
-    def rows(self, indices: Indices) -> Indices:
+    def rows(self, indices: Ints) -> Ints:
         """Return the rows, counted from that of the rollout's first slot, of UAVs that are there in slots (B,)."""
         uavs = self._actions.shape[1]
-        rows: Indices = indices[:, None] * uavs + np.arange(uavs)  # (B, U)
+        rows: Ints = indices[:, None] * uavs + np.arange(uavs)  # (B, U)
         return rows.ravel() if self._present is None else rows[self._present[indices] > 0.5]
 
-    def critic_rows(self, indices: Indices) -> Indices:
+    def critic_rows(self, indices: Ints) -> Ints:
         """Return the critic's rows of slots (B,), one a slot or those of its UAVs."""
         return indices if self._shared_critic else self.rows(indices)
 
-    def advantage_moments(self, indices: Indices) -> tuple[float, float]:
+    def advantage_moments(self, indices: Ints) -> tuple[float, float]:
         """Mean and standard deviation of the advantages of slots (B,), over UAVs that are there."""
         if self._present is None:  # the UAVs of a slot share an advantage, or each has one: V of them
             return advantage_moments(self._advantages, self.critic_rows(indices), self._advantages.shape[1])
         return advantage_moments(self._advantages, self.rows(indices), self._actions.shape[1])
 
     @th.no_grad()
-    def actor_gradient(self, at: Indices, part: float, coefficients: LossCoefficients, later: Later) -> Gradient:
+    def actor_gradient(self, at: Ints, part: float, coefficients: LossCoefficients, later: Later) -> Gradient:
         """The gradient by the actor's parameters, in order, as far as it comes from some of a minibatch's rows.
 
         Gradients and statistics of a minibatch's shards, actor's and critic's, add up to those of the minibatch.
@@ -135,7 +132,7 @@ class GradientShard:
         return self._actor.backward(activations, grad_logits, later=later), statistics
 
     @th.no_grad()
-    def critic_gradient(self, at: Indices, part: float, coefficients: LossCoefficients, later: Later) -> Gradient:
+    def critic_gradient(self, at: Ints, part: float, coefficients: LossCoefficients, later: Later) -> Gradient:
         """The gradient by the critic's parameters, from some of :meth:`critic_rows`; see :meth:`actor_gradient`."""
         rows = self._critic_rows.index_select(0, th.from_numpy(at))  # (R, global, local or both)
         activations = self._critic.forward(rows)
@@ -151,12 +148,12 @@ def _keeps_no_state(module: nn.Module) -> bool:
     return known and not isinstance(module, _NormBase | _DropoutNd) and not has_hooks(module)
 
 
-def _by_slot(array: Floats) -> Floats:
+def _by_slot(array: Singles) -> Singles:
     """An array (T, N, ...) of the buffer as (slots, ...)."""
     return array.reshape(-1, *array.shape[2:])
 
 
-def _by_row(array: Floats) -> th.Tensor:
+def _by_row(array: Singles) -> Tensor:
     """An array (T, N, ..., columns) of the buffer as (rows, columns)."""
     return th.from_numpy(array.reshape(-1, array.shape[-1]))
 
@@ -164,21 +161,21 @@ def _by_row(array: Floats) -> th.Tensor:
 class _AutogradNetwork:
     """Any other network, differentiated by autograd; the methods are those of :class:`FullyConnected`."""
 
-    def __init__(self, network: Callable[[th.Tensor], th.Tensor], parameters: list[th.nn.Parameter]) -> None:
+    def __init__(self, network: Callable[[Tensor], Tensor], parameters: list[th.nn.Parameter]) -> None:
         self._network, self._parameters = network, parameters
 
-    def forward(self, rows: th.Tensor) -> list[th.Tensor]:
+    def forward(self, rows: Tensor) -> list[Tensor]:
         with th.enable_grad():
             outputs = self._network(rows)
         return [outputs, outputs.detach().contiguous()]
 
-    def backward(self, activations: list[th.Tensor], grad: th.Tensor, later: Later) -> list[th.Tensor]:
+    def backward(self, activations: list[Tensor], grad: Tensor, later: Later) -> list[Tensor]:
         gradients = th.autograd.grad(activations[0], self._parameters, grad, materialize_grads=True)
         return [gradient.clone() for gradient in gradients]  # two parameters may have been given one tensor
 
 
 def _network(
-    layers: FullyConnected | None, network: Callable[[th.Tensor], th.Tensor], parameters: list[th.nn.Parameter]
+    layers: FullyConnected | None, network: Callable[[Tensor], Tensor], parameters: list[th.nn.Parameter]
 ) -> FullyConnected | _AutogradNetwork:
     """The written gradient where the known ``layers`` have just these parameters, else autograd's."""
     if layers is not None and list(map(id, layers.parameters)) == list(map(id, parameters)):
@@ -188,9 +185,9 @@ def _network(
 
 @compiled
 def clipped_surrogate(
-    logits: Floats, local: Floats, moves_column: int, in_range: tuple[int, int], rows: Indices, actions: Floats,
-    old_log_prob: Floats, advantages: Floats, mean: float, scale: float, clip_range: float, entropy_coef: float,
-    part: float, gradient: Floats,
+    logits: Singles, local: Singles, moves_column: int, in_range: tuple[int, int], rows: Ints, actions: Singles,
+    old_log_prob: Singles, advantages: Singles, mean: float, scale: float, clip_range: float, entropy_coef: float,
+    part: float, gradient: Singles,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Write the gradient of ``-mean(min(A r, A clip(r))) - entropy_coef * mean(H)`` by the logits.
 
@@ -243,7 +240,7 @@ def clipped_surrogate(
 
 
 @compiled
-def _softmax(logits: Floats, local: Floats, moves_column: int, log_probs: Doubles, probs: Doubles) -> float:
+def _softmax(logits: Singles, local: Singles, moves_column: int, log_probs: Floats, probs: Floats) -> float:
     """Write the moves' log-probabilities and probabilities; return their entropy."""
     highest, total, entropy = -np.inf, 0.0, 0.0
     for k in range(_MOVES):
@@ -265,8 +262,8 @@ def _softmax(logits: Floats, local: Floats, moves_column: int, log_probs: Double
 
 @compiled
 def _add_selection(
-    logits: Floats, local: Floats, in_range: tuple[int, int], action: Floats, log_prob: float, entropy: float,
-    probs: Floats,
+    logits: Singles, local: Singles, in_range: tuple[int, int], action: Singles, log_prob: float, entropy: float,
+    probs: Singles,
 ) -> tuple[float, float]:  # fmt: skip
     """Add the selected devices to log-probability and entropy; write each device's probability q to ``probs``.
 
@@ -286,9 +283,14 @@ def _add_selection(
 
 @compiled
 def _selection_gradient(
-    logits: Floats, local: Floats, in_range: tuple[int, int], action: Floats, grad_log_prob: float, grad_entropy: float,
-    gradient: Floats,
-) -> None:  # fmt: skip
+    logits: Singles,
+    local: Singles,
+    in_range: tuple[int, int],
+    action: Singles,
+    grad_log_prob: float,
+    grad_entropy: float,
+    gradient: Singles,
+) -> None:
     """Write the gradient by the devices' logits, in place of their probabilities."""
     for i in range(len(action) - 1):
         if in_range[0] < 0 or local[in_range[0] + in_range[1] * i] > 0.5:
@@ -300,8 +302,8 @@ def _selection_gradient(
 
 @compiled
 def squared_error(
-    values: Floats, rows: Indices, returns: Floats, weight: float, mean: float, std: float, part: float,
-    gradient: Floats,
+    values: Singles, rows: Ints, returns: Singles, weight: float, mean: float, std: float, part: float,
+    gradient: Singles,
 ) -> float:  # fmt: skip
     """Write the gradient of ``weight * mean((value - (return - mean) / std) ** 2)`` by the values.
 
@@ -324,7 +326,7 @@ def squared_error(
 
 
 @compiled
-def advantage_moments(advantages: Floats, rows: Indices, uavs: int) -> tuple[float, float]:
+def advantage_moments(advantages: Singles, rows: Ints, uavs: int) -> tuple[float, float]:
     """Mean and standard deviation of the advantages (slots, V) of some rows ``slot * uavs + uav``."""
     total, squares, critics = 0.0, 0.0, advantages.shape[1]
     for row in rows:

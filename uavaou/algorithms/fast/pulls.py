@@ -3,13 +3,12 @@
 :class:`uavaou.algorithms.nets.pull.Pull` is the definition.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import numpy as np
 import torch as th
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from uavaou.algorithms.fast.tokens import supports as supports
@@ -25,7 +24,7 @@ Places = tuple[int, int, int, int]
 Parts = tuple[float, float]
 
 
-def pull(rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Places) -> th.Tensor:
+def pull(rows: Tensor, changes: Tensor, numbers: Tensor, columns: Places) -> Tensor:
     """Return the pull of each move, (B, 5).
 
     Args:
@@ -35,7 +34,7 @@ def pull(rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Place
         columns: :attr:`uavaou.algorithms.nets.pull.Pull.columns`.
     """
     if th.is_grad_enabled():
-        pulls: th.Tensor = _Pull.apply(rows, changes, numbers, columns)  # type: ignore[no-untyped-call]
+        pulls: Tensor = _Pull.apply(rows, changes, numbers, columns)  # type: ignore[no-untyped-call]
         return pulls
     return _pulled(rows, changes, numbers, columns)[0]
 
@@ -44,7 +43,7 @@ class _Pull(th.autograd.Function):
     """:func:`pull` with a gradient, by changes and numbers."""
 
     @staticmethod
-    def forward(ctx: Any, rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Places) -> th.Tensor:
+    def forward(ctx: Any, rows: Tensor, changes: Tensor, numbers: Tensor, columns: Places) -> Tensor:
         pulls, *kept = _pulled(rows, changes, numbers, columns)
         ctx.columns = columns
         ctx.save_for_backward(rows, numbers, *kept)
@@ -52,7 +51,7 @@ class _Pull(th.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: th.Tensor) -> tuple[th.Tensor | None, ...]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         rows, numbers, turned, rate, felt, nothing = ctx.saved_tensors
         by_changes, by_numbers = th.empty(turned.shape), np.zeros(4)
         beta, _, *parts = numbers.exp().tolist()
@@ -63,7 +62,7 @@ class _Pull(th.autograd.Function):
         return None, by_changes, th.from_numpy(by_numbers.astype(np.float32)), None
 
 
-def _pulled(rows: th.Tensor, changes: th.Tensor, numbers: th.Tensor, columns: Places) -> tuple[th.Tensor, ...]:
+def _pulled(rows: Tensor, changes: Tensor, numbers: Tensor, columns: Places) -> tuple[Tensor, ...]:
     """Return the pulls, (B, 5), and what their gradient needs; torch takes exponentials in vectors.
 
     That is tanh of the changes, (B, 2 I), the steps' factor 1 / reach_i, (B, I), what each move feels of each device,

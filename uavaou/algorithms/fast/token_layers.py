@@ -3,8 +3,6 @@
 A block of rows stays in the cache from the first layer to the last.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

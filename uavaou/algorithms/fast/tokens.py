@@ -5,18 +5,17 @@ layer to memory and read them again, which takes longer than the arithmetic on t
 a gradient will need them, and tokens that are not there cost next to nothing.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import torch as th
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from uavaou.algorithms.fast.token_layers import ROWS, TOKENS, Activations, Layers, Whole, add_gradient, write_encoded
 
 
-def encode(rows: th.Tensor, stop: int, uavs: int, heads: int, *parameters: th.Tensor) -> th.Tensor:
+def encode(rows: Tensor, stop: int, uavs: int, heads: int, *parameters: Tensor) -> Tensor:
     """Return features and devices' numbers (B, size + n I) of rows with ``uavs`` tokens of UAVs.
 
     Args:
@@ -27,7 +26,7 @@ def encode(rows: th.Tensor, stop: int, uavs: int, heads: int, *parameters: th.Te
         parameters: weight and bias of each layer, in order.
     """
     if th.is_grad_enabled():
-        encoded: th.Tensor = _Encode.apply(rows, stop, uavs, heads, *parameters)  # type: ignore[no-untyped-call]
+        encoded: Tensor = _Encode.apply(rows, stop, uavs, heads, *parameters)  # type: ignore[no-untyped-call]
         return encoded
     return _encoded(rows, stop, uavs, heads, _layers(parameters), False)[0]
 
@@ -36,7 +35,7 @@ class _Encode(th.autograd.Function):
     """:func:`encode` with a gradient, by the parameters alone."""
 
     @staticmethod
-    def forward(ctx: Any, rows: th.Tensor, stop: int, uavs: int, heads: int, *parameters: th.Tensor) -> th.Tensor:
+    def forward(ctx: Any, rows: Tensor, stop: int, uavs: int, heads: int, *parameters: Tensor) -> Tensor:
         encoded, *ctx.kept = _encoded(rows, stop, uavs, heads, _layers(parameters), True)
         ctx.stop = stop
         ctx.save_for_backward(rows, *parameters)
@@ -44,7 +43,7 @@ class _Encode(th.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: th.Tensor) -> tuple[th.Tensor | None, ...]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         rows, *parameters = ctx.saved_tensors
         layers = _layers(parameters)
         gradients = Layers(*(np.zeros_like(layer) for layer in layers))
@@ -54,7 +53,7 @@ class _Encode(th.autograd.Function):
         return None, None, None, None, *(th.from_numpy(gradient.T) for gradient in gradients)
 
 
-def supports(rows: th.Tensor) -> bool:
+def supports(rows: Tensor) -> bool:
     """Whether rows are float32 in the memory of this machine, and torch records no graph of standard operators."""
     exports = th.jit.is_tracing() or th.compiler.is_compiling()  # type: ignore[attr-defined, no-untyped-call]
     return rows.device.type == "cpu" and rows.dtype == th.float32 and not exports
@@ -65,8 +64,8 @@ def _layers(parameters: Any) -> Layers:
 
 
 def _encoded(
-    rows: th.Tensor, stop: int, uavs: int, heads: int, layers: Layers, keep: bool
-) -> tuple[th.Tensor, Activations, Whole, int]:
+    rows: Tensor, stop: int, uavs: int, heads: int, layers: Layers, keep: bool
+) -> tuple[Tensor, Activations, Whole, int]:
     """Encode rows; also returns the activations, and how many rows and tokens each block has."""
     array, width = rows.detach().contiguous().numpy(), len(layers.own_b)
     own, queries = len(layers.own_w) + uavs * len(layers.uav_w), len(layers.query_b) // width

@@ -4,8 +4,6 @@ How a minibatch is divided, and the order of sums, depend on the minibatch alone
 bits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -13,10 +11,11 @@ from typing import Any
 import numpy as np
 import torch as th
 
-from uavaou.algorithms.fast.loss import Doubles, Gradient, GradientShard, Indices, LossCoefficients
+from uavaou.algorithms.fast.loss import Gradient, GradientShard, LossCoefficients
 from uavaou.algorithms.mappo.buffer import SlotRolloutBuffer
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
 from uavaou.algorithms.nets.value_norm import PopArt, ReturnStatistics
+from uavaou.arrays import Floats, Ints
 from uavaou.threads import Tasks, keep_freed_memory
 
 
@@ -62,7 +61,7 @@ class FastUpdate:
         )
 
     @th.no_grad()
-    def gradient(self, indices: Indices) -> Doubles:
+    def gradient(self, indices: Ints) -> Floats:
         """Set the parameters' gradient of the loss on slots ``indices`` (B,); returns the loss statistics (6,)."""
         coefficients, shard = self._coefficients, self._shard
         if self._normalises_batches:
@@ -73,7 +72,7 @@ class FastUpdate:
         computed: list[dict[int, Gradient]] = [{}, {}]  # the actor's by shard, and the critic's
         tasks = Tasks(alone=not shard.divisible)
 
-        def compute(network: int, piece: int, at: Indices) -> None:
+        def compute(network: int, piece: int, at: Ints) -> None:
             gradient = (shard.actor_gradient, shard.critic_gradient)[network]
             computed[network][piece] = gradient(at, len(at) / len(rows[network]), coefficients, tasks.add)
 
@@ -87,7 +86,7 @@ class FastUpdate:
                 th._foreach_add_(gradients, shards[piece][0])
             for parameter, gradient in zip(parameters, gradients, strict=True):
                 parameter.grad = gradient
-        statistics: Doubles = np.sum([shards[piece][1] for shards in computed for piece in range(len(shards))], axis=0)
+        statistics: Floats = np.sum([shards[piece][1] for shards in computed for piece in range(len(shards))], axis=0)
         return statistics
 
 

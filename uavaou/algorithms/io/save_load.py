@@ -114,7 +114,7 @@ class SafeSaveLoad(BaseAlgorithm):
                     "choose norm_obs=False"
                 )
             wrapper = wrapper.venv
-        layout: Any = getattr(wrapped, "row_layout", None)
+        layout = getattr(wrapped, "row_layout", None)
         if layout is not None and wrapped.observation_space.shape != row_space(layout).shape:
             raise InputError(
                 f"env: its rows have the shape {wrapped.observation_space.shape}, and [local | global] has "
@@ -143,7 +143,7 @@ class SafeSaveLoad(BaseAlgorithm):
         """
         if exclude or include:
             raise InputError("exclude, include: arguments of save_sb3; save writes what load needs")
-        layout: Any = self.policy.row_layout
+        layout = self.policy.row_layout
         header = LearnerHeader(
             learner=type(self).__name__,
             policy=type(self.policy).__name__,

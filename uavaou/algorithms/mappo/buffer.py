@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
+from torch import Tensor
 
 from uavaou.arrays import Bools, Ints
 from uavaou.world.views import RowLayout, Rows
@@ -26,12 +27,12 @@ ARRAYS = (
 class SlotBatch:
     """A minibatch of B slots; in padded rows, B * U and B * V are the rows that are there."""
 
-    local: th.Tensor  # (B * U, local)
-    critic_rows: th.Tensor  # (B * V, global, local or both)
-    actions: th.Tensor  # (B * U, 1 + I)
-    old_log_prob: th.Tensor  # (B * U,)
-    advantages: th.Tensor  # (B * U,)
-    returns: th.Tensor  # (B * V,)
+    local: Tensor  # (B * U, local)
+    critic_rows: Tensor  # (B * V, global, local or both)
+    actions: Tensor  # (B * U, 1 + I)
+    old_log_prob: Tensor  # (B * U,)
+    advantages: Tensor  # (B * U,)
+    returns: Tensor  # (B * V,)
 
 
 class SlotRolloutBuffer(RolloutBuffer):
@@ -75,9 +76,7 @@ class SlotRolloutBuffer(RolloutBuffer):
         padded = layout.present_column is not None
         self.present = np.zeros(self.log_probs.shape, dtype=bool) if padded else None
 
-    def add(
-        self, obs: Rows, action: Any, reward: Rows, episode_start: Any, value: th.Tensor, log_prob: th.Tensor
-    ) -> None:
+    def add(self, obs: Rows, action: Any, reward: Rows, episode_start: Any, value: Tensor, log_prob: Tensor) -> None:
         """Store one slot of all missions, given as N * U mission-major rows."""
         self.log_probs[self.pos] = log_prob.cpu().numpy().reshape(-1, self.row_layout.uavs)
         self.values[self.pos] = self._per_critic(value.cpu().numpy())
@@ -129,10 +128,9 @@ class SlotRolloutBuffer(RolloutBuffer):
         """Return the entry of an array (T, N, V) for each UAV that is there."""
         if self.present is None:
             return array
-        each: Rows = np.broadcast_to(array, self.present.shape)[self.present]
-        return each
+        return np.broadcast_to(array, self.present.shape)[self.present]
 
-    def compute_returns_and_advantage(self, last_values: th.Tensor, dones: NDArray[Any]) -> None:
+    def compute_returns_and_advantage(self, last_values: Tensor, dones: NDArray[Any]) -> None:
         """GAE(lambda) (Schulman et al. 2016), for each mission and critic."""
         next_values = self._per_critic(last_values.cpu().numpy())  # (N, V)
         not_done = 1.0 - dones.reshape(-1, self.row_layout.uavs)[:, :1].astype(np.float32)  # (N, 1)
@@ -186,18 +184,18 @@ class SlotRolloutBuffer(RolloutBuffer):
         )
         return RolloutBufferSamples(*self._there(batch_inds, *samples))
 
-    def _there(self, indices: Ints, *rows: th.Tensor) -> tuple[th.Tensor, ...]:
+    def _there(self, indices: Ints, *rows: Tensor) -> tuple[Tensor, ...]:
         """The rows (B * U, ...) of UAVs that are there, of those at some slots."""
         if self.present is None:
             return rows
         present = th.from_numpy(self.present.reshape(-1, self.row_layout.uavs)[indices].ravel()).to(self.device)
         return tuple(each[present] for each in rows)
 
-    def _pick(self, array: Rows, indices: Ints) -> th.Tensor:
+    def _pick(self, array: Rows, indices: Ints) -> Tensor:
         """The entries (B, ...) of an array (T, N, ...) at some slots."""
         index = th.from_numpy(indices).to(self.device)
         return th.from_numpy(array.reshape(-1, *array.shape[2:])).to(self.device).index_select(0, index)
 
-    def _per_uav(self, array: Rows, indices: Ints) -> th.Tensor:
+    def _per_uav(self, array: Rows, indices: Ints) -> Tensor:
         """The entries (B * U,) of an array (T, N, V)."""
         return self._pick(array, indices).expand(-1, self.row_layout.uavs).flatten()

@@ -12,24 +12,17 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import FloatSchedule, explained_variance
 from stable_baselines3.common.vec_env import VecEnv
+from torch import Tensor
 from torch.nn import functional
 
 from uavaou.algorithms.io.save_load import SafeSaveLoad
 from uavaou.algorithms.mappo.buffer import SlotBatch, SlotRolloutBuffer
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy, inherits
 from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
+from uavaou.algorithms.nets.pull import compiled_module
+from uavaou.arrays import Bools, Ints
 from uavaou.errors import InputError, unknown
 from uavaou.threads import compute_with_one_thread
-
-try:
-    from uavaou.algorithms.fast.loss import LossCoefficients
-    from uavaou.algorithms.fast.update import FastUpdate
-
-    HAS_FAST = True
-except ModuleNotFoundError as error:  # the folder may be deleted: autograd then takes every gradient, more slowly
-    if not (error.name or "").startswith("uavaou.algorithms.fast"):
-        raise
-    HAS_FAST = False
 
 ADVANTAGES = ("none", "rollout", "batch")
 _MOST_ROWS = 1 << 14  # evaluated at once when a rollout is complete
@@ -38,12 +31,12 @@ _MOST_ROWS = 1 << 14  # evaluated at once when a rollout is complete
 class LossStatistics(NamedTuple):
     """PPO's loss on a minibatch and the statistics to log, scalars each."""
 
-    policy_loss: th.Tensor
-    value_loss: th.Tensor
-    entropy: th.Tensor
-    loss: th.Tensor  # the sum whose gradient is taken
-    approx_kl: th.Tensor  # estimated divergence from the policy of the rollout
-    clip_fraction: th.Tensor  # of rows
+    policy_loss: Tensor
+    value_loss: Tensor
+    entropy: Tensor
+    loss: Tensor  # the sum whose gradient is taken
+    approx_kl: Tensor  # estimated divergence from the policy of the rollout
+    clip_fraction: Tensor  # of rows
 
 
 class MAPPO(SafeSaveLoad, PPO):
@@ -134,7 +127,7 @@ class MAPPO(SafeSaveLoad, PPO):
         self.policy.set_training_mode(False)
         buffer.reset()
         callback.on_rollout_start()
-        logits: list[th.Tensor] = []  # (N * U, 5 + I) for each slot
+        logits = []  # (N * U, 5 + I) for each slot
         for _ in range(slots):
             assert isinstance(self._last_obs, np.ndarray)
             local = th.from_numpy(buffer.add_rows(self._last_obs)).to(self.device)  # (N * U, local)
@@ -157,7 +150,7 @@ class MAPPO(SafeSaveLoad, PPO):
         callback.on_rollout_end()
         return True
 
-    def _distribution(self, local: th.Tensor, buffer: SlotRolloutBuffer) -> MoveSelectionDistribution:
+    def _distribution(self, local: Tensor, buffer: SlotRolloutBuffer) -> MoveSelectionDistribution:
         """The policy in the rows (N * U, local) just stored; the logits of UAVs that are not there are 0."""
         if buffer.present is None or buffer.present[buffer.pos].all():
             return self.policy.action_distribution(local)
@@ -166,7 +159,7 @@ class MAPPO(SafeSaveLoad, PPO):
         logits = there.new_zeros(len(local), there.shape[1]).index_copy_(0, rows, there)
         return self.policy.distribution_of(logits, local)
 
-    def _update_info_buffer(self, infos: list[dict[str, Any]], dones: NDArray[np.bool_] | None = None) -> None:
+    def _update_info_buffer(self, infos: list[dict[str, Any]], dones: Bools | None = None) -> None:
         # SB3 searches all infos of every slot for entries that only those of a mission's last slot have.
         if dones is None or dones.any():
             super()._update_info_buffer(infos, dones)
@@ -178,7 +171,7 @@ class MAPPO(SafeSaveLoad, PPO):
             last = th.from_numpy(np.stack([infos[row]["terminal_observation"] for row in rows])).to(self.device)
             rewards[rows] += self.gamma * self.policy.predict_values(last)[:, 0].cpu().numpy()
 
-    def evaluate_rollout(self, buffer: SlotRolloutBuffer, logits: list[th.Tensor]) -> None:
+    def evaluate_rollout(self, buffer: SlotRolloutBuffer, logits: list[Tensor]) -> None:
         """Write the rollout's values and log-probabilities, given the ``logits`` (N * U, 5 + I) of each slot."""
         slots_at_once = max(_MOST_ROWS // len(logits[0]), 1)
         for start in range(0, len(logits), slots_at_once):
@@ -234,11 +227,9 @@ class MAPPO(SafeSaveLoad, PPO):
         for array in (buffer.values, buffer.returns, buffer.advantages):
             array /= factor
 
-    def _run_epochs(
-        self, gradient: Callable[[NDArray[np.int64]], LossStatistics], step: Callable[[], None]
-    ) -> list[LossStatistics]:
+    def _run_epochs(self, gradient: Callable[[Ints], LossStatistics], step: Callable[[], None]) -> list[LossStatistics]:
         """Take a step on each minibatch; as SB3's, stop before the step where the policy has moved too far."""
-        statistics: list[LossStatistics] = []
+        statistics = []
         slots_in_batch = max(int(self.batch_size / self.rollout_buffer.rows_per_slot), 1)
         for epoch in range(self.n_epochs):
             self._n_updates += 1
@@ -253,24 +244,24 @@ class MAPPO(SafeSaveLoad, PPO):
 
     def _gradient_and_step(
         self, clip_range: float, mean: float, std: float
-    ) -> tuple[Callable[[NDArray[np.int64]], LossStatistics], Callable[[], None]]:
+    ) -> tuple[Callable[[Ints], LossStatistics], Callable[[], None]]:
         """Two functions: set the parameters' gradient of the loss on some slots; clip the gradient and step."""
         critic_alone = 0 < self.num_timesteps <= self.critic_rollouts * self.n_steps * self.n_envs
         if not self.uses_fast:
 
-            def gradient(indices: NDArray[np.int64]) -> LossStatistics:
+            def gradient(indices: Ints) -> LossStatistics:
                 statistics = self.backward(self.loss(self.rollout_buffer.batch(indices), clip_range, mean, std))
                 for parameter in self.policy.actor_parameters() if critic_alone else ():
                     parameter.grad = None
                 return statistics
 
             return gradient, self.step
-        value_net = self.policy.value_net
-        coefficients = LossCoefficients(
+        value_net, loss, update = self.policy.value_net, compiled_module("loss"), compiled_module("update")
+        coefficients = loss.LossCoefficients(
             mean, 1 / std, clip_range, self.ent_coef, self.vf_coef, float(value_net.mean), float(value_net.std)
         )
         normalises_batches = self.advantage_normalization == "batch"
-        fast = FastUpdate(
+        fast = update.FastUpdate(
             self.policy, self.rollout_buffer, coefficients, normalises_batches, self.max_grad_norm, critic_alone
         )
         step = fast.adam.step if fast.adam and inherits(self, MAPPO, "step") else self.step
@@ -280,7 +271,8 @@ class MAPPO(SafeSaveLoad, PPO):
     def uses_fast(self) -> bool:
         """Whether ``algorithms/fast`` computes the gradient: on a CPU, with the loss and distribution defined here."""
         own = inherits(self, MAPPO, "loss", "backward")
-        return HAS_FAST and own and FastUpdate.supports(self.policy, self.rollout_buffer)
+        update = compiled_module("update")  # without it, autograd takes every gradient, more slowly
+        return own and update is not None and update.FastUpdate.supports(self.policy, self.rollout_buffer)
 
     def loss(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> LossStatistics:
         """PPO's loss on a minibatch.

@@ -6,16 +6,14 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import Schedule
-from torch import nn
+from torch import Tensor, nn
 
 from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.action_head import MoveAndDeviceLogits, MoveSelectionDistribution
-from uavaou.algorithms.nets.mlp import ACTIVATIONS, mlp
+from uavaou.algorithms.nets.mlp import mlp
 from uavaou.algorithms.nets.pull import Pull
-from uavaou.algorithms.nets.set_encoder import TOKEN_WIDTH, check_network, make_body
 from uavaou.algorithms.nets.value_norm import PopArt, ValueScale
 from uavaou.errors import InputError, unknown
-from uavaou.world.views import RowLayout
 
 CRITIC_INPUTS = ("global", "local", "both")
 
@@ -35,16 +33,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
 
     Args:
         observation_space, action_space, lr_schedule: as SB3 passes them.
-        row_layout: names the columns of a row; :class:`~uavaou.MAPPO` takes it from the VecEnv.
         critic_input: ``global`` (MAPPO), ``local`` (IPPO), or ``both``: a UAV's whole row, flat.
-        network: ``mlp``, or for rows of entities ``set``, whose weights fit any number of UAVs and devices.
-        net_arch: hidden layer sizes of actor and critic; of a ``set``, after its encoder.
-        activation: ``relu`` or ``tanh``.
-        selection_bias: initial logit of selecting a device in range; collecting costs nothing in this model.
-        pull: how sharply devices pull the actor of a ``set`` at first (:mod:`uavaou.algorithms.nets.pull`); 0: not.
-        token_width: features of a device in a ``set``.
-        masks: whether forbidden moves and devices out of range have probability 0, in training and in flight.
-            Without masks the policy may choose them, and the World rejects them; the observation is the same.
+        activation, selection_bias, kwargs: of :class:`LocalPolicy`; the bias is a logit.
     """
 
     action_dist: MoveSelectionDistribution
@@ -55,47 +45,28 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         observation_space: spaces.Box,
         action_space: spaces.Space[Any],
         lr_schedule: Schedule,
-        row_layout: RowLayout,
         critic_input: str = "global",
-        network: str = "mlp",
-        net_arch: list[int] | None = None,
         activation: str = "tanh",
         selection_bias: float = 2.0,
-        masks: bool = True,
-        pull: float = 0.0,
-        token_width: int = TOKEN_WIDTH,
         **kwargs: Any,
     ) -> None:
         if critic_input not in CRITIC_INPUTS:
             raise unknown("critic_input", critic_input, CRITIC_INPUTS)
-        if activation not in ACTIVATIONS:
-            raise unknown("activation", activation, ACTIVATIONS)
-        check_network(network, row_layout)
-        if critic_input == "both" and network != "mlp":
-            raise InputError("critic_input = 'both': expected network = 'mlp'")
-        self.row_layout = row_layout
-        self.network = network
         self.critic_input = critic_input
-        self.selection_bias = selection_bias
-        self.masks, self.pull = masks, pull > 0 and network == "set"
-        self._sharpness, self._token_width = pull, token_width
-        self._hidden = list(net_arch or [128, 128])
-        self._activation = activation
-        self.allowed_columns = row_layout.local_columns("allowed_moves") if masks else None
-        self.in_range_columns = row_layout.in_range_columns if masks and row_layout.selects else None
         super().__init__(
-            observation_space, action_space, lr_schedule, net_arch=self._hidden,
-            activation_fn=ACTIVATIONS[activation], **kwargs,
-        )  # fmt: skip
+            observation_space, action_space, lr_schedule, activation=activation, selection_bias=selection_bias, **kwargs
+        )
 
     def _build(self, lr_schedule: Schedule) -> None:
-        layout, network = self.row_layout, (self.network, self._hidden, self._activation)
+        layout = self.row_layout
+        self.allowed_columns = layout.local_columns("allowed_moves") if self.masks else None
+        self.in_range_columns = layout.in_range_columns if self.masks and layout.selects else None
         devices = layout.devices if layout.selects else 0
         by_token = self.network != "mlp" and layout.selects
         self.action_dist = MoveSelectionDistribution(devices)
         pull = Pull(layout, self._sharpness) if self.pull else None
-        self.actor_body = make_body(layout.local, *network, selects=by_token, pull=pull, width=self._token_width)
-        head: nn.Linear = self.action_dist.proba_distribution_net(self.actor_body.size, 0 if by_token else devices)
+        self.actor_body = self.make_body(layout.local, by_token, pull)
+        head = self.action_dist.proba_distribution_net(self.actor_body.size, 0 if by_token else devices)
         of_slot = self.critic_input == "global"
         self.critic_body = self._make_critic_body()
         self.value_net = PopArt(self._hidden[-1])
@@ -115,11 +86,12 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         )
 
     def _make_critic_body(self) -> nn.Module:
-        layout, sizes = self.row_layout, (self._hidden, self._activation)
+        layout = self.row_layout
         if self.critic_input == "both":
-            return mlp(layout.local_size + layout.global_size, *sizes)
-        columns = layout.state if self.critic_input == "global" else layout.local
-        return make_body(columns, self.network, *sizes, width=self._token_width)
+            if self.network != "mlp":
+                raise InputError("critic_input = 'both': expected network = 'mlp'")
+            return mlp(layout.local_size + layout.global_size, self._hidden, self._activation)
+        return self.make_body(layout.state if self.critic_input == "global" else layout.local)
 
     def actor_parameters(self) -> list[nn.Parameter]:
         """Parameters of the actor, which the critic does not share."""
@@ -133,23 +105,23 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         """Parameters of both, the actor's first."""
         return [*self.actor_parameters(), *self.critic_parameters()]
 
-    def action_distribution(self, local: th.Tensor) -> MoveSelectionDistribution:
+    def action_distribution(self, local: Tensor) -> MoveSelectionDistribution:
         """The policy of UAVs that observe ``local`` (B, local)."""
         return self.distribution_of(self.logits(local), local)
 
-    def logits(self, local: th.Tensor) -> th.Tensor:
+    def logits(self, local: Tensor) -> Tensor:
         """Logits (B, 5 + I) of UAVs that observe ``local`` (B, local)."""
-        logits: th.Tensor = self.action_net(self.actor_body(local))
+        logits: Tensor = self.action_net(self.actor_body(local))
         return logits
 
-    def distribution_of(self, logits: th.Tensor, local: th.Tensor) -> MoveSelectionDistribution:
+    def distribution_of(self, logits: Tensor, local: Tensor) -> MoveSelectionDistribution:
         """The policy with ``logits`` (B, 5 + I) and the masks in ``local`` (B, local)."""
         allowed = None if self.allowed_columns is None else local[:, self.allowed_columns]
         in_range = None if self.in_range_columns is None else local[:, self.in_range_columns]
         return MoveSelectionDistribution(self.action_dist.devices).proba_distribution(logits, allowed, in_range)
 
     @th.no_grad()
-    def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
+    def act(self, local: Tensor, uniforms: Tensor | None) -> Tensor:
         """Actions (B, 1 + I) of flying UAVs that observe ``local`` (B, local).
 
         They are the most probable, or drawn from ``uniforms`` (B, 5 + I); for rows of entities, by the mean logits over
@@ -158,36 +130,36 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         distribution = self._in_flight(local)
         return distribution.mode() if uniforms is None else distribution.sample(uniforms)
 
-    def _in_flight(self, local: th.Tensor) -> MoveSelectionDistribution:
+    def _in_flight(self, local: Tensor) -> MoveSelectionDistribution:
         if self.symmetries is None:
             return self.action_distribution(local)
         return self.distribution_of(self.symmetries.mean(self.logits, local), local)
 
-    def normalised_values(self, critic_rows: th.Tensor) -> th.Tensor:
+    def normalised_values(self, critic_rows: Tensor) -> Tensor:
         """Normalised values of critic inputs (B, global), (B, local) or (B, local + global); (B,)."""
-        values: th.Tensor = self.value_net(self.critic_body(critic_rows))
+        values: Tensor = self.value_net(self.critic_body(critic_rows))
         return values[:, 0]
 
-    def value_scale(self, critic_rows: th.Tensor) -> th.Tensor:
+    def value_scale(self, critic_rows: Tensor) -> Tensor:
         """How large values are in scenarios of the sizes that critic inputs state, (B,); 1 for flat rows."""
         return critic_rows.new_ones(len(critic_rows)) if self.scale is None else self.scale(critic_rows)
 
-    def critic_values(self, critic_rows: th.Tensor) -> th.Tensor:
+    def critic_values(self, critic_rows: Tensor) -> Tensor:
         """Values in units of the training reward, (B,)."""
         values = self.value_net.denormalise(self.normalised_values(critic_rows))
         return values if self.scale is None else values * self.value_scale(critic_rows)
 
-    def forward(self, obs: th.Tensor, deterministic: bool = False) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+    def forward(self, obs: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
         """Actions (B, 1 + I), values (B, 1) and log-probabilities (B,) of rows (B, local + global)."""
         distribution = self.get_distribution(obs)
         actions = distribution.get_actions(deterministic=deterministic)
         return actions, self.predict_values(obs), distribution.log_prob(actions)
 
-    def get_distribution(self, obs: th.Tensor) -> MoveSelectionDistribution:  # type: ignore[override]
+    def get_distribution(self, obs: Tensor) -> MoveSelectionDistribution:  # type: ignore[override]
         """The policy for rows; reads only their local part."""
         return self.action_distribution(obs[:, : self.row_layout.local_size])
 
-    def predict_values(self, obs: th.Tensor) -> th.Tensor:  # type: ignore[override]
+    def predict_values(self, obs: Tensor) -> Tensor:  # type: ignore[override]
         """Values of rows, (B, 1); the critic evaluates each slot's state once where the rows are whole slots."""
         local_size, uavs = self.row_layout.local_size, self.row_layout.uavs
         if self.critic_input != "global":
@@ -200,13 +172,13 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         return self.critic_values(states)[:, None]
 
     def evaluate_actions(  # type: ignore[override]
-        self, obs: th.Tensor, actions: th.Tensor
-    ) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+        self, obs: Tensor, actions: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Values (B, 1), log-probabilities (B,) and entropies (B,) of actions taken in rows."""
         distribution = self.get_distribution(obs)
         return self.predict_values(obs), distribution.log_prob(actions), distribution.entropy()
 
-    def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:  # type: ignore[override]
+    def _predict(self, observation: Tensor, deterministic: bool = False) -> Tensor:  # type: ignore[override]
         if self.symmetries is None:
             return self.get_distribution(observation).get_actions(deterministic=deterministic)
         local = observation[:, : self.row_layout.local_size]

@@ -7,7 +7,7 @@ from typing import Self
 
 import torch as th
 from stable_baselines3.common.distributions import MultiCategoricalDistribution
-from torch import nn
+from torch import Tensor, nn
 from torch.nn import functional
 
 from uavaou.algorithms.nets.mlp import Linear
@@ -30,10 +30,10 @@ class MoveAndDeviceLogits(nn.Module):
         self.moves, self.pulled = moves, pulled
         self.selection_bias = None if selection_bias is None else nn.Parameter(th.tensor(selection_bias))
 
-    def forward(self, features: th.Tensor) -> th.Tensor:
+    def forward(self, features: Tensor) -> Tensor:
         """Return the logits, the moves' first."""
         size = self.moves.in_features
-        moves: th.Tensor = self.moves(features[:, :size])
+        moves: Tensor = self.moves(features[:, :size])
         if self.pulled:
             moves, size = moves + features[:, size : size + MOVES], size + MOVES
         if self.selection_bias is None:
@@ -57,7 +57,7 @@ class MoveSelectionDistribution(MultiCategoricalDistribution):
         return Linear(latent_dim, MOVES + (self.devices if devices is None else devices))
 
     def proba_distribution(
-        self, logits: th.Tensor, allowed_moves: th.Tensor | None = None, in_range: th.Tensor | None = None
+        self, logits: Tensor, allowed_moves: Tensor | None = None, in_range: Tensor | None = None
     ) -> Self:
         """Set the parameters.
 
@@ -69,11 +69,11 @@ class MoveSelectionDistribution(MultiCategoricalDistribution):
         self.logits = logits
         self.allowed_moves = allowed_moves
         self.selectable = in_range
-        self._move_log_probs: th.Tensor | None = None
+        self._move_log_probs: Tensor | None = None
         return self
 
     @property
-    def move_log_probs(self) -> th.Tensor:
+    def move_log_probs(self) -> Tensor:
         """Log-probabilities of the moves, (B, 5)."""
         if self._move_log_probs is None:
             moves = self.logits[:, :MOVES].t().contiguous()  # (5, B): softmax is faster along the batch than along 5
@@ -83,11 +83,11 @@ class MoveSelectionDistribution(MultiCategoricalDistribution):
         return self._move_log_probs.t()
 
     @property
-    def selection_logits(self) -> th.Tensor:
+    def selection_logits(self) -> Tensor:
         """Logits of selecting each device, (B, I)."""
         return self.logits[:, MOVES:]
 
-    def log_prob(self, actions: th.Tensor) -> th.Tensor:
+    def log_prob(self, actions: Tensor) -> Tensor:
         """Log-probability of actions (B, 1 + I), the move first; (B,)."""
         actions = actions.reshape(len(self.logits), -1)
         log_prob = self.move_log_probs.gather(1, actions[:, :1].long())[:, 0]
@@ -96,7 +96,7 @@ class MoveSelectionDistribution(MultiCategoricalDistribution):
         z = self.selection_logits
         return log_prob + self._sum(functional.logsigmoid(z) - z * (1 - actions[:, 1:]))
 
-    def entropy(self) -> th.Tensor:
+    def entropy(self) -> Tensor:
         """Entropy in nats, (B,)."""
         log_probs = self.move_log_probs
         entropy = -(log_probs.exp() * log_probs).sum(dim=1)
@@ -105,7 +105,7 @@ class MoveSelectionDistribution(MultiCategoricalDistribution):
         z = self.selection_logits
         return entropy + self._sum(z - z * th.sigmoid(z) - functional.logsigmoid(z))
 
-    def sample(self, uniforms: th.Tensor | None = None) -> th.Tensor:
+    def sample(self, uniforms: Tensor | None = None) -> Tensor:
         """Draw actions (B, 1 + I) from ``uniforms`` (B, 5 + I) in [0, 1), or from torch's stream without them."""
         batch, log_probs = len(self.logits), self.move_log_probs.t()  # (5, B)
         if uniforms is None:
@@ -117,17 +117,17 @@ class MoveSelectionDistribution(MultiCategoricalDistribution):
         move = (log_probs - th.log(exponential).t()).max(dim=0).indices
         return self._action(move, uniforms[:, MOVES:] < th.sigmoid(self.selection_logits))
 
-    def mode(self) -> th.Tensor:
+    def mode(self) -> Tensor:
         """The most probable action, (B, 1 + I)."""
         return self._action(self.move_log_probs.argmax(dim=1), self.selection_logits > 0)
 
-    def _action(self, move: th.Tensor, selected: th.Tensor) -> th.Tensor:
+    def _action(self, move: Tensor, selected: Tensor) -> Tensor:
         if not self.devices:
             return move
         if self.selectable is not None:
             selected = selected & (self.selectable > 0.5)
         return th.cat([move[:, None], selected.long()], dim=1)
 
-    def _sum(self, values: th.Tensor) -> th.Tensor:
+    def _sum(self, values: Tensor) -> Tensor:
         """The sum of ``values`` (B, I) over selectable devices, (B,)."""
         return (values if self.selectable is None else values * self.selectable).sum(dim=1)

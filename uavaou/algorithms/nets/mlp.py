@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import torch as th
-from torch import nn
+from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
@@ -24,7 +24,7 @@ class Linear(nn.Linear):
     torch's default BLAS (MKL) uses half of the vector width on AMD processors, where oneDNN is twice as fast.
     """
 
-    def forward(self, features: th.Tensor) -> th.Tensor:
+    def forward(self, features: Tensor) -> Tensor:
         """x W^T + b for features x (..., inputs)."""
         if not _uses_onednn(features):
             return functional.linear(features, self.weight, self.bias)
@@ -40,16 +40,15 @@ class Mlp(nn.Sequential):
         """Number of features."""
         return int(self[-2].out_features)  # type: ignore[arg-type]
 
-    def forward(self, rows: th.Tensor) -> th.Tensor:
+    def forward(self, rows: Tensor) -> Tensor:
         """Features (..., outputs) of rows (..., inputs)."""
         layers = fully_connected(self) if rows.dim() == 2 and _uses_onednn(rows) else None
-        features: th.Tensor = super().forward(rows) if layers is None else layers(rows)  # type: ignore[no-untyped-call]
-        return features
+        return super().forward(rows) if layers is None else layers(rows)  # type: ignore[no-untyped-call]
 
 
 def mlp(inputs: int, hidden: list[int], activation: str) -> Mlp:
     """Fully connected layers of ``hidden`` sizes with an ``activation`` after each, and orthogonal weights."""
-    layers: list[nn.Module] = []
+    layers = []
     for outputs in hidden:
         linear = Linear(inputs, outputs)
         nn.init.orthogonal_(linear.weight, gain=math.sqrt(2))
@@ -60,7 +59,7 @@ def mlp(inputs: int, hidden: list[int], activation: str) -> Mlp:
 
 
 @th.no_grad()
-def rescale_linear(layer: nn.Linear, ratio: th.Tensor, shift: th.Tensor | float = 0.0) -> None:
+def rescale_linear(layer: nn.Linear, ratio: Tensor, shift: Tensor | float = 0.0) -> None:
     """Change the layer's outputs to ``outputs * ratio + shift``."""
     layer.weight.mul_(ratio)
     layer.bias.mul_(ratio).add_(shift)
@@ -76,8 +75,8 @@ def _now(task: Task) -> None:
 class Layer(NamedTuple):
     """``activation(x W^T + b)``."""
 
-    weight: th.Tensor  # (outputs, inputs)
-    bias: th.Tensor  # (outputs,)
+    weight: Tensor  # (outputs, inputs)
+    bias: Tensor  # (outputs,)
     activation: str  # a name in ACTIVATIONS, or "none"
     onednn: bool
 
@@ -93,15 +92,15 @@ class FullyConnected:
         self.layers = layers
         self.parameters = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
 
-    def __call__(self, rows: th.Tensor) -> th.Tensor:
+    def __call__(self, rows: Tensor) -> Tensor:
         """Outputs (B, outputs) of ``rows`` (B, inputs); autograd records them where it is enabled."""
         rows = rows.contiguous()  # oneDNN takes 500 times as long for the gradient of strided rows
         if not th.is_grad_enabled():
             return self.forward(rows)[-1]
-        outputs: th.Tensor = _Recorded.apply(self, rows, *self.parameters)  # type: ignore[no-untyped-call]
+        outputs: Tensor = _Recorded.apply(self, rows, *self.parameters)  # type: ignore[no-untyped-call]
         return outputs
 
-    def forward(self, rows: th.Tensor) -> list[th.Tensor]:
+    def forward(self, rows: Tensor) -> list[Tensor]:
         """The input (B, inputs) of the first layer, then the output of each layer, (B, outputs)."""
         activations = [rows]
         for weight, bias, activation, onednn in self.layers:
@@ -113,8 +112,8 @@ class FullyConnected:
         return activations
 
     def backward(
-        self, activations: list[th.Tensor], grad: th.Tensor, to_rows: bool = False, later: Later = _now
-    ) -> list[th.Tensor]:
+        self, activations: list[Tensor], grad: Tensor, to_rows: bool = False, later: Later = _now
+    ) -> list[Tensor]:
         """The gradient by weight and bias of each layer, in order.
 
         Args:
@@ -125,7 +124,7 @@ class FullyConnected:
         """
         gradients = [grad] * (2 * len(self.layers))
 
-        def by_weight(into: th.Tensor, grad: th.Tensor, inputs: th.Tensor, onednn: bool) -> None:
+        def by_weight(into: Tensor, grad: Tensor, inputs: Tensor, onednn: bool) -> None:
             into.copy_(_product(grad.t(), inputs.t()) if onednn else grad.t() @ inputs)
 
         for number in reversed(range(len(self.layers))):
@@ -161,7 +160,7 @@ def is_exactly(module: nn.Module, *types: type[nn.Module]) -> bool:
 
 def fully_connected(*modules: nn.Module) -> FullyConnected | None:
     """The layers of modules that follow each other; None where one is not exactly a known layer or has a hook."""
-    layers: list[Layer] = []
+    layers = []
     for part in (part for module in modules for part in ((module, *module) if type(module) is Mlp else (module,))):
         if is_exactly(part, Linear, nn.Linear) and part.bias is not None:
             layers.append(Layer(part.weight, part.bias, "none", type(part) is Linear and _uses_onednn(part.weight)))
@@ -176,7 +175,7 @@ class _Recorded(th.autograd.Function):
     """:class:`FullyConnected` as one node of autograd's graph."""
 
     @staticmethod
-    def forward(ctx: Any, layers: FullyConnected, rows: th.Tensor, *parameters: th.Tensor) -> th.Tensor:
+    def forward(ctx: Any, layers: FullyConnected, rows: Tensor, *parameters: Tensor) -> Tensor:
         activations = layers.forward(rows)
         ctx.layers = layers
         ctx.save_for_backward(*activations, *parameters)  # the parameters: torch refuses those changed in between
@@ -184,21 +183,21 @@ class _Recorded(th.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: th.Tensor) -> tuple[th.Tensor | None, ...]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         activations, needed = list(ctx.saved_tensors[: len(ctx.layers.layers) + 1]), ctx.needs_input_grad
         gradients = ctx.layers.backward(activations, grad.contiguous(), to_rows=needed[1])
         padded = (None, *gradients) if needed[1] else (None, None, *gradients)
         return tuple(gradient if need else None for gradient, need in zip(padded, needed, strict=True))
 
 
-def _uses_onednn(tensor: th.Tensor) -> bool:
+def _uses_onednn(tensor: Tensor) -> bool:
     if not _HAS_ONEDNN or tensor.device.type != "cpu" or tensor.dtype != th.float32:
         return False
     # An export records a graph, which should hold standard operators alone.
     return not (th.jit.is_tracing() or th.compiler.is_compiling())  # type: ignore[attr-defined, no-untyped-call]
 
 
-def _product(left: th.Tensor, right: th.Tensor, bias: th.Tensor | None = None, activation: str = "none") -> th.Tensor:
+def _product(left: Tensor, right: Tensor, bias: Tensor | None = None, activation: str = "none") -> Tensor:
     """``activation(left @ right.T + bias)``, by the operator that torch's compiler calls for a layer on a CPU."""
-    product: th.Tensor = th.ops.mkldnn._linear_pointwise(left, right, bias, activation, [], "")
+    product: Tensor = th.ops.mkldnn._linear_pointwise(left, right, bias, activation, [], "")
     return product

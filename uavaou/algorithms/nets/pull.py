@@ -17,14 +17,13 @@ controller is residual policy learning (Silver et al. 2018, arXiv 1812.06298); m
 artificial potential fields (Khatib 1986).
 """
 
-from __future__ import annotations
-
 from functools import cache
 from importlib import import_module
 from typing import Any
 
 import torch as th
-from torch import nn
+from torch import Tensor, nn
+from torch.nn import functional
 
 from uavaou.world.pull import NOTHING, OTHERS, SCORE_RANGE, TIE
 from uavaou.world.views import MOVES, PULL, RowLayout
@@ -51,7 +50,7 @@ class Pull(nn.Module):
         self.columns = layout.token_feature("pulls", PULL[0]).start, own.start, present.start, own.step
         self.numbers = nn.Parameter(th.tensor([sharpness, 1.0, *part]).log())  # beta, lambda, part twice
 
-    def forward(self, rows: th.Tensor, changes: th.Tensor) -> th.Tensor:
+    def forward(self, rows: Tensor, changes: Tensor) -> Tensor:
         """Return the pull of each move, (B, 5), at most 0.
 
         Args:
@@ -60,29 +59,32 @@ class Pull(nn.Module):
         """
         fast = compiled_module("pulls")
         if fast is not None and fast.supports(rows):
-            pulls: th.Tensor = fast.pull(rows, changes, self.numbers, self.columns)
+            pulls: Tensor = fast.pull(rows, changes, self.numbers, self.columns)
             return pulls
         return self.define(rows, changes)
 
     @th.no_grad()
-    def rescale(self, ratio: th.Tensor) -> None:
+    def rescale(self, ratio: Tensor) -> None:
         """Multiply the pulls by ``ratio``."""
         self.numbers[0] += ratio.log()
 
-    def define(self, rows: th.Tensor, changes: th.Tensor) -> th.Tensor:
+    def define(self, rows: Tensor, changes: Tensor) -> Tensor:
         """Return what :meth:`forward` does, by torch's operators."""
-        sharpness, reach, part, part_shared = self.numbers.exp().unbind()
-        score_change, reach_change = changes.reshape(len(rows), CHANGES, -1).tanh().unbind(dim=1)  # (B, I) each
-        devices = score_change.shape[1]
         first, own, present, width = self.columns
+        devices = changes.shape[1] // CHANGES
         pulls = rows[:, first : first + devices * len(PULL)].reshape(len(rows), devices, len(PULL))
         own, there = (rows[:, at : at + devices * width : width] for at in (own, present))  # (B, I) each
+        return self.combine(own, there, pulls, changes)
+
+    def combine(self, own: Tensor, there: Tensor, pulls: Tensor, changes: Tensor) -> Tensor:
+        """Return the same for the flags of own parts and of presence (B, I), and the tokens of pulls (B, I, 7)."""
+        sharpness, reach, part, part_shared = self.numbers.exp().unbind()
+        score_change, reach_change = changes.tanh().chunk(CHANGES, dim=1)  # (B, I) each
         part = th.where(pulls[..., -1] > 0.5, part_shared, part)  # (B, I)
         score = pulls[..., 0].log() + part * (own - 1) + SCORE_RANGE * score_change
         felt = score[..., None] - pulls[..., 1:-1] / (reach * reach_change.exp())[..., None]  # (B, I, 5)
         felt = felt.masked_fill(there[..., None] < 0.5, -th.inf)
-        background = felt.new_full((len(rows), 1, MOVES), NOTHING)
-        total = th.cat([background, felt], dim=1).logsumexp(dim=1)  # (B, 5)
+        total = functional.pad(felt, (0, 0, 1, 0), value=NOTHING).logsumexp(dim=1)  # (B, 5)
         order = th.arange(MOVES, device=total.device)
         return sharpness * (total - total.amax(dim=1, keepdim=True).detach() - TIE * order)
 

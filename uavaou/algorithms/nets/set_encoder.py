@@ -6,13 +6,12 @@ and attention heads, whose queries come from the row's own features (Zaheer et a
 moves with it.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch as th
-from torch import nn
+from torch import Tensor, nn
+from torch.nn import functional
 
 from uavaou.algorithms.nets.action_head import FORBIDDEN
 from uavaou.algorithms.nets.mlp import Linear, Mlp, mlp
@@ -53,30 +52,31 @@ class SetEncoder(nn.Module):
             self.query.weight[heads * width :] *= 0.01  # as the action head: at first nothing is preferred
         self.size = self.query.in_features + (heads + 2) * width
 
-    def forward(self, rows: th.Tensor) -> th.Tensor:
+    def forward(self, rows: Tensor) -> Tensor:
         """Return features of ``rows`` (B, columns), and behind them the devices' numbers, (B, size + n I)."""
         fast = compiled_module("tokens")
         if fast is not None and fast.supports(rows):
-            encoded: th.Tensor = fast.encode(rows, self.columns[-1].stop, self.uavs, self.heads, *self.parameters())
+            encoded: Tensor = fast.encode(rows, self.columns[-1].stop, self.uavs, self.heads, *self.parameters())
             return encoded
         return self.define(rows)
 
-    def define(self, rows: th.Tensor) -> th.Tensor:
+    def define(self, rows: Tensor) -> Tensor:
         """Return what :meth:`forward` does, by torch's operators."""
         *own, uavs, devices = (rows[:, columns.slice] for columns in self.columns)
-        batch, width = len(rows), self.width
-        context = th.relu(self.own(th.cat(own, dim=1)))  # (B, w)
-        mates = uavs.reshape(batch, self.uavs, self.columns[-2].width)  # (B, V, uav)
-        if self.uavs:
-            most = (th.relu(self.uav(mates)) * mates[..., :1]).amax(dim=1)  # (B, w / 2)
-        else:
-            most = context.new_zeros(batch, width // 2)
+        mates = uavs.reshape(len(rows), self.uavs, self.columns[-2].width)  # (B, V, uav)
+        mates = functional.pad(mates, (0, 0, 0, 1))  # with a token of padding, there is a maximum without UAVs too
+        return self.encode(th.cat(own, dim=1), mates, devices.reshape(len(rows), -1, self.columns[-1].width))
+
+    def encode(self, own: Tensor, mates: Tensor, tokens: Tensor) -> Tensor:
+        """Return the same for own columns (B, own), tokens of UAVs (B, V, uav) and devices (B, I, device)."""
+        width = self.width
+        context = th.relu(self.own(own))  # (B, w)
+        most = (th.relu(self.uav(mates)) * mates[..., :1]).amax(dim=1)  # (B, w / 2)
         context = th.cat([context, most], dim=1)  # (B, 3 w / 2)
-        tokens = devices.reshape(batch, -1, self.columns[-1].width)  # (B, I, device)
         there = tokens[..., :1]  # (B, I, 1)
         hidden = th.relu(self.device_2(th.relu(self.device(tokens)))) * there  # (B, I, w)
-        query = self.query(context).view(batch, -1, width)  # (B, heads, w)
-        scores = query @ hidden.transpose(1, 2) / math.sqrt(width)  # (B, heads, I)
+        query = self.query(context).reshape(-1, self.heads + self.numbers, width)  # (B, heads + n, w)
+        scores = query @ hidden.transpose(1, 2) / math.sqrt(width)  # (B, heads + n, I)
         attention = th.softmax(scores[:, : self.heads].masked_fill(there.transpose(1, 2) < 0.5, FORBIDDEN), dim=2)
         pooled = (attention @ hidden).flatten(1)  # (B, heads * w)
         mean = hidden.sum(dim=1) / there.sum(dim=1).clamp_min(1)
@@ -90,7 +90,7 @@ class SetEncoder(nn.Module):
             tensor[(self.heads + first) * self.width :] = 0.0
 
     @th.no_grad()
-    def rescale_logits(self, ratio: th.Tensor) -> None:
+    def rescale_logits(self, ratio: Tensor) -> None:
         """Multiply the first number of each device, a logit, by ``ratio``."""
         for tensor in (self.query.weight, self.query.bias):
             tensor[self.heads * self.width : (self.heads + 1) * self.width] *= ratio
@@ -127,32 +127,20 @@ class SetNetwork(nn.Module):
         if pull is not None:
             self.encoder.zero_numbers(selects)
 
-    def forward(self, rows: th.Tensor) -> th.Tensor:
+    def forward(self, rows: Tensor) -> Tensor:
         """Return features of ``rows`` (B, columns), and behind them pulls and logits, (B, hidden (+ 5) (+ I))."""
-        encoded = self.encoder(rows)
+        return self.outputs(self.encoder(rows), lambda pull, changes: pull(rows, changes))
+
+    def outputs(self, encoded: Tensor, pulled: Callable[[Pull, Tensor], Tensor]) -> Tensor:
+        """Return the same for what the encoder gives; ``pulled`` gives the pulls for the changes of the devices'."""
         size = self.encoder.size
         parts = [self.layers(encoded[:, :size])]
         logits = (encoded.shape[1] - size) // max(self.encoder.numbers, 1) if self.selects else 0  # I or 0
         if self.pull is not None:
-            parts.append(self.pull(rows, encoded[:, size + logits :]))
-        if logits:
+            parts.append(pulled(self.pull, encoded[:, size + logits :]))
+        if self.selects:
             parts.append(encoded[:, size : size + logits])
         return th.cat(parts, dim=1)
-
-
-def make_body(
-    columns: Sequence[Columns],
-    network: str,
-    hidden: list[int],
-    activation: str,
-    selects: bool = False,
-    pull: Pull | None = None,
-    width: int = TOKEN_WIDTH,
-) -> Mlp | SetNetwork:
-    """Make the layers between rows and heads: an ``mlp``, or a set whose devices have logits if it ``selects``."""
-    if network == "mlp":
-        return mlp(columns[-1].stop, hidden, activation)
-    return SetNetwork(columns, hidden, activation, selects, pull, width)
 
 
 def without_pulls(columns: Sequence[Columns]) -> tuple[Columns, ...]:

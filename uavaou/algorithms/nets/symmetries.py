@@ -8,6 +8,7 @@ from collections.abc import Callable
 from itertools import product
 
 import torch as th
+from torch import Tensor
 
 from uavaou.world.flight import STEP_OF_MOVE
 from uavaou.world.views import MOVES, PULL, RowLayout
@@ -51,7 +52,7 @@ class SquareSymmetries:
             views.append((source, sign, move.argsort()))
         self.source, self.sign, self.move = (th.stack(part) for part in zip(*views, strict=True))
 
-    def mean(self, network: Callable[[th.Tensor], th.Tensor], rows: th.Tensor) -> th.Tensor:
+    def mean(self, network: Callable[[Tensor], Tensor], rows: Tensor) -> Tensor:
         """Return the network's outputs (B, 5 + ...) for ``rows`` (B, local), averaged; the first five are of moves."""
         source, sign, move = (part.to(rows.device) for part in (self.source, self.sign, self.move))
         means = []

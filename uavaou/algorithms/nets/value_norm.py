@@ -1,47 +1,49 @@
 """Value normalisation: the critic learns returns of mean 0 and variance 1 (van Hasselt et al. 2016, PopArt)."""
 
 import torch as th
-from torch import nn
+from torch import Tensor, nn
 
 from uavaou.algorithms.nets.mlp import rescale_linear
 
+_DECAY, _SCALE_DECAY = 0.9, 0.98  # weight of what was seen before in an update of the statistics, and of the scale
+_RIDGE = 0.5  # strength of the scale's pull to 0, in updates
+
 
 class ReturnStatistics(nn.Module):
-    """Running mean and variance of returns, to normalise values; ``decay`` weights the old ones in an update."""
+    """Running mean and variance of returns, to normalise values."""
 
-    mean: th.Tensor
-    mean_square: th.Tensor
-    seen: th.Tensor
+    mean: Tensor
+    mean_square: Tensor
+    seen: Tensor
 
-    def __init__(self, decay: float) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.decay = decay
         self.register_buffer("mean", th.zeros(()))
         self.register_buffer("mean_square", th.ones(()))
         self.register_buffer("seen", th.zeros(()))
 
     @property
-    def std(self) -> th.Tensor:
+    def std(self) -> Tensor:
         """Standard deviation of the returns."""
         return (self.mean_square - self.mean**2).clamp_min(1e-8).sqrt()
 
-    def denormalise(self, normalised: th.Tensor) -> th.Tensor:
+    def denormalise(self, normalised: Tensor) -> Tensor:
         """Values in units of the training reward."""
         return normalised * self.std + self.mean
 
-    def normalise(self, returns: th.Tensor) -> th.Tensor:
+    def normalise(self, returns: Tensor) -> Tensor:
         """Targets of the value loss."""
         return (returns - self.mean) / self.std
 
     @th.no_grad()
-    def update(self, returns: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+    def update(self, returns: Tensor) -> tuple[Tensor, Tensor]:
         """Take in returns.
 
         Returns:
             ``ratio`` and ``shift``: ``v * ratio + shift`` means what the normalised value ``v`` meant before.
         """
         old_mean, old_std = self.mean.clone(), self.std.clone()
-        decay = self.decay if self.seen > 0 else 0.0
+        decay = _DECAY if self.seen > 0 else 0.0
         self.mean.mul_(decay).add_((1 - decay) * returns.mean())
         self.mean_square.mul_(decay).add_((1 - decay) * returns.square().mean())
         self.seen.fill_(1.0)
@@ -56,39 +58,37 @@ class ValueScale(nn.Module):
 
     Args:
         columns: of a row that hold the logarithms of its sizes.
-        decay: weight of what was seen before, in an update.
-        ridge: strength of the pull, in updates.
     """
 
-    weights: th.Tensor  # (F,)
-    moments: th.Tensor  # (1 + F, 1 + F) of (1, f)
-    products: th.Tensor  # (1 + F,) with log |return|
+    weights: Tensor  # (F,)
+    moments: Tensor  # (1 + F, 1 + F) of (1, f)
+    products: Tensor  # (1 + F,) with log |return|
 
-    def __init__(self, columns: list[int], decay: float = 0.98, ridge: float = 0.5) -> None:
+    def __init__(self, columns: list[int]) -> None:
         super().__init__()
-        self.columns, self.decay = columns, decay
+        self.columns = columns
         size = len(columns) + 1
         self.register_buffer("weights", th.zeros(size))
         self.register_buffer("moments", th.zeros(size + 1, size + 1))
         self.register_buffer("products", th.zeros(size + 1))
-        self._pull = ridge * th.diag(th.tensor([0.0] + size * [1.0], dtype=th.float64))
+        self._pull = _RIDGE * th.diag(th.tensor([0.0] + size * [1.0], dtype=th.float64))
 
-    def _features(self, rows: th.Tensor) -> th.Tensor:
+    def _features(self, rows: Tensor) -> Tensor:
         sizes = rows[:, self.columns]  # (B, S)
         return th.cat([sizes, sizes[:, :1] * sizes[:, 1:2]], dim=1)
 
-    def forward(self, rows: th.Tensor) -> th.Tensor:
+    def forward(self, rows: Tensor) -> Tensor:
         """Return the scale of values (B,) of ``rows`` (B, columns)."""
         return th.exp(self._features(rows) @ self.weights)
 
     @th.no_grad()
-    def update(self, rows: th.Tensor, returns: th.Tensor) -> None:
+    def update(self, rows: Tensor, returns: Tensor) -> None:
         """Take in the returns (B,) of a rollout, in units of the reward, in ``rows`` (B, columns)."""
         features = self._features(rows).double()
         features = th.cat([th.ones_like(features[:, :1]), features], dim=1)  # (B, 1 + F)
         targets = returns.abs().clamp_min(1e-3).log().double()
-        self.moments.mul_(self.decay).add_(features.t() @ features / len(rows))
-        self.products.mul_(self.decay).add_(features.t() @ targets / len(rows))
+        self.moments.mul_(_SCALE_DECAY).add_(features.t() @ features / len(rows))
+        self.products.mul_(_SCALE_DECAY).add_(features.t() @ targets / len(rows))
         pulled = self.moments.double() + self._pull.to(rows.device)
         self.weights.copy_(th.linalg.solve(pulled, self.products.double())[1:])
 
@@ -99,16 +99,16 @@ class PopArt(ReturnStatistics):
     An update rescales weights and bias, so that the predicted values stay the same.
     """
 
-    def __init__(self, features: int, decay: float = 0.9) -> None:
-        super().__init__(decay)
+    def __init__(self, features: int) -> None:
+        super().__init__()
         self.linear = nn.Linear(features, 1)
 
-    def forward(self, features: th.Tensor) -> th.Tensor:
+    def forward(self, features: Tensor) -> Tensor:
         """Normalised values, (B, 1)."""
-        normalised: th.Tensor = self.linear(features)
+        normalised: Tensor = self.linear(features)
         return normalised
 
-    def update(self, returns: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+    def update(self, returns: Tensor) -> tuple[Tensor, Tensor]:
         """Take in the returns of a rollout."""
         ratio, shift = super().update(returns)
         rescale_linear(self.linear, ratio, shift)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import torch as th
 from gymnasium import spaces
-from torch import nn
+from torch import Tensor, nn
 
 from uavaou.algorithms.nets.mlp import Linear, mlp, rescale_linear
 from uavaou.algorithms.nets.pull import Pull
@@ -68,12 +68,12 @@ class Branches:
             yield BranchGroup(slice(branch, branch + count), slice(column, column + count * size), count, size)
             branch, column = branch + count, column + count * size
 
-    def _split(self, values: th.Tensor) -> Iterator[tuple[BranchGroup, th.Tensor]]:
+    def _split(self, values: Tensor) -> Iterator[tuple[BranchGroup, Tensor]]:
         for group in self.groups:
-            options = values[:, group.columns].reshape(len(values), group.count, group.size)  # (B, branches, options)
+            options = values[:, group.columns].reshape(-1, group.count, group.size)  # (B, branches, options)
             yield group, options
 
-    def greedy(self, values: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
+    def greedy(self, values: Tensor, allowed: Tensor | None = None) -> Tensor:
         """The best allowed choice, (B, M); the first of equal options.
 
         Args:
@@ -88,7 +88,7 @@ class Branches:
         ]
         return th.cat(best, dim=1)
 
-    def mean(self, values: th.Tensor, actions: th.Tensor, there: th.Tensor | None = None) -> th.Tensor:
+    def mean(self, values: Tensor, actions: Tensor, there: Tensor | None = None) -> Tensor:
         """Q(s, a), the mean over branches of the values of ``actions`` (B, M); (B,).
 
         Args:
@@ -102,7 +102,7 @@ class Branches:
             total = total + (chosen if there is None else chosen * there[:, group.branches]).sum(dim=1)
         return total / (self.count if there is None else there.sum(dim=1))
 
-    def uniform(self, uniforms: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
+    def uniform(self, uniforms: Tensor, allowed: Tensor | None = None) -> Tensor:
         """Choices drawn uniformly from the allowed options of each branch, (B, M).
 
         Args:
@@ -118,13 +118,13 @@ class Branches:
             drawn.append((ordinal <= rank).sum(dim=2).clamp_max(group.size - 1))
         return th.cat(drawn, dim=1)
 
-    def centre(self, values: th.Tensor, allowed: th.Tensor | None = None) -> th.Tensor:
+    def centre(self, values: Tensor, allowed: Tensor | None = None) -> Tensor:
         """Advantages: values less their mean over the allowed options of their branch, (B, sum(n_b))."""
         weights = th.ones_like(values) if allowed is None else allowed.to(values.dtype)
         centred = []
-        for (group, options), (_, weight) in zip(self._split(values), self._split(weights), strict=True):
+        for (_, options), (_, weight) in zip(self._split(values), self._split(weights), strict=True):
             mean = (options * weight).sum(dim=2, keepdim=True) / weight.sum(dim=2, keepdim=True).clamp_min(1.0)
-            centred.append((options - mean).reshape(len(values), group.count * group.size))
+            centred.append((options - mean).flatten(1))
         return th.cat(centred, dim=1)
 
 
@@ -148,13 +148,13 @@ class UtilityNetwork(nn.Module):
             nn.init.orthogonal_(head.weight, gain=0.01)
             nn.init.zeros_(head.bias)
 
-    def forward(self, local: th.Tensor, allowed: th.Tensor | None) -> th.Tensor:
+    def forward(self, local: Tensor, allowed: Tensor | None) -> Tensor:
         """Branch values (B, sum(n_b)) of ``local`` (B, local), for the options ``allowed`` (B, sum(n_b))."""
         features = self.body(local)
-        values: th.Tensor = self.value(features) + self.branches.centre(self.advantage(features), allowed)
+        values: Tensor = self.value(features) + self.branches.centre(self.advantage(features), allowed)
         return values
 
-    def rescale(self, ratio: th.Tensor, shift: th.Tensor) -> None:
+    def rescale(self, ratio: Tensor, shift: Tensor) -> None:
         """Change the outputs to ``values * ratio + shift``."""
         rescale_linear(self.advantage, ratio)
         rescale_linear(self.value, ratio, shift)
@@ -190,18 +190,23 @@ class SetUtilityNetwork(UtilityNetwork):
         self.selection_bias = nn.Parameter(th.tensor(selection_bias))
         self._make_heads(hidden[-1], branches.sizes[0])
 
-    def forward(self, local: th.Tensor, allowed: th.Tensor | None) -> th.Tensor:
+    def forward(self, local: Tensor, allowed: Tensor | None) -> Tensor:
         """Branch values (B, sum(n_b)) of ``local`` (B, local), for the options ``allowed`` (B, sum(n_b))."""
-        sizes = [self.value.in_features, 0 if self.body.pull is None else MOVES, self.branches.count - 1]
-        features, pulls, by_device = self.body(local).split(sizes, dim=1)
-        selecting = by_device + self.selection_bias  # (B, I)
+        features, moves, selecting = self.parts(self.body(local))
         bits = th.stack([th.zeros_like(selecting), selecting], dim=2).flatten(1)  # (B, 2 I)
-        moves = self.advantage(features)
-        advantages = th.cat([moves if self.body.pull is None else moves + pulls, bits], dim=1)
-        values: th.Tensor = self.value(features) + self.branches.centre(advantages, allowed)
+        values: Tensor = self.value(features) + self.branches.centre(th.cat([moves, bits], dim=1), allowed)
         return values
 
-    def rescale(self, ratio: th.Tensor, shift: th.Tensor) -> None:
+    def parts(self, outputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The features, and the advantages of moves (B, 5) and of devices (B, I), in the outputs of the body."""
+        size = self.value.in_features
+        features, rest = outputs[:, :size], outputs[:, size:]
+        moves = self.advantage(features)
+        if self.body.pull is not None:
+            moves, rest = moves + rest[:, :MOVES], rest[:, MOVES:]
+        return features, moves, rest + self.selection_bias
+
+    def rescale(self, ratio: Tensor, shift: Tensor) -> None:
         """Change the outputs to ``values * ratio + shift``."""
         super().rescale(ratio, shift)
         with th.no_grad():

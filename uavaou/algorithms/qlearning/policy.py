@@ -7,16 +7,14 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.common.utils import polyak_update
-from torch import nn
+from torch import Tensor, nn
 
 from uavaou.algorithms.local_policy import LocalPolicy
-from uavaou.algorithms.nets.mlp import ACTIVATIONS
-from uavaou.algorithms.nets.set_encoder import TOKEN_WIDTH, check_network
 from uavaou.algorithms.nets.value_norm import ReturnStatistics, ValueScale
 from uavaou.algorithms.qlearning.branches import Branches, SetUtilityNetwork, UtilityNetwork
 from uavaou.algorithms.qlearning.mixers import MIXERS, make_mixer
 from uavaou.errors import unknown
-from uavaou.world.views import MOVES, RowLayout
+from uavaou.world.views import MOVES
 
 
 class JointQPolicy(LocalPolicy):
@@ -26,18 +24,10 @@ class JointQPolicy(LocalPolicy):
 
     Args:
         observation_space, action_space, lr_schedule: as SB3 passes them; the action is Discrete or MultiDiscrete.
-        row_layout: which columns of a row hold what; the algorithm fills it in from the VecEnv. Masks are read
-            from the local column run ``action_mask`` (a flag for each option of each branch), or ``allowed_moves``
-            and ``in_range``, if the layout has them.
         mixer: ``sum`` (VDN), ``monotonic`` (QMIX) or ``none`` (IQL).
-        network: ``mlp``, or ``set`` for rows of entities: weights that fit any number of UAVs and devices.
-        net_arch: hidden layer sizes of the utility network; of a ``set``, after its encoder.
-        activation: ``relu`` or ``tanh``.
-        selection_bias: initial advantage of selecting a device in range; collecting costs nothing in this model.
-        masks: whether choices, targets and exploration leave out what is not allowed; without masks the World
-            rejects it. The observation is the same.
-        pull: how sharply devices pull the UAVs of a ``set`` at first (:mod:`uavaou.algorithms.nets.pull`); 0: not.
-        token_width: features of a device in a ``set``.
+        activation, selection_bias, kwargs: of :class:`LocalPolicy`; the bias is an advantage. Masks are read from the
+            local column run ``action_mask`` (a flag for each option of each branch), or ``allowed_moves`` and
+            ``in_range``, if the layout has them.
         mixer_width, hypernet_width: hidden units of the monotonic mixer and of the networks that give its weights.
         state_value_width: hidden units of a value of the state that the ``sum`` gets; 0: none.
     """
@@ -47,40 +37,28 @@ class JointQPolicy(LocalPolicy):
         observation_space: spaces.Box,
         action_space: spaces.Space[Any],
         lr_schedule: Schedule,
-        row_layout: RowLayout,
         mixer: str,
-        network: str = "mlp",
-        net_arch: list[int] | None = None,
         activation: str = "relu",
         selection_bias: float = 0.1,
-        masks: bool = True,
-        pull: float = 0.0,
-        token_width: int = TOKEN_WIDTH,
         mixer_width: int = 32,
         hypernet_width: int = 64,
         state_value_width: int = 0,
         **kwargs: Any,
     ) -> None:
-        for name, value, known in (("activation", activation, ACTIVATIONS), ("mixer", mixer, MIXERS)):
-            if value not in known:
-                raise unknown(name, value, known)
-        check_network(network, row_layout)
-        super().__init__(observation_space, action_space, **kwargs)
-        self.row_layout = row_layout
-        self.network = network
+        if mixer not in MIXERS:
+            raise unknown("mixer", mixer, MIXERS)
+        super().__init__(
+            observation_space, action_space, activation=activation, selection_bias=selection_bias, **kwargs
+        )
+        network, layout = self.network, self.row_layout
         self.branches = Branches.of_space(action_space)
-        self._hidden = list(net_arch or [128, 128])
-        self._activation = activation
-        self.selection_bias = selection_bias
-        self.masks, self.pull = masks, pull > 0 and network == "set"
-        self._sharpness, self._token_width = pull, token_width
         self.utilities = self.make_utilities()
-        self.mixer = make_mixer(mixer, network, row_layout, mixer_width, hypernet_width, state_value_width)
+        self.mixer = make_mixer(mixer, network, layout, mixer_width, hypernet_width, state_value_width)
         self.target_utilities = deepcopy(self.utilities).requires_grad_(False)
         self.target_mixer = deepcopy(self.mixer).requires_grad_(False)
-        self.returns = ReturnStatistics(decay=0.9)
-        self.scale = ValueScale(row_layout.size_columns(of_state=True)) if network == "set" else None
-        self.epsilon: th.Tensor
+        self.returns = ReturnStatistics()
+        self.scale = ValueScale(layout.size_columns(of_state=True)) if network == "set" else None
+        self.epsilon: Tensor
         self.register_buffer("epsilon", th.zeros(()))  # exploration when the policy was last trained
         self.optimizer = self.optimizer_class(self.trained_parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
@@ -100,7 +78,7 @@ class JointQPolicy(LocalPolicy):
         """Parameters of the utilities and of the mixer, without those of the target networks."""
         return [*self.utilities.parameters(), *self.mixer.parameters()]
 
-    def allowed(self, local: th.Tensor) -> th.Tensor | None:
+    def allowed(self, local: Tensor) -> Tensor | None:
         """Allowed options (B, sum(n_b)), from the masks in ``local`` (B, local); None without masks."""
         if not self.masks:
             return None
@@ -118,7 +96,7 @@ class JointQPolicy(LocalPolicy):
         return th.cat([allowed, bits.flatten(1)], dim=1)
 
     @th.no_grad()
-    def act(self, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
+    def act(self, local: Tensor, uniforms: Tensor | None) -> Tensor:
         """Actions (B, M) of flying UAVs that observe ``local`` (B, local).
 
         They are greedy, or epsilon-greedy from ``uniforms`` (B, >= 1 + M); for rows of entities, by the mean values
@@ -127,11 +105,11 @@ class JointQPolicy(LocalPolicy):
         values = self._values(local) if self.symmetries is None else self.symmetries.mean(self._values, local)
         return self._choice(values, local, uniforms)
 
-    def _values(self, local: th.Tensor) -> th.Tensor:
-        values: th.Tensor = self.utilities(local, self.allowed(local))
+    def _values(self, local: Tensor) -> Tensor:
+        values: Tensor = self.utilities(local, self.allowed(local))
         return values
 
-    def _choice(self, values: th.Tensor, local: th.Tensor, uniforms: th.Tensor | None) -> th.Tensor:
+    def _choice(self, values: Tensor, local: Tensor, uniforms: Tensor | None) -> Tensor:
         """Greedy or epsilon-greedy actions (B, M) by ``values``.
 
         One coin decides for a whole composite action: with one coin a branch, hardly any action would stay greedy.
@@ -143,18 +121,18 @@ class JointQPolicy(LocalPolicy):
         explores = uniforms[:, :1] < self.epsilon
         return th.where(explores, self.branches.uniform(uniforms[:, 1 : 1 + self.branches.count], allowed), greedy)
 
-    def value_scale(self, states: th.Tensor) -> th.Tensor:
+    def value_scale(self, states: Tensor) -> Tensor:
         """How large values are in scenarios of the sizes that states (B, global) say, (B, 1); 1 for flat rows."""
         return states.new_ones(len(states), 1) if self.scale is None else self.scale(states)[:, None]
 
-    def present(self, local: th.Tensor) -> th.Tensor:
+    def present(self, local: Tensor) -> Tensor:
         """Which UAVs are there, bool (B, U), in ``local`` (B * U, local)."""
         column, uavs = self.row_layout.present_column, self.row_layout.uavs
         if column is None:
             return th.ones(len(local) // uavs, uavs, dtype=th.bool, device=local.device)
         return local[:, column].view(-1, uavs) > 0.5
 
-    def branches_there(self, local: th.Tensor) -> th.Tensor | None:
+    def branches_there(self, local: Tensor) -> Tensor | None:
         """1 for the move and each device that is there, 0 for devices of padding, (B, M); None for flat rows."""
         layout = self.row_layout
         if layout.rows == "flat" or not layout.selects:
@@ -162,15 +140,15 @@ class JointQPolicy(LocalPolicy):
         devices = local[:, layout.token_feature("devices", "present")]  # (B, I)
         return th.cat([th.ones_like(devices[:, :1]), devices], dim=1)
 
-    def team_values(self, local: th.Tensor, states: th.Tensor, actions: th.Tensor) -> th.Tensor:
+    def team_values(self, local: Tensor, states: Tensor, actions: Tensor) -> Tensor:
         """Normalised Q_tot (B, V) of joint actions (B * U, M) in ``local`` (B * U, local), ``states`` (B, global)."""
         utilities = self.utilities(local, self.allowed(local))
         values = self.branches.mean(utilities, actions, self.branches_there(local))  # (B * U,)
-        mixed: th.Tensor = self.mixer(values.view(-1, self.row_layout.uavs), states)
+        mixed: Tensor = self.mixer(values.view(-1, self.row_layout.uavs), states)
         return mixed
 
     @th.no_grad()
-    def next_values(self, local: th.Tensor, states: th.Tensor) -> th.Tensor:
+    def next_values(self, local: Tensor, states: Tensor) -> Tensor:
         """Q_tot (B, V) of the next slots in units of the reward: chosen online, valued by the target networks.
 
         Double Q-learning (van Hasselt et al. 2016). Mixers are monotone: the greedy actions of the agents are the
@@ -183,7 +161,7 @@ class JointQPolicy(LocalPolicy):
         return self.returns.denormalise(mixed) * self.value_scale(states)
 
     @th.no_grad()
-    def update_statistics(self, targets: th.Tensor) -> None:
+    def update_statistics(self, targets: Tensor) -> None:
         """Update the statistics with targets of Q_tot, over their scale; predictions do not change."""
         ratio, shift = self.returns.update(targets)
         for utilities, mixer in ((self.utilities, self.mixer), (self.target_utilities, self.target_mixer)):
@@ -195,7 +173,7 @@ class JointQPolicy(LocalPolicy):
         for own, target in ((self.utilities, self.target_utilities), (self.mixer, self.target_mixer)):
             polyak_update(own.parameters(), target.parameters(), fraction)
 
-    def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:  # type: ignore[override]
+    def _predict(self, observation: Tensor, deterministic: bool = False) -> Tensor:  # type: ignore[override]
         local = observation[:, : self.row_layout.local_size]
         if deterministic:
             actions = self.act(local, None)
@@ -204,6 +182,6 @@ class JointQPolicy(LocalPolicy):
             actions = self._choice(self._values(local), local, uniforms)
         return actions[:, 0] if isinstance(self.action_space, spaces.Discrete) else actions
 
-    def forward(self, obs: th.Tensor, deterministic: bool = False) -> th.Tensor:
+    def forward(self, obs: Tensor, deterministic: bool = False) -> Tensor:
         """Actions of rows."""
         return self._predict(obs, deterministic)

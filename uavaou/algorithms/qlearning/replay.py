@@ -13,7 +13,9 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.buffers import BaseBuffer
+from torch import Tensor
 
+from uavaou.arrays import Ints, Singles
 from uavaou.errors import InputError
 from uavaou.world.views import RowLayout
 
@@ -22,13 +24,13 @@ from uavaou.world.views import RowLayout
 class JointBatch:
     """B joint transitions over n slots, teammates together."""
 
-    local: th.Tensor  # (B * U, local)
-    states: th.Tensor  # (B, global)
-    actions: th.Tensor  # (B * U, M)
-    rewards: th.Tensor  # (B,) sum_{k<n} gamma^k r[t+k], up to the mission's end
-    discounts: th.Tensor  # (B,) gamma^n, 0 where the mission ended within the n slots
-    next_local: th.Tensor  # (B * U, local) n slots later
-    next_states: th.Tensor  # (B, global)
+    local: Tensor  # (B * U, local)
+    states: Tensor  # (B, global)
+    actions: Tensor  # (B * U, M)
+    rewards: Tensor  # (B,) sum_{k<n} gamma^k r[t+k], up to the mission's end
+    discounts: Tensor  # (B,) gamma^n, 0 where the mission ended within the n slots
+    next_local: Tensor  # (B * U, local) n slots later
+    next_states: Tensor  # (B, global)
 
 
 class JointReplay(BaseBuffer):
@@ -65,10 +67,10 @@ class JointReplay(BaseBuffer):
         if needed > machine:  # numpy would not refuse: the pages are taken only as the replay fills
             have = f"{needed / 1e9:,.1f} GB, this machine has {machine / 1e9:,.1f}"
             raise InputError(f"replay of {capacity * missions} slots: needs {have}: set fewer replay_slots")
-        self.local: NDArray[np.float32] = np.zeros((capacity, missions, uavs, row_layout.local_size), np.float32)
-        self.states: NDArray[np.float32] = np.zeros((capacity, missions, row_layout.global_size), np.float32)
+        self.local: Singles = np.zeros((capacity, missions, uavs, row_layout.local_size), np.float32)
+        self.states: Singles = np.zeros((capacity, missions, row_layout.global_size), np.float32)
         self.actions = np.zeros((capacity, missions, uavs, branches), np.min_scalar_type(options))
-        self.rewards: NDArray[np.float32] = np.zeros((capacity, missions), np.float32)
+        self.rewards: Singles = np.zeros((capacity, missions), np.float32)
         self.ends = np.zeros((capacity, missions), np.bool_)  # the mission ended with this slot
 
     @property
@@ -76,7 +78,7 @@ class JointReplay(BaseBuffer):
         """Slots held, of all missions together."""
         return (self.buffer_size if self.full else self.pos) * self.missions
 
-    def add(self, rows: NDArray[np.float32], actions: NDArray[Any], rewards: Any, dones: NDArray[Any]) -> None:
+    def add(self, rows: Singles, actions: NDArray[Any], rewards: Any, dones: NDArray[Any]) -> None:
         """Store one slot of all missions, given as N * U mission-major rows."""
         uavs, at = self.row_layout.uavs, self.pos
         by_team = rows.reshape(-1, uavs, rows.shape[-1])  # (N, U, local + global)
@@ -96,7 +98,7 @@ class JointReplay(BaseBuffer):
         """Draw joint transitions uniformly from all slots whose n-th successor is held."""
         return self._get_samples(np.random.randint(0, self.slots - self.n_steps * self.missions, batch_size))
 
-    def _get_samples(self, batch_inds: NDArray[np.int64], env: Any = None) -> JointBatch:  # type: ignore[override]
+    def _get_samples(self, batch_inds: Ints, env: Any = None) -> JointBatch:  # type: ignore[override]
         """The joint transitions (B,) counted from the oldest slot on, its missions in order."""
         since_oldest, missions = np.divmod(batch_inds, self.missions)
         times = (since_oldest + (self.pos if self.full else 0)) % self.buffer_size  # (B,)
@@ -117,7 +119,7 @@ class JointReplay(BaseBuffer):
             next_states=self._tensor(self.states[later, missions]),
         )
 
-    def _tensor(self, array: NDArray[Any]) -> th.Tensor:
+    def _tensor(self, array: NDArray[Any]) -> Tensor:
         return th.from_numpy(array).to(self.device)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
