@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from uavaou.errors import InputError
@@ -164,7 +165,7 @@ class _Work:
     """The jobs of a study that are left to do, and the results of the others."""
 
     def __init__(self, study: Study, out: Path, checkpoint_every_s: float | None) -> None:
-        self._study, self._out = study, out
+        self._study, self._out, self._reporting = study, out, Lock()
         self._results, _ = update_results(study, out)  # a damaged run is tried again, and fails with its reason then
         jobs = study.jobs(out, checkpoint_every_s)
         self._names = {digest: key for job in jobs for digest, key in job.digests.items()}
@@ -181,13 +182,15 @@ class _Work:
         return max(self._budgets[key] - self._trained[key], 0)
 
     def report(self, job: StudyJob, report: TrainingReport) -> None:
-        """A training has made an update."""
+        """A training has made an update; called in a thread of its own."""
         key = job.keys[0]
-        self.state.running[key] = report
-        step = max(report.slots - self._trained[key], 0)
-        self._trained[key] += step
-        self.state.slots += step
-        self.state.left = max(self.state.left - step, 0)
+        with self._reporting:
+            if key in self.state.running:  # else the display would meet a dictionary that grows
+                self.state.running[key] = report
+            step = max(report.slots - self._trained[key], 0)
+            self._trained[key] += step
+            self.state.slots += step
+            self.state.left = max(self.state.left - step, 0)
 
     def look(self, futures: Mapping[Future[Any], StudyJob]) -> None:
         """Note which jobs are being done."""
