@@ -41,7 +41,7 @@ def test_the_compiled_pull_and_its_gradient_are_those_of_the_definition(
     uavs: int, devices: int, most: tuple[int, int] | None, observation: str
 ) -> None:
     layout, rows, _ = entity_rows(uavs, devices, most, observation)
-    pull = Pull(layout, 12.0, (40.0, 30.0))
+    pull = Pull(layout, 12.0, (1.6, 1.2))
     rows, changes = numbers_of(pull, rows, layout.devices)
     compiled, defined = pull(rows, changes), pull.define(rows, changes)
     assert compiled.amax(dim=1).abs().max() < 4 * TIE * pull.numbers[0].exp() + 1e-5
@@ -58,7 +58,7 @@ def test_the_compiled_pull_and_its_gradient_are_those_of_the_definition(
 
 def test_the_sum_does_not_depend_on_the_order_of_devices() -> None:
     layout, rows, _ = entity_rows(4, 12)
-    pull, order = Pull(layout, 12.0, (40.0, 30.0)), th.randperm(12)
+    pull, order = Pull(layout, 12.0, (1.6, 1.2)), th.randperm(12)
     rows, changes = numbers_of(pull, rows, 12)
     other = shuffled(shuffled(rows, layout.local[3], order), layout.local[4], order)
     turned = changes.detach().view(-1, 2, 12)[:, :, order].flatten(1)

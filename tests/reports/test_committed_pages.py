@@ -6,8 +6,11 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from uavaou import load_run
+from uavaou.evaluation.recorded_mission import read_mission, record_mission
 from uavaou.reports.study_report import END, begin_marker, write_report
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
@@ -35,3 +38,11 @@ def test_the_committed_claims_are_those_of_the_study_they_name(tmp_path: Path) -
     shutil.copytree(RESULTS / "studies" / "paper", copy, ignore=shutil.ignore_patterns("figures", "best", "configs"))
     write_report(copy, tmp_path / "README.md")
     assert found[0] in (tmp_path / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("path", [path for folder in STUDIES for path in folder.glob("mission-*.json")], ids=str)
+def test_a_kept_policy_flies_the_mission_that_was_recorded(path: Path) -> None:
+    mission = read_mission(path)
+    (kept,) = (path.parent / "best" / "paper" / mission.policy).iterdir()
+    flown = record_mission(mission.scenario, load_run(kept), mission.mission_seed)
+    np.testing.assert_array_equal(flown.collected_by, mission.recording.collected_by)

@@ -25,7 +25,7 @@ from uavaou.world.world import World
 
 SCORE_RANGE = 4.0  # the most that is learned for a score; the reach changes by a factor of e at most
 NOTHING = -400.0  # the logarithm of the pull of nothing: of a device so many steps away
-OTHERS = 1000.0  # grid steps by which a device of another UAV's part is further away, at first
+OTHERS = 25.0  # grid steps by which a device of another UAV's part is further away, for each unit of what is learned
 TIE = 2e-5  # less of the logarithm of a pull for each move before: equal ones go by their order, whatever the rounding
 MOST_STEPS = 500.0  # of a device that a UAV never collects
 SHARE = 0.5  # of a UAV's best probability to collect a device, from which a cell is good enough

@@ -14,7 +14,7 @@ from torch.autograd.function import once_differentiable
 from uavaou.algorithms.fast.tokens import supports as supports
 from uavaou.arrays import Floats
 from uavaou.world.compiled import compiled
-from uavaou.world.pull import NOTHING, SCORE_RANGE, TIE
+from uavaou.world.pull import NOTHING, OTHERS, SCORE_RANGE, TIE
 from uavaou.world.views import MOVES, PULL, Rows
 
 _PULL = len(PULL)
@@ -58,7 +58,7 @@ class _Pull(th.autograd.Function):
         read, by_pulls = (tensor.detach().contiguous().numpy() for tensor in (rows, grad))
         kept = turned.numpy(), rate.numpy(), felt.numpy(), nothing.numpy()
         add_pull_gradient(read, by_pulls, *kept, ctx.columns, beta, by_changes.numpy(), by_numbers)
-        by_numbers[2:] *= parts
+        by_numbers[2:] *= OTHERS * np.array(parts)
         return None, by_changes, th.from_numpy(by_numbers.astype(np.float32)), None
 
 
@@ -75,7 +75,15 @@ def _pulled(rows: Tensor, changes: Tensor, numbers: Tensor, columns: Places) -> 
     score = rows[:, first : first + _PULL * devices : _PULL].log()
     score.add_(turned[:, :devices], alpha=SCORE_RANGE)
     felt, nothing, pulls = (th.empty(len(rows), *shape) for shape in ((devices, MOVES), (), (MOVES,)))
-    write_logs(rows.numpy(), score.numpy(), rate.numpy(), columns, (parts[0], parts[1]), felt.numpy(), nothing.numpy())
+    write_logs(
+        rows.numpy(),
+        score.numpy(),
+        rate.numpy(),
+        columns,
+        (OTHERS * parts[0], OTHERS * parts[1]),
+        felt.numpy(),
+        nothing.numpy(),
+    )
     write_pulls(felt.exp_().numpy(), nothing.exp_().numpy(), beta, pulls.numpy())
     return pulls, turned, rate, felt, nothing
 

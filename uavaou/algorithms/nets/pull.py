@@ -4,7 +4,7 @@ Each device has a score. Each move feels it through the grid steps that the move
 the device well:
 
     pull_m = beta log(exp(-400) + sum_i exp(score_i - steps_im / reach_i)),
-    score_i = log age_i + part (own_i - 1) + f_i,    reach_i = lambda exp(g_i)
+    score_i = log age_i + 25 part (own_i - 1) + f_i,    reach_i = lambda exp(g_i)
 
 age_i is what the UAV expects at the end of the slot, own_i is 1 for the devices of its part of the map. The set encoder
 gives f and g, numbers of the device's token, which are 0 at first. With lambda = 1 and a large part, the likeliest move
@@ -37,14 +37,14 @@ class Pull(nn.Module):
     Args:
         layout: of rows of entities.
         sharpness: beta at first; learned.
-        part: of the score, by how much a device of another UAV's part pulls less, where the UAV has to guess its age,
-            and where it is told; learned.
+        part: by how much a device of another UAV's part pulls less, in units of 25 grid steps, where the UAV has to
+            guess its age, and where it is told; learned.
 
     Attributes:
         columns: first column of the pulls, of the flags of own parts and of those of presence, and the way to the next.
     """
 
-    def __init__(self, layout: RowLayout, sharpness: float, part: tuple[float, float] = (OTHERS, OTHERS)) -> None:
+    def __init__(self, layout: RowLayout, sharpness: float, part: tuple[float, float] = (40.0, 40.0)) -> None:
         super().__init__()
         own, present = (layout.token_feature("devices", name) for name in ("own_part", "present"))
         self.columns = layout.token_feature("pulls", PULL[0]).start, own.start, present.start, own.step
@@ -81,7 +81,7 @@ class Pull(nn.Module):
         sharpness, reach, part, part_shared = self.numbers.exp().unbind()
         score_change, reach_change = changes.tanh().chunk(CHANGES, dim=1)  # (B, I) each
         part = th.where(pulls[..., -1] > 0.5, part_shared, part)  # (B, I)
-        score = pulls[..., 0].log() + part * (own - 1) + SCORE_RANGE * score_change
+        score = pulls[..., 0].log() + OTHERS * part * (own - 1) + SCORE_RANGE * score_change
         felt = score[..., None] - pulls[..., 1:-1] / (reach * reach_change.exp())[..., None]  # (B, I, 5)
         felt = felt.masked_fill(there[..., None] < 0.5, -th.inf)
         total = functional.pad(felt, (0, 0, 1, 0), value=NOTHING).logsumexp(dim=1)  # (B, 5)
