@@ -32,7 +32,7 @@ PARTS = 40  # at the end of each of which is measured
 _PAGES = resource.getpagesize() / 2**20  # MiB
 _FAMILY = {"network": "set", "observation": "shared", "worlds": 16, "evaluation_missions": 16}
 COMMANDS = {
-    "eval": "eval --scenario tiny --policy any-map --policy greedy --episodes 1 --seed {seed} --json {place}/e.json",
+    "eval": "eval --scenario tiny --policy any-map --policy greedy --episodes 1 --seed {seed} --out {place}/e.csv",
     "fly": "fly tiny --seed {seed} --out {place}/{seed}",
 }
 AMOUNTS = {"training": 10_000_000, "family": 10_000_000, "eval": 1000, "fly": 1000}

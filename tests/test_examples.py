@@ -9,7 +9,6 @@ import sys
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 import matplotlib
@@ -22,6 +21,7 @@ from tests.documents import ROOT, blocks
 from uavaou import RunConfig, Scenario, World, load_run, train
 from uavaou.algorithms import registry
 from uavaou.algorithms.mappo import CentralizedValuePolicy
+from uavaou.evaluation.flights import Flights
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -126,9 +126,9 @@ def test_the_tour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
             assert trained or rehearsed or words(out) == words(shown)
             assert ("0 errors" in out) == ("audit" in source)
     assert all((tmp_path / "tour" / name).is_file() for name in ("mission.html", "drone/policy.onnx"))
-    results = json.loads((names["run"] / "eval" / "default.json").read_text(encoding="utf-8"))["policies"]
-    assert len(results["mappo"]["mean_aou_s"]) == names["EPISODES"]
-    own, any_map, planner = (fmean(results[name]["mean_aou_s"]) for name in NAMES)
+    ages = Flights.read(Path(names["run"])).flights.groupby("policy")["mean_aou_slots"]
+    assert ages.count()["mappo"] == names["EPISODES"]
+    own, any_map, planner = (ages.mean()[name] for name in NAMES)
     assert own < any_map < planner
 
 

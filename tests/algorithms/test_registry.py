@@ -30,6 +30,7 @@ from uavaou import (
     train,
 )
 from uavaou.algorithms import registry
+from uavaou.evaluation.flights import Flights
 from uavaou.runs.folder import RunFolder
 from uavaou_cli.main import main
 
@@ -90,7 +91,7 @@ def test_the_example_trains_is_evaluated_and_drawn_by_name(
     assert following[1:3] == ["--plugin", str(EXAMPLE)]
     shell.out(shlex.join([*following[1:], "--episodes", "2", "--quiet"]))
     (run,) = tmp_path.glob("results/quickstart/plain-ppo+*/seed-0")
-    assert "plain-ppo" in (run / "eval" / "default.json").read_text()
+    assert "plain-ppo" in set(Flights.read(run).flights["policy"])
     assert shell(f"{PLUGIN} plot trajectories {run}")[0] == 0
 
 
@@ -266,8 +267,8 @@ def test_local_rows_are_the_first_columns_at_the_end_of_a_mission_too() -> None:
 
 @pytest.mark.parametrize("name", ["mappo", "ippo", "vdn", "qmix"])
 def test_fields_keep_the_order_of_the_committed_configurations(name: str) -> None:
-    path = Path(__file__).resolve().parents[2] / f"results/studies/paper/configs/paper/{name}.yaml"
-    committed = yaml.safe_load(path.read_text())["algorithm"]
+    path = Path(__file__).resolve().parents[2] / "results/studies/paper/study.yaml"
+    committed = yaml.safe_load(path.read_text())["variants"][name]
     fields = list(RunConfig.load(name).algorithm.model_dump())
     assert [field for field in fields if field in committed] == list(committed)  # newer ones have defaults
 

@@ -14,7 +14,7 @@ import pytest
 
 from tests.cli.commands import TINY, TRAIN, Shell, contents, runs
 from uavaou import InputError, Scenario, evaluate
-from uavaou.evaluation.flights import FLIGHTS, read_table
+from uavaou.evaluation.flights import FLIGHTS, Flights, read_table
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou_cli import plan, train
 from uavaou_cli.tables import WIDTH
@@ -197,23 +197,20 @@ def test_from_training_to_figures(shell: Shell, workplace: Path) -> None:
     assert f"run folder:      {run}\n" in out
     assert shell("runs")[1].count("slots=3000") == 1
 
-    code, out, err = shell(shlex.join([*following[1:], "--episodes", "6", "--json", "e.json"]))
+    code, out, err = shell(shlex.join([*following[1:], "--episodes", "6", "--out", "e.csv"]))
     assert code == 0
-    assert err.splitlines() == [f"wrote {run / 'eval' / 'default.json'}", "wrote e.json"]
+    assert err.splitlines() == [f"wrote {run / 'flights.csv.gz'}", "wrote e.csv"]
     assert all(len(line) <= WIDTH for line in out.splitlines() if line != str(run))
-    content = json.loads((workplace / "e.json").read_text())
-    assert set(content) == {"scenario", "episodes", "seed", "policies"}
-    assert list(content["policies"]) == [str(run), "random", "greedy"]
-    for name, entry in content["policies"].items():
-        assert ("action" in entry) == (name == str(run))
-        assert entry["knows"] in out
-        assert len(entry["mean_aou_s"]) == len(entry["communications"]) == 6
-        assert len(entry["aou_over_time_s"]) == len(entry["aou_over_time_low_s"]) == 60
-        assert sum(entry["violations"].values()) == 0
-    default = json.loads((run / "eval" / "default.json").read_text())
-    assert default["policies"] == {"mappo": content["policies"][str(run)]} | {
-        name: content["policies"][name] for name in ("random", "greedy")
-    }
+    table = read_table(workplace / "e.csv", FLIGHTS)
+    assert list(table["policy"].unique()) == [str(run), "random", "greedy"]
+    assert table["action"].notna().tolist() == (table["policy"] == str(run)).tolist()
+    assert all(knows in out for knows in table["knows"].unique())
+    assert (table.groupby("policy").size() == 6).all()
+    assert set(table["violations"]) == {0}
+    kept = Flights.read(run)
+    assert list(kept.flights["policy"].unique()) == ["mappo", "random", "greedy"]
+    assert kept.flights["mean_aou_slots"].tolist() == table["mean_aou_slots"].tolist()
+    assert set(kept.curves.groupby("curve").size()[["slots"]]) == {3 * 60}
 
     for command, parts in ((f"plot figures {run}", 14), (f"plot trajectories {run} --out pictures", 4)):
         out = shell.done(command)

@@ -12,7 +12,7 @@ import pytest
 
 from tests.cli.commands import TINY, Shell, contents, runs
 from uavaou import Scenario, evaluate
-from uavaou.evaluation.flights import Flights
+from uavaou.evaluation.flights import FLIGHTS, Flights, read_table
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.reports import mission_figures
 from uavaou.runs.names import scenario_folder
@@ -52,11 +52,11 @@ def test_commands_take_a_released_policy_by_name(shell: Shell, released: Path) -
     before = contents(released_folder())
     (released / "own.yaml").write_text(SUITE)
     commands = {
-        "eval any-map --episodes 2 --json e.json": "any-map",
+        "eval any-map --episodes 2 --out e.csv": "any-map",
         "eval any-map --episodes 2 --scenario tiny --set scenario.layout_seed=4": "any-map",
         "eval --policy any-map --policy greedy --episodes 2": "any-map",
         "gap tiny any-map --episodes 1 --time-limit 1": "any-map",
-        "eval any-map --policy greedy --suite own.yaml --episodes 2 --json s.json": "any-map",
+        "eval any-map --policy greedy --suite own.yaml --episodes 2 --out s.csv": "any-map",
         "plot trajectories any-map": "results/any-map/figures/mission-10000-map.png",
         "export any-map --out policy.safetensors": "policy.safetensors",
     }
@@ -65,9 +65,9 @@ def test_commands_take_a_released_policy_by_name(shell: Shell, released: Path) -
         assert shown in out, command
         assert str(released_folder()) not in out
     assert contents(released_folder()) == before  # nothing is written into the package
-    assert list(json.loads((released / "e.json").read_text())["policies"]) == ["any-map"]
-    points = json.loads((released / "s.json").read_text())["points"]
-    assert [list(point["policies"]) for point in points] == [["any-map", "greedy"]] * 2 + [["greedy"]]
+    assert set(read_table(released / "e.csv", FLIGHTS)["policy"]) == {"any-map"}
+    points = read_table(released / "s.csv", FLIGHTS).groupby("point", sort=False)["policy"].unique()
+    assert [list(policies) for policies in points] == [["any-map", "greedy"]] * 2 + [["greedy"]]
 
 
 @pytest.mark.slow
@@ -77,7 +77,7 @@ def test_a_table_of_the_zero_shot_page_is_measured(released: Path, monkeypatch: 
     (released / "own.yaml").write_text(SUITE)
     monkeypatch.setitem(zero_shot.TABLES, "mine", ["--suite", "own.yaml", "--episodes", "2"])
     assert zero_shot.measure("any-map", "mine") == 0
-    found = zero_shot.read_suites([released / "results" / "suites" / "any-map" / "mine.csv"])[0]
+    found = zero_shot.read_suites([released / "results" / "suites" / "any-map" / "mine.csv.gz"])[0]
     assert list(zero_shot.means(found, "any-map")) == ["as it is", "5"]
     assert "`best-first` | 3 " not in zero_shot.summary("any-map", [found])  # it is below 20 slots on tiny
 

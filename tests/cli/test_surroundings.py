@@ -37,10 +37,10 @@ def test_the_backend_of_a_notebook_does_not_matter(tmp_path: Path) -> None:
 )
 def test_a_name_that_the_console_cannot_print(stem: str, encoding: str, shown: bytes, tmp_path: Path) -> None:
     (tmp_path / f"{stem}.yaml").write_text("base: tiny\n", encoding="utf-8")
-    words = shlex.split(f"eval --policy greedy --scenario {stem}.yaml --episodes 2 --quiet --json {stem}.json")
+    words = shlex.split(f"eval --policy greedy --scenario {stem}.yaml --episodes 2 --quiet --out {stem}.csv")
     done = command(tmp_path, *words, PYTHONIOENCODING=encoding)
     assert (done.returncode, done.stderr) == (0, b"")
     assert done.stdout.startswith(shown + b": 2 missions")
-    assert (tmp_path / f"{stem}.json").is_file()
+    assert (tmp_path / f"{stem}.csv").is_file()
     refused = command(tmp_path, "audit", f"{stem}.yml", PYTHONIOENCODING=encoding)
     assert (refused.returncode, refused.stdout, refused.stderr.count(b"\n")) == (2, b"", 1)
