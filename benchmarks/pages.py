@@ -21,7 +21,7 @@ from uavaou.planners import planner_knowledge
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.scores import PolicyScores, study_scores
 from uavaou.reports.suites import read_suites
-from uavaou.statistics import interval_over_trainings
+from uavaou.statistics import Interval, interval_over_trainings
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md")
@@ -61,14 +61,14 @@ def trained(name: str, variant: str, who: str) -> tuple[float, tuple[str, ...]]:
 
 def policies() -> str:
     """The table of README."""
-    here = flown("known-layouts", RELEASED)["aou"]["0"]
+    here: Interval = flown("known-layouts", RELEASED)["aou"]["0"]
     rule = scores("paper")[RULE].mean
     rows = [
         trained("default", "mappo", "MAPPO, as `uavaou train` has it"),
         trained("paper", "mappo", "MAPPO from nothing, as in the paper"),
         trained("paper", "qmix", "QMIX"),
         trained("paper", "vdn", "VDN"),
-        (here[0], ("`any-map`, a policy for every map", with_interval(*here, digits=3), "none", "shared")),
+        (here.value, ("`any-map`, a policy for every map", with_interval(*here, digits=3), "none", "shared")),
         (rule.value, (f"`{RULE}`, a rule", with_interval(*rule, digits=3), "none", planner_knowledge(RULE))),
     ]
     return table(HEAD, [cells for _, cells in sorted(rows)])

@@ -21,7 +21,7 @@ from uavaou.files import read_text, write_text
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.suites import SuiteTable, read_suites, tables_below
 from uavaou.runs.released import released_folder
-from uavaou.statistics import geometric_mean
+from uavaou.statistics import Interval, geometric_mean
 from uavaou.threads import use_threads
 from uavaou_cli.main import main as uavaou
 
@@ -130,7 +130,8 @@ def section(policy: str, found: SuiteTable) -> str:
     for row in found.of(policy).sort_values("x").itertuples():
         theirs = (rounded(levels[name][row.point], 4) if row.point in levels[name] else "" for name in others)
         beside = f"{row.difference:+.2f} slots" if isnan(row.ratio) else f"**{row.ratio:.2f}**"
-        rows.append((row.point, with_interval(*row.aou, digits=4), *theirs, beside, f"{row.worst_mission:.2f}"))
+        aou: Interval = row.aou
+        rows.append((row.point, with_interval(*aou, digits=4), *theirs, beside, f"{row.worst_mission:.2f}"))
     head = (found.axis, *(told(found, name) for name in (policy, *others)), f"to `{REFERENCE}`", "worst mission")
     return f"{title}\n\n{table(head, rows)}"
 
