@@ -304,3 +304,9 @@ def test_validations_follow_a_smaller_budget() -> None:
     assert [validations(slots=slots) for slots in (250_000, 60_000, 1)] == [(50_000, 16), (12_000, 8), (1, 8)]
     assert validations(slots=1, evaluate_every_slots=7) == (7, 32)
     assert validations(slots=1, evaluation_missions=4) == (1, 4)
+
+
+def test_a_run_whose_critic_read_both_parts_is_to_be_trained_again() -> None:
+    fields = registry.load_config("mappo-paper").model_dump() | {"critic_input": "both"}
+    with pytest.raises(InputError, match=r"^run: algorithm: critic_input = 'both': .*: train again$"):
+        registry.config_from_dict(fields, Path("run"))
