@@ -52,6 +52,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     ) -> None:
         if critic_input not in CRITIC_INPUTS:
             raise unknown("critic_input", critic_input, CRITIC_INPUTS)
+        if critic_input == "both" and kwargs.get("network", "mlp") != "mlp":
+            raise InputError("critic_input = 'both': expected network = 'mlp'")
         self.critic_input = critic_input
         super().__init__(
             observation_space, action_space, lr_schedule, activation=activation, selection_bias=selection_bias, **kwargs
@@ -88,8 +90,6 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     def _make_critic_body(self) -> nn.Module:
         layout = self.row_layout
         if self.critic_input == "both":
-            if self.network != "mlp":
-                raise InputError("critic_input = 'both': expected network = 'mlp'")
             return mlp(layout.local_size + layout.global_size, self._hidden, self._activation)
         return self.make_body(layout.state if self.critic_input == "global" else layout.local)
 
