@@ -71,7 +71,7 @@ def test_the_fast_gradient_is_that_of_the_loss(
 
 
 @pytest.mark.parametrize("observation", ["local", "location"])  # with masks in the rows, and without
-@pytest.mark.parametrize("critic_input", ["global", "both"])
+@pytest.mark.parametrize("critic_input", ["global", "local"])
 def test_the_gradients_of_shards_add_up_to_that_of_the_loss(
     critic_input: str, observation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

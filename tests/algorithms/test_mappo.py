@@ -97,25 +97,10 @@ def test_values_are_normalised_by_the_returns_of_the_rollout() -> None:
     th.testing.assert_close(model.policy.value_net.std, returns.std(correction=0))
 
 
-def test_a_critic_of_both_reads_whole_rows() -> None:
-    model = small_model(policy_kwargs={"critic_input": "both"})
-    model.learn(6 * 8)
-    layout, rows = model.policy.row_layout, th.from_numpy(model._last_obs)
-    values = model.policy.predict_values(rows)
-    for column in (0, layout.local_size):  # of the local part, and of the global one
-        changed = rows.clone()
-        changed[:, column] += 1
-        assert not th.equal(model.policy.predict_values(changed), values)
-    buffer = model.rollout_buffer
-    assert buffer.values.shape[2] == layout.uavs
-    assert np.array_equal(buffer.critic_rows[..., : layout.local_size], buffer.local)
-    assert np.array_equal(buffer.critic_rows[:, :, 1, layout.local_size :], buffer.state)
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"policy_kwargs": {"critic_input": "both", "network": "set"}}, "reads rows of entities"),
+        ({"policy_kwargs": {"network": "set"}}, "reads rows of entities"),
         ({"clip_range_vf": 0.2}, "clip_range_vf: not an argument of MAPPO"),
         ({"normalize_advantage": True}, "see advantage_normalization"),
         ({"advantage_normalization": "rolout"}, "did you mean 'rollout'"),

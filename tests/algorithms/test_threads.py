@@ -39,7 +39,6 @@ def trained(algorithm: str, family: str | None = None, **settings: Any) -> BaseA
 
 LEARNERS: dict[str, Callable[[], BaseAlgorithm]] = {
     "mappo": lambda: trained("mappo"),
-    "mappo, global": lambda: trained("mappo", critic_input="global"),
     "ippo": lambda: trained("ippo"),
     "mappo, set": lambda: trained("mappo", network="set"),
     "mappo, family": lambda: trained("mappo", "any", network="set"),
@@ -129,7 +128,7 @@ def test_a_module_that_is_replaced_between_updates_is_used() -> None:
     assert not np.allclose(trained_with(Replace()), trained_with(None))
 
 
-@pytest.mark.parametrize("critic_input", ["global", "local", "both"])
+@pytest.mark.parametrize("critic_input", ["global", "local"])
 def test_the_gradient_with_two_threads_is_that_of_the_rollout_just_collected(
     critic_input: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

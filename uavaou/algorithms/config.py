@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, StrictBool, model_validator
+from pydantic import BeforeValidator, Field, StrictBool, model_validator
 
 from uavaou.fields import Fraction, NonNegative, Positive, PositiveWhole, Strict, Whole
 
@@ -169,17 +169,17 @@ class IppoConfig(LearnerConfig):
         }
 
 
+def _one_input(value: Any) -> Any:
+    if value == "both":
+        raise ValueError("a critic reads the global state or the local observation, no longer both: train again")
+    return value
+
+
 class MappoConfig(IppoConfig):
     """MAPPO: also what its critic reads."""
 
     name: Literal["mappo"] = "mappo"
-    critic_input: Literal["global", "both"] = "global"  # both: [local | global], of each UAV, in flat rows
-
-    @model_validator(mode="after")
-    def _both_is_flat(self) -> Self:
-        if self.critic_input == "both" and self.network != "mlp":
-            raise ValueError("critic_input = both: needs network = mlp; the global state of a set holds all tokens")
-        return self
+    critic_input: Annotated[Literal["global", "local"], BeforeValidator(_one_input)] = "global"
 
     def _policy_arguments(self) -> dict[str, Any]:
         return super()._policy_arguments() | {"critic_input": self.critic_input}

@@ -134,7 +134,7 @@ class GradientShard:
     @th.no_grad()
     def critic_gradient(self, at: Ints, part: float, coefficients: LossCoefficients, later: Later) -> Gradient:
         """The gradient by the critic's parameters, from some of :meth:`critic_rows`; see :meth:`actor_gradient`."""
-        rows = self._critic_rows.index_select(0, th.from_numpy(at))  # (R, global, local or both)
+        rows = self._critic_rows.index_select(0, th.from_numpy(at))  # (R, global or local)
         activations = self._critic.forward(rows)
         values = activations[-1]  # (R, 1)
         grad_values = th.empty_like(values)

@@ -28,7 +28,7 @@ class SlotBatch:
     """A minibatch of B slots; in padded rows, B * U and B * V are the rows that are there."""
 
     local: Tensor  # (B * U, local)
-    critic_rows: Tensor  # (B * V, global, local or both)
+    critic_rows: Tensor  # (B * V, global or local)
     actions: Tensor  # (B * U, 1 + I)
     old_log_prob: Tensor  # (B * U,)
     advantages: Tensor  # (B * U,)
@@ -47,7 +47,6 @@ class SlotRolloutBuffer(RolloutBuffer):
     present: Bools | None
     local: Rows  # (T, N, U, local)
     state: Rows  # (T, N, global)
-    _whole: Rows  # (T, N, U, local + global), where the critic reads both
 
     def __init__(self, *args: Any, row_layout: RowLayout, critic_input: str, **kwargs: Any) -> None:
         self.row_layout = row_layout
@@ -70,9 +69,6 @@ class SlotRolloutBuffer(RolloutBuffer):
         )  # fmt: skip
         for name, shape in zip(ARRAYS, shapes, strict=True):
             setattr(self, name, np.zeros((self.buffer_size, self.n_envs // uavs, *shape), dtype=np.float32))
-        if self.critic_input == "both":
-            whole = (*self.local.shape[:3], layout.local_size + layout.global_size)
-            self._whole = np.zeros(whole, dtype=np.float32)  # (T, N, U, local + global)
         padded = layout.present_column is not None
         self.present = np.zeros(self.log_probs.shape, dtype=bool) if padded else None
 
@@ -90,8 +86,6 @@ class SlotRolloutBuffer(RolloutBuffer):
         local: Rows = self.local[self.pos]  # (N, U, local)
         local[...] = rows[:, :, :local_size]
         self.state[self.pos] = rows[:, 0, local_size:]
-        if self.critic_input == "both":
-            self._whole[self.pos] = rows
         if self.present is not None:
             self.present[self.pos] = rows[:, :, self.row_layout.present_column] > 0.5
         return local.reshape(-1, local_size)
@@ -110,9 +104,7 @@ class SlotRolloutBuffer(RolloutBuffer):
 
     @property
     def critic_rows(self) -> Rows:
-        """The critic's inputs: (T, N, global) with a shared critic, else (T, N, U, local) or whole rows."""
-        if self.critic_input == "both":
-            return self._whole
+        """The critic's inputs: (T, N, global) with a shared critic, else (T, N, U, local)."""
         return self.state if self.shared_critic else self.local
 
     @property

@@ -10,12 +10,11 @@ from torch import Tensor, nn
 
 from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.action_head import MoveAndDeviceLogits, MoveSelectionDistribution
-from uavaou.algorithms.nets.mlp import mlp
 from uavaou.algorithms.nets.pull import Pull
 from uavaou.algorithms.nets.value_norm import PopArt, ValueScale
-from uavaou.errors import InputError, unknown
+from uavaou.errors import unknown
 
-CRITIC_INPUTS = ("global", "local", "both")
+CRITIC_INPUTS = ("global", "local")
 
 
 def inherits(instance: object, base: type, *methods: str) -> bool:
@@ -33,7 +32,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
 
     Args:
         observation_space, action_space, lr_schedule: as SB3 passes them.
-        critic_input: ``global`` (MAPPO), ``local`` (IPPO), or ``both``: a UAV's whole row, flat.
+        critic_input: ``global`` (MAPPO) or ``local`` (IPPO).
         activation, selection_bias, kwargs: of :class:`LocalPolicy`; the bias is a logit.
     """
 
@@ -52,8 +51,6 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     ) -> None:
         if critic_input not in CRITIC_INPUTS:
             raise unknown("critic_input", critic_input, CRITIC_INPUTS)
-        if critic_input == "both" and kwargs.get("network", "mlp") != "mlp":
-            raise InputError("critic_input = 'both': expected network = 'mlp'")
         self.critic_input = critic_input
         super().__init__(
             observation_space, action_space, lr_schedule, activation=activation, selection_bias=selection_bias, **kwargs
@@ -70,7 +67,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         self.actor_body = self.make_body(layout.local, by_token, pull)
         head = self.action_dist.proba_distribution_net(self.actor_body.size, 0 if by_token else devices)
         of_slot = self.critic_input == "global"
-        self.critic_body = self._make_critic_body()
+        self.critic_body = self.make_body(layout.state if of_slot else layout.local)
         self.value_net = PopArt(self._hidden[-1])
         # With pulls, the moves' logits are these alone at first, also where some are equal.
         for module, gain in ((head, 0.0 if self.pull else 0.01), (self.value_net.linear, 1.0)):
@@ -86,12 +83,6 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
             lr=lr_schedule(1),
             **self.optimizer_kwargs,
         )
-
-    def _make_critic_body(self) -> nn.Module:
-        layout = self.row_layout
-        if self.critic_input == "both":
-            return mlp(layout.local_size + layout.global_size, self._hidden, self._activation)
-        return self.make_body(layout.state if self.critic_input == "global" else layout.local)
 
     def actor_parameters(self) -> list[nn.Parameter]:
         """Parameters of the actor, which the critic does not share."""
@@ -136,7 +127,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         return self.distribution_of(self.symmetries.mean(self.logits, local), local)
 
     def normalised_values(self, critic_rows: Tensor) -> Tensor:
-        """Normalised values of critic inputs (B, global), (B, local) or (B, local + global); (B,)."""
+        """Normalised values of critic inputs (B, global) or (B, local); (B,)."""
         values: Tensor = self.value_net(self.critic_body(critic_rows))
         return values[:, 0]
 
@@ -162,8 +153,8 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     def predict_values(self, obs: Tensor) -> Tensor:  # type: ignore[override]
         """Values of rows, (B, 1); the critic evaluates each slot's state once where the rows are whole slots."""
         local_size, uavs = self.row_layout.local_size, self.row_layout.uavs
-        if self.critic_input != "global":
-            return self.critic_values(obs[:, :local_size] if self.critic_input == "local" else obs)[:, None]
+        if self.critic_input == "local":
+            return self.critic_values(obs[:, :local_size])[:, None]
         states = obs[:, local_size:]
         if len(states) % uavs == 0:
             slots = states.view(-1, uavs, states.shape[1])  # (slots, U, global)
