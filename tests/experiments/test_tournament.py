@@ -103,11 +103,5 @@ def test_the_shipped_search_fits_four_hours_of_two_cores_and_chooses_on_layouts_
     first, last = shipped.stages
     assert sorted(first.layouts + last.layouts) == [6, 7, 8, 9]  # the last stage ranks on layouts that chose nothing
     assert last.seeds == 3
-<<<<<<< HEAD:tests/experiments/test_tournament.py
     for name, arm in shipped.arms.items():
         assert {"hidden", "masks"} <= arm.space.dimensions.keys(), name
-    assert "critic_input" in shipped.arms["mappo"].space.dimensions
-=======
-    for config, space in shipped.arms.values():
-        assert {"hidden", "masks"} <= space.dimensions.keys(), config.name
->>>>>>> parent of e792569 (Revert "A critic reads the global state or the local observation, no longer both; a run that states both says to train again"):tests/tuning/test_tournament.py
