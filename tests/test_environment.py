@@ -24,7 +24,7 @@ from tests.test_architecture import MODULES, ROOT
 from uavaou import InputError, RunConfig, train
 from uavaou.algorithms.io.tensor_file import ArrayFile
 from uavaou.experiments.study import Study
-from uavaou.files import write_text
+from uavaou.files import read_text, write_text
 from uavaou_cli.main import main
 
 RUN = "results/tiny/mappo*/seed-0"  # of the first command
@@ -61,8 +61,8 @@ def left(place: Path) -> dict[str, object]:
         name = str(path.relative_to(place))
         if path.suffix == ".safetensors":
             found[name] = ArrayFile(path).digest()
-        elif path.suffix == ".csv":
-            rows = csv.DictReader(path.read_text().splitlines())
+        elif name.endswith((".csv", ".csv.gz")):
+            rows = csv.DictReader(read_text(path, 10**8).splitlines())
             found[name] = [
                 {key: cell for key, cell in row.items() if "wall_s" not in key and key != "cpu_s"} for row in rows
             ]

@@ -195,7 +195,8 @@ def write_table(path: Path, frame: pd.DataFrame) -> None:
 
 
 def _read(path: Path, columns: Mapping[str, str], needed: Sequence[str]) -> pd.DataFrame:
-    return read_table(path, columns, needed) if path.is_file() else _frame({"x": []}, columns)
+    there = path.exists() or path.is_symlink()
+    return read_table(path, columns, needed) if there else _frame({"x": []}, columns)
 
 
 def read_table(path: Path, columns: Mapping[str, str], needed: Sequence[str] = ()) -> pd.DataFrame:
