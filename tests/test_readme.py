@@ -73,7 +73,7 @@ def test_it_has_at_most_900_words() -> None:
 
 def test_its_verdict_is_that_of_the_claims() -> None:
     text = README.read_text(encoding="utf-8")
-    assert "far below VDN, as the paper says. No lead over QMIX is shown, nor one over the rule that learns n" in text
+    assert "far below VDN, as the paper says, and below the rule that learns nothing. No lead over QMIX is sh" in text
     assert "A rule whose numbers are searched for a map before take-off stays below all of them" in text
     found = {}
     for words in ("lower than VDN's", "lower than QMIX's", "as much and learns nothing", "searched for this layout"):
@@ -82,7 +82,7 @@ def test_its_verdict_is_that_of_the_claims() -> None:
     vdn, qmix, rule, tuned = found.values()
     assert vdn[1] < 0.5
     assert qmix[0] < 1 < qmix[1]
-    assert rule[0] < 1 < rule[1]
+    assert rule[1] < 1
     assert tuned[0] > 1
     lowest = min(one.mean.value for one in study_scores(study("default"))["paper"])
     assert means("paper", "paper")["local-greedy-tuned"] < lowest
