@@ -39,10 +39,8 @@ def flown(evaluation: Evaluation, scenario: Scenario, policy: Planner, first: in
     }
     curves = [_curve(SLOTS, np.arange(1, scenario.slots + 1), "mean_aou_slots", evaluation.aou_over_time_s / tau)]
     if scenario.layout == "fixed":
-        period, counts = (
-            scenario.draw_layout().update_period,
-            evaluation.values("device_communications"),
-        )  # (I,), (N, I)
+        period = scenario.draw_layout().update_period  # (I,)
+        counts = evaluation.values("device_communications")  # (N, I)
         ages = evaluation.values("device_mean_aou_s").mean(axis=0) / tau  # (I,)
         devices = {"communications": counts.mean(axis=0), "mean_aou_slots": ages}
         curves.append({"curve": DEVICES, "x": np.arange(len(period)), **devices})

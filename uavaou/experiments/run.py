@@ -41,7 +41,8 @@ def gather(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey, str]]:
         InputError: the folder holds results of another study, or damaged ones.
     """
     folder, problems = StudyFolder.of(out, study.name), {}
-    names = {digest: key for job in study.jobs(out) for digest, key in job.digests.items()}
+    jobs = study.jobs(out)
+    names = {digest: key for job in jobs for digest, key in job.digests.items()}
     table = read_begun(folder).table
     for policy, scenario in table.flights.loc[~table.flights["job"].isin(names.keys()), ["policy", "scenario"]].values:
         raise InputError(
@@ -49,13 +50,13 @@ def gather(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey, str]]:
             "give the study's file another name, or another --out"
         )
     for path in sorted((out / "studies").glob("*/study.yaml")):
-        if path.parent != folder.path:
+        missing = names.keys() - set(table.flights["job"])
+        if missing and path.parent != folder.path:
             with suppress(InputError):  # a damaged one is its own problem
-                table = Flights.joined(
-                    [table, Flights.read(path.parent).only(names.keys() - set(table.flights["job"]))]
-                )
-    for job in study.jobs(out):
-        if isinstance(job.job, Training) and not set(job.digests) <= set(table.flights["job"]):
+                table = Flights.joined([table, Flights.read(path.parent).only(missing)])
+    missing = names.keys() - set(table.flights["job"])
+    for job in jobs if missing else ():
+        if isinstance(job.job, Training) and not missing.isdisjoint(job.digests):
             try:
                 found = job.job.found()
             except InputError as problem:
@@ -316,7 +317,7 @@ def expected_cpu_s(study: Study, results: StudyResults, out: Path) -> tuple[floa
     A training takes as long for each slot as those of its algorithm, network and hidden layers did.
     """
     rates: dict[tuple[str, ...], list[float]] = {}  # CPU seconds a slot
-    for path in [results.folder.study, *sorted((out / "studies").glob("*/study.yaml"))]:
+    for path in sorted((out / "studies").glob("*/study.yaml")):
         with suppress(InputError):
             other = read_begun(StudyFolder(path.parent))
             variants = other.settings.get("variants", {})
