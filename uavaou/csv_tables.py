@@ -70,14 +70,6 @@ class CsvTable:
                 raise self.error(row, column, "an integer") from None
         return values
 
-    def filled(self, column: str, cell: str) -> CsvTable:
-        """The same table with ``cell`` wherever the column is absent or its cell empty."""
-        given = self.text(column) if column in self.columns else [""] * len(self)
-        columns = [name for name in self.columns if name != column]
-        rest = zip(*(self.text(name) for name in columns), strict=True)
-        rows = [[*others, one.strip() or cell] for others, one in zip(rest, given, strict=True)]
-        return CsvTable(self.path, (*columns, column), rows, self.lines)
-
     def where(self, chosen: Iterable[bool]) -> CsvTable:
         """The rows for which ``chosen``, (R,), is true."""
         chosen = list(chosen)
