@@ -9,14 +9,13 @@ RUNS := 5000000
 RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 PAPER := $(DEMO)/paper/mappo-paper+slots=$(PAPER_SLOTS)/seed-0
 
-.PHONY: help install demo test lint types docs bench results zero-shot audit fuzz faults lock clean
+.PHONY: help install demo test lint types docs bench results audit fuzz faults lock clean
 
 help:
 	@echo "make demo    train MAPPO, and as the paper has it; evaluate both beside rules; draw the figures (about 3 minutes)"
 	@echo "make test    run all tests"
 	@echo "make docs    the documentation site, into site/"
 	@echo "make lint    ruff; make types: mypy; make bench: speed, side by side; make results: the numbers of the pages"
-	@echo "make zero-shot   measure the released policy any-map (or POLICY=NAME) on all suites: tables, figures, page (half an hour)"
 	@echo "make audit   known vulnerabilities of the locked versions; make fuzz: a night of fuzzing"
 	@echo "make faults  every fault at every write of every command and learner (hours); CI plays some of them"
 
@@ -70,9 +69,6 @@ bench: install
 # The numbers of README and other pages, from the committed tables.
 results: install
 	$(BIN)/python -m benchmarks.pages
-
-zero-shot: install
-	$(BIN)/python -m benchmarks.zero_shot $(POLICY)
 
 # Known vulnerabilities of the locked versions, from the Python Packaging Advisory Database.
 audit:

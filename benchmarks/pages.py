@@ -20,13 +20,16 @@ from uavaou.experiments.results import StudyResults, read_study
 from uavaou.planners import planner_knowledge
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.scores import PolicyScores, study_scores
-from uavaou.reports.suites import read_suites
+from uavaou.reports.suite_tables import summary
+from uavaou.reports.suites import SuiteTable, suites_of_study
 from uavaou.statistics import Interval, interval_over_trainings
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md")
+CARD = "zoo_configs/policies/any-map/README.md"
+PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md", CARD)
 BLOCK = re.compile(r"(<!-- numbers:(\S+) -->\n).*?(<!-- /numbers -->)", re.DOTALL)
 RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
+LEAST = 1.0  # slots: where the other has less, a ratio says nothing
 HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")
 
 
@@ -42,10 +45,14 @@ def scores(name: str) -> dict[str, PolicyScores]:
 
 
 @cache
+def suites() -> dict[str, SuiteTable]:
+    """What the released policy has flown, by suite."""
+    return {found.suite: found for found in suites_of_study(study("generalization"))}
+
+
 def flown(suite: str, policy: str) -> pd.DataFrame:
-    """The rows of a policy in a table of the released one, by point."""
-    (found,) = read_suites([ROOT / "results" / "suites" / RELEASED / f"{suite}.csv.gz"])
-    return found.of(policy).set_index("point")
+    """The rows of a policy at the points of a suite."""
+    return suites()[suite].of(policy).set_index("point")
 
 
 def minutes(name: str, variant: str) -> str:
@@ -110,12 +117,18 @@ def default() -> str:
 def released() -> str:
     """The released policy on maps that it has never seen, to two that learn nothing."""
     rows = []
-    for suite, where in (("unseen-layouts", "64 layouts, seeds 200 to 263"), ("layouts", "layout seeds 101 to 110")):
+    places = {
+        "unseen-layouts": "64 layouts, seeds 200 to 263",
+        "layouts": "layout seeds 101 to 110",
+        "draws of any": "100 draws of the family `any`, 8000 to 8099",
+    }
+    for suite, where in places.items():
         own = flown(suite, RELEASED)["mean_aou_slots"]
         cells = [where]
         for other in (REFERENCE, RULE):
-            logs = np.log(own) - np.log(flown(suite, other)["mean_aou_slots"])
-            value, low, high = np.exp(interval_over_trainings(logs)).tolist()
+            theirs = flown(suite, other)["mean_aou_slots"]
+            told = theirs > LEAST
+            value, low, high = np.exp(interval_over_trainings(np.log(own[told] / theirs[told]))).tolist()
             cells.append(with_interval(value, low, high, digits=2))
         rows.append(cells)
     return table((f"mean AoU of `{RELEASED}`, ratio to", f"`{REFERENCE}`", f"`{RULE}`"), rows)
@@ -146,11 +159,17 @@ def levels() -> str:
     return table(("mean AoU, slots", *best), [*rows, ("the best at the end", *map(rounded, best.values()))])
 
 
+def unseen() -> str:
+    """The released policy on every suite."""
+    return summary(RELEASED, suites().values())
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
     "policies": policies,
     "paper": paper,
     "default": default,
     "released": released,
+    "unseen": unseen,
     "networks": networks,
     "levels": levels,
 }

@@ -11,12 +11,10 @@ import pytest
 
 from benchmarks import rehearsals
 from benchmarks.__main__ import write
-from benchmarks.draws import COLUMNS, RULE, measured, ratios
 from benchmarks.endurance import Endurance, repeated, trained
 from benchmarks.environment import scaling, stepping
-from benchmarks.measure import Measurement, Stopwatch, exponent, kept_rows, report
+from benchmarks.measure import Measurement, Stopwatch, exponent, report
 from benchmarks.training import ALGORITHMS, WORK, memory, parts, training
-from uavaou.csv_tables import write_csv
 from uavaou.runs.rehearsal import AT_ONCE
 
 
@@ -32,22 +30,6 @@ def test_stepping_measures_every_contestant() -> None:
         "supersuit stage, 2 processes",
     ]
     assert all(rate.median > 0 for rate in rates)
-
-
-def test_policies_on_draws_are_compared_with_the_rule(tmp_path: Path) -> None:
-    (tmp_path / "few.yaml").write_text("base: paper\nslots: {among: [60]}\n")
-    found = [row for n in range(3) for row in measured(((str(tmp_path / "few.yaml"), n, 2), [RULE, "stay"]))]
-    aou = [float(row["mean_aou_slots"]) for row in found]
-    write_csv(tmp_path / "draws.csv", COLUMNS, found)
-    assert kept_rows(tmp_path / "draws.csv", COLUMNS) == found
-    assert kept_rows(tmp_path / "none.csv", COLUMNS) == []
-    apart = [stay / rule for rule, stay in zip(aou[::2], aou[1::2], strict=True)]
-    mean = np.exp(np.log(apart).mean())
-    assert min(apart) > 1
-    assert ratios(found) == [
-        f"{RULE}: 1.000 of {RULE} over 3 draws, at most 1.000 (draw 0)",
-        f"stay: {mean:.3f} of {RULE} over 3 draws, at most {max(apart):.3f} (draw {np.argmax(apart)})",
-    ]
 
 
 def test_scaling_gives_rates_and_exponents() -> None:

@@ -71,18 +71,6 @@ def test_commands_take_a_released_policy_by_name(shell: Shell, released: Path) -
 
 
 @pytest.mark.slow
-def test_a_table_of_the_zero_shot_page_is_measured(released: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from benchmarks import zero_shot
-
-    (released / "own.yaml").write_text(SUITE)
-    monkeypatch.setitem(zero_shot.TABLES, "mine", ["--suite", "own.yaml", "--episodes", "2"])
-    assert zero_shot.measure("any-map", "mine") == 0
-    found = zero_shot.read_suites([released / "results" / "suites" / "any-map" / "mine.csv.gz"])[0]
-    assert list(zero_shot.means(found, "any-map")) == ["as it is", "5"]
-    assert "`best-first` | 3 " not in zero_shot.summary("any-map", [found])  # it is below 20 slots on tiny
-
-
-@pytest.mark.slow
 def test_a_study_evaluates_a_released_policy(shell: Shell, released: Path) -> None:
     from tests.experiments.tiny_study import Inline, run_inline
     from uavaou.experiments.study import Study

@@ -9,9 +9,11 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.experiments.tiny_study import SET, TINY, Write
+from tests.experiments.tiny_study import SET, TINY, Inline, Write, run_inline
 from uavaou import InputError, Scenario
+from uavaou.experiments.results import read_study
 from uavaou.experiments.study import Study
+from uavaou.reports.suites import suites_of_study
 from uavaou.runs.names import config_folder
 from uavaou.runs.start import Start
 from uavaou.zoo import zoo_names
@@ -45,14 +47,20 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"scenarios": [{"scenario": "tiny", "set": {"name": "x"}}]}, "write name beside set"),
     ({"scenarios": [{"scenario": "tiny", "name": "a/b"}]}, "no slash"),
     ({"scenarios": ["tiny", {"scenario": "tiny", "name": "too"}]}, "'too' and 'tiny' are the same training"),
-    ({"scenarios": [{"set": {}}]}, "expected scenario or suite, one of them"),
-    ({"scenarios": [{"suite": "devices", "scenario": "tiny"}]}, "expected scenario or suite, one of them"),
+    ({"scenarios": [{"set": {}}]}, "expected scenario, suite or family, one of them"),
+    ({"scenarios": [{"suite": "devices", "scenario": "tiny"}]}, "expected scenario, suite or family, one of them"),
+    ({"scenarios": [{"family": "any"}]}, "family and draws, such as [8000, 8099], stand together"),
+    ({"scenarios": [{"family": "any", "draws": [9, 8]}]}, "draws = [9, 8]: expected the first and the last number"),
+    ({"scenarios": [{"scenario": "tiny", "seeds": 0}]}, "scenarios[0]: seeds = 0: expected a number of seeds"),
     ({"scenarios": [{"suite": "devises"}]}, "unknown suite 'devises'; did you mean 'devices'?"),
-    ({"scenarios": [{"suite": "devices", "name": "all"}]}, "the points of a suite have the names of its axis"),
+    ({"scenarios": [{"suite": "devices", "name": "all"}]}, "points of a suite and draws of a family have the names"),
     ({"scenarios": [{"suite": "devices"}, {"suite": "devices"}]}, "scenarios[1]: a second 'devices 5'"),
     ({"scenarios": [{"suite": "observation"}]}, "point 'location': observation = 'location': what a UAV observes is"),
     ({"scenarios": [{"suite": "rate", "set": {"transmit_power_mw": 1e-9}}]}, "can be served: R_min = "),
-    ({"variants": {}}, "variants"),
+    ({"variants": {}}, "nothing to measure: expected variants, planners or bound: true"),
+    ({"seeds": ...}, "seeds is missing: how many trainings each variant has"),
+    ({"planners": ["any-map locl"]}, "planners: 'any-map locl': unknown knows 'locl'; did you mean 'local'?"),
+    ({"planners": ["best-first local"]}, "'best-first' knows everything in flight"),
     ({"variants": ["a", "b"]}, "variants = ['a', 'b']: expected a mapping, such as {mappo: {}, "),
     ({"variants": {"mappo": {"observation": "shared"}}}, "unknown field 'observation' (known: algorithm, from, set"),
     ({"variants": {"mappo": {"observation": "shared"}}}, "; settings of the algorithm go below set"),
@@ -171,8 +179,8 @@ def test_a_suite_stands_for_the_scenarios_of_its_points(write: Write) -> None:
     study = Study.load(
         write(yaml.safe_dump(BASE | {"scenarios": ["tiny", {"suite": "devices", "set": {"slots": 50}}]}))
     )
-    assert list(study.scenarios) == ["tiny", *(f"devices {count}" for count in (5, 10, 25, 50, 75, 100, 200))]
-    assert study.scenarios["devices 10"] == Scenario.load("paper").replace(slots=50, devices=10)
+    assert list(study.scenarios) == ["tiny", *(f"devices {count}, slots=50" for count in (5, 10, 25, 50, 75, 100, 200))]
+    assert study.scenarios["devices 10, slots=50"] == Scenario.load("paper").replace(slots=50, devices=10)
 
 
 def test_scenario_files_lie_beside_the_study(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,3 +188,56 @@ def test_scenario_files_lie_beside_the_study(write: Write, tmp_path: Path, monke
     path = write(yaml.safe_dump(BASE | {"scenarios": ["valley.yaml"]}))
     monkeypatch.chdir("/")
     assert Study.load(path).scenarios == {"valley": Scenario.load("tiny").replace(slots=14, name="valley")}
+
+
+def test_a_study_of_suites_and_draws_has_a_row_for_each_point_and_a_page_for_each_suite(
+    write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    point = "{{label: '{0}', x: {0}, set: {{slots: {0}}}}}"
+    (tmp_path / "own.yaml").write_text(
+        f"description: d\nscenario: tiny\naxis: {{label: slots}}\npoints: [{point.format(12)}, {point.format(20)}]\n"
+    )
+    (tmp_path / "few.yaml").write_text("base: tiny\ndevices: {among: [2, 3]}\n")
+    file = write(
+        "scenarios: [{suite: own.yaml}, {suite: own.yaml, set: {speed_m_s: 20}}, {family: few.yaml, draws: [7, 8]}]\n"
+        "planners: [local-greedy-parts, greedy, best-first]\nepisodes: 2\n"
+    )
+    study, engine = Study.load(file), Inline()
+    ended = run_inline(study, tmp_path / "out", engine)
+    assert (ended.done, ended.failed, len(engine.done)) == (18, {}, 18)
+    results = read_study(tmp_path / "out" / "studies" / study.name)
+    assert results.scenarios == {}  # each is a point, and none has a table of its own
+    suites = {found.suite: found for found in suites_of_study(results)}
+    assert {name: list(found.points) for name, found in suites.items()} == {
+        "own": ["12", "20"], "own+speed_m_s=20": ["12", "20"], "draws of few": ["7", "8"],
+    }  # fmt: skip
+    assert main(["study", "report", str(file), "--out", str(tmp_path / "out")]) == 0
+    page = (results.folder.path / "README.md").read_text()
+    assert page.count("## `") == 3
+    assert "figures/suite-own.png" in page
+    assert main(["plot", "figures", str(results.folder.path)]) == 0
+    assert (results.folder.path / "figures" / "suite-own.png").is_file()
+
+
+def test_a_point_of_two_suites_is_flown_once_and_stands_in_both(write: Write, tmp_path: Path) -> None:
+    point = "{label: same, x: 0, set: {slots: 12}}"
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.yaml").write_text(
+            f"description: d\nscenario: tiny\naxis: {{label: {name}}}\npoints: [{point}]\n"
+        )
+    file = write("scenarios: [{suite: one.yaml}, {suite: two.yaml}]\nplanners: [any-map local]\nepisodes: 2\n")
+    for _ in range(2):  # the second time nothing is left, and nothing is doubled
+        engine = Inline()
+        ended = run_inline(Study.load(file), tmp_path / "out", engine)
+        assert ended.done == 2
+        flights = read_study(tmp_path / "out" / "studies" / file.stem).flights
+        assert flights["scenario"].tolist() == ["one same"] * 2 + ["two same"] * 2
+        assert flights["suite"].tolist() == ["one"] * 2 + ["two"] * 2
+        assert set(flights["knows"]) == {"local"}
+    assert engine.done == []
+
+
+def test_a_scenario_may_have_seeds_of_its_own(write: Write) -> None:
+    study = Study.load(write("seeds: 1\nscenarios: [{scenario: tiny, seeds: 3}, quickstart]\nvariants: {mappo: {}}\n"))
+    seeds = [(key.scenario, key.seed) for key, _ in study.runs()]
+    assert seeds == [("tiny", 0), ("quickstart", 0), ("tiny", 1), ("tiny", 2)]

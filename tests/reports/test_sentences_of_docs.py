@@ -39,7 +39,7 @@ def sentences(path: Path, stop: str = "\0") -> list[str]:
 CARDS = [ROOT / "zoo_configs" / "policies" / "any-map" / "README.md"]
 PAGES = ["planners", "policies", "studies", "tuning", "coming-from", "composite-actions"]
 SENTENCES = [sentence for name in PAGES for sentence in sentences(ROOT / "docs" / f"{name}.md")]
-SENTENCES += [sentence for card in CARDS for sentence in sentences(card, stop="<!-- zero-shot:begin -->")]
+SENTENCES += [sentence for card in CARDS for sentence in sentences(card, stop="<!-- numbers:unseen -->")]
 
 
 def of_paper(text: str) -> bool:
@@ -190,7 +190,7 @@ ELSEWHERE = {  # words -> where the numbers are checked, or what they are
     "has the mean AoU of each policy in slots": "an interval's level, as everywhere",
     "on common missions is above 0": "tests/runs/test_rehearsal.py",
     "plays 100": "the default of the command: tests/cli/test_help.py",
-    "on 64 layouts that nothing was trained": "the suites: tests/test_zero_shot.py",
+    "on 64 layouts that nothing was trained": "the study generalization",
     "with which `uavaou train --family any` begins": "seen in a training by hand: its first validation",
     "With a learning rate of 0.001 it had 47.2": "seen in that training by hand",
     "slots over draws 8000 to 8031 of `any`": "seen in that training by hand",

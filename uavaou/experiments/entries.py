@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, Field, StrictStr, model_validator
@@ -12,14 +13,18 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, unknown
 from uavaou.evaluation.flights import BOUND
+from uavaou.evaluation.seeds import LARGEST_SEED
 from uavaou.experiments.suite import Suite, resolve_points
-from uavaou.fields import short, validated
+from uavaou.family import Family
+from uavaou.fields import Whole, short, validated
 from uavaou.planners import PLANNERS
+from uavaou.runs.names import name_with
 from uavaou.runs.released import released_names
 from uavaou.runs.start import Start
 from uavaou.scenario import Scenario
 
 _LONGEST_NAME = 60
+_MOST_RUNS = 100_000
 _Entry = TypeVar("_Entry", bound=BaseModel)
 
 
@@ -35,20 +40,47 @@ def expecting(kind: type[list[Any]] | type[dict[Any, Any]], example: str) -> Bef
     return BeforeValidator(checked)
 
 
+def _seeds(value: Any) -> Any:
+    """A number of seeds, or a list of them."""
+    one = isinstance(value, int) and not isinstance(value, bool)
+    seeds = list(range(value)) if one and 0 <= value <= _MOST_RUNS else value
+    if not isinstance(seeds, list) or not seeds or len(seeds) > _MOST_RUNS:
+        raise ValueError("expected a number of seeds, such as 5 for 0 to 4, or a list of them")
+    for seed in seeds:
+        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= LARGEST_SEED:
+            raise ValueError(f"expected whole numbers from 0 to {LARGEST_SEED}, not {short(seed)}")
+    if len(set(seeds)) < len(seeds):
+        twice = next(seed for index, seed in enumerate(seeds) if seed in seeds[:index])
+        raise ValueError(f"seed {twice} stands there twice")
+    return tuple(seeds)
+
+
+Seeds = Annotated[tuple[int, ...], BeforeValidator(_seeds)]  # of trainings
+
+
 class ScenarioEntry(BaseModel, frozen=True, extra="forbid"):
-    """An entry of ``scenarios`` that changes one or names it, or stands for all points of an evaluation suite."""
+    """An entry of ``scenarios`` that names one scenario, or stands for all points of a suite or draws of a family."""
 
     scenario: StrictStr | None = None
     suite: StrictStr | None = None
+    family: StrictStr | None = None
+    draws: Annotated[tuple[Whole, Whole] | None, expecting(list, "[8000, 8099]")] = None  # first and last
     set: Annotated[dict[StrictStr, Any], expecting(dict, "{uavs: 3, layout_seed: 1}")] = {}
     name: StrictStr | None = None
+    seeds: Seeds | None = None  # None: the study's
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> ScenarioEntry:
-        if (self.scenario is None) == (self.suite is None):
-            raise ValueError("expected scenario or suite, one of them")
-        if self.suite is not None and self.name is not None:
-            raise ValueError("name: the points of a suite have the names of its axis and their labels")
+    def _one_of_three(self) -> ScenarioEntry:
+        stated = [value for value in (self.scenario, self.suite, self.family) if value is not None]
+        if len(stated) != 1:
+            raise ValueError("expected scenario, suite or family, one of them")
+        if self.scenario is None and self.name is not None:
+            raise ValueError("name: points of a suite and draws of a family have the names of axis and label")
+        if (self.family is None) != (self.draws is None) or (self.family and self.set):
+            raise ValueError("family and draws, such as [8000, 8099], stand together and without set")
+        first, last = self.draws or (0, 0)
+        if not first <= last < first + _MOST_RUNS:
+            raise ValueError(f"draws = [{first}, {last}]: expected the first and the last number, such as [8000, 8099]")
         return self
 
 
@@ -67,20 +99,33 @@ class Variant(NamedTuple):
     start: str | None = None  # digest of the weights that its trainings begin with
 
 
-def resolve_scenarios(entry: Any, source: str, path: Path) -> list[tuple[str, Scenario]]:
-    """The names in the study and the scenarios of an entry: a name, a path, or a mapping that changes a scenario."""
+class Place(NamedTuple):
+    """A scenario of a study."""
+
+    name: str
+    scenario: Scenario
+    seeds: tuple[int, ...] | None = None  # of the trainings there; None: the study's
+    point: Mapping[str, Any] = MappingProxyType({})  # its columns of the table, as a point of a suite or a draw
+
+
+def resolve_scenarios(entry: Any, source: str, path: Path) -> list[Place]:
+    """The scenarios of an entry: a name, a path, or a mapping that changes a scenario, or names several."""
     fields = {"scenario": entry} if isinstance(entry, str) else entry
     stated = _validated_entry(ScenarioEntry, fields, source, "changes of the scenario")
     if "name" in stated.set:
         raise InputError(f"{source}: set.name: write name beside set")
     try:
         if stated.suite is not None:
-            return _points(Suite.load(_beside(path, stated.suite)), stated.set)
+            places = _points(Suite.load(_beside(path, stated.suite)), stated.set)
+            return [place._replace(seeds=stated.seeds) for place in places]
+        if stated.family is not None and stated.draws is not None:
+            return _draws(Family.load(_beside(path, stated.family)), *stated.draws, stated.seeds)
         assert stated.scenario is not None
         scenario = Scenario.load(_beside(path, stated.scenario))
         changed = ",".join(f"{key}={value}" for key, value in sorted(stated.set.items()))
         name = stated.name or (f"{scenario.name}+{changed}" if changed else scenario.name)
-        return [(_usable_name(name, "name"), scenario.replace(**stated.set) if stated.set else scenario)]
+        changed_scenario = scenario.replace(**stated.set) if stated.set else scenario
+        return [Place(_usable_name(name, "name"), changed_scenario, stated.seeds)]
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
 
@@ -90,18 +135,32 @@ def _beside(path: Path, named: str) -> str:
     return str(path.parent / named) if named.endswith((".yaml", ".yml")) else named
 
 
-def _points(suite: Suite, changes: dict[str, Any]) -> list[tuple[str, Scenario]]:
-    """The scenario of each point of a suite, whose scenario has the ``changes``."""
-    pairs = []
+def _points(suite: Suite, changes: dict[str, Any]) -> list[Place]:
+    """Each point of a suite, whose scenario has the ``changes``."""
+    places = []
+    words = {key: str(value) for key, value in sorted(changes.items())}
+    told = "".join(f", {key}={value}" for key, value in words.items())
+    same = {"suite": name_with(suite.name, words), "axis": suite.axis.title, "scale": suite.axis.scale}
     for point in resolve_points(suite, Scenario.load(suite.scenario).replace(**changes)):
-        where = f"suite '{suite.name}', point '{point.label}'"
-        if point.stated.observation is not None:
-            seen = f"observation = '{point.stated.observation}'"
+        where, stated = f"suite '{suite.name}', point '{point.label}'", point.stated
+        if stated.observation is not None:
+            seen = f"observation = '{stated.observation}'"
             raise InputError(f"{where}: {seen}: what a UAV observes is a setting of the algorithm: state variants")
         if point.scenario is None:
             raise InputError(f"{where}: {point.problem}")
-        pairs.append((_usable_name(f"{suite.axis.label} {point.label}", "name"), point.scenario))
-    return pairs
+        columns = same | {"point": stated.label, "x": stated.x, "joined": "yes" if stated.joined else "no"}
+        name = _usable_name(f"{suite.axis.label} {stated.label}{told}", "name")
+        places.append(Place(name, point.scenario, point=columns))
+    return places
+
+
+def _draws(family: Family, first: int, last: int, seeds: tuple[int, ...] | None) -> list[Place]:
+    """The draws of a family by their numbers."""
+    same = {"suite": f"draws of {family.name}", "axis": "draw", "scale": "category", "joined": "no"}
+    return [
+        Place(f"{family.name} draw {n}", family.draw(n), seeds, same | {"point": str(n), "x": n})
+        for n in range(first, last + 1)
+    ]
 
 
 def resolve_variant(

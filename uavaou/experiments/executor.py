@@ -119,7 +119,7 @@ class Processes(Executor):
     def __init__(self, jobs: int, plugins: Sequence[str] = ()) -> None:
         super().__init__(jobs)
         self._plugins = list(plugins)
-        self._context = multiprocessing.get_context("spawn")  # torch's threads do not survive a fork
+        self._context = _context()
         self._running: list[Any] = []
 
     def _perform(self, job: Job, tell: Tell) -> Any:
@@ -149,6 +149,15 @@ class Processes(Executor):
         """See :class:`Executor`."""
         for process in list(self._running):
             process.kill()
+
+
+def _context() -> Any:
+    """Makes the processes of jobs: forks of a server without threads that has imported what they need, where it can."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")  # torch's threads do not survive a fork
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["uavaou.runs.train", "uavaou.algorithms.mappo", "uavaou.planners"])
+    return context
 
 
 class Ended:

@@ -39,6 +39,12 @@ class TrainingReport(NamedTuple):
     by: str  # the process, as in "process 12 on host"
 
 
+def level_of(stated: str) -> tuple[str, str]:
+    """The policy's name, and the most that it may read in flight, of a study's entry such as ``any-map local``."""
+    name, _, knows = stated.partition(" ")
+    return name, knows or "everything"
+
+
 def digest_of(**configuration: Any) -> str:
     """The name of what a configuration determines."""
     return hashlib.sha256(json.dumps(configuration, sort_keys=True).encode()).hexdigest()[:16]
@@ -137,7 +143,8 @@ class Fly:
                 raise StoppedEarlyError
         tables = []
         for name, job in self.digests.items():
-            policy = make_policy(name, self.scenario, self.seconds if name in TIMED else None)
+            base, knows = level_of(name)
+            policy = make_policy(base, self.scenario, self.seconds if base in TIMED else None, knows)
             if isinstance(policy, Anneal | Rolling):
                 assert plan is not None
                 policy.keep(plan, self.scenario, self.scenario.draw_layout())

@@ -112,13 +112,15 @@ class StudyResults:
 
     @property
     def scenarios(self) -> dict[str, dict[str, Any]]:
-        """Name -> fields of the scenarios with trained or evaluated parts, in the study's order.
+        """Name -> fields of the scenarios with trained or evaluated parts, in the study's order; no points of suites.
 
         Raises:
             InputError: ``study.yaml`` lacks one of them, or a field that figures are labelled with.
         """
         stated = _mapping(self.settings.get("scenarios"))
-        found = {*self.flights["scenario"], *self.table.curves["scenario"]}
+        apart = self.flights["suite"].isna()
+        found = {*self.flights.loc[apart, "scenario"], *self.table.curves["scenario"]}
+        found -= {*self.flights.loc[~apart, "scenario"]}
         for name in sorted(found):
             if name.startswith(".") or set(name) & set("/\\\0"):  # figures go to folders of these names
                 raise InputError(f"{self.folder.path}: scenario {name!r} cannot name a folder")

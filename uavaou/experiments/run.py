@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 from uavaou.errors import InputError
-from uavaou.evaluation.flights import Flights, PartKey
+from uavaou.evaluation.flights import FLIGHTS, Flights, PartKey
 from uavaou.experiments.best import keep_best
 from uavaou.experiments.executor import Executor, StoppedEarlyError
 from uavaou.experiments.jobs import Training, TrainingReport
@@ -42,7 +43,7 @@ def gather(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey, str]]:
     """
     folder, problems = StudyFolder.of(out, study.name), {}
     jobs = study.jobs(out)
-    names = {digest: key for job in jobs for digest, key in job.digests.items()}
+    names = names_of(jobs)
     table = read_begun(folder).table
     for policy, scenario in table.flights.loc[~table.flights["job"].isin(names.keys()), ["policy", "scenario"]].values:
         raise InputError(
@@ -74,19 +75,35 @@ def update_results(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey,
     return results, problems
 
 
-def _named(table: Flights, study: Study, names: Mapping[str, PartKey]) -> Flights:
+def names_of(jobs: Iterable[StudyJob]) -> dict[str, list[PartKey]]:
+    """Digest of rows -> their names in the study: several where a point of one suite is also one of another."""
+    names: dict[str, list[PartKey]] = {}
+    for job in jobs:
+        for digest, key in job.digests.items():
+            names.setdefault(digest, []).append(key)
+    return names
+
+
+def _named(table: Flights, study: Study, names: Mapping[str, list[PartKey]]) -> Flights:
     """The rows in the order of the study's tables, with the names that the study has for them."""
     order = {key: place for place, key in enumerate(study.table_order())}
     frames = []
     for frame in (table.flights, table.curves):
         frame = frame[frame["job"].isin(names.keys())]
-        keys = frame["job"].map(dict(names))
+        place = frame["scenario"].fillna("")
+        frame = frame[place == place.groupby(frame["job"]).transform("first")]  # under one of its names
+        keys = frame["job"].map(dict(names)).explode()
+        frame, keys = frame.loc[keys.index].reset_index(drop=True), keys.reset_index(drop=True)
         frame = frame.assign(
             policy=keys.map(lambda key: key.policy).astype("string"),
             scenario=keys.map(lambda key: key.scenario).astype("string"),
         )
         frames.append(frame.iloc[keys.map(order).argsort(kind="stable")].reset_index(drop=True))
-    return Flights(*frames)
+    flights, curves = frames
+    for column in dict.fromkeys(chain.from_iterable(study.points.values())):  # none where no scenario is a point
+        values = {place: point[column] for place, point in study.points.items()}
+        flights[column] = flights["scenario"].map(values).astype(FLIGHTS[column])
+    return Flights(flights, curves)
 
 
 def _write(results: StudyResults, study: Study) -> None:
@@ -158,6 +175,7 @@ def run_study(
                     executor.stop()
                 work.look(futures)
                 show(work.state)
+            work.write()
         work.state.stopped_by = interrupts.received
         return work.state
 
@@ -166,17 +184,20 @@ class _Work:
     """The jobs of a study that are left to do, and the results of the others."""
 
     def __init__(self, study: Study, out: Path, checkpoint_every_s: float | None) -> None:
-        self._study, self._out, self._reporting = study, out, Lock()
+        self._study, self._out, self._reporting, self._write_from = study, out, Lock(), 0.0
         self._results, _ = update_results(study, out)  # a damaged run is tried again, and fails with its reason then
         jobs = study.jobs(out, checkpoint_every_s)
-        self._names = {digest: key for job in jobs for digest, key in job.digests.items()}
+        self._names = names_of(jobs)
         there = set(self._results.table.flights["job"])
-        self.left = [job for job in jobs if not set(job.digests) <= there]
+        unmet = {tuple(job.digests): job for job in reversed(jobs) if not set(job.digests) <= there}
+        self.left = list(reversed(unmet.values()))  # one job where the study has two names for the same
         trainings = {job.keys[0]: job.job for job in self.left if isinstance(job.job, Training)}
         self._trained = {key: RunFolder(one.folder).trained_so_far()[0] for key, one in trainings.items()}
         self._budgets = {key: one.config.slots for key, one in trainings.items()}
-        found = sum(digest in there for digest in self._names)
-        self.state = StudyState(len(self._names), found, found, left=sum(map(self._slots_left, self._budgets)))
+        found = sum(len(keys) for digest, keys in self._names.items() if digest in there)
+        self.state = StudyState(
+            sum(map(len, self._names.values())), found, found, left=sum(map(self._slots_left, self._budgets))
+        )
         self._note()
 
     def _slots_left(self, key: PartKey) -> int:
@@ -202,14 +223,15 @@ class _Work:
         self.state.tick()
 
     def end(self, job: StudyJob, future: Future[Any]) -> None:
-        """A job has ended: keep its rows before anything else is done."""
+        """A job has ended: keep its rows, at once where writing the tables takes a small share of the time."""
         for key in job.keys:
             self.state.running.pop(key, None)
         try:
             rows: Flights = future.result()
             kept = Flights.joined([self._results.table.without(job.digests), rows])
             self._results.table = _named(kept, self._study, self._names)
-            _write(self._results, self._study)
+            if isinstance(job.job, Training) or time.monotonic() > self._write_from:
+                self.write()
             if isinstance(job.job, Training):
                 keep_best(self._results, self._study, self._out)
         except StoppedEarlyError:
@@ -217,11 +239,17 @@ class _Work:
         except InputError as problem:
             self._fail(job, str(problem))
             return
-        self.state.done += len(job.keys)
+        self.state.done += sum(len(self._names[digest]) for digest in job.digests)
         for key in job.keys:
             mean, low, high = self._results.mean(key)
             interval = "" if low != low else f" ({low:.6g} to {high:.6g})"
             self.state.news.append(f"{key}: mean AoU {mean:.6g} slots{interval}")
+
+    def write(self) -> None:
+        """Write the tables; those of short jobs that end in the next while, ten times as long as it took, wait."""
+        began = time.monotonic()
+        _write(self._results, self._study)
+        self._write_from = time.monotonic() + 10 * (time.monotonic() - began)
 
     def _fail(self, job: StudyJob, reason: str) -> None:
         for key in job.keys:

@@ -6,9 +6,9 @@ them and resolves the configuration of every run before anything is trained.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice, product
+from itertools import chain, islice, product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,16 +17,18 @@ from pydantic import BaseModel, BeforeValidator, Field, StrictBool, StrictStr
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.errors import InputError, nearest, unknown
 from uavaou.evaluation.flights import BOUND, PartKey
-from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED, MOST_EPISODES
-from uavaou.experiments.entries import expecting, resolve_scenarios, resolve_variant
-from uavaou.experiments.jobs import ANNEALED, Bound, Fly, Training
+from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
+from uavaou.experiments.entries import Place, Seeds, expecting, resolve_scenarios, resolve_variant
+from uavaou.experiments.jobs import ANNEALED, Bound, Fly, Training, level_of
 from uavaou.fields import Positive, PositiveWhole, short, validated
 from uavaou.plain_yaml import to_yaml
 from uavaou.planners import PLAN_AHEAD, PLANNERS
+from uavaou.runs.comparison import known_by
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.names import config_folder
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
+from uavaou.world.knowledge import check_within
 from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_or_file
 
 SCHEMA = 1  # of study.yaml
@@ -35,21 +37,6 @@ _MOST_RUNS = 100_000
 
 
 # -- the file ------------------------------------------------------------------------------------------
-
-
-def _seeds(value: Any) -> Any:
-    """A number of seeds, or a list of them."""
-    one = isinstance(value, int) and not isinstance(value, bool)
-    seeds = list(range(value)) if one and 0 <= value <= _MOST_RUNS else value
-    if not isinstance(seeds, list) or not seeds or len(seeds) > _MOST_RUNS:
-        raise ValueError("expected a number of seeds, such as 5 for 0 to 4, or a list of them")
-    for seed in seeds:
-        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= LARGEST_SEED:
-            raise ValueError(f"expected whole numbers from 0 to {LARGEST_SEED}, not {short(seed)}")
-    if len(set(seeds)) < len(seeds):
-        twice = next(seed for index, seed in enumerate(seeds) if seed in seeds[:index])
-        raise ValueError(f"seed {twice} stands there twice")
-    return tuple(seeds)
 
 
 def _slots(value: Any) -> Any:
@@ -62,8 +49,8 @@ class StudySettings(BaseModel, frozen=True, extra="forbid"):
     """The settings that a study's file states as they are."""
 
     description: StrictStr = ""
-    seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)]  # of the trainings
-    planners: Annotated[list[StrictStr], expecting(list, "[greedy, random]")] = []  # or released policies, evaluated
+    seeds: Seeds = (0,)  # of the trainings on a scenario that has none of its own
+    planners: Annotated[list[StrictStr], expecting(list, "[greedy, random]")] = []  # or released ones; "any-map local"
     bound: StrictBool = False  # whether each scenario's certified bound is computed
     planning_seconds: Annotated[Positive, Field(le=10_000_000)] = 600.0  # of each search before take-off
     episodes: Annotated[PositiveWhole, Field(le=MOST_EPISODES)] = 100  # missions of the final evaluation
@@ -77,9 +64,7 @@ class StudyFile(StudySettings):
 
     slots: Annotated[PositiveWhole | None, BeforeValidator(_slots)] = None  # of every run; None: as published
     scenarios: Annotated[list[Any], Field(min_length=1), expecting(list, "[paper, tiny]")]
-    variants: Annotated[
-        dict[StrictStr, Any], Field(min_length=1), expecting(dict, "{mappo: {}, vdn: {set: {gamma: 0.9}}}")
-    ]
+    variants: Annotated[dict[StrictStr, Any], expecting(dict, "{mappo: {}, vdn: {set: {gamma: 0.9}}}")] = {}
 
 
 # -- the study -----------------------------------------------------------------------------------------
@@ -97,9 +82,6 @@ class StudyJob:
         """Digest of rows -> their name."""
         return dict(zip(self.job.digests.values(), self.keys, strict=True))
 
-    def __str__(self) -> str:
-        return " and ".join(map(str, self.keys))
-
 
 class Study(StudySettings):
     """A study, resolved: every setting of every run is known."""
@@ -108,6 +90,8 @@ class Study(StudySettings):
     scenarios: dict[str, Scenario]  # by their names in the study
     variants: dict[str, AlgorithmConfig]  # the settings of each variant
     starts: dict[str, str]  # variant -> digest of the weights that its trainings begin with
+    own_seeds: dict[str, tuple[int, ...]]  # scenario -> those of its trainings, where they are not the study's
+    points: dict[str, Mapping[str, Any]]  # scenario -> its columns of the table, as a point of a suite
 
     @classmethod
     def load(cls, source: str | Path) -> Study:
@@ -118,12 +102,18 @@ class Study(StudySettings):
         """
         path = zoo_or_file("studies", source)
         file = validated(StudyFile, read_yaml_mapping(path), str(path))
-        scenarios: dict[str, Scenario] = {}
+        if file.variants and "seeds" not in file.model_fields_set:
+            raise InputError(f"{path}: seeds is missing: how many trainings each variant has, such as 5")
+        if not (file.variants or file.planners or file.bound):
+            raise InputError(f"{path}: nothing to measure: expected variants, planners or bound: true")
+        places: dict[str, Place] = {}
         for k, stated_scenario in enumerate(file.scenarios):
             where = f"{path}: scenarios[{k}]"
-            for name, scenario in resolve_scenarios(stated_scenario, where, path):
-                _check_distinct([*scenarios, name], where)
-                scenarios[name] = scenario
+            for place in resolve_scenarios(stated_scenario, where, path):
+                if place.name in places:
+                    raise InputError(f"{where}: a second '{place.name}': give it another name")
+                places[place.name] = place
+        scenarios = {name: place.scenario for name, place in places.items()}
         resolved = {
             name: resolve_variant(name, content, scenarios, file.slots, f"{path}: variants.{short(name)}")
             for name, content in file.variants.items()
@@ -134,6 +124,8 @@ class Study(StudySettings):
             "scenarios": scenarios,
             "variants": {name: one.algorithm for name, one in resolved.items()},
             "starts": {name: one.start for name, one in resolved.items() if one.start is not None},
+            "own_seeds": {name: place.seeds for name, place in places.items() if place.seeds is not None},
+            "points": {name: place.point for name, place in places.items() if place.point and not resolved},
         }
         study = cls.model_construct(**values)  # validated above
         _check(study, str(path))
@@ -141,10 +133,16 @@ class Study(StudySettings):
 
     def runs(self) -> Iterator[tuple[PartKey, RunConfig]]:
         """Every training, all variants with the first seed before any with the second."""
-        every = product(self.seeds, self.scenarios.items(), self.variants.items())
+        seeds = dict.fromkeys(chain(self.seeds, *self.own_seeds.values()))
+        every = product(seeds, self.scenarios.items(), self.variants.items())
         for seed, (place, scenario), (variant, algorithm) in every:
-            config = RunConfig(scenario, algorithm, seed, start=self.starts.get(variant))
-            yield PartKey(variant, place, seed), config
+            if seed in self.seeds_on(place):
+                config = RunConfig(scenario, algorithm, seed, start=self.starts.get(variant))
+                yield PartKey(variant, place, seed), config
+
+    def seeds_on(self, scenario: str) -> tuple[int, ...]:
+        """The seeds of the trainings on a scenario."""
+        return self.own_seeds.get(scenario, self.seeds)
 
     def jobs(self, out: Path, checkpoint_every_s: float | None = None) -> list[StudyJob]:
         """Everything that the study measures, as it is worked on: the trainings with the first seed come first.
@@ -161,21 +159,21 @@ class Study(StudySettings):
         return [*trainings[:first], *self._untrained(), *trainings[first:]]
 
     def _untrained(self) -> Iterator[StudyJob]:
-        """The bound and the planners of each scenario; those that start from an annealed plan are one job, the last."""
+        """The planners of each scenario, those that start from an annealed plan as one job; then bounds."""
         alone = [(name,) for name in self.planners if name not in ANNEALED]
         together = tuple(name for name in self.planners if name in ANNEALED)
         for place, scenario in self.scenarios.items():
-            if self.bound:
-                yield StudyJob((PartKey(BOUND, place),), Bound(scenario))
             for names in [*alone, together] if together else alone:
                 keys = tuple(PartKey(name, place) for name in names)
                 yield StudyJob(keys, Fly(names, scenario, self.episodes, self.planning_seconds))
+        for place, scenario in self.scenarios.items() if self.bound else ():
+            yield StudyJob((PartKey(BOUND, place),), Bound(scenario))
 
     def table_order(self) -> list[PartKey]:
         """Every part as it stands in the table: planners and bounds, then trainings by scenario, variant and seed."""
-        trainings = product(self.scenarios, self.variants, self.seeds)
         untrained = [key for job in self._untrained() for key in job.keys]
-        return [*untrained, *(PartKey(variant, scenario, seed) for scenario, variant, seed in trainings)]
+        places = product(self.scenarios, self.variants)
+        return [*untrained, *(PartKey(name, place, seed) for place, name in places for seed in self.seeds_on(place))]
 
     def to_yaml(self) -> str:
         """The content of ``study.yaml``: everything resolved."""
@@ -195,6 +193,7 @@ class Study(StudySettings):
             "planning_seconds": self.planning_seconds,
             "reference": self.reference,
             "claims": self.claims,
+            **({"own_seeds": {name: list(seeds) for name, seeds in self.own_seeds.items()}} if self.own_seeds else {}),
             **({"starts": self.starts} if self.starts else {}),
             **({"drawn": self.drawn} if self.drawn else {}),
             "variants": {name: config.model_dump(mode="json") for name, config in self.variants.items()},
@@ -216,12 +215,15 @@ def _check(study: Study, source: str) -> None:
         raise InputError(f"{source}: the study's name, that of the file, cannot be a folder's")
     released = released_names()
     for planner in study.planners:
-        if planner in released and planner not in PLANNERS:
-            policy = RunFolder.at(planner).read_config()
-            for scenario in study.scenarios.values():
-                policy.check_fits(scenario, planner)
-        elif planner not in PLANNERS:
-            raise InputError(f"{source}: planners: {unknown('planner', planner, [*PLANNERS, *released])}")
+        name, knows = level_of(planner)
+        if name not in (*PLANNERS, *released):
+            raise InputError(f"{source}: planners: {unknown('planner', name, [*PLANNERS, *released])}")
+        try:
+            check_within(name, known_by(name, knows), knows)
+        except InputError as error:
+            raise InputError(f"{source}: planners: {short(planner)}: {error}") from None
+        for scenario in study.scenarios.values() if name in released else ():
+            RunFolder.at(name).read_config().check_fits(scenario, name)
     _check_distinct(study.planners, f"{source}: planners")
     _check_comparisons(study, source)
     planned = ["bound: true"] if study.bound else []

@@ -30,7 +30,7 @@ def aggregate_figures(study: StudyResults) -> dict[str, Figure]:
     differences between the others would not be visible.
     """
     planners = [name for name in study.planners if name not in FIXED_RULES]
-    found = in_all_scenarios(study, [*study.algorithms, *planners])
+    found = in_all_scenarios(study, [*study.algorithms, *planners]) if study.scenarios else {}
     if not found:
         return {}
     scores, unit = comparable(study, found)

@@ -29,6 +29,7 @@ from uavaou.reports import drawing, style
 from uavaou.reports.aggregate_figures import aggregate_figures
 from uavaou.reports.mission_figures import mission_figures
 from uavaou.reports.scores import best_planner
+from uavaou.reports.suites import plot_suite, suites_of_study
 from uavaou.runs.flights import training_curves
 from uavaou.runs.folder import RunFolder
 from uavaou.scenario import Scenario
@@ -65,6 +66,8 @@ def plot_study(folder: Path, out_dir: Path) -> list[Path]:
         for figures in (aggregate_figures(study), mission_figures(missions, study.algorithms)):
             for name, figure in figures.items():
                 paths += style.save(figure, Path(out_dir), name)
+    for suite in suites_of_study(study):
+        paths += plot_suite(suite, Path(out_dir))
     return paths
 
 

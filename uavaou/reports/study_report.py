@@ -25,6 +25,8 @@ from uavaou.reports.claims import SMOOTHED, WITHIN, Claim, judge
 from uavaou.reports.markdown import rounded, table, with_interval
 from uavaou.reports.replay.page import STUDY_REPLAY, write_study_replay
 from uavaou.reports.scores import PolicyScores, below_bound, study_scores
+from uavaou.reports.suite_tables import suites_markdown
+from uavaou.reports.suites import suites_of_study
 from uavaou.reports.trainings import trainings_section
 from uavaou.runs.lock import HeldError, one_writer
 
@@ -129,7 +131,8 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
         f"```\nuavaou study run {results.argument}\nuavaou study report {results.argument}\nuavaou plot figures\n```",
         _unfinished(results),
         *(f"**Something is wrong: {line}.**" for line in remarks),
-        *_results(results),
+        *(_results(results) if results.scenarios else ()),
+        *suites_markdown(suites_of_study(results)),
         *trainings_section(results),
         *_comparison(results),
     ]
@@ -149,8 +152,13 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
 
 def _unfinished(results: StudyResults) -> str:
     """How many trainings there are of how many, where some are missing, and which parts have failed."""
-    stated = [results.settings.get(field) for field in ("variants", "scenarios", "seeds")]
-    wanted = set(product(*(part if isinstance(part, dict | list) else () for part in stated)))
+    settings = results.settings
+    own = settings.get("own_seeds", {})
+    wanted = {
+        PartKey(policy, scenario, seed)
+        for policy, scenario in product(settings.get("variants", ()), settings.get("scenarios", ()))
+        for seed in own.get(scenario, settings.get("seeds", ()))
+    }
     done = wanted & set(results.parts)
     lines = []
     if done != wanted:

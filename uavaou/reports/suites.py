@@ -15,8 +15,10 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from uavaou.errors import InputError
 from uavaou.evaluation.flights import FLIGHTS, read_table
+from uavaou.experiments.results import StudyResults
 from uavaou.experiments.suite_flights import budget_lines, summary
 from uavaou.reports import style
+from uavaou.runs.released import released_names
 from uavaou.statistics import Interval, interval_over_trainings
 
 _NEEDED = ("suite", "point", "x", "policy", "how", "mission_seed", "mean_aou_slots", "axis", "scale", "joined")
@@ -93,7 +95,20 @@ def _read_suite(path: Path) -> SuiteTable:
     for column in ("suite", "axis", "scale"):
         if flights[column].nunique() > 1:
             raise InputError(f"{path}: column '{column}' differs from row to row: a table is of one suite")
-    suite, axis, scale = flights.loc[0, ["suite", "axis", "scale"]]
+    return _suite(path, flights)
+
+
+def suites_of_study(results: StudyResults) -> list[SuiteTable]:
+    """The suites whose points a study has flown."""
+    flights = results.flights
+    flights = flights[flights["suite"].notna()]
+    released = flights["policy"].str.split(" ").str[0].isin(released_names())
+    flights = flights.assign(how=released.map({True: "zero-shot", False: "planner"}))
+    return [_suite(results.folder.path, own) for _, own in flights.groupby("suite", sort=False)]
+
+
+def _suite(path: Path, flights: pd.DataFrame) -> SuiteTable:
+    suite, axis, scale = flights.iloc[0][["suite", "axis", "scale"]]
     return SuiteTable(path, suite, axis, scale, summary(flights))
 
 
