@@ -13,9 +13,8 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-from benchmarks.measure import kept_rows
+from benchmarks.measure import kept_rows, write_rows
 from uavaou import Family, evaluate
-from uavaou.csv_tables import write_csv
 from uavaou.runs.comparison import make_policy
 from uavaou.statistics import geometric_mean
 from uavaou.threads import use_threads
@@ -41,7 +40,7 @@ def main() -> None:
     with ProcessPoolExecutor(os.cpu_count(), get_context("spawn"), use_threads, (1,)) as pool:
         for found in pool.map(measured, left):
             kept |= {(row["family"], row["draw"], row["policy"]): row for row in found}
-            write_csv(TABLE, COLUMNS, kept.values())
+            write_rows(TABLE, COLUMNS, kept.values())
     print("\n".join(ratios(row for row in kept.values() if row["family"] == chosen.family)))
 
 

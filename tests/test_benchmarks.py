@@ -14,9 +14,8 @@ from benchmarks.__main__ import write
 from benchmarks.draws import COLUMNS, RULE, measured, ratios
 from benchmarks.endurance import Endurance, repeated, trained
 from benchmarks.environment import scaling, stepping
-from benchmarks.measure import Measurement, Stopwatch, exponent, kept_rows, report
+from benchmarks.measure import Measurement, Stopwatch, exponent, kept_rows, report, write_rows
 from benchmarks.training import ALGORITHMS, WORK, memory, parts, training
-from uavaou.csv_tables import write_csv
 from uavaou.runs.rehearsal import AT_ONCE
 
 
@@ -38,7 +37,7 @@ def test_policies_on_draws_are_compared_with_the_rule(tmp_path: Path) -> None:
     (tmp_path / "few.yaml").write_text("base: paper\nslots: {among: [60]}\n")
     found = [row for n in range(3) for row in measured(((str(tmp_path / "few.yaml"), n, 2), [RULE, "stay"]))]
     aou = [float(row["mean_aou_slots"]) for row in found]
-    write_csv(tmp_path / "draws.csv", COLUMNS, found)
+    write_rows(tmp_path / "draws.csv", COLUMNS, found)
     assert kept_rows(tmp_path / "draws.csv", COLUMNS) == found
     assert kept_rows(tmp_path / "none.csv", COLUMNS) == []
     apart = [stay / rule for rule, stay in zip(aou[::2], aou[1::2], strict=True)]

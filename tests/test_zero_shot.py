@@ -9,7 +9,8 @@ import pytest
 
 from benchmarks.zero_shot import CARD, TABLES, told, write_pages
 from tests.experiments.test_suite_figures import rows, written
-from uavaou.evaluation.flights import FLIGHTS, Flights, read_table
+from uavaou.csv_tables import read_table
+from uavaou.evaluation.flights import FLIGHTS, Flights
 from uavaou.experiments.suite import Suite
 from uavaou.reports.suites import read_suites
 from uavaou.runs.released import released_folder
