@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -18,14 +17,13 @@ from benchmarks.measure import kept_rows
 from uavaou.evaluation.flights import VALIDATION
 from uavaou.experiments.results import StudyResults, read_study
 from uavaou.planners import planner_knowledge
-from uavaou.reports.markdown import rounded, table, with_interval
+from uavaou.reports.markdown import filled, rounded, table, with_interval
 from uavaou.reports.scores import PolicyScores, study_scores
 from uavaou.reports.suites import read_suites
 from uavaou.statistics import Interval, interval_over_trainings
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md")
-BLOCK = re.compile(r"(<!-- numbers:(\S+) -->\n).*?(<!-- /numbers -->)", re.DOTALL)
 RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
 HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")
 
@@ -158,17 +156,12 @@ BLOCKS: dict[str, Callable[[], str]] = {
 }
 
 
-def rendered(text: str) -> str:
-    """A page with the numbers of the tables in its blocks."""
-    return BLOCK.sub(lambda block: f"{block[1]}{BLOCKS[block[2]]()}\n{block[3]}", text)
-
-
 def main() -> int:
     """Write the blocks of all pages, or compare them."""
     stale = []
     for page in PAGES:
         held = (ROOT / page).read_text(encoding="utf-8")
-        if (now := rendered(held)) != held:
+        if (now := filled(held, BLOCKS)) != held:
             stale.append(page)
             if "--check" not in sys.argv:
                 (ROOT / page).write_text(now, encoding="utf-8")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from math import inf, isnan
@@ -18,7 +17,7 @@ from pathlib import Path
 from uavaou.experiments.suite import Suite
 from uavaou.experiments.suite_flights import RATIO_ABOVE, REFERENCE
 from uavaou.files import read_text, write_text
-from uavaou.reports.markdown import rounded, table, with_interval
+from uavaou.reports.markdown import filled, rounded, table, with_interval
 from uavaou.reports.suites import SuiteTable, read_suites, tables_below
 from uavaou.runs.released import released_folder
 from uavaou.statistics import Interval, geometric_mean
@@ -46,7 +45,6 @@ PAGE_ORDER = (
     "rate",
 )  # fmt: skip
 MOST_ROWS = 20  # of a table on the page
-CARD = re.compile(r"(<!-- zero-shot:begin -->\n).*?(<!-- zero-shot:end -->)", re.DOTALL)
 NOTE = f"""\
 Mean AoU in slots with its 95 % interval over missions. All policies of a table fly the same missions: 100 a point, 20
 where each mission has a layout of its own, 8 of each layout in `unseen-layouts`. *To `{REFERENCE}`* is the ratio of the
@@ -91,7 +89,7 @@ def write_pages(policy: str, suites: Path, card: Path) -> None:
     write_text(suites / policy / "README.md", head + "\n\n".join([summary(policy, tables), *sections]) + "\n")
     text = "\n\n".join([summary(policy, tables), *(section(policy, found) for found in tables)])
     held = read_text(card, 1_000_000)
-    write_text(card, CARD.sub(lambda marks: f"{marks[1]}\n{text}\n\n{marks[2]}", held))
+    write_text(card, filled(held, {"zero-shot": lambda: f"\n{text}\n"}))
 
 
 def summary(policy: str, tables: Iterable[SuiteTable]) -> str:

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.zero_shot import CARD, TABLES, told, write_pages
+from benchmarks.zero_shot import TABLES, told, write_pages
 from tests.experiments.test_suite_figures import rows, written
 from uavaou.csv_tables import read_table
 from uavaou.evaluation.flights import FLIGHTS, Flights
 from uavaou.experiments.suite import Suite
+from uavaou.reports.markdown import filled
 from uavaou.reports.suites import read_suites
 from uavaou.runs.released import released_folder
 
@@ -31,7 +32,7 @@ def test_any_map_is_measured_on_every_suite_of_the_command() -> None:
 def test_the_committed_page_and_card_come_out_of_the_committed_tables(policy: str, tmp_path: Path) -> None:
     copy, card = tmp_path / "suites", released_folder() / policy / "README.md"
     shutil.copytree(SUITES, copy, ignore=shutil.ignore_patterns("*.png", "*.pdf", "README.md"))
-    (tmp_path / "README.md").write_text(CARD.sub(r"\1\2", card.read_text(encoding="utf-8")), encoding="utf-8")
+    (tmp_path / "README.md").write_text(filled(card.read_text(encoding="utf-8"), {"zero-shot": str}), encoding="utf-8")
     write_pages(policy, copy, tmp_path / "README.md")
     assert (copy / policy / "README.md").read_text(encoding="utf-8") == (SUITES / policy / "README.md").read_text(
         encoding="utf-8"

@@ -39,7 +39,7 @@ def sentences(path: Path, stop: str = "\0") -> list[str]:
 CARDS = [ROOT / "zoo_configs" / "policies" / "any-map" / "README.md"]
 PAGES = ["planners", "policies", "studies", "tuning", "coming-from", "composite-actions"]
 SENTENCES = [sentence for name in PAGES for sentence in sentences(ROOT / "docs" / f"{name}.md")]
-SENTENCES += [sentence for card in CARDS for sentence in sentences(card, stop="<!-- zero-shot:begin -->")]
+SENTENCES += [sentence for card in CARDS for sentence in sentences(card, stop="<!-- numbers:zero-shot -->")]
 
 
 def of_paper(text: str) -> bool:
