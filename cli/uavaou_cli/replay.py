@@ -55,7 +55,7 @@ def replay(
     knows: Knows = "everything",
     set_: Changes = None,
     quiet: Quiet = False,
-) -> None:  # fmt: skip
+) -> None:
     """Replay one mission as each policy flies it, side by side and in step.
 
     The page is one file that needs no server and no network. It shows the map, the AoU and every device, slot by slot.
