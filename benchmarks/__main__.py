@@ -12,9 +12,8 @@ from pathlib import Path
 import torch
 
 from benchmarks.environment import scaling, stepping
-from benchmarks.measure import Measurement, report
+from benchmarks.measure import Measurement, report, write_rows
 from benchmarks.training import STOCK, memory, networks, parts, training
-from uavaou.csv_tables import write_csv
 from uavaou.runs.machine import describe_machine
 
 Part = Callable[[], list[Measurement]]
@@ -64,7 +63,7 @@ def _reference(rows: list[Measurement]) -> str | None:
 def write(path: Path, measured: list[Measurement]) -> None:
     """Write the figures as CSV."""
     rows = [(m.table, m.name, m.unit, m.median, m.lowest, m.highest) for m in measured]
-    write_csv(path, ("table", "name", "unit", "median", "lowest", "highest"), rows)
+    write_rows(path, ("table", "name", "unit", "median", "lowest", "highest"), rows)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.measure import kept_rows, write_rows
 from uavaou import evaluate
-from uavaou.csv_tables import read_csv, write_csv
 from uavaou.envs.map import BLACK, BLUE, GREEN, ORANGE
 from uavaou.reports import style
 from uavaou.scenario import Scenario
@@ -71,9 +71,9 @@ def trained(name: str, seconds: float, place: Path) -> list[Row]:
     except subprocess.TimeoutExpired:
         process.send_signal(signal.SIGTERM)
         process.wait()
-    table = read_csv(configs[0].with_name("progress.csv"))
+    actions = [f"evaluation/mean_aou_{action}_s" for action in ("greedy", "sample")]
+    rows = kept_rows(configs[0].with_name("progress.csv"), ["time/slots", "time/wall_s", *actions])
     tau = Scenario.load(SCENARIO).slot_length_s
-    rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     return [
         (
             name,
@@ -99,8 +99,8 @@ def times(rows: list[Row]) -> list[tuple[str, float, float | None]]:
 
 def write(rows: list[Row], folder: Path) -> None:
     """``curves.csv`` and ``levels.csv``."""
-    write_csv(folder / "curves.csv", ("name", "slots", "wall_s", "mean_aou_slots", "sampled_aou_slots"), rows)
-    write_csv(folder / "levels.csv", ("name", "mean_aou_slots", "wall_s"), times(rows))
+    write_rows(folder / "curves.csv", ("name", "slots", "wall_s", "mean_aou_slots", "sampled_aou_slots"), rows)
+    write_rows(folder / "levels.csv", ("name", "mean_aou_slots", "wall_s"), times(rows))
 
 
 def draw(rows: list[Row], folder: Path) -> None:

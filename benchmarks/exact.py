@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import uavaou.planners.exact as exact
-from uavaou.csv_tables import write_csv
+from benchmarks.measure import write_rows
 from uavaou.scenario import Scenario
 
 LIMIT_S = float(sys.argv[1]) if len(sys.argv) > 1 else 300.0
@@ -43,7 +43,7 @@ def main() -> None:
     for slots, side, devices in SIZES:
         rows.append(measured(slots, side, devices))
         print(*rows[-1], flush=True)
-        write_csv(Path("results/planners/exact.csv"), COLUMNS, rows)
+        write_rows(Path("results/planners/exact.csv"), COLUMNS, rows)
 
 
 def measured(slots: int, side: int, devices: int) -> list[str]:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from uavaou.csv_tables import read_csv
+import pandas as pd
+
+from uavaou.csv_tables import TEXT, read_table, write_table
 
 
 @dataclass(frozen=True)
@@ -108,8 +111,15 @@ class Stopwatch:
 
 def kept_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     """The rows of a table that holds what was measured before; none where there is none."""
-    rows = read_csv(path, columns, exact=True).rows if path.is_file() else []
-    return [dict(zip(columns, row, strict=True)) for row in rows]
+    if not path.is_file():
+        return []
+    frame = read_table(path, dict.fromkeys(columns, TEXT)).fillna("")
+    return [dict(zip(columns, row, strict=True)) for row in frame.itertuples(index=False)]
+
+
+def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Any]) -> None:
+    """Write rows, each a sequence or a mapping, as a table with these columns."""
+    write_table(path, pd.DataFrame(list(rows), columns=list(columns)))
 
 
 def report(title: str, measurements: list[Measurement], reference: str | None = None) -> list[str]:

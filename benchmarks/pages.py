@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -14,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from uavaou.csv_tables import read_csv
+from benchmarks.measure import kept_rows
 from uavaou.evaluation.flights import VALIDATION
 from uavaou.experiments.results import StudyResults, read_study
 from uavaou.planners import planner_knowledge
-from uavaou.reports.markdown import rounded, table, with_interval
+from uavaou.reports.markdown import filled, rounded, table, with_interval
 from uavaou.reports.scores import PolicyScores, study_scores
 from uavaou.reports.suite_tables import summary
 from uavaou.reports.suites import SuiteTable, suites_of_study
@@ -27,7 +26,6 @@ from uavaou.statistics import Interval, interval_over_trainings
 ROOT = Path(__file__).resolve().parents[1]
 CARD = "zoo_configs/policies/any-map/README.md"
 PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md", CARD)
-BLOCK = re.compile(r"(<!-- numbers:(\S+) -->\n).*?(<!-- /numbers -->)", re.DOTALL)
 RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
 LEAST = 1.0  # slots: where the other has less, a ratio says nothing
 HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")
@@ -137,10 +135,10 @@ def released() -> str:
 def networks() -> str:
     """The speed of the networks for the same work, agent steps a second."""
     found: dict[str, dict[str, str]] = {}
-    for place, name, _, median, *_ in read_csv(ROOT / "results" / "benchmarks" / "networks.csv").rows:
-        network, _, threads = name.rpartition(", ")
-        column = f"{place.removeprefix('networks on ')}, {threads}"
-        found.setdefault(network, {})[column] = f"{float(median):,.0f}"
+    for row in kept_rows(ROOT / "results" / "benchmarks" / "networks.csv", ("table", "name", "median")):
+        network, _, threads = row["name"].rpartition(", ")
+        column = f"{row['table'].removeprefix('networks on ')}, {threads}"
+        found.setdefault(network, {})[column] = f"{float(row['median']):,.0f}"
     columns = list(next(iter(found.values())))
     rows = [(network, *(rates[column] for column in columns)) for network, rates in found.items()]
     return table(("agent steps a second", *columns), rows)
@@ -150,11 +148,13 @@ def levels() -> str:
     """When a policy of each level was on disk, and the best one at the end."""
     place = ROOT / "results" / "benchmarks"
     at: dict[str, dict[str, str]] = {}
-    for name, level, wall_s in read_csv(place / "levels.csv").rows:
-        at.setdefault(level, {})[name] = f"{float(wall_s):.1f} s" if wall_s else "never"
+    for row in kept_rows(place / "levels.csv", ("name", "mean_aou_slots", "wall_s")):
+        told = f"{float(row['wall_s']):.1f} s" if row["wall_s"] else "never"
+        at.setdefault(row["mean_aou_slots"], {})[row["name"]] = told
     best: dict[str, float] = {}
-    for name, _, _, greedy, sampled in read_csv(place / "curves.csv").rows:
-        best[name] = min(best.get(name, np.inf), float(greedy), float(sampled))
+    for row in kept_rows(place / "curves.csv", ("name", "mean_aou_slots", "sampled_aou_slots")):
+        name, *ages = row.values()
+        best[name] = min(best.get(name, np.inf), *map(float, ages))
     rows = [(level, *(found[name] for name in best)) for level, found in at.items()]
     return table(("mean AoU, slots", *best), [*rows, ("the best at the end", *map(rounded, best.values()))])
 
@@ -175,17 +175,12 @@ BLOCKS: dict[str, Callable[[], str]] = {
 }
 
 
-def rendered(text: str) -> str:
-    """A page with the numbers of the tables in its blocks."""
-    return BLOCK.sub(lambda block: f"{block[1]}{BLOCKS[block[2]]()}\n{block[3]}", text)
-
-
 def main() -> int:
     """Write the blocks of all pages, or compare them."""
     stale = []
     for page in PAGES:
         held = (ROOT / page).read_text(encoding="utf-8")
-        if (now := rendered(held)) != held:
+        if (now := filled(held, BLOCKS)) != held:
             stale.append(page)
             if "--check" not in sys.argv:
                 (ROOT / page).write_text(now, encoding="utf-8")

@@ -11,9 +11,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.measure import kept_rows
+from benchmarks.measure import kept_rows, write_rows
 from uavaou import evaluate
-from uavaou.csv_tables import write_csv
 from uavaou.files import write_json
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.planners.anneal import Anneal
@@ -54,7 +53,7 @@ def _keep(new: dict[str, str]) -> None:
     """Put a row in its place in gap.csv."""
     rows = {(row["scenario"], row["policy"]): row for row in [*kept_rows(RESULTS / "gap.csv", COLUMNS), new]}
     order = sorted(rows, key=lambda key: (list(SCENARIOS).index(key[0]), POLICIES.index(key[1])))
-    write_csv(RESULTS / "gap.csv", COLUMNS, [rows[key] for key in order])
+    write_rows(RESULTS / "gap.csv", COLUMNS, [rows[key] for key in order])
 
 
 def measured(name: str, scenario: Scenario, chosen: argparse.Namespace) -> Iterator[dict[str, str]]:

@@ -12,9 +12,8 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from benchmarks.measure import kept_rows
+from benchmarks.measure import kept_rows, write_rows
 from uavaou import Family, evaluate, rehearse
-from uavaou.csv_tables import write_csv
 from uavaou.statistics import geometric_mean
 
 TABLE = Path("results/benchmarks/rehearsals.csv")
@@ -36,7 +35,7 @@ def main() -> None:
             key = (Path(family).stem, str(numbers[place]))
             if key not in kept:
                 kept[key] = measured(family, numbers[place], chosen.seconds)
-                write_csv(TABLE, COLUMNS, kept.values())
+                write_rows(TABLE, COLUMNS, kept.values())
     for name, of_draw in ratios(kept.values()).items():
         mean, most = geometric_mean(list(of_draw.values())), max(of_draw.values())
         print(f"{name}: {mean:.3f} of the best quick one over {len(of_draw)} draws, at most {most:.3f}")

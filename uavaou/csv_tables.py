@@ -1,7 +1,8 @@
 """CSV tables: one reader, whose errors name file, line and column, and one writer, which replaces a file atomically.
 
-Files are UTF-8 with commas, a header line and ``\\n`` line ends. The reader accepts a byte-order mark, spaces after
-commas, blank lines, and the rows and columns of blank cells that spreadsheets write. An empty cell is a missing value.
+Files are UTF-8 with commas, a header line and ``\\n`` line ends, packed by gzip where the name ends in ``.gz``. The
+reader accepts a byte-order mark, spaces around cells, blank lines, and the rows and columns of blank cells that
+spreadsheets write. An empty cell is a missing value.
 """
 
 from __future__ import annotations
@@ -9,169 +10,127 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import compress
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from uavaou.arrays import Floats, Ints
 from uavaou.errors import InputError, all_faults
 from uavaou.fields import number_meant, short
-from uavaou.files import read_text, write_text
+from uavaou.files import read_text, replacing, writing
 
-_MOST_BYTES = 1_000_000_000
-
-
-@dataclass(frozen=True)
-class CsvTable:
-    """The cells of a CSV file with R rows; every row has a cell for every column."""
-
-    path: Path
-    columns: tuple[str, ...]
-    rows: list[list[str]]
-    lines: list[int]  # the line of the file in which each row ends, for error messages
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def text(self, column: str) -> list[str]:
-        """The cells of a column, (R,)."""
-        place = self.columns.index(column)
-        return [row[place] for row in self.rows]
-
-    def floats(self, column: str, *, missing: bool = False) -> Floats:
-        """A column as finite numbers, (R,); an empty cell is nan if ``missing`` is true.
-
-        Raises:
-            InputError: cells are not finite numbers, or empty where none may be; it lists them all.
-        """
-        cells = self.text(column)
-        values = np.array([_float(cell) for cell in cells], dtype=np.float64)
-        unread = np.flatnonzero(~np.isfinite(values)).tolist()
-        values[unread] = np.nan
-        if wrong := [row for row in unread if not missing or cells[row].strip()]:
-            raise self._error({row: f"a finite number{number_meant(cells[row])}" for row in wrong}, column)
-        return values
-
-    def integers(self, column: str, *, missing: int | None = None) -> Ints:
-        """A column as 64-bit integers, (R,); an empty cell is ``missing``, if that is given.
-
-        Raises:
-            InputError: a cell is not an integer, or empty where none may be.
-        """
-        values = np.empty(len(self.rows), dtype=np.int64)
-        for row, cell in enumerate(self.text(column)):
-            try:
-                values[row] = missing if missing is not None and not cell.strip() else int(cell)
-            except (ValueError, OverflowError):
-                raise self.error(row, column, "an integer") from None
-        return values
-
-    def where(self, chosen: Iterable[bool]) -> CsvTable:
-        """The rows for which ``chosen``, (R,), is true."""
-        chosen = list(chosen)
-        return CsvTable(self.path, self.columns, list(compress(self.rows, chosen)), list(compress(self.lines, chosen)))
-
-    def error(self, row: int, column: str, expected: str) -> InputError:
-        """The error for a cell that is not what is ``expected``; it quotes at most 60 characters of the cell."""
-        return self._error({row: expected}, column)
-
-    def _error(self, expected: Mapping[int, str], column: str) -> InputError:
-        cells = self.text(column)
-        faults = (
-            f"line {self.lines[row]}, column '{column}': {short(cells[row])} is not {expected[row]}" for row in expected
-        )
-        return all_faults(str(self.path), [InputError(fault) for fault in faults])
+TEXT, WHOLE, NUMBER = "string", "Int64", "float64"  # types of columns
+_EXPECTED = {TEXT: "text", WHOLE: "a whole number", NUMBER: "a finite number"}
+_MOST_BYTES = 500_000_000  # of a table that is unpacked
+_LARGEST = 2**53  # whole numbers up to here are exact as floats
 
 
-def read_csv(path: Path, columns: Sequence[str] = (), *, exact: bool = False, whole_lines: bool = False) -> CsvTable:
-    """Read a CSV file.
+def read_table(path: Path, columns: Mapping[str, str], needed: Sequence[str] = ()) -> pd.DataFrame:
+    """Read a table: these columns as their types, and empty ones in the place of those that it lacks.
 
-    Args:
-        path: of the file.
-        columns: that it must have.
-        exact: whether it must have these columns alone, in this order.
-        whole_lines: whether to leave out a last line without a line end, which an interrupted writer leaves.
+    A last line without a line end, which an interrupted writer leaves, is left out.
 
     Raises:
-        InputError: the file cannot be read, lacks a column, has a column twice, or has a row of another length.
+        InputError: it cannot be read, lacks a ``needed`` column, or a cell is not of its column's type.
     """
-    text = read_text(path, _MOST_BYTES)
-    return parse_csv(path, text[: text.rfind("\n") + 1] if whole_lines else text, columns, exact)
+    content = read_text(path, _MOST_BYTES)
+    text = parse_table(path, content[: content.rfind("\n") + 1], needed)
+    text = text.reindex(columns=list(columns), fill_value=pd.NA)
+    found = {name: cells(path, text[name], kind, name in needed) for name, kind in columns.items()}
+    return pd.DataFrame(found).reset_index(drop=True)
 
 
-def parse_csv(path: Path, text: str, columns: Sequence[str] = (), exact: bool = False) -> CsvTable:
-    """Parse the text of a CSV file; arguments and errors as those of :func:`read_csv`."""
+def parse_table(path: Path, text: str, needed: Sequence[str] = ()) -> pd.DataFrame:
+    """The cells of a table as text; the index has the line of the file in which each row ends.
+
+    Raises:
+        InputError: it lacks a ``needed`` column, has a column twice, or has a row of another length.
+    """
     reader = csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline=""), skipinitialspace=True)
+    lines: dict[int, list[str]] = {}
     try:
-        rows = [(row, reader.line_num) for row in reader if any(map(str.strip, row))]
+        for row in reader:
+            if any(stripped := [cell.strip() for cell in row]):
+                lines[reader.line_num] = stripped
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num}: not a CSV file: {error}") from error
-    names = [name.strip() for name in rows[0][0]] if rows else []
-    named = [place for place, name in enumerate(names) if name]  # spreadsheets write columns that have no name
-    header = [names[place] for place in named]
-    _check_header(path, header, columns, exact)
-    return CsvTable(
-        path, tuple(header), [_cells(path, *row, named) for row in rows[1:]], [line for _, line in rows[1:]]
-    )
+    heading = lines.pop(next(iter(lines))) if lines else []
+    named = {place: name for place, name in enumerate(heading) if name}  # spreadsheets write columns without a name
+    _check_header(path, list(named.values()), needed)
+    for line, row in lines.items():
+        found = [cell for place, cell in enumerate(row) if place in named or cell]
+        if len(found) != len(named) or len(row) <= max(named):
+            raise InputError(f"{path}: line {line}: {len(found)} values, expected {len(named)}")
+    rows = [[row[place] or None for place in named] for row in lines.values()]
+    return pd.DataFrame(rows, index=list(lines), columns=list(named.values()), dtype=TEXT)
 
 
-def _cells(path: Path, row: list[str], line: int, named: list[int]) -> list[str]:
-    """The cells of a row below the named columns; the others are blank."""
-    if len(row) == len(named) == named[-1] + 1:
-        return row
-    last = max(place for place, cell in enumerate(row) if cell.strip())
-    if len(row) <= named[-1] or any(cell.strip() for place, cell in enumerate(row) if place not in named):
-        found = max(last, min(len(row) - 1, named[-1])) + 1
-        raise InputError(f"{path}: line {line}: {found} values, expected {len(named)}")
-    return [row[place] for place in named]
-
-
-def _check_header(path: Path, header: list[str], columns: Sequence[str], exact: bool) -> None:
+def _check_header(path: Path, header: list[str], needed: Sequence[str]) -> None:
     if len(header) == 1 and set(header[0]) & set(";\t"):
         raise InputError(f"{path}: line 1: the columns are not separated by commas: write commas, and 1.5 for 1,5")
-    for name in columns:
+    for name in needed:
         if name not in header:
             raise InputError(f"{path}: column '{name}' is missing (header: {short(', '.join(header))})")
     for name in header:
         if header.count(name) > 1:
             raise InputError(f"{path}: column {short(name)} is there twice")
-    if exact and header != list(columns):
-        raise InputError(f"{path}: expected the columns {', '.join(columns)}")
+
+
+def cells(path: Path, text: pd.Series[str], kind: str = NUMBER, filled: bool = True) -> Any:
+    """A column of :func:`parse_table` as its type, (R,).
+
+    Args:
+        path: of the file, for errors.
+        text: the column.
+        kind: what its cells are.
+        filled: whether none may be empty.
+
+    Raises:
+        InputError: it lists the cells that are not of the type.
+    """
+    empty = text.isna()
+    values: Any = text if kind == TEXT else text.fillna("nan").map(_float).astype(NUMBER)
+    wrong = empty & filled
+    if kind != TEXT:
+        wrong |= ~empty & ~np.isfinite(values)
+    if kind == WHOLE:
+        wrong |= ~empty & ((values % 1 != 0) | (values.abs() > _LARGEST))
+    if wrong.any():
+        quoted = text[wrong].fillna("").map(short).items()
+        faults = [
+            f"line {line}, column '{text.name}': {cell} is not {_EXPECTED[kind]}{number_meant(cell[1:-1])}"
+            for line, cell in quoted
+        ]
+        raise all_faults(str(path), [InputError(fault) for fault in faults])
+    return values.astype(kind)
 
 
 def _float(cell: str) -> float:
     try:
         return float(cell)
     except ValueError:
-        return math.nan
+        return math.inf
 
 
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any] | Mapping[str, Any]]) -> None:
-    """Write a CSV file, whole or not at all; missing folders are made.
+def write_table(path: Path, frame: pd.DataFrame) -> None:
+    """Write a table as CSV, packed where the name ends in ``.gz``, whole or not at all; the same rows, the same bytes.
 
-    Args:
-        path: of the file.
-        columns: the header.
-        rows: a sequence in the order of the columns, or a mapping from column to value, each. Strings and integers are
-            written as they are, floats as :func:`number` does, None and nan as empty cells.
+    Columns without any value are left out.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: it cannot be written.
     """
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    for row in rows:
-        values = [row[name] for name in columns] if isinstance(row, Mapping) else row
-        writer.writerow([number(v) if v is None or isinstance(v, float | np.floating) else v for v in values])
-    write_text(path, text.getvalue())
+    frame = frame.dropna(axis="columns", how="all") if len(frame) else frame
+    packed: Any = {"method": "gzip", "compresslevel": 9, "mtime": 0} if path.suffix == ".gz" else None
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path, "wb") as file:
+            frame.to_csv(file, index=False, float_format=number, lineterminator="\n", compression=packed)
 
 
-def number(value: float | np.floating[Any] | None) -> str:
+def number(value: float | None) -> str:
     """A number with six significant digits, a whole number with all of its digits; empty for None and nan."""
     if value is None or math.isnan(value):
         return ""

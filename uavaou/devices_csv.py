@@ -1,19 +1,23 @@
 """The devices of a scenario from a CSV file."""
 
+from __future__ import annotations
+
 import math
 import re
 import warnings
 from collections.abc import Callable, Collection
 from os.path import realpath  # Path.resolve fails in a circle of symbolic links
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uavaou.csv_tables import CsvTable, parse_csv
 from uavaou.errors import InputError, collecting, command_line, nearest
 from uavaou.fields import DEVICE_COLUMNS, short
 from uavaou.files import read_text
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _KNOWN = ("x_m", "y_m", *DEVICE_COLUMNS)
 _EXPECTED = "a CSV table with the columns x_m and y_m, in metres from a corner of the area"
@@ -113,9 +117,11 @@ def read_devices(
     if "devices_m" in fields:
         faults.append(InputError("give devices_m or devices_csv, not both"))
         return str
+    from uavaou.csv_tables import cells, parse_table  # imports pandas, which scenarios do without
+
     with collecting(faults):
-        table = _read_table(csv)
-        columns = _device_columns(table, faults)
+        table = parse_table(csv, _text_of(csv))
+        columns = _device_columns(csv, table, faults)
         if not len(table):
             raise InputError(f"{csv}: holds no device")
         if stated_devices is not None and stated_devices != len(table):
@@ -124,7 +130,7 @@ def read_devices(
         values = {}
         for name, column in columns.items():
             with collecting(faults):
-                values[name] = table.floats(column).tolist()
+                values[name] = cells(csv, table[column]).tolist()
         of_table = "|".join(("devices_m", *(values.keys() & DEVICE_COLUMNS)))
         places = [values.pop(name) for name in ("x_m", "y_m") if name in values]
         if len(places) == 2:
@@ -136,38 +142,38 @@ def read_devices(
         def with_line(found: re.Match[str]) -> str:
             field, device, axis = found.groups()
             name = field if axis is None else _KNOWN[int(axis)]
-            return f"{csv}: line {table.lines[int(device)]}" + (f", column '{name}'" if name != "devices_m" else "")
+            return f"{csv}: line {table.index[int(device)]}" + (f", column '{name}'" if name != "devices_m" else "")
 
         return lambda message: re.sub(rf"\b({of_table})\[(\d+)\](?:\[([01])\])?", with_line, message)
     return str
 
 
-def _read_table(csv: Path) -> CsvTable:
-    """Read the file, if it is not of another format."""
+def _text_of(csv: Path) -> str:
+    """What the file holds, if it is not of another format."""
     ending = csv.suffix.lower()
     text = "" if ending in _FORMATS else read_text(csv, _MOST_BYTES)
     if found := _FORMATS.get(ending) or _FIRST_LETTERS.get(text.lstrip("\ufeff \r\n\t")[:1]):
         raise InputError(f"{csv}: is {found}, expected {_EXPECTED}")
-    return parse_csv(csv, text)
+    return text
 
 
-def _device_columns(table: CsvTable, faults: list[InputError]) -> dict[str, str]:
+def _device_columns(csv: Path, table: pd.DataFrame, faults: list[InputError]) -> dict[str, str]:
     """The columns of devices: name -> name in the table. The words of a file of another kind are not shown."""
     columns = {name.casefold(): name for name in reversed(table.columns) if name.casefold() in _KNOWN}
     others = [name for name in table.columns if name not in columns.values()]
     absent = [name for name in _KNOWN if name not in columns]
     if not {"x_m", "y_m"} & columns.keys():
-        _refuse_degrees(table)
+        _refuse_degrees(csv, table)
     if not columns and not any(nearest(name, _KNOWN) for name in others):
-        raise InputError(f"{table.path}: no table of devices: its first line has none of {', '.join(_KNOWN)}")
+        raise InputError(f"{csv}: no table of devices: its first line has none of {', '.join(_KNOWN)}")
     meant = {name: hint for name in others if (hint := _meant(name, absent))}
-    faults += [InputError(f"{table.path}: column {short(name)}{hint}") for name, hint in meant.items()]
+    faults += [InputError(f"{csv}: column {short(name)}{hint}") for name, hint in meant.items()]
     for name in ("x_m", "y_m"):
         if name in absent and not any(f"'{name}'" in hint for hint in meant.values()):
             header = short(", ".join(table.columns))
-            faults.append(InputError(f"{table.path}: column '{name}' is missing (header: {header})"))
+            faults.append(InputError(f"{csv}: column '{name}' is missing (header: {header})"))
     if unread := [short(name) for name in others if name not in meant]:
-        warnings.warn(f"{table.path}: columns that are not read: {', '.join(unread)}", stacklevel=2)
+        warnings.warn(f"{csv}: columns that are not read: {', '.join(unread)}", stacklevel=2)
     return columns
 
 
@@ -178,14 +184,16 @@ def _meant(name: str, absent: Collection[str]) -> str:
     return nearest(name.casefold(), absent) if by_word is None else f"; did you mean '{by_word}'?"
 
 
-def _refuse_degrees(table: CsvTable) -> None:
+def _refuse_degrees(csv: Path, table: pd.DataFrame) -> None:
     """Refuse latitude and longitude, with the formula that makes metres of them."""
     found = []
     for words in (_LATITUDES, _LONGITUDES):
         found += [name for name in table.columns if words & set(re.findall("[a-z]+", name.casefold()))][:1]
     if len(found) < 2 or not len(table):
         return
-    latitude, longitude = (table.floats(name) for name in found)
+    from uavaou.csv_tables import cells
+
+    latitude, longitude = (cells(csv, table[name]) for name in found)
     metres = _DEGREE_M * math.cos(math.radians(latitude.mean())), _DEGREE_M
     formulas = (
         f"{axis} = ({short(name)[1:-1]} - {degrees.min():.9g}) * {per_degree:.0f}"
@@ -195,6 +203,6 @@ def _refuse_degrees(table: CsvTable) -> None:
     )
     spans = [f"{math.ceil(np.ptp(degrees) * m)} m" for degrees, m in zip((longitude, latitude), metres, strict=True)]
     raise InputError(
-        f"{table.path}: columns {short(found[0])} and {short(found[1])}: positions are read in metres; "
+        f"{csv}: columns {short(found[0])} and {short(found[1])}: positions are read in metres; "
         f"write {' and '.join(formulas)} (an area of {' x '.join(spans)})"
     )

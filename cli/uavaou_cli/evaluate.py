@@ -79,7 +79,8 @@ def evaluate(
     planners = [name for name in dict.fromkeys(policy or []) if name not in released]
     # Before torch is imported, so that a misspelled one fails at once.
     made = _make_planners(planners, folders, time_limit, suite, knows)
-    from uavaou.runs.comparison import common_scenario, compare, load_runs, read_runs
+    from uavaou.runs.comparison import common_scenario, compare, make_policy, read_runs
+    from uavaou.runs.folder import RunFolder
     from uavaou.scenario import Scenario
 
     configs = read_runs(folders)
@@ -93,7 +94,7 @@ def evaluate(
     played = overrides.of_scenario(base)
     if out is not None:
         writable_file(out)
-    policies = (load_runs(configs, played, action, knows) if configs else {}) | made
+    policies = {name: make_policy(RunFolder.at(name), played, None, knows, action) for name in configs} | made
     with EvaluationDisplay(quiet, list(policies), episodes * played.slots) as display:
         comparison = compare(policies, played, episodes, seed, display)
     try:
@@ -170,10 +171,11 @@ def _evaluate_suite(
     quiet: bool,
 ) -> None:
     """Play a suite, print its table, and write the flights; without policies, print what it needs."""
-    from uavaou.evaluation.flights import write_table
+    from uavaou.csv_tables import write_table
     from uavaou.experiments.suite import Suite
     from uavaou.experiments.suite_flights import plan_suite
-    from uavaou.runs.comparison import load_runs
+    from uavaou.runs.comparison import make_policy
+    from uavaou.runs.folder import RunFolder
     from uavaou.scenario import Scenario
 
     suite = Suite.load(name)
@@ -185,7 +187,7 @@ def _evaluate_suite(
         show(_point_lines(flights))
         return
     flying = [run.name for run in flights.runs if run.flies]
-    policies = (load_runs(flying, None, action) if flying else {}) | planners  # all, before hours are spent
+    policies = {name: make_policy(RunFolder.at(name), None, action=action) for name in flying} | planners
     slots = episodes * max((one.point.played.slots for one in flights.planned), default=0)
     try:
         with EvaluationDisplay(quiet, [one.name for one in flights.planned], slots) as display:

@@ -24,7 +24,7 @@ from uavaou_cli.options import (
     writable_folder,
 )
 from uavaou_cli.overrides import parse_overrides
-from uavaou_cli.progress import RecordingDisplay, RehearsalDisplay
+from uavaou_cli.progress import NAME_WIDTH, Display, RecordingDisplay
 from uavaou_cli.tables import aligned, figure, interval_figures, paragraphs, show
 
 if TYPE_CHECKING:
@@ -104,8 +104,14 @@ def _rehearse(scenario: Scenario, seconds: float, knows: str, folder: Path, quie
 
     places = (folder / ("training" if number == 1 else f"training-{number}") for number in count(1))
     unused = next(place for place in places if not place.exists())
-    with RehearsalDisplay(quiet, seconds) as display:
-        return rehearse(scenario, seconds, knows, unused, display.show)
+
+    def show(share: float, at_work: str, best: float | None) -> None:
+        if display.due:
+            aou = "" if best is None else f"best mean AoU {best:,.2f} slots"
+            display.advance(share * seconds, aou, at_work[:NAME_WIDTH], rate=1.0)
+
+    with Display(quiet, seconds, "") as display:
+        return rehearse(scenario, seconds, knows, unused, show)
 
 
 def _rehearsal_lines(rehearsal: Rehearsal) -> list[str]:

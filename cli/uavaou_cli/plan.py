@@ -29,7 +29,7 @@ from uavaou_cli.options import (
     writable_folder,
 )
 from uavaou_cli.overrides import parse_overrides
-from uavaou_cli.progress import BoundDisplay, EvaluationDisplay, PlanningDisplay
+from uavaou_cli.progress import Display, EvaluationDisplay
 from uavaou_cli.tables import duration, figure, paragraphs, show, two_line_table, wrapped
 
 if TYPE_CHECKING:
@@ -111,11 +111,12 @@ def gap(
     if certificate is not None:
         writable_file(certificate)
     from uavaou.planners import gap_planners, make_planner
-    from uavaou.runs.comparison import compare, load_runs
+    from uavaou.runs.comparison import compare, make_policy
+    from uavaou.runs.folder import RunFolder
 
     limits = dict.fromkeys(("local-greedy-tuned", "anneal", "rolling", "exact"), time_limit)
-    planners = {name: make_planner(name, limits.get(name)) for name in gap_planners(chosen)}
-    policies = (load_runs(run, chosen) if run else {}) | planners
+    policies = {name: make_policy(RunFolder.at(name), chosen) for name in run}
+    policies |= {name: make_planner(name, limits.get(name)) for name in gap_planners(chosen)}
     bound = _bound(chosen, bound_limit, certificate, quiet)
     with EvaluationDisplay(quiet, list(policies), episodes * chosen.slots) as display:
         comparison = compare(policies, chosen, episodes, seed, display)
@@ -136,13 +137,15 @@ def _bound(scenario: Scenario, limit_s: float | None, certificate: Path | None, 
 
     def show(bound: Bound, share: float) -> None:
         nonlocal saved
-        display.show(bound, share)
+        if display.due:
+            aou = figure(bound.mean_aou_s / scenario.slot_length_s)
+            display.advance(share, f"{aou} slots ({bound.method})", "lower bound")
         if time.monotonic() - saved > _SAVE_S:
             save()
             saved = time.monotonic()
 
     search = BoundSearch(scenario, layout, limit_s, show, start)
-    with BoundDisplay(quiet, scenario.slot_length_s) as display:
+    with Display(quiet, 1.0, "") as display:
         try:
             return search.run()
         finally:
@@ -175,7 +178,7 @@ def _plan_and_report(
     from uavaou.runs.comparison import compare
 
     layout, begun = scenario.draw_layout(), time.monotonic()
-    with PlanningDisplay(quiet, scenario.slot_length_s) as display:
+    with Display(quiet, 1.0, "", scenario.slot_length_s) as display:
         if name != "exact" and (time_limit is None or time_limit >= _BOUND_FROM_S):  # exact brings its own
             display.measure_from(0, "lower bound")
             display.bound_s = lower_bound(scenario, layout, _BOUND_S).mean_aou_s
@@ -183,7 +186,7 @@ def _plan_and_report(
         left = None if time_limit is None else _left(time_limit, time.monotonic() - begun)
         planner = make_planner(name, left)
         assert isinstance(planner, AheadPlanner)
-        plan = planner.plan(scenario, layout, display.show)
+        plan = planner.plan(scenario, layout, display.plan)
     took = time.monotonic() - begun
     plan = plan if display.bound_s is None else replace(plan, bound_s=display.bound_s)
     planner.keep(plan, scenario, layout)

@@ -11,13 +11,12 @@ import typer
 
 from uavaou.errors import command_line
 from uavaou.runs.interrupt import exit_code
-from uavaou_cli.tables import duration, figure
+from uavaou_cli.tables import duration
 
 if TYPE_CHECKING:
     from uavaou.evaluation.recorded_mission import RecordedMission
     from uavaou.experiments.run import StudyState
     from uavaou.experiments.search import Trial
-    from uavaou.planners.bound import Bound
     from uavaou.planners.plan import PlanningStatus
     from uavaou.scenario import Scenario
     from uavaou.world import World
@@ -26,7 +25,7 @@ _BAR_EVERY_S = 0.5
 _LINE_EVERY_S = 10.0
 _MARKS = 60  # steps forward that the rate is measured over
 _WIDE = 110  # columns of a terminal that has room for agent steps
-_NAME_WIDTH = 20
+NAME_WIDTH = 20
 _MOST_VARIANTS = 6
 
 
@@ -39,6 +38,8 @@ class Display:
         unit: of the rate; empty where there is none to show.
         slot_length_s: tau; ages come in seconds and are shown in slots.
     """
+
+    bound_s: float | None = None  # on the AoU of a plan; None where there is none, or the planner finds it itself
 
     def __init__(self, quiet: bool, total: float, unit: str = "slots", slot_length_s: float = 1.0) -> None:
         self.quiet = quiet
@@ -125,6 +126,17 @@ class Display:
             words = "; ".join(filter(None, (": ".join(filter(None, (name, text))), note)))
             print(f"{share:4.0%}  {words}", file=sys.stderr, flush=True)
 
+    def plan(self, status: PlanningStatus, name: str = "routes") -> None:
+        """Show the best plan so far, and the gap to the bound; for :meth:`uavaou.planners.plan.AheadPlanner.plan`."""
+        if not self.due and status.share < 1.0:
+            return
+        shown = f"mean AoU {status.incumbent_s / self._tau_s:,.2f} slots"
+        bound_s = self.bound_s if status.bound_s is None else status.bound_s
+        if bound_s is not None:
+            gap = 1 - bound_s / status.incumbent_s if status.incumbent_s else 0.0
+            shown += f", bound {bound_s / self._tau_s:,.2f}, gap {gap:.1%}"
+        self.advance(status.share, shown, name)
+
 
 def _start_bar() -> Any:
     from rich.console import Console
@@ -155,12 +167,11 @@ class TrainingDisplay(Display):
         super().__init__(quiet=False, total=0, slot_length_s=slot_length_s)
         self._uavs = 0.0
 
-    def plan(self, status: PlanningStatus) -> None:
+    def plan(self, status: PlanningStatus, name: str = "plan") -> None:
         """Show where the search for the plan stands that the training begins with."""
         self.total = 1.0
         self.open()
-        if self.due:
-            self.advance(status.share, f"mean AoU {status.incumbent_s / self._tau_s:,.2f} slots", "plan")
+        super().plan(status, name)
 
     def start(self, total: int, done: int, uavs: float) -> None:
         """Begin at ``done`` of ``total`` slots, with ``uavs`` agent steps a slot."""
@@ -197,7 +208,7 @@ class EvaluationDisplay(Display):
     def start(self, name: str) -> None:
         """The next policy begins."""
         self._before = self._slots * self._names.index(name)
-        self._name = name if len(name) <= _NAME_WIDTH else "..." + name[3 - _NAME_WIDTH :]
+        self._name = name if len(name) <= NAME_WIDTH else "..." + name[3 - NAME_WIDTH :]
         self._took_off = False
         self.measure_from(self._before, self._name, "before take-off")
 
@@ -242,50 +253,6 @@ class RecordingDisplay(EvaluationDisplay):
             name: RecordedMission(scenario, *recorded_as(name), seed, recording)
             for name, recording in recordings.items()
         }
-
-
-class RehearsalDisplay(Display):
-    """Shows what is tried in a rehearsal of some ``seconds``, and the best mean AoU so far."""
-
-    def __init__(self, quiet: bool, seconds: float) -> None:
-        super().__init__(quiet, seconds, "")
-
-    def show(self, share: float, at_work: str, best: float | None) -> None:
-        """``at_work`` flies after a ``share`` of the time; for :func:`uavaou.rehearse`."""
-        if self.due:
-            aou = "" if best is None else f"best mean AoU {best:,.2f} slots"
-            self.advance(share * self.total, aou, at_work[:_NAME_WIDTH], rate=1.0)
-
-
-class PlanningDisplay(Display):
-    """Shows the best routes so far, the bound on them, and the gap between the two."""
-
-    def __init__(self, quiet: bool, slot_length_s: float) -> None:
-        super().__init__(quiet, 1.0, "", slot_length_s)
-        self.bound_s: float | None = None  # None where there is none, or the planner finds it itself
-
-    def show(self, progress: PlanningStatus) -> None:
-        """Show the best routes so far; for :meth:`uavaou.planners.plan.RoutePlanner.plan`."""
-        if not self.due and progress.share < 1.0:
-            return
-        figure = f"mean AoU {progress.incumbent_s / self._tau_s:,.2f} slots"
-        bound_s = self.bound_s if progress.bound_s is None else progress.bound_s
-        if bound_s is not None:
-            gap = 1 - bound_s / progress.incumbent_s if progress.incumbent_s else 0.0
-            figure += f", bound {bound_s / self._tau_s:,.2f}, gap {gap:.1%}"
-        self.advance(progress.share, figure, "routes")
-
-
-class BoundDisplay(Display):
-    """Shows the best bound so far."""
-
-    def __init__(self, quiet: bool, slot_length_s: float) -> None:
-        super().__init__(quiet, 1.0, "", slot_length_s)
-
-    def show(self, bound: Bound, share: float) -> None:
-        """Show the bound after ``share`` of the work; for :class:`uavaou.planners.bound.BoundSearch`."""
-        if self.due:
-            self.advance(share, f"{figure(bound.mean_aou_s / self._tau_s)} slots ({bound.method})", "lower bound")
 
 
 class TuningDisplay(Display):

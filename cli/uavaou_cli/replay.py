@@ -55,7 +55,7 @@ def replay(
     knows: Knows = "everything",
     set_: Changes = None,
     quiet: Quiet = False,
-) -> None:  # fmt: skip
+) -> None:
     """Replay one mission as each policy flies it, side by side and in step.
 
     The page is one file that needs no server and no network. It shows the map, the AoU and every device, slot by slot.
@@ -139,8 +139,7 @@ def _fly(
         raise InputError(f"--time-limit {limit_s:g}: needs a planner that plans ahead: {', '.join(PLAN_AHEAD)}")
     if not names:
         return {}
-    limits = {name: limit_s if name in PLAN_AHEAD else None for name in names}
-    policies = {name: make_policy(name, scenario, limits[name], knows) for name in names}
+    policies = {name: make_policy(name, scenario, limit_s, knows) for name in names}
     with RecordingDisplay(quiet, list(policies), scenario.slots) as display:
         comparison = compare(policies, scenario, 1, seed, display)
     show([*evaluation_lines(comparison, overrides.scenario), ""])

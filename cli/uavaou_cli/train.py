@@ -128,10 +128,15 @@ def train(
         from uavaou.runs.train import train as run_training
 
         outcome = run_training(
-            plan, folder, start=from_, device=device, backend=backend, resume=resume,
+            plan,
+            folder,
+            start=from_,
+            device=device,
+            backend=backend,
+            resume=resume,
             checkpoint_every_s=checkpoint_every,
             display=None if quiet else TrainingDisplay(plan.scenario.slot_length_s),
-        )  # fmt: skip
+        )
     except KeyboardInterrupt as error:
         raise stopped(_resuming(again, folder), error) from None
     if outcome.stopped_by is not None:
@@ -171,9 +176,14 @@ def _refuse(option: str, others: Mapping[str, object], why: str) -> None:
 
 
 def _plan(
-    scenario: str | None, family: str | None, run: str | None, algorithm: str, seed: int, overrides: Overrides,
+    scenario: str | None,
+    family: str | None,
+    run: str | None,
+    algorithm: str,
+    seed: int,
+    overrides: Overrides,
     out: Path,
-) -> tuple[RunConfig, RunFolder]:  # fmt: skip
+) -> tuple[RunConfig, RunFolder]:
     """The training that the options describe, from the weights of ``run`` where there is one, and its folder."""
     from uavaou.algorithms.registry import published_as
     from uavaou.family import Family

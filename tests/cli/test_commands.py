@@ -14,7 +14,8 @@ import pytest
 
 from tests.cli.commands import TINY, TRAIN, Shell, contents, runs
 from uavaou import InputError, Scenario, evaluate
-from uavaou.evaluation.flights import FLIGHTS, Flights, read_table
+from uavaou.csv_tables import read_table
+from uavaou.evaluation.flights import FLIGHTS, Flights
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou_cli import plan, train
 from uavaou_cli.tables import WIDTH

@@ -12,7 +12,8 @@ import pytest
 
 from tests.cli.commands import TINY, Shell, contents, runs
 from uavaou import Scenario, evaluate
-from uavaou.evaluation.flights import FLIGHTS, Flights, read_table
+from uavaou.csv_tables import read_table
+from uavaou.evaluation.flights import FLIGHTS, Flights
 from uavaou.evaluation.recorded_mission import read_mission
 from uavaou.reports import mission_figures
 from uavaou.runs.names import scenario_folder

@@ -11,7 +11,7 @@ import pytest
 
 from uavaou.planners.plan import PlanningStatus
 from uavaou_cli import progress
-from uavaou_cli.progress import BoundDisplay, Display, EvaluationDisplay, PlanningDisplay, TrainingDisplay
+from uavaou_cli.progress import Display, EvaluationDisplay, TrainingDisplay
 
 
 @pytest.fixture(autouse=True)
@@ -110,16 +110,10 @@ def test_a_bar_fits_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: 
 
 
 def test_planning_shows_the_gap_to_the_bound(capsys: pytest.CaptureFixture[str]) -> None:
-    with PlanningDisplay(False, slot_length_s=2.0) as display:
+    with Display(False, 1.0, "", slot_length_s=2.0) as display:
         display.bound_s = 18.0
-        display.show(SimpleNamespace(share=1.0, incumbent_s=20.0, bound_s=None))  # type: ignore[arg-type]
+        display.plan(SimpleNamespace(share=1.0, incumbent_s=20.0, bound_s=None))  # type: ignore[arg-type]
     assert "mean AoU 10.00 slots, bound 9.00, gap 10.0%" in capsys.readouterr().err
-
-
-def test_wide_numbers_have_no_exponent(capsys: pytest.CaptureFixture[str]) -> None:
-    with BoundDisplay(False, slot_length_s=2.0) as display:
-        display.show(SimpleNamespace(mean_aou_s=2 * 17_188.4, method="dual"), 1.0)  # type: ignore[arg-type]
-    assert "17,188 slots (dual)" in capsys.readouterr().err
 
 
 def test_the_time_left_of_missions_leaves_out_the_planning_and_other_policies(

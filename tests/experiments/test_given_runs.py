@@ -64,9 +64,9 @@ def by_devices() -> Suite:
 def test_every_run_flies_each_point_that_it_fits(by_devices: Suite) -> None:
     found = flown(by_devices, configs({}, {"seed": 1}, {"algorithm": "vdn", "devices": 3}))
     assert found == {
-        ("3", "mappo"): [],
-        ("4", "mappo"): [("run-0", "trained"), ("run-1", "trained")],
-        ("4 fast", "mappo"): [("run-0", "zero-shot"), ("run-1", "zero-shot")],
+        ("3", "mappo-paper"): [],
+        ("4", "mappo-paper"): [("run-0", "trained"), ("run-1", "trained")],
+        ("4 fast", "mappo-paper"): [("run-0", "zero-shot"), ("run-1", "zero-shot")],
         ("3", "vdn"): [("run-2", "trained")],
         ("4", "vdn"): [],
         ("4 fast", "vdn"): [],
@@ -75,20 +75,20 @@ def test_every_run_flies_each_point_that_it_fits(by_devices: Suite) -> None:
 
 def test_zero_shot_runs_are_named_by_their_training_where_several_fly_a_point(by_devices: Suite) -> None:
     assert flown(by_devices, configs({}, {"speed_m_s": 20}, {"devices": 3})) == {
-        ("3", "mappo"): [("run-2", "trained")],
-        ("4", "mappo"): [("run-0", "trained")],
-        ("4", "mappo+on=tiny+speed_m_s=20.0"): [("run-1", "zero-shot")],
-        ("4 fast", "mappo+on=tiny"): [("run-0", "zero-shot")],
-        ("4 fast", "mappo"): [("run-1", "trained")],
+        ("3", "mappo-paper"): [("run-2", "trained")],
+        ("4", "mappo-paper"): [("run-0", "trained")],
+        ("4", "mappo-paper+on=tiny+speed_m_s=20.0"): [("run-1", "zero-shot")],
+        ("4 fast", "mappo-paper+on=tiny"): [("run-0", "zero-shot")],
+        ("4 fast", "mappo-paper"): [("run-1", "trained")],
     }
     found = flown(by_devices, configs({"gamma": 0.9}, {"gamma": 0.9, "layout": "resample"}, {}))
-    assert found["4", "mappo+gamma=0.9,on=tiny+layout=resample"] == [("run-1", "zero-shot")]
-    assert found["4 fast", "mappo+gamma=0.995"] == [("run-2", "zero-shot")]
+    assert found["4", "mappo-paper+gamma=0.9,on=tiny+layout=resample"] == [("run-1", "zero-shot")]
+    assert found["4 fast", "mappo-paper"] == [("run-2", "zero-shot")]
 
 
 def test_scenarios_are_compared_without_their_names(by_devices: Suite) -> None:
     found = flown(by_devices, configs({"name": "mine", "description": "!"}))
-    assert found["4", "mappo"] == [("run-0", "trained")]
+    assert found["4", "mappo-paper"] == [("run-0", "trained")]
 
 
 def test_an_unfinished_training_counts_with_its_trained_slots(by_devices: Suite, tmp_path: Path) -> None:
@@ -124,21 +124,21 @@ def test_settings_budgets_and_starts_make_another_policy(by_devices: Suite) -> N
     def policies(*stated: dict[str, Any]) -> set[str]:
         return {run.policy for run in planned(by_devices, configs(*stated)).runs}
 
-    assert policies({"gamma": 0.9}, {"gamma": 0.99}) == {"mappo+gamma=0.9", "mappo+gamma=0.99"}
-    assert policies({"slots": 1000}, {"slots": 3000}) == {"mappo+slots=1000", "mappo+slots=3000"}
-    assert policies({}, {"seed": 1}) == {"mappo"}
+    assert policies({"gamma": 0.9}, {"gamma": 0.99}) == {"mappo-paper+gamma=0.9", "mappo-paper+gamma=0.99"}
+    assert policies({"slots": 1000}, {"slots": 3000}) == {"mappo-paper+slots=1000", "mappo-paper+slots=3000"}
+    assert policies({}, {"seed": 1}) == {"mappo-paper"}
     given = configs({}, {})
     given["run-1"] = replace(given["run-1"], start="0123456789ab" + "c" * 52)
-    assert [run.policy for run in planned(by_devices, given).runs] == ["mappo", "mappo+from=0123456789ab"]
+    assert [run.policy for run in planned(by_devices, given).runs] == ["mappo-paper", "mappo-paper-from-012345"]
 
 
 def test_a_point_with_an_observation_is_flown_by_runs_that_have_it() -> None:
     points = [{"label": name, "x": x, "observation": name} for x, name in enumerate(("location", "local", "shared"))]
     suite = Suite.from_dict(GOOD | {"points": points}, "own", "own.yaml")
     assert flown(suite, configs({"observation": "shared", "layout_seed": 5}, {})) == {
-        ("location", "mappo"): [],
-        ("local", "mappo"): [("run-1", "trained")],
-        ("shared", "mappo"): [("run-0", "zero-shot")],
+        ("location", "mappo-paper"): [],
+        ("local", "mappo-paper"): [("run-1", "trained")],
+        ("shared", "mappo-paper"): [("run-0", "zero-shot")],
     }
 
 
@@ -163,7 +163,7 @@ def test_runs_of_families_are_never_trained_for_a_point(by_devices: Suite) -> No
     family = Family.from_dict({"base": Scenario.load("tiny").to_dict(), "name": "mine"})
     given["drawn"] = replace(given["run-0"], family=family)
     found = flown(by_devices, given)
-    assert found["4", "mappo"] == [("run-0", "trained")]
+    assert found["4", "mappo-paper"] == [("run-0", "trained")]
     (policy,) = {policy for _, policy in found if "family" in policy}
-    assert policy.startswith("mappo+on=family-mine~")
+    assert policy.startswith("mappo-paper+on=family-mine~")
     assert found["4", policy] == [("drawn", "zero-shot")]

@@ -154,9 +154,9 @@ def test_one_command_at_a_time_runs_a_study(copied: tuple[Study, Path], capsys: 
         ("flights", lambda text: text.replace("policy", "pollicy"), "column 'policy' is missing"),
         ("curves", lambda text: text.replace(",tiny,0,", ",tiny,x,", 1), "column 'seed': 'x' is not a whole number"),
         ("flights", lambda text: text.replace("10000", "nan", 1), "'nan' is not a whole number"),
-        ("flights", lambda text: text.splitlines()[0] + "\n" + "1," * 60 + "\n", "not a table"),
-        ("flights", lambda text: text.splitlines()[0] + "\n1,2\n", "line 2, column 'scenario': is empty"),
-        ("flights", lambda text: "", "not a table"),
+        ("flights", lambda text: text.splitlines()[0] + "\n" + "1," * 60 + "\n", "line 2: 60 values, expected"),
+        ("flights", lambda text: text.splitlines()[0] + "\n1,2\n", "line 2: 2 values, expected"),
+        ("flights", lambda text: "", "column 'policy' is missing"),
         ("flights", None, "cannot be read: it is damaged"),
     ],
 )

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from uavaou.csv_tables import read_csv
 from uavaou.planners import PLANNERS, planner_knowledge
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,8 +35,8 @@ def test_the_page_says_of_every_planner_what_it_knows() -> None:
 
 def test_what_they_reach_is_what_the_table_says() -> None:
     """Each figure of the page, with as many digits as it has, is the one in ``gap.csv``."""
-    table = read_csv(ROOT / "results" / "planners" / "gap.csv")
-    names, means = zip(table.text("scenario"), table.text("policy"), strict=True), table.floats("mean_aou_slots")
+    table = pd.read_csv(ROOT / "results" / "planners" / "gap.csv")
+    names, means = zip(table["scenario"], table["policy"], strict=True), table["mean_aou_slots"]
     found = dict(zip(names, means.tolist(), strict=True))
     head, *rows = re.findall(r"^\| (?:scenario \| bound|`(?:tiny|quickstart|paper)).*", PAGE, re.M)[:9]
     policies = re.findall(r"bound|(?<=`)[a-z-]+(?=`)", head)[:-1]  # the last column is a ratio
@@ -54,8 +54,8 @@ def test_what_they_reach_is_what_the_table_says() -> None:
 
 
 def test_the_rules_of_local_information_reach_what_the_page_says() -> None:
-    table = read_csv(ROOT / "results" / "planners" / "layouts.csv")
-    policies, means = np.array(table.text("policy")), table.floats("mean_aou_slots")
+    table = pd.read_csv(ROOT / "results" / "planners" / "layouts.csv")
+    policies, means = table["policy"].to_numpy(), table["mean_aou_slots"].to_numpy()
     levels = {name: float(np.exp(np.log(means[policies == name]).mean())) for name in set(policies)}
     for name, level in levels.items():
         assert (policies == name).sum() == 10

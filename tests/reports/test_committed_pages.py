@@ -11,7 +11,8 @@ import pytest
 
 from uavaou import load_run
 from uavaou.evaluation.recorded_mission import read_mission, record_mission
-from uavaou.reports.study_report import END, begin_marker, write_report
+from uavaou.reports.markdown import END
+from uavaou.reports.study_report import begin_marker, write_report
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
 STUDIES = sorted(path.parent for path in RESULTS.glob("studies/*/study.yaml"))
@@ -32,7 +33,7 @@ def test_the_committed_page_comes_out_of_the_committed_tables(tmp_path: Path, fo
 
 def test_the_committed_claims_are_those_of_the_study_they_name(tmp_path: Path) -> None:
     page = (RESULTS / "README.md").read_text(encoding="utf-8")
-    found = re.search(re.escape(begin_marker("paper")) + ".*" + re.escape(END), page, re.DOTALL)
+    found = re.search(re.escape(begin_marker("paper")) + ".*?" + re.escape(END), page, re.DOTALL)
     assert found is not None
     copy = tmp_path / "paper"
     shutil.copytree(RESULTS / "studies" / "paper", copy, ignore=shutil.ignore_patterns("figures", "best", "configs"))

@@ -11,9 +11,10 @@ from tests.synthetic_study import DEFAULT, write_study
 from uavaou.errors import InputError
 from uavaou.experiments.results import read_study
 from uavaou.reports.claims import Claim, judge
-from uavaou.reports.study_report import END, begin_marker, claims_markdown, write_claims
+from uavaou.reports.markdown import END
+from uavaou.reports.study_report import begin_marker, claims_markdown, write_claims
 
-ANY = "<!-- claims:begin -->"  # of no study by name
+ANY = "<!-- numbers:claims -->"  # of no study by name
 BEGIN = begin_marker("paper")
 
 
@@ -70,10 +71,16 @@ def test_another_studys_verdicts_are_left_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        BEGIN, ANY, END, f"{END} {BEGIN}", f"{BEGIN} {BEGIN} {END}", f"{ANY} {BEGIN} {END}", f"{BEGIN} {END} {END}",
-        f"<!-- claims:begin of mine --> {END}",
+        BEGIN,
+        ANY,
+        f"{END} {BEGIN}",
+        f"{BEGIN}\n{BEGIN}\n{END}",
+        f"{ANY}\n{BEGIN}\n{END}",
+        f"{BEGIN}\n{END}\n{BEGIN}\n{END}",
+        f"{BEGIN}\n<!-- numbers:mine -->\n{END}",
+        f"<!-- numbers:claims of mine -->\n{END}",
     ],
-)  # fmt: skip
+)
 def test_markers_without_a_pair_lose_nothing(tmp_path: Path, text: str) -> None:
     readme = tmp_path / "README.md"
     readme.write_text(text, encoding="utf-8")

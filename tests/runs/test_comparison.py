@@ -9,7 +9,8 @@ import pytest
 
 from uavaou import Family, InputError, RunConfig, Scenario, World
 from uavaou.algorithms.registry import load_config
-from uavaou.evaluation.flights import FLIGHTS, read_table
+from uavaou.csv_tables import read_table
+from uavaou.evaluation.flights import FLIGHTS
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.runs.comparison import common_scenario, compare, read_runs
 from uavaou.runs.folder import RunFolder

@@ -156,9 +156,11 @@ class ViolationCounter:
         """The devices of the world are those that the scenario states or that its seeds give."""
         channel = world.channel
         claimed = {
-            "positions": world.device_positions, "bandwidth": channel.bandwidth,
-            "transmit_power": channel.transmit_power, "update_period": world.update_period,
-        }  # fmt: skip
+            "positions": world.device_positions,
+            "bandwidth": channel.bandwidth,
+            "transmit_power": channel.transmit_power,
+            "update_period": world.update_period,
+        }
         for name, values in claimed.items():
             own = self._layout[name]
             differs = ~np.isclose(values, own, rtol=_RELATIVE_SLACK, atol=0.0)  # (L, I) or (L, I, 2)

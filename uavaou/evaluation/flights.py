@@ -7,9 +7,7 @@ AoU is in units of the slot length tau (``_slots``). docs/studies.md says what e
 
 from __future__ import annotations
 
-import io
-import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,13 +16,10 @@ import numpy as np
 import pandas as pd
 
 from uavaou.arrays import Floats
-from uavaou.csv_tables import number
-from uavaou.errors import InputError
-from uavaou.files import read_text, replacing, writing
+from uavaou.csv_tables import NUMBER, TEXT, WHOLE, read_table, write_table
 
 BOUND = "bound"  # the policy's name in the one row of a certified bound
 
-TEXT, WHOLE, NUMBER = "string", "Int64", "float64"  # types of columns
 KEY = {"job": TEXT, "policy": TEXT, "scenario": TEXT, "seed": WHOLE}  # planners and bounds have no seed
 FLIGHTS = KEY | {
     "algorithm": TEXT,  # of a trained policy; of a bound its method
@@ -65,12 +60,9 @@ CURVES = KEY | {
     "communications": NUMBER,
     "devices_served": NUMBER,
 }
-TRAINING, VALIDATION, SAMPLED, SLOTS, DEVICES, PERIODS = (
-    "training", "validation", "validation, sampled", "slots", "devices", "periods",
-)  # fmt: skip
+TRAINING, VALIDATION, SAMPLED = "training", "validation", "validation, sampled"
+SLOTS, DEVICES, PERIODS = "slots", "devices", "periods"
 _FLOWN, _DRAWN = ("policy", "scenario", "mean_aou_slots"), ("policy", "scenario", "curve", "x")  # filled in each row
-_MOST_BYTES = 500_000_000  # of a table that is unpacked
-_LARGEST = 2**53  # whole numbers up to here are exact as floats
 
 
 class PartKey(NamedTuple):
@@ -131,28 +123,31 @@ class Flights:
 
     def where(self, **wanted: Any) -> Flights:
         """The rows with these values of columns that both tables have."""
-        return Flights(_where(self.flights, wanted), _where(self.curves, wanted))
 
-    def without(self, jobs: Iterable[str]) -> Flights:
-        """The rows of other jobs."""
-        gone = set(jobs)
-        return Flights(*(frame[~frame["job"].isin(gone)] for frame in (self.flights, self.curves)))
+        def chosen(frame: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
+            for name, value in wanted.items():
+                if name in columns:
+                    frame = frame[frame[name].isna() if value is None else (frame[name] == value).fillna(False)]
+            return frame
 
-    def only(self, jobs: Iterable[str]) -> Flights:
-        """The rows of these jobs."""
-        kept = set(jobs)
-        return Flights(*(frame[frame["job"].isin(kept)] for frame in (self.flights, self.curves)))
+        return self.each(chosen)
+
+    def of_jobs(self, jobs: Iterable[str], kept: bool = True) -> Flights:
+        """The rows of these jobs; without ``kept`` those of all others."""
+        return self.each(lambda frame, _: frame[frame["job"].isin(list(jobs)) == kept])
 
     def with_values(self, **values: Any) -> Flights:
         """The same rows with other values."""
-        return Flights(
-            *(
-                frame.assign(
-                    **{name: _column(value, columns[name]) for name, value in values.items() if name in columns}
-                )
-                for frame, columns in ((self.flights, FLIGHTS), (self.curves, CURVES))
-            )
-        )
+
+        def changed(frame: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
+            here = {name: _column(value, columns[name]) for name, value in values.items() if name in columns}
+            return frame.assign(**here)
+
+        return self.each(changed)
+
+    def each(self, change: Callable[[pd.DataFrame, Mapping[str, str]], pd.DataFrame]) -> Flights:
+        """Both tables after a change, which is also given the types of their columns."""
+        return Flights(change(self.flights, FLIGHTS), change(self.curves, CURVES))
 
 
 def _column(value: Any, kind: str) -> Any:
@@ -171,75 +166,9 @@ def _joined(frames: Sequence[pd.DataFrame], columns: Mapping[str, str]) -> pd.Da
     return pd.concat(some, ignore_index=True) if some else _frame({"x": []}, columns)
 
 
-def _where(frame: pd.DataFrame, wanted: Mapping[str, Any]) -> pd.DataFrame:
-    for name, value in wanted.items():
-        if name in frame.columns:
-            frame = frame[frame[name].isna()] if value is None else frame[(frame[name] == value).fillna(False)]
-    return frame
-
-
-def write_table(path: Path, frame: pd.DataFrame) -> None:
-    """Write a table as CSV, packed where the name ends in ``.gz``, whole or not at all; the same rows, the same bytes.
-
-    Columns without any value are left out, but for those that every row needs.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    frame = frame.loc[:, frame.notna().any() | frame.columns.isin([*_FLOWN, *_DRAWN])]
-    packed: Any = {"method": "gzip", "compresslevel": 9, "mtime": 0} if path.suffix == ".gz" else None
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path, "wb") as file:
-            frame.to_csv(file, index=False, float_format=number, lineterminator="\n", compression=packed)
-
-
 def _read(path: Path, columns: Mapping[str, str], needed: Sequence[str]) -> pd.DataFrame:
     there = path.exists() or path.is_symlink()
     return read_table(path, columns, needed) if there else _frame({"x": []}, columns)
-
-
-def read_table(path: Path, columns: Mapping[str, str], needed: Sequence[str] = ()) -> pd.DataFrame:
-    """Read a table with a header: these columns as their types, and empty ones in the place of those that it lacks.
-
-    Raises:
-        InputError: it cannot be read, lacks a ``needed`` column, or a cell is not of its column's type.
-    """
-    content = read_text(path, _MOST_BYTES)
-    try:
-        whole = io.StringIO(content[: content.rfind("\n") + 1])  # an interrupted writer leaves a part of a line
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # of a row that is too long
-            text = pd.read_csv(whole, dtype="string", keep_default_na=False, na_values=[""], index_col=False)
-    except (ValueError, pd.errors.ParserWarning) as error:
-        told = str(error).strip().splitlines()[-1]
-        raise InputError(f"{path}: not a table: {told}") from error
-    for name in needed:
-        if name not in text.columns:
-            raise InputError(f"{path}: column '{name}' is missing (header: {', '.join(text.columns)[:200]})")
-    found = {name: _cells(path, text, name, kind, name in needed) for name, kind in columns.items()}
-    return pd.DataFrame(found, index=text.index)
-
-
-def _cells(path: Path, text: pd.DataFrame, name: str, kind: str, filled: bool) -> Any:
-    """A column as its type; an error for the first cell that is not of it."""
-    if name not in text.columns:
-        return pd.Series(_column(None, kind), index=text.index, dtype=kind)
-    cells = text[name]
-    values = cells if kind == TEXT else pd.to_numeric(cells, errors="coerce").astype(NUMBER)
-    wrong = cells.isna() & filled
-    if kind != TEXT:
-        wrong |= cells.notna() & ~np.isfinite(values)
-    if kind == WHOLE:
-        wrong |= cells.notna() & ((values % 1 != 0) | (values.abs() > _LARGEST))
-    if wrong.any():
-        row = int(np.flatnonzero(wrong)[0])
-        told = "is empty" if pd.isna(cells.iloc[row]) else f"'{str(cells.iloc[row])[:60]}' is not {_EXPECTED[kind]}"
-        raise InputError(f"{path}: line {row + 2}, column '{name}': {told}")
-    return values.astype(kind)
-
-
-_EXPECTED = {WHOLE: "a whole number", NUMBER: "a finite number"}
 
 
 def column(frame: pd.DataFrame, name: str) -> Floats:

@@ -160,10 +160,14 @@ def read_mission(path: Path) -> RecordedMission:
     scenario, layout = Scenario.from_dict(content.scenario, source=f"{path}: scenario"), content.layout
     slots, uavs, devices = scenario.slots, scenario.uavs, scenario.devices
     shapes: dict[str, tuple[int, ...]] = {
-        "positions_m": (slots, uavs, 2), "collected_by": (slots, devices), "age_sum_slots": (slots, devices),
-        "devices_m": (devices, 2), "bandwidth_hz": (devices,), "transmit_power_w": (devices,),
+        "positions_m": (slots, uavs, 2),
+        "collected_by": (slots, devices),
+        "age_sum_slots": (slots, devices),
+        "devices_m": (devices, 2),
+        "bandwidth_hz": (devices,),
+        "transmit_power_w": (devices,),
         "update_period_slots": (devices,),
-    }  # fmt: skip
+    }
     arrays = vars(content) | vars(layout)
     for field, shape in shapes.items():
         if arrays[field].shape != shape:

@@ -17,6 +17,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -34,14 +35,11 @@ class StoppedEarlyError(Exception):
 
 
 class Job(Protocol):
-    """What one process does."""
+    """What one process does: a dataclass."""
 
     @property
     def folder(self) -> Path | None:
         """The folder that it writes and resumes from; None where it has none."""
-
-    def at(self, folder: Path) -> Job:
-        """The same job in another folder."""
 
     def run(self, tell: Callable[[Any], object]) -> Any:
         """Do the job in this process; ``tell`` takes reports of how far it is.
@@ -160,19 +158,18 @@ def _context() -> Any:
     return context
 
 
+@dataclass(frozen=True)
 class Ended:
-    """How a job has ended: what it returned, why it failed, or neither where it was asked to stop."""
+    """How a job has ended: what it returned, why it failed, or that it was asked to stop."""
 
-    def __init__(self, value: Any = None, problem: str | None = None, stopped: bool = False) -> None:
-        self._value, self._problem, self._stopped = value, problem, stopped
+    value: Any = None
+    failure: Exception | None = None
 
     def result(self) -> Any:
         """What the job returned; raises what it raised."""
-        if self._stopped:
-            raise StoppedEarlyError
-        if self._problem is not None:
-            raise InputError(self._problem)
-        return self._value
+        if self.failure is not None:
+            raise self.failure
+        return self.value
 
 
 def _listen(process: Any, pipe: Connection, tell: Tell, stopping: Callable[[], bool]) -> Ended:
@@ -195,12 +192,12 @@ def _listen(process: Any, pipe: Connection, tell: Tell, stopping: Callable[[], b
 
 def _died(code: int | None, asked: bool) -> Ended:
     if asked:
-        return Ended(stopped=True)
+        return Ended(failure=StoppedEarlyError())
+    told = f"its process ended with code {code}"
     if code is not None and code < 0:
         name = signal.Signals(-code).name
-        hint = " (out of memory?)" if name == "SIGKILL" else ""
-        return Ended(problem=f"its process was ended by {name}{hint}")
-    return Ended(problem=f"its process ended with code {code}")
+        told = f"its process was ended by {name}{' (out of memory?)' if name == 'SIGKILL' else ''}"
+    return Ended(failure=InputError(told))
 
 
 # -- in the process of a job ---------------------------------------------------------------------------
@@ -218,7 +215,7 @@ def _work(job: bytes, pipe: Connection, plugins: Sequence[str]) -> None:
     try:
         send(outcome(job, plugins, send))
     except KeyboardInterrupt:
-        send(Ended(stopped=True))
+        send(Ended(failure=StoppedEarlyError()))
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # nothing is left to stop
         pipe.close()
@@ -249,15 +246,15 @@ def outcome(job: bytes, plugins: Sequence[str], tell: Callable[[Any], object], f
 
             for place in plugins:
                 load_plugin(place)
-        unpickled: Job = pickle.loads(job)
-        return Ended((unpickled if folder is None else unpickled.at(folder)).run(tell))
-    except StoppedEarlyError:
-        return Ended(stopped=True)
+        unpickled: Any = pickle.loads(job)
+        return Ended((unpickled if folder is None else replace(unpickled, folder=folder)).run(tell))
+    except StoppedEarlyError as stopped:
+        return Ended(failure=stopped)
     except InputError as problem:
-        return Ended(problem=str(problem))
+        return Ended(failure=InputError(str(problem)))
     except Exception as error:  # a bug keeps its traceback, and stops no other job
         if isinstance(error, SystemError) and was_interrupt(error):
-            return Ended(stopped=True)
+            return Ended(failure=StoppedEarlyError())
         traceback.print_exc(file=sys.stderr)
         line = f"{type(error).__name__}: {error}".split("\n")[0]
-        return Ended(problem=f"an error of the program, whose traceback was printed: {line[:300]}")
+        return Ended(failure=InputError(f"an error of the program, whose traceback was printed: {line[:300]}"))

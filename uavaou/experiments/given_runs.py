@@ -5,22 +5,20 @@ A run flies every point that it fits.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError
 from uavaou.experiments.suite import ResolvedPoint, Suite
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.runs.names import family_folder, name_with, scenario_folder, train_command
+from uavaou.runs.names import map_folder, policy_name, train_command
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
 
 # Settings that do not make another policy.
-_NOT_NAMED = ("missions", "processes", "evaluate_every_slots", "evaluation_missions")
+NOT_NAMED = ("missions", "processes", "evaluate_every_slots", "evaluation_missions")
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,7 @@ class SuiteRun:
 
     name: str  # as it was given
     config: RunConfig
-    policy: str  # the algorithm, with the settings in which runs of it differ
+    policy: str  # named as the folders of such runs
     trained_on: str  # the scenario or the family, named as its folder of results
     slots: int  # of its training: the budget, or those of an unfinished one's last checkpoint
     flies: frozenset[str]  # labels of the points
@@ -50,29 +48,14 @@ def name_runs(configs: Mapping[str, RunConfig], suite: Suite, points: Iterable[R
         suite: which the runs are to fly.
         points: of the suite.
     """
-    apart = {*_NOT_NAMED, *(["observation"] if any(point.observation for point in suite.points) else [])}
-    settings = {
-        name: config.algorithm.model_dump(mode="json", exclude=apart)
-        | {"slots": config.slots}
-        | ({"from": config.start[:12]} if config.start else {})
-        for name, config in configs.items()
-        if not RunFolder.at(name).is_released
-    }
+    alike = {*NOT_NAMED, *(["observation"] if any(point.observation for point in suite.points) else [])}
     feasible, runs = [point for point in points if point.scenario], []
     for name, config in configs.items():
-        policy = _policy_name(settings[name], settings.values()) if name in settings else name
-        trained_on = family_folder(config.family) if config.family else scenario_folder(config.scenario)
+        folder = RunFolder.at(name)
+        policy = name if folder.is_released else policy_name(config, alike)
         flies = frozenset(point.label for point in feasible if _fits(config, point))
-        runs.append(SuiteRun(name, config, policy, trained_on, _trained_slots(RunFolder.at(name), config), flies))
+        runs.append(SuiteRun(name, config, policy, map_folder(config), _trained_slots(folder, config), flies))
     return runs
-
-
-def _policy_name(own: Mapping[str, Any], every: Iterable[Mapping[str, Any]]) -> str:
-    """The name of the policy with these settings, given those of all runs."""
-    alike = [other for other in every if other["name"] == own["name"]]
-    differing = {key: value for key, value in own.items() if any(other.get(key) != value for other in alike)}
-    changes = {key: value if isinstance(value, str) else json.dumps(value) for key, value in differing.items()}
-    return name_with(own["name"], changes)
 
 
 def _fits(config: RunConfig, point: ResolvedPoint) -> bool:

@@ -11,7 +11,7 @@ import json
 import os
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,10 +63,6 @@ class Training:
     def digests(self) -> dict[str, str]:
         """The digest of the rows of the training."""
         return {self.config.algorithm.name: digest_of(train=self.config.to_yaml(), episodes=self.episodes)}
-
-    def at(self, folder: Path) -> Training:
-        """The same training in another folder."""
-        return replace(self, folder=folder)
 
     def run(self, tell: Callable[[Any], object]) -> Flights:
         """Train and evaluate; see :class:`~uavaou.experiments.executor.Job`."""
@@ -130,10 +126,6 @@ class Fly:
         same: dict[str, Any] = {"scenario": self.scenario.to_dict(), "episodes": self.episodes, "from": EVALUATION_SEED}
         return {name: digest_of(fly=name, seconds=limit, **same) for name, limit in limited.items()}
 
-    def at(self, folder: Path) -> Fly:
-        """The job itself, which has no folder."""
-        return self
-
     def run(self, tell: Callable[[Any], object]) -> Flights:
         """Plan and fly; see :class:`~uavaou.experiments.executor.Job`."""
         plan = None
@@ -164,10 +156,6 @@ class Bound:
     def digests(self) -> dict[str, str]:
         """The digest of the row of the bound."""
         return {BOUND: digest_of(bound=self.scenario.to_dict())}
-
-    def at(self, folder: Path) -> Bound:
-        """The job itself, which has no folder."""
-        return self
 
     def run(self, tell: Callable[[Any], object]) -> Flights:
         """Compute it; see :class:`~uavaou.experiments.executor.Job`."""

@@ -52,12 +52,15 @@ def _runs(study: StudyResults, variant: str, task: str) -> list[dict[str, Any]]:
     for curve, final in zip(study.curves(VALIDATION, variant, task), trainings.to_dict("records"), strict=False):
         run: dict[str, Any] = {
             f"step_{step}": {
-                "step_count": int(slots), "elapsed_time": wall_s, "return": [-mission_s * aou], "mean_aou_slots": [aou]
+                "step_count": int(slots),
+                "elapsed_time": wall_s,
+                "return": [-mission_s * aou],
+                "mean_aou_slots": [aou],
             }
             for step, (slots, wall_s, aou) in enumerate(
                 zip(*(curve[name].tolist() for name in ("x", "wall_s", "mean_aou_slots")), strict=True)
             )
-        }  # fmt: skip
+        }
         metrics = {name: [final[name]] for name in ("mean_aou_slots", "communications", "devices_served")}
         found.append(run | {FINAL: {"return": [-mission_s * final["mean_aou_slots"]], **metrics}})
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence, Set
 from concurrent.futures import Future, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -14,13 +14,15 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+import pandas as pd
+
 from uavaou.errors import InputError
-from uavaou.evaluation.flights import FLIGHTS, Flights, PartKey
+from uavaou.evaluation.flights import Flights, PartKey
 from uavaou.experiments.best import keep_best
 from uavaou.experiments.executor import Executor, StoppedEarlyError
-from uavaou.experiments.jobs import Training, TrainingReport
+from uavaou.experiments.jobs import Bound, Fly, Training, TrainingReport
 from uavaou.experiments.results import StudyFolder, StudyResults, read_begun
-from uavaou.experiments.study import Study, StudyJob
+from uavaou.experiments.study import Study
 from uavaou.files import read_json, write_json, write_text
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.interrupt import Interrupts
@@ -42,10 +44,9 @@ def gather(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey, str]]:
         InputError: the folder holds results of another study, or damaged ones.
     """
     folder, problems = StudyFolder.of(out, study.name), {}
-    jobs = study.jobs(out)
-    names = names_of(jobs)
+    names = study.names(out)
     table = read_begun(folder).table
-    for policy, scenario in table.flights.loc[~table.flights["job"].isin(names.keys()), ["policy", "scenario"]].values:
+    for policy, scenario in table.of_jobs(names, kept=False).flights[["policy", "scenario"]].values:
         raise InputError(
             f"'{folder.path}' holds results of {policy} on {scenario} with other settings than the study's: "
             "give the study's file another name, or another --out"
@@ -54,16 +55,15 @@ def gather(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey, str]]:
         missing = names.keys() - set(table.flights["job"])
         if missing and path.parent != folder.path:
             with suppress(InputError):  # a damaged one is its own problem
-                table = Flights.joined([table, Flights.read(path.parent).only(missing)])
+                table = Flights.joined([table, Flights.read(path.parent).of_jobs(missing)])
     missing = names.keys() - set(table.flights["job"])
-    for job in jobs if missing else ():
-        if isinstance(job.job, Training) and not missing.isdisjoint(job.digests):
+    for (key, *_), job in study.jobs(out) if missing else ():
+        if isinstance(job, Training) and not missing.isdisjoint(job.digests.values()):
             try:
-                found = job.job.found()
+                found = job.found()
+                table = table if found is None else Flights.joined([table, found])
             except InputError as problem:
-                problems[job.keys[0]] = str(problem)
-                continue
-            table = table if found is None else Flights.joined([table, found])
+                problems[key] = str(problem)
     return StudyResults(folder, study.resolved(), _named(table, study, names)), problems
 
 
@@ -75,35 +75,22 @@ def update_results(study: Study, out: Path) -> tuple[StudyResults, dict[PartKey,
     return results, problems
 
 
-def names_of(jobs: Iterable[StudyJob]) -> dict[str, list[PartKey]]:
-    """Digest of rows -> their names in the study: several where a point of one suite is also one of another."""
-    names: dict[str, list[PartKey]] = {}
-    for job in jobs:
-        for digest, key in job.digests.items():
-            names.setdefault(digest, []).append(key)
-    return names
-
-
-def _named(table: Flights, study: Study, names: Mapping[str, list[PartKey]]) -> Flights:
+def _named(table: Flights, study: Study, names: Mapping[str, Sequence[PartKey]]) -> Flights:
     """The rows in the order of the study's tables, with the names that the study has for them."""
     order = {key: place for place, key in enumerate(study.table_order())}
-    frames = []
-    for frame in (table.flights, table.curves):
-        frame = frame[frame["job"].isin(names.keys())]
+    point_columns = set(chain.from_iterable(study.points.values()))
+
+    def named(frame: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
         place = frame["scenario"].fillna("")
         frame = frame[place == place.groupby(frame["job"]).transform("first")]  # under one of its names
         keys = frame["job"].map(dict(names)).explode()
         frame, keys = frame.loc[keys.index].reset_index(drop=True), keys.reset_index(drop=True)
-        frame = frame.assign(
-            policy=keys.map(lambda key: key.policy).astype("string"),
-            scenario=keys.map(lambda key: key.scenario).astype("string"),
-        )
-        frames.append(frame.iloc[keys.map(order).argsort(kind="stable")].reset_index(drop=True))
-    flights, curves = frames
-    for column in dict.fromkeys(chain.from_iterable(study.points.values())):  # none where no scenario is a point
-        values = {place: point[column] for place, point in study.points.items()}
-        flights[column] = flights["scenario"].map(values).astype(FLIGHTS[column])
-    return Flights(flights, curves)
+        frame = frame.assign(policy=[key.policy for key in keys], scenario=[key.scenario for key in keys])
+        for column in point_columns & columns.keys():
+            frame[column] = [study.points.get(key.scenario, {}).get(column) for key in keys]
+        return frame.astype(columns).iloc[keys.map(order).argsort(kind="stable")].reset_index(drop=True)
+
+    return table.of_jobs(names).each(named)
 
 
 def _write(results: StudyResults, study: Study) -> None:
@@ -144,9 +131,13 @@ class StudyState:
 
 
 def run_study(
-    study: Study, out: Path, executor: Executor, show: Callable[[StudyState], None], quiet: bool = False,
+    study: Study,
+    out: Path,
+    executor: Executor,
+    show: Callable[[StudyState], None],
+    quiet: bool = False,
     checkpoint_every_s: float | None = None,
-) -> StudyState:  # fmt: skip
+) -> StudyState:
     """Do what is left of a study; returns how far it is then.
 
     Args:
@@ -166,14 +157,14 @@ def run_study(
         work = _Work(study, out, checkpoint_every_s)
         with Interrupts(quiet) as interrupts, executor:
             show(work.state)
-            futures = {executor.submit(job.job, partial(work.report, job)): job for job in work.left}
+            futures = {executor.submit(job, partial(work.report, keys[0])): (keys, job) for keys, job in work.left}
             while futures:
                 ended, _ = wait(futures, _LOOK_EVERY_S, return_when="FIRST_COMPLETED")
                 for future in ended:
-                    work.end(futures.pop(future), future)
+                    work.end(*futures.pop(future), future)
                 if interrupts.received is not None and not executor.stopping:
                     executor.stop()
-                work.look(futures)
+                work.look({key for future, (keys, _) in futures.items() if future.running() for key in keys})
                 show(work.state)
             work.write()
         work.state.stopped_by = interrupts.received
@@ -186,61 +177,66 @@ class _Work:
     def __init__(self, study: Study, out: Path, checkpoint_every_s: float | None) -> None:
         self._study, self._out, self._reporting, self._write_from = study, out, Lock(), 0.0
         self._results, _ = update_results(study, out)  # a damaged run is tried again, and fails with its reason then
-        jobs = study.jobs(out, checkpoint_every_s)
-        self._names = names_of(jobs)
         there = set(self._results.table.flights["job"])
-        unmet = {tuple(job.digests): job for job in reversed(jobs) if not set(job.digests) <= there}
-        self.left = list(reversed(unmet.values()))  # one job where the study has two names for the same
-        trainings = {job.keys[0]: job.job for job in self.left if isinstance(job.job, Training)}
-        self._trained = {key: RunFolder(one.folder).trained_so_far()[0] for key, one in trainings.items()}
-        self._budgets = {key: one.config.slots for key, one in trainings.items()}
+        self._names = study.names(out)
+        unmet = {
+            tuple(job.digests.values()): (keys, job)
+            for keys, job in reversed(study.jobs(out, checkpoint_every_s))
+            if not there.issuperset(job.digests.values())
+        }
+        self.left = [*reversed(unmet.values())]  # one job where the study has two names for the same
+        self._trained: dict[PartKey, int] = {}  # slots of each training
+        self._left: dict[PartKey, int] = {}  # slots of each training
+        for keys, job in self.left:
+            if isinstance(job, Training):
+                slots, _ = RunFolder(job.folder).trained_so_far()
+                self._trained[keys[0]], self._left[keys[0]] = slots, max(job.config.slots - slots, 0)
         found = sum(len(keys) for digest, keys in self._names.items() if digest in there)
-        self.state = StudyState(
-            sum(map(len, self._names.values())), found, found, left=sum(map(self._slots_left, self._budgets))
-        )
+        total, left = sum(map(len, self._names.values())), sum(self._left.values())
+        self.state = StudyState(total, found, found, left=left)
         self._note()
 
-    def _slots_left(self, key: PartKey) -> int:
-        return max(self._budgets[key] - self._trained[key], 0)
-
-    def report(self, job: StudyJob, report: TrainingReport) -> None:
+    def report(self, key: PartKey, report: TrainingReport) -> None:
         """A training has made an update; called in a thread of its own."""
-        key = job.keys[0]
         with self._reporting:
             if key in self.state.running:  # else the display would meet a dictionary that grows
                 self.state.running[key] = report
             step = max(report.slots - self._trained[key], 0)
             self._trained[key] += step
             self.state.slots += step
-            self.state.left = max(self.state.left - step, 0)
+            self._take_off(key, step)
 
-    def look(self, futures: Mapping[Future[Any], StudyJob]) -> None:
-        """Note which jobs are being done."""
-        running = {key for future, job in futures.items() if future.running() for key in job.keys}
+    def _take_off(self, key: PartKey, slots: int) -> None:
+        """So many slots of a training are no longer left."""
+        slots = min(slots, self._left[key])
+        self._left[key] -= slots
+        self.state.left -= slots
+
+    def look(self, running: Set[PartKey]) -> None:
+        """Note what is being done."""
         if running != self.state.running.keys():
             self.state.running = {key: self.state.running.get(key) for key in running}
             self._note()
         self.state.tick()
 
-    def end(self, job: StudyJob, future: Future[Any]) -> None:
+    def end(self, keys: tuple[PartKey, ...], job: Training | Fly | Bound, future: Future[Flights]) -> None:
         """A job has ended: keep its rows, at once where writing the tables takes a small share of the time."""
-        for key in job.keys:
+        for key in keys:
             self.state.running.pop(key, None)
         try:
-            rows: Flights = future.result()
-            kept = Flights.joined([self._results.table.without(job.digests), rows])
-            self._results.table = _named(kept, self._study, self._names)
-            if isinstance(job.job, Training) or time.monotonic() > self._write_from:
+            kept = self._results.table.of_jobs(job.digests.values(), kept=False)
+            self._results.table = _named(Flights.joined([kept, future.result()]), self._study, self._names)
+            if isinstance(job, Training) or time.monotonic() > self._write_from:
                 self.write()
-            if isinstance(job.job, Training):
+            if isinstance(job, Training):
                 keep_best(self._results, self._study, self._out)
         except StoppedEarlyError:
             return
         except InputError as problem:
-            self._fail(job, str(problem))
+            self._fail(keys, str(problem))
             return
-        self.state.done += sum(len(self._names[digest]) for digest in job.digests)
-        for key in job.keys:
+        self.state.done += sum(len(self._names[digest]) for digest in job.digests.values())
+        for key in keys:
             mean, low, high = self._results.mean(key)
             interval = "" if low != low else f" ({low:.6g} to {high:.6g})"
             self.state.news.append(f"{key}: mean AoU {mean:.6g} slots{interval}")
@@ -251,20 +247,19 @@ class _Work:
         _write(self._results, self._study)
         self._write_from = time.monotonic() + 10 * (time.monotonic() - began)
 
-    def _fail(self, job: StudyJob, reason: str) -> None:
-        for key in job.keys:
+    def _fail(self, keys: tuple[PartKey, ...], reason: str) -> None:
+        for key in keys:
             self.state.failed[key] = reason
-            self.state.left -= self._slots_left(key) if key in self._budgets else 0
             self.state.news.append(f"{key} failed: {reason}")
+            if key in self._left:
+                self._take_off(key, self._left[key])
         self._note()
 
     def _note(self) -> None:
         """Note what is in progress and what has failed for ``uavaou study status``; failing to is no error."""
-        failed = [[*key, reason] for key, reason in self.state.failed.items()]
+        state = {"running": list(self.state.running), "failed": [[*key, why] for key, why in self.state.failed.items()]}
         with suppress(InputError):
-            write_json(
-                self._results.folder.state, {"running": [[*key] for key in self.state.running], "failed": failed}
-            )
+            write_json(self._results.folder.state, state)
 
 
 def read_state(folder: StudyFolder) -> tuple[set[PartKey], dict[PartKey, str]]:
@@ -302,31 +297,25 @@ def study_status(study: Study, out: Path) -> list[PartStatus]:
     results, problems = gather(study, out)
     running, failed = read_state(results.folder)
     there, failed = set(results.parts), failed | problems
-    return [part for job in study.jobs(out) for part in _statuses(job, there, running, failed)]
+    parts = [(key, job) for keys, job in study.jobs(out) for key in keys]
+    return [_status(key, job, key in there, key in running, failed.get(key)) for key, job in parts]
 
 
-def _statuses(
-    job: StudyJob, there: set[PartKey], running: set[PartKey], failed: Mapping[PartKey, str]
-) -> Iterator[PartStatus]:
-    for key in job.keys:
-        if isinstance(job.job, Training):
-            yield _training_status(key, job.job, key in there, failed.get(key))
-        elif key in there or key not in failed or key in running:
-            yield PartStatus(key, "finished" if key in there else "running" if key in running else "waiting")
-        else:
-            yield PartStatus(key, "failed", detail=failed[key])
-
-
-def _training_status(key: PartKey, job: Training, there: bool, failed: str | None) -> PartStatus:
-    folder, budget = RunFolder(job.folder), job.config.slots
+def _status(key: PartKey, job: Training | Fly | Bound, there: bool, running: bool, failed: str | None) -> PartStatus:
+    budget = job.config.slots if isinstance(job, Training) else None
     if there:
         return PartStatus(key, "finished", budget, budget)
-    (slots, rate), by = folder.trained_so_far(), holder(folder.lock)
-    if by is not None:
+    slots, rate, by, state = None, 0.0, "", "waiting"
+    if isinstance(job, Training):
+        folder = RunFolder(job.folder)
+        (slots, rate), by = folder.trained_so_far(), holder(folder.lock) or ""
+        running = bool(by)
+        state = "trained" if folder.finished else "stopped" if slots else "waiting"
+    if running:
         return PartStatus(key, "running", slots, budget, rate, by)
     if failed is not None:
         return PartStatus(key, "failed", slots, budget, detail=failed)
-    return PartStatus(key, "trained" if folder.finished else "stopped" if slots else "waiting", slots, budget)
+    return PartStatus(key, state, slots, budget)
 
 
 def seconds_left(parts: list[PartStatus]) -> float | None:

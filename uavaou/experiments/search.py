@@ -21,8 +21,8 @@ from pydantic.dataclasses import dataclass as checked
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import config_from_dict, load_config
+from uavaou.csv_tables import NUMBER, TEXT, WHOLE, read_table, write_table
 from uavaou.errors import InputError
-from uavaou.evaluation.flights import NUMBER, TEXT, WHOLE, read_table, write_table
 from uavaou.experiments.search_space import SearchSpace, as_text
 from uavaou.fields import FolderName, Positive, PositiveWhole, Whole, reads_schema, short, validated
 from uavaou.files import PathIn, write_text

@@ -7,7 +7,6 @@ them and resolves the configuration of every run before anything is trained.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import chain, islice, product
 from pathlib import Path
 from typing import Annotated, Any
@@ -70,17 +69,8 @@ class StudyFile(StudySettings):
 # -- the study -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class StudyJob:
-    """A job, and the names that the study has for what it measures: one for each of its digests."""
-
-    keys: tuple[PartKey, ...]
-    job: Training | Fly | Bound
-
-    @property
-    def digests(self) -> dict[str, PartKey]:
-        """Digest of rows -> their name."""
-        return dict(zip(self.job.digests.values(), self.keys, strict=True))
+# A job, and the names that the study has for what it measures: one for each of its digests.
+StudyJob = tuple[tuple[PartKey, ...], Training | Fly | Bound]
 
 
 class Study(StudySettings):
@@ -151,12 +141,20 @@ class Study(StudySettings):
             out: the folder of all results, for the run folders that ``uavaou train`` would give the trainings.
             checkpoint_every_s: between checkpoints; None: as ``uavaou train`` does.
         """
-        trainings = []
+        trainings: list[StudyJob] = []
         for key, config in self.runs():
             folder = config_folder(out, config).path
-            trainings.append(StudyJob((key,), Training(config, folder, self.episodes, checkpoint_every_s)))
+            trainings.append(((key,), Training(config, folder, self.episodes, checkpoint_every_s)))
         first = len(self.scenarios) * len(self.variants)
         return [*trainings[:first], *self._untrained(), *trainings[first:]]
+
+    def names(self, out: Path) -> dict[str, list[PartKey]]:
+        """Digest of rows -> what the study calls them: several names where a point of one suite is one of another."""
+        names: dict[str, list[PartKey]] = {}
+        for keys, job in self.jobs(out):
+            for digest, key in zip(job.digests.values(), keys, strict=True):
+                names.setdefault(digest, []).append(key)
+        return names
 
     def _untrained(self) -> Iterator[StudyJob]:
         """The planners of each scenario, those that start from an annealed plan as one job; then bounds."""
@@ -165,13 +163,13 @@ class Study(StudySettings):
         for place, scenario in self.scenarios.items():
             for names in [*alone, together] if together else alone:
                 keys = tuple(PartKey(name, place) for name in names)
-                yield StudyJob(keys, Fly(names, scenario, self.episodes, self.planning_seconds))
+                yield keys, Fly(names, scenario, self.episodes, self.planning_seconds)
         for place, scenario in self.scenarios.items() if self.bound else ():
-            yield StudyJob((PartKey(BOUND, place),), Bound(scenario))
+            yield (PartKey(BOUND, place),), Bound(scenario)
 
     def table_order(self) -> list[PartKey]:
         """Every part as it stands in the table: planners and bounds, then trainings by scenario, variant and seed."""
-        untrained = [key for job in self._untrained() for key in job.keys]
+        untrained = [key for keys, _ in self._untrained() for key in keys]
         places = product(self.scenarios, self.variants)
         return [*untrained, *(PartKey(name, place, seed) for place, name in places for seed in self.seeds_on(place))]
 

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from uavaou.csv_tables import TEXT
 from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import Evaluation, play
-from uavaou.evaluation.flights import FLIGHTS, TEXT, Flights
+from uavaou.evaluation.flights import FLIGHTS, Flights
 from uavaou.evaluation.flown import flown
 from uavaou.experiments.given_runs import SuiteRun, missing_training, name_runs, trained_apart, why_unfit
 from uavaou.experiments.suite import ResolvedPoint, Suite, resolve_points

@@ -10,7 +10,7 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,10 +42,6 @@ class TrialJob:
     search: Search
     trial: Trial
     folder: Path  # of the trial
-
-    def at(self, folder: Path) -> TrialJob:
-        """The same trial in another folder."""
-        return replace(self, folder=folder)
 
     def run(self, tell: Callable[[Any], object]) -> str:
         """Train; returns why these settings cannot be trained. See :class:`~uavaou.experiments.executor.Job`."""

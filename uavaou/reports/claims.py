@@ -14,7 +14,7 @@ lowest smoothed value. It **reaches** a level at the first evaluation whose smoo
 does neither counts with its whole budget. That flatters MAPPO, whose claim is then weakened, and not the others.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -78,23 +78,22 @@ def judge(study: StudyResults) -> list[Claim]:
     The variants ``mappo``, ``vdn`` and ``qmix`` of the study are compared, in the scenarios that both have.
     """
     rules, searched = PLANNERS.keys() - PLANNERS_WITH_PLAN, PLANNERS_WITH_PLAN
-    ours = "MAPPO flies fresher than the best"
+    ours, judged = "MAPPO flies fresher than the best", _Judge(study)
+    before = "rule that knows as much and was searched for this layout before take-off"
     claims = [
-        *(_convergence(study, other) for other in BASELINES),
-        *(_time_to_level(study, other) for other in BASELINES),
-        *(_last_reward(study, other) for other in BASELINES),
-        *(_aou(study, other, f"MAPPO's AoU in execution is lower than {other.upper()}'s", LOWEST, lower)
-          for other in BASELINES),
-        *(_aou(study, other, text, quote, reduced_to(share)) for other, share, text, quote in _REDUCTIONS),
-        *(_more(study, other, *counted) for counted in _COUNTS for other in BASELINES),
-        _communications_by_frequency(study),
-        _served_by_frequency(study),
-        _beside_planner(study, "everything", f"{ours} planner that knows everything", PLANNERS),
-        _beside_planner(study, "local", f"{ours} rule that knows as much and learns nothing", rules),
-        _beside_planner(study, "local", f"{ours} rule that knows as much and was searched for this layout before "
-                        "take-off", searched),
-        _beside_bound(study),
-    ]  # fmt: skip
+        *map(judged.convergence, BASELINES),
+        *map(judged.time_to_level, BASELINES),
+        *map(judged.last_reward, BASELINES),
+        *(judged.aou(name, f"MAPPO's AoU in execution is lower than {name.upper()}'s", LOWEST) for name in BASELINES),
+        *(judged.aou(name, text, quote, reduced_to(share)) for name, share, text, quote in _REDUCTIONS),
+        *(judged.more(other, *counted) for counted in _COUNTS for other in BASELINES),
+        judged.communications_by_frequency(),
+        judged.served_by_frequency(),
+        judged.beside_planner("everything", f"{ours} planner that knows everything", PLANNERS),
+        judged.beside_planner("local", f"{ours} rule that knows as much and learns nothing", rules),
+        judged.beside_planner("local", f"{ours} {before}", searched),
+        judged.beside_bound(),
+    ]
     return [replace(claim, command=f"uavaou study run {study.argument}") for claim in claims]
 
 
@@ -128,28 +127,20 @@ def reduced_to(share: float) -> Decide:
     return decide
 
 
-def at_best(verdict: Verdict, most: Verdict) -> Verdict:
-    """The weaker of two verdicts."""
-    order: tuple[Verdict, ...] = ("contradicted", "not supported", "partly supported", "supported")
-    return order[min(order.index(verdict), order.index(most))]
-
-
-def ratio_claim(
-    claim: str, quote: str, own: Trainings, theirs: Trainings, decide: Decide, measured: Callable[[], str], missing: str
-) -> Claim:
+def _ratio(claim: str, quote: str, values: Sequence[Trainings], decide: Decide, measured: str, missing: str) -> Claim:
     """A claim on the ratio of MAPPO's values to others', or that the study has nothing to judge it by.
 
     Args:
         claim, quote: as :class:`Claim` has them.
-        own, theirs: the values; a ratio needs all of them above 0.
+        values: MAPPO's and the others'; a ratio needs all of them above 0.
         decide: the verdict on the ratio.
-        measured: makes the words that say what was measured.
+        measured: the words that say what was measured.
         missing: what the study lacks where there are no such values.
     """
-    if not all(values and min(group.min() for group in values.values()) > 0 for values in (own, theirs)):
+    if not all(own and min(group.min() for group in own.values()) > 0 for own in values):
         return _not_measured(claim, quote, missing)
-    ratio = ratio_of_trainings(own, theirs)
-    return Claim(claim, quote, decide(ratio), measured(), ratio)
+    ratio = ratio_of_trainings(*values)
+    return Claim(claim, quote, decide(ratio), measured, ratio)
 
 
 def _not_measured(claim: str, quote: str, missing: str) -> Claim:
@@ -157,12 +148,12 @@ def _not_measured(claim: str, quote: str, missing: str) -> Claim:
 
 
 def _mean(values: Trainings) -> float:
-    """The mean over scenarios of the mean over trainings."""
-    return float(np.mean([group.mean() for group in values.values()]))
+    """The mean over scenarios of the mean over trainings; nan of none."""
+    return float(np.mean([group.mean() for group in values.values()])) if values else np.nan
 
 
-def _means(own: Trainings, other: Trainings, name: str, unit: str = "", digits: int = 4) -> str:
-    ours, theirs = (f"{rounded(_mean(values), digits)}{unit}" for values in (own, other))
+def _means(values: Sequence[Trainings], name: str, unit: str = " slots", digits: int = 4, sign: int = 1) -> str:
+    ours, theirs = (f"{rounded(sign * _mean(own), digits)}{unit}" for own in values)
     return f"MAPPO {ours}, {name} {theirs}"
 
 
@@ -198,162 +189,8 @@ def reached(aou: Floats, level: float) -> Moment:
     return Moment(int(below[0]), True) if len(below) else Moment(len(aou) - 1, False)
 
 
-def _curves(study: StudyResults, curve: str, *variants: str) -> dict[str, list[list[Curve]]]:
-    """Scenario -> the curves of each of the variants, where all of them have some."""
-    found = {name: [study.curves(curve, variant, name) for variant in variants] for name in study.scenarios}
-    return {name: each for name, each in found.items() if all(each)}
-
-
-def _convergence(study: StudyResults, other: str) -> Claim:
-    """Training slots until convergence."""
-    text = f"MAPPO converges in fewer training slots than {other.upper()}"
-    return _sooner(study, other, text, "slots until convergence", "not converged", lambda _, aou: converged(aou))
-
-
-def _time_to_level(study: StudyResults, other: str) -> Claim:
-    """Training slots until a level that the other's trainings reach on average: one lucky training sets none."""
-    text = f"MAPPO reaches the level of {other.upper()}'s trainings sooner than these do"
-    levels = {
-        name: (1 + WITHIN) * float(np.mean([smooth(run["mean_aou_slots"]).min() for run in theirs]))
-        for name, (_, theirs) in _curves(study, VALIDATION, OWN, other).items()
-    }
-    told = "".join(f" ({rounded(level)} slots)" for level in levels.values() if len(levels) == 1)
-    what = f"training slots until that AoU{told}"
-    return _sooner(study, other, text, what, "never", lambda name, aou: reached(aou, levels[name]))
-
-
-def _sooner(
-    study: StudyResults, other: str, text: str, what: str, missed: str, when: Callable[[str, Floats], Moment]
-) -> Claim:
-    """A claim on fewer slots, weakened where trainings never come to the moment and count with their budget."""
-    slots: list[dict[str, Floats]] = [{}, {}]
-    never = [0, 0]
-    for name, pair in _curves(study, VALIDATION, OWN, other).items():
-        for side, runs in enumerate(pair):
-            moments = [when(name, run["mean_aou_slots"]) for run in runs]
-            never[side] += sum(not moment.happened for moment in moments)
-            each = zip(runs, moments, strict=True)
-            slots[side][name] = np.array([run["x"][moment.place] for run, moment in each])
-
-    def decide(ratio: Interval) -> Verdict:
-        verdict = lower(ratio)
-        if never[0]:
-            verdict = at_best(verdict, "partly supported" if never[0] < _count(slots[0]) else "not supported")
-        # Those of the other that never come to it would take longer than their budget: they contradict nothing.
-        return "not supported" if verdict == "contradicted" and never[1] else verdict
-
-    def measured() -> str:
-        told = []
-        for side, variant in enumerate((OWN, other)):
-            budget = f" ({never[side]} of {_count(slots[side])} trainings {missed}: the budget counts)"
-            told.append(f"{variant.upper()} {_mean(slots[side]):,.0f} slots{budget if never[side] else ''}")
-        return f"{what}: {', '.join(told)}; ratio"
-
-    missing = f"validation of both '{OWN}' and '{other}'"
-    return ratio_claim(text, FEWER_ITERATIONS, slots[0], slots[1], decide, measured, missing)
-
-
-def _count(values: Trainings) -> int:
-    return sum(map(len, values.values()))
-
-
-def _last_reward(study: StudyResults, other: str) -> Claim:
-    """The reward of the training missions at the end of training; rewards are negative, so that smaller is more."""
-    text = f"MAPPO ends training with higher rewards than {other.upper()}"
-    runs = _curves(study, TRAINING, OWN, other)
-    own, theirs = (
-        {name: np.array([_late(run) for run in pair[side]]) * study.mission_s(name) for name, pair in runs.items()}
-        for side in (0, 1)
-    )
-
-    def measured() -> str:
-        ours, others = (rounded(-_mean(values), 4) for values in (own, theirs))
-        told = f"MAPPO {ours} s, {other.upper()} {others} s"
-        return f"reward of the training missions in the last {LAST_PART:.0%} of training: {told}; ratio of sizes"
-
-    missing = f"rewards below 0 of both '{OWN}' and '{other}'"
-    return ratio_claim(text, HIGHER_REWARDS, own, theirs, lower, measured, missing)
-
-
 def _late(run: Curve) -> float:
     return float(run["mean_aou_slots"][run["x"] > (1 - LAST_PART) * run["x"][-1]].mean())
-
-
-# -- on execution --------------------------------------------------------------------------------------
-
-
-def _of_missions(study: StudyResults, variant: str, column: str, scenarios: Iterable[str]) -> dict[str, Floats]:
-    """The mean over the missions of each training, scenario -> (S,); of a planner, which is not trained, ()."""
-    found = study.missions(variant, column, scenarios)
-    trained = variant in study.algorithms
-    return {name: np.asarray(table.mean(axis=1 if trained else None)) for name, table in found.items()}
-
-
-def _pair(study: StudyResults, other: str, column: str) -> list[dict[str, Floats]]:
-    """A metric of MAPPO's missions and the other's, in the scenarios that both have flown."""
-    scenarios = [name for name in study.scenarios if study.stack(OWN, name).size and study.stack(other, name).size]
-    return [_of_missions(study, name, column, scenarios) for name in (OWN, other)]
-
-
-def _aou(study: StudyResults, other: str, text: str, quote: str, decide: Decide) -> Claim:
-    """AoU in execution; the reward of a mission is that times a negative constant."""
-    own, theirs = _pair(study, other, "mean_aou_slots")
-    name = other.upper() if other in BASELINES else f"`{other}`"
-    missing = f"missions of both '{OWN}' and '{other}' with an AoU above 0"
-    return ratio_claim(
-        text, quote, own, theirs, decide, lambda: f"mean AoU {_means(own, theirs, name, ' slots')}; ratio", missing
-    )
-
-
-def _more(study: StudyResults, other: str, column: str, text: str, what: str, digits: int) -> Claim:
-    own, theirs = _pair(study, other, column)
-    return ratio_claim(
-        f"{text} {other.upper()}", MORE_DEVICES, own, theirs, higher,
-        lambda: f"{what} a mission: {_means(own, theirs, other.upper(), digits=digits)}; ratio",
-        f"missions of both '{OWN}' and '{other}' with {what}",
-    )  # fmt: skip
-
-
-def _communications_by_frequency(study: StudyResults) -> Claim:
-    """The paper's sentence as it is written: communications fall with the generation period k."""
-    text = "devices that generate more often have more communications with MAPPO"
-    found = _correlations(study, OWN, _AT_RANDOM) or _correlations(study, OWN)
-    if not found:
-        return _not_measured(text, FREQUENT, f"devices of '{OWN}' with different periods and communications")
-    estimate = mean_of_tasks({name: own[0] for name, (own, *_) in found.items()}).within(-1, 1)
-    measured = f"Spearman correlation over devices of communications with the generation period k: {_told(found, 0)}"
-    return Claim(text, FREQUENT, lower(estimate, 0), measured, estimate)
-
-
-def _served_by_frequency(study: StudyResults) -> Claim:
-    """A communication needs a pending update, so that a device has at most K/k of them in a mission.
-
-    Every policy measured has fewer communications with a longer k, moves at random included. What MAPPO adds to them is
-    the correlation of the share of the cap, less that of moves at random.
-    """
-    text = "MAPPO serves devices more often that generate more often, beyond what their updates allow at random moves"
-    found = _correlations(study, OWN, _AT_RANDOM)
-    if not found:
-        missing = f"devices of both '{OWN}' and '{_AT_RANDOM}' with different periods and communications"
-        return _not_measured(text, "", missing)
-    measured = (
-        f"Spearman correlation over devices with the generation period k, of communications: {_told(found, 0)}; of "
-        f"their share of K/k: {_told(found, 1)}; difference of the latter"
-    )
-    difference = mean_of_tasks({name: own[1] - random[1] for name, (own, random) in found.items()}).within(-2, 2)
-    return Claim(text, "", lower(difference, 0), measured, difference)
-
-
-def _correlations(study: StudyResults, *variants: str) -> dict[str, list[Floats]]:
-    """Correlations with k of communications, and of their share of the cap K/k: scenario -> (2, S) of each variant."""
-    found: dict[str, list[Floats]] = {}
-    for scenario, pair in _curves(study, DEVICES, *variants).items():
-        k = study.periods(scenario)  # (I,)
-        counts = [[run["communications"] for run in each] for each in pair]
-        values = [np.array([[_spearman(one, k), _spearman(one * k, k)] for one in each]).T for each in counts]
-        if all(np.isfinite(value).all() for value in values):
-            found[scenario] = values
-    return found
 
 
 def _told(found: dict[str, list[Floats]], row: int) -> str:
@@ -369,28 +206,159 @@ def _spearman(x: Floats, y: Floats) -> float:
     return float(np.corrcoef(rankdata(x), rankdata(y))[0, 1])
 
 
-# -- ours ----------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Judge:
+    """Judges single claims by a study."""
 
+    study: StudyResults
 
-def _beside_planner(study: StudyResults, knows: Knowledge, text: str, among: Collection[str]) -> Claim:
-    flown = [name for name in study.scenarios if study.stack(OWN, name).size]
-    planner = best_planner(study, flown, knows, among)
-    if planner is None:
-        return _not_measured(text, "", f"missions of both '{OWN}' and such a planner that knows: {knows}")
-    return _aou(study, planner, text, "", lower)
+    def _curves(self, curve: str, *variants: str) -> dict[str, list[list[Curve]]]:
+        """Scenario -> the curves of each of the variants, where all of them have some."""
+        names = self.study.scenarios
+        found = {name: [self.study.curves(curve, variant, name) for variant in variants] for name in names}
+        return {name: each for name, each in found.items() if all(each)}
 
+    def _of_missions(self, variants: Sequence[str], column: str = "mean_aou_slots") -> list[dict[str, Floats]]:
+        """The mean over the missions of each training, scenario -> (S,); of a planner, which is not trained, ().
 
-def _beside_bound(study: StudyResults) -> Claim:
-    """No claim: no policy is below the bound in expectation and without foreseeing the channel.
+        Of each variant, in the scenarios that all have flown.
+        """
+        flown = [self.study.missions(name, column) for name in variants]
+        axes = [1 if name in self.study.algorithms else None for name in variants]
+        common = [name for name in self.study.scenarios if all(name in tables for tables in flown)]
+        return [
+            {name: np.asarray(tables[name].mean(axis=axis)) for name in common}
+            for tables, axis in zip(flown, axes, strict=True)
+        ]
 
-    :func:`uavaou.reports.scores.below_bound` reports one that is.
-    """
-    text = "how far MAPPO is from the certified lower bound"
-    scenarios = [name for name in study.scenarios if study.stack(OWN, name).size and study.bounds.get(name, 0) > 0]
-    own = _of_missions(study, OWN, "mean_aou_slots", scenarios)
-    bound = {name: np.array(study.bounds[name]) for name in scenarios}
-    return ratio_claim(
-        text, "", own, bound, lambda _: "a figure",
-        lambda: f"mean AoU {_means(own, bound, 'bound', ' slots')}; ratio",
-        f"missions of '{OWN}' beside a bound above 0",
-    )  # fmt: skip
+    # -- on training -----------------------------------------------------------------------------------
+
+    def convergence(self, other: str) -> Claim:
+        """Training slots until convergence."""
+        text = f"MAPPO converges in fewer training slots than {other.upper()}"
+        return self._sooner(other, text, "slots until convergence", "not converged", lambda _, aou: converged(aou))
+
+    def time_to_level(self, other: str) -> Claim:
+        """Training slots until a level that the other's trainings reach on average: one lucky training sets none."""
+        text = f"MAPPO reaches the level of {other.upper()}'s trainings sooner than these do"
+        levels = {
+            name: (1 + WITHIN) * float(np.mean([smooth(run["mean_aou_slots"]).min() for run in theirs]))
+            for name, (_, theirs) in self._curves(VALIDATION, OWN, other).items()
+        }
+        told = "".join(f" ({rounded(level)} slots)" for level in levels.values() if len(levels) == 1)
+        what = f"training slots until that AoU{told}"
+        return self._sooner(other, text, what, "never", lambda name, aou: reached(aou, levels[name]))
+
+    def _sooner(self, other: str, text: str, what: str, missed: str, when: Callable[[str, Floats], Moment]) -> Claim:
+        """A claim on fewer slots, weakened where trainings never come to the moment and count with their budget."""
+        curves, slots, never, told = self._curves(VALIDATION, OWN, other), [], [], []
+        for side, variant in enumerate((OWN, other)):
+            runs = {
+                name: [(run, when(name, run["mean_aou_slots"])) for run in pair[side]] for name, pair in curves.items()
+            }
+            slots.append({name: np.array([run["x"][at.place] for run, at in own]) for name, own in runs.items()})
+            happened = [at.happened for own in runs.values() for _, at in own]
+            never.append(happened.count(False))
+            budget = f" ({never[side]} of {len(happened)} trainings {missed}: the budget counts)" if never[side] else ""
+            told.append(f"{variant.upper()} {_mean(slots[side]):,.0f} slots{budget}")
+
+        def decide(ratio: Interval) -> Verdict:
+            verdict = lower(ratio)
+            if never[0] and verdict == "supported":
+                verdict = "partly supported"
+            if never[0] == sum(map(len, slots[0].values())) and verdict == "partly supported":
+                verdict = "not supported"
+            # Those of the other that never come to it would take longer than their budget: they contradict nothing.
+            return "not supported" if verdict == "contradicted" and never[1] else verdict
+
+        missing = f"validation of both '{OWN}' and '{other}'"
+        return _ratio(text, FEWER_ITERATIONS, slots, decide, f"{what}: {', '.join(told)}; ratio", missing)
+
+    def last_reward(self, other: str) -> Claim:
+        """The reward of the training missions at the end of training; rewards are negative: smaller is more."""
+        text, runs = f"MAPPO ends training with higher rewards than {other.upper()}", self._curves(TRAINING, OWN, other)
+        sizes = [
+            {name: np.array(list(map(_late, pair[side]))) * self.study.mission_s(name) for name, pair in runs.items()}
+            for side in (0, 1)
+        ]
+        told = _means(sizes, other.upper(), " s", sign=-1)
+        measured = f"reward of the training missions in the last {LAST_PART:.0%} of training: {told}; ratio of sizes"
+        return _ratio(text, HIGHER_REWARDS, sizes, lower, measured, f"rewards below 0 of both '{OWN}' and '{other}'")
+
+    # -- on execution ----------------------------------------------------------------------------------
+
+    def aou(self, other: str, text: str, quote: str, decide: Decide = lower) -> Claim:
+        """AoU in execution; the reward of a mission is that times a negative constant."""
+        values, name = self._of_missions((OWN, other)), other.upper() if other in BASELINES else f"`{other}`"
+        missing = f"missions of both '{OWN}' and '{other}' with an AoU above 0"
+        return _ratio(text, quote, values, decide, f"mean AoU {_means(values, name)}; ratio", missing)
+
+    def more(self, other: str, column: str, text: str, what: str, digits: int) -> Claim:
+        """A count of a mission that MAPPO has more of."""
+        values = self._of_missions((OWN, other), column)
+        measured = f"{what} a mission: {_means(values, other.upper(), '', digits)}; ratio"
+        missing = f"missions of both '{OWN}' and '{other}' with {what}"
+        return _ratio(f"{text} {other.upper()}", MORE_DEVICES, values, higher, measured, missing)
+
+    def communications_by_frequency(self) -> Claim:
+        """The paper's sentence as it is written: communications fall with the generation period k."""
+        text = "devices that generate more often have more communications with MAPPO"
+        found = self._correlations(OWN, _AT_RANDOM) or self._correlations(OWN)
+        if not found:
+            return _not_measured(text, FREQUENT, f"devices of '{OWN}' with different periods and communications")
+        estimate = mean_of_tasks({name: own[0] for name, (own, *_) in found.items()}).within(-1, 1)
+        measured = (
+            f"Spearman correlation over devices of communications with the generation period k: {_told(found, 0)}"
+        )
+        return Claim(text, FREQUENT, lower(estimate, 0), measured, estimate)
+
+    def served_by_frequency(self) -> Claim:
+        """A communication needs a pending update, so that a device has at most K/k of them in a mission.
+
+        Every policy measured has fewer communications with a longer k, moves at random included. What MAPPO adds to
+        them is the correlation of the share of the cap, less that of moves at random.
+        """
+        text = (
+            "MAPPO serves devices more often that generate more often, beyond what their updates allow at random moves"
+        )
+        found = self._correlations(OWN, _AT_RANDOM)
+        if not found:
+            missing = f"devices of both '{OWN}' and '{_AT_RANDOM}' with different periods and communications"
+            return _not_measured(text, "", missing)
+        measured = (
+            f"Spearman correlation over devices with the generation period k, of communications: {_told(found, 0)}; of "
+            f"their share of K/k: {_told(found, 1)}; difference of the latter"
+        )
+        difference = mean_of_tasks({name: own[1] - random[1] for name, (own, random) in found.items()}).within(-2, 2)
+        return Claim(text, "", lower(difference, 0), measured, difference)
+
+    def _correlations(self, *variants: str) -> dict[str, list[Floats]]:
+        """Correlations with k of communications, and of their share of K/k: scenario -> (2, S) of each variant."""
+        found: dict[str, list[Floats]] = {}
+        for scenario, pair in self._curves(DEVICES, *variants).items():
+            k = self.study.periods(scenario)  # (I,)
+            counts = [[run["communications"] for run in each] for each in pair]
+            values = [np.array([[_spearman(one, k), _spearman(one * k, k)] for one in each]).T for each in counts]
+            if all(np.isfinite(value).all() for value in values):
+                found[scenario] = values
+        return found
+
+    # -- ours ------------------------------------------------------------------------------------------
+
+    def beside_planner(self, knows: Knowledge, text: str, among: Collection[str]) -> Claim:
+        """AoU beside the best planner of those that know so much."""
+        planner = best_planner(self.study, list(self.study.missions(OWN)), knows, among)
+        if planner is None:
+            return _not_measured(text, "", f"missions of both '{OWN}' and such a planner that knows: {knows}")
+        return self.aou(planner, text, "")
+
+    def beside_bound(self) -> Claim:
+        """No claim: no policy is below the bound in expectation and without foreseeing the channel.
+
+        :func:`uavaou.reports.scores.below_bound` reports one that is.
+        """
+        (flown,) = self._of_missions((OWN,))
+        bound = {name: np.array(self.study.bounds[name]) for name in flown if self.study.bounds.get(name, 0) > 0}
+        values = [{name: flown[name] for name in bound}, bound]
+        text, missing = "how far MAPPO is from the certified lower bound", f"missions of '{OWN}' beside a bound above 0"
+        return _ratio(text, "", values, lambda _: "a figure", f"mean AoU {_means(values, 'bound')}; ratio", missing)

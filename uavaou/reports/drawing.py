@@ -176,10 +176,17 @@ def _draw_by_period(axes: Axes, group: ByPeriod, shift: float, look: style.Look)
     mean, low, high = group.mean
     reach = None if np.isnan(low).all() else np.nan_to_num(np.stack([mean - low, high - mean]))  # (2, P)
     axes.errorbar(
-        group.values + shift, mean, yerr=reach,
-        color=look.colour, marker=look.marker or "_", markersize=4, linestyle="none", elinewidth=1.0, capsize=1.8,
+        group.values + shift,
+        mean,
+        yerr=reach,
+        color=look.colour,
+        marker=look.marker or "_",
+        markersize=4,
+        linestyle="none",
+        elinewidth=1.0,
+        capsize=1.8,
         label=look.label,
-    )  # fmt: skip
+    )
 
 
 def over_seeds(seeds: Sequence[int], alone: str = "none") -> str:

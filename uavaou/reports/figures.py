@@ -140,8 +140,9 @@ def read_runs(folders: Iterable[Path]) -> StudyResults:
         settings["variants"].setdefault(variant, {"name": variant})
         # A number for each run: runs from two folders may have the same seed.
         seeds[variant, place] = seed = seeds.get((variant, place), -1) + 1
-        own = Flights.joined([held.where(policy=learner, seed=config.seed),
-                              Flights.of({"x": []}, training_curves(folder, scenario))])  # fmt: skip
+        own = Flights.joined(
+            [held.where(policy=learner, seed=config.seed), Flights.of({"x": []}, training_curves(folder, scenario))]
+        )
         tables.append(own.with_values(policy=variant, scenario=place, seed=seed))
         for planner in held.where(seed=None).flights["policy"].unique():
             if (planner, place) not in beside:

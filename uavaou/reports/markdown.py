@@ -1,7 +1,22 @@
 """Tables and figures in Markdown, for every page that is written."""
 
 import math
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+# What commands write into pages stands between such a line with its name and the next end.
+END = "<!-- /numbers -->"
+BLOCK = re.compile(rf"(<!-- numbers:(\S+) -->\n)(?:(?!<!-- numbers:).)*?({END})", re.DOTALL)
+
+
+def begin(name: str) -> str:
+    """The line above the block of that name."""
+    return f"<!-- numbers:{name} -->"
+
+
+def filled(page: str, blocks: Mapping[str, Callable[[], str]]) -> str:
+    """A page with new text in these blocks."""
+    return BLOCK.sub(lambda old: f"{old[1]}{blocks[old[2]]()}\n{old[3]}" if old[2] in blocks else old[0], page)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

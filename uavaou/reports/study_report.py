@@ -4,7 +4,6 @@
 with the study's reference where it names one, and the verdicts on the paper's claims where it judges them.
 """
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import product
@@ -22,7 +21,7 @@ from uavaou.experiments.study import Study
 from uavaou.files import read_text, write_json, write_text
 from uavaou.reports.ablations import ablation_table, ablations
 from uavaou.reports.claims import SMOOTHED, WITHIN, Claim, judge
-from uavaou.reports.markdown import rounded, table, with_interval
+from uavaou.reports.markdown import BLOCK, END, begin, filled, rounded, table, with_interval
 from uavaou.reports.replay.page import STUDY_REPLAY, write_study_replay
 from uavaou.reports.scores import PolicyScores, below_bound, study_scores
 from uavaou.reports.suite_tables import suites_markdown
@@ -44,8 +43,6 @@ The trainings{where} ran on several processors, or it was not recorded on which:
 policies."""
 _DIGITS = 4
 
-END = "<!-- claims:end -->"
-_BEGIN = re.compile(r"<!-- claims:begin(?: (\S+))? -->")
 _MOST_BYTES = 5_000_000
 
 _RULES = f"""\
@@ -228,7 +225,7 @@ def _claim_cells(claim: Claim) -> tuple[str, ...]:
 
 def begin_marker(study: str) -> str:
     """The line before the verdicts of a study."""
-    return f"<!-- claims:begin {quote(study, safe='')} -->"
+    return begin(f"claims:{quote(study, safe='')}")
 
 
 def write_claims(readme: Path, study: str, claims: Sequence[Claim]) -> str:
@@ -244,21 +241,14 @@ def write_claims(readme: Path, study: str, claims: Sequence[Claim]) -> str:
         InputError: the file cannot be read or written, or has one marker without the other.
     """
     text = read_text(readme, _MOST_BYTES) if readme.exists() else "# Results\n"
-    begins = list(_BEGIN.finditer(text))
-    if not begins and "<!-- claims:" not in text:
-        before, after = f"{text.rstrip()}\n\n## The paper's claims\n\n", "\n"
-    else:
-        before, held, after = _around(text, begins, readme)
-        if held not in (None, study):
-            return held
-    write_text(readme, f"{before}{begin_marker(study)}\n\n{claims_markdown(claims)}\n\n{END}{after}")
+    name = f"claims:{quote(study, safe='')}"
+    held = [found for _, found, _ in BLOCK.findall(text) if found.partition(":")[0] == "claims"]
+    if text.count(begin("claims")[:-4]) != len(held) or len(held) > 1:
+        raise InputError(f"{readme}: expected '{begin('claims:STUDY')}' once and then '{END}'")
+    if not held:
+        text = f"{text.rstrip()}\n\n## The paper's claims\n\n{begin(name)}\n{END}\n"
+    elif held[0] not in ("claims", name):
+        return unquote(held[0].partition(":")[2])
+    text = text.replace(begin("claims"), begin(name))
+    write_text(readme, filled(text, {name: lambda: f"\n{claims_markdown(claims)}\n"}))
     return study
-
-
-def _around(text: str, begins: Sequence[re.Match[str]], readme: Path) -> tuple[str, str | None, str]:
-    """The text before and after the markers, and the study that they name."""
-    end = text.find(END)
-    if len(begins) != 1 or text.count(END) != 1 or end < begins[0].end():
-        raise InputError(f"{readme}: expected '<!-- claims:begin STUDY -->' once and then '{END}' once")
-    name = begins[0][1]
-    return text[: begins[0].start()], None if name is None else unquote(name), text[end + len(END) :]

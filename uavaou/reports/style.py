@@ -97,19 +97,15 @@ _LOOKS = {
     "bound": Look(BLACK, "", (0, (1, 1.5)), "lower bound"),
 }
 # Of variants and of unknown algorithms, light and dark in turn, so that neighbours differ in grey too.
-_COLOURS = (
-    ORANGE, "#882255", SKY, "#332288", VERMILLION, "#14532D", "#999933", "#AA4499", GREEN, "#7A4A12", PURPLE, BLACK,
-    "#B79CED", GREY,
-)  # fmt: skip
+_COLOURS = [ORANGE, WINE, SKY, "#332288", VERMILLION, "#14532D", "#999933", "#AA4499", GREEN, "#7A4A12", PURPLE, BLACK]
+_COLOURS += ["#B79CED", GREY]
 _MARKERS = ("s", "^", "X", "v", "P", "<", "D", ">", "p", "*", "h", "d", "8", "H", "o", "x", "1", "2", "3", "4")
-_DASHES: tuple[Any, ...] = (
-    (0, (4, 1.2)), "-", (0, (1.2, 1)), (0, (5, 1.2, 1, 1.2)), (0, (8, 1.5)), (0, (5, 1.2, 1, 1.2, 1, 1.2)),
-)  # fmt: skip
+_DASHES: list[Any] = [(0, (4, 1.2)), "-", (0, (1.2, 1)), (0, (5, 1.2, 1, 1.2)), (0, (8, 1.5))]
+_DASHES += [(0, (5, 1.2, 1, 1.2, 1, 1.2))]
 _LONGEST_TAG = 18  # characters that have room beside the axes
 _TAG_STEP_IN = 0.105  # from one tag to the next
-_LEADER: dict[str, Any] = {
-    "arrowstyle": "-", "linewidth": 0.6, "linestyle": (0, (1, 1.5)), "shrinkA": 0, "shrinkB": 0, "relpos": (0, 0.5),
-}  # fmt: skip
+_LEADER: dict[str, Any] = {"arrowstyle": "-", "linewidth": 0.6, "linestyle": (0, (1, 1.5)), "relpos": (0, 0.5)}
+_LEADER |= {"shrinkA": 0, "shrinkB": 0}
 _TAGGED_AXES_IN = 1.4  # height of axes with tags, about
 
 
@@ -259,9 +255,15 @@ def tag_ends(figure: Figure, axes: Axes, ends: Sequence[tuple[Look, float, float
     apart = isotonic_regression(heights[order].clip(0, 1) - room).x.clip(0, highest) + room
     for place, height in zip(order, apart, strict=True):
         axes.annotate(
-            drawn[place].tag, points[place], (1.035, height), textcoords="axes fraction", fontsize=6.5, va="center",
-            annotation_clip=False, arrowprops=_LEADER | {"color": drawn[place].colour},
-        )  # fmt: skip
+            drawn[place].tag,
+            points[place],
+            (1.035, height),
+            textcoords="axes fraction",
+            fontsize=6.5,
+            va="center",
+            annotation_clip=False,
+            arrowprops=_LEADER | {"color": drawn[place].colour},
+        )
 
 
 def log_scale_if_wide(axes: Axes, values: ArrayLike, sign: str = "") -> bool:

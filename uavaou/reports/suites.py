@@ -13,8 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
+from uavaou.csv_tables import read_table
 from uavaou.errors import InputError
-from uavaou.evaluation.flights import FLIGHTS, read_table
+from uavaou.evaluation.flights import FLIGHTS
 from uavaou.experiments.results import StudyResults
 from uavaou.experiments.suite_flights import budget_lines, summary
 from uavaou.reports import style

@@ -13,7 +13,7 @@ from uavaou.errors import InputError, unknown
 from uavaou.evaluation.evaluate import Evaluation, play
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.family import beyond
-from uavaou.planners import PLANNERS, make_planner, planner_knowledge
+from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner, planner_knowledge
 from uavaou.planners.base import Planner
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.released import released_names
@@ -67,34 +67,30 @@ def common_scenario(runs: Mapping[str, RunConfig]) -> Scenario:
     return runs[first].scenario
 
 
-def load_runs(
-    folders: Iterable[str], scenario: Scenario | None, action: str | None = None, knows: str = "everything"
-) -> dict[str, Planner]:
-    """The best policies of runs by folder; see :func:`uavaou.runs.policy.load_run`."""
-    from uavaou.runs.policy import load_run  # imports torch, which planners do without
-
-    return {name: load_run(name, scenario, action, knows) for name in folders}
-
-
 def make_policy(
-    name: RunFolder | Path | str, scenario: Scenario, time_limit_s: float | None = None, knows: str = "everything"
+    name: RunFolder | Path | str,
+    scenario: Scenario | None,
+    time_limit_s: float | None = None,
+    knows: str = "everything",
+    action: str | None = None,
 ) -> Planner:
     """The planner, released policy or run of that name, to act in ``scenario``.
 
     Args:
         name: of a planner (:func:`uavaou.planners.make_planner`), of a released policy, or the path of a run's folder.
-        scenario: which a trained policy must fit.
-        time_limit_s: of planners that plan before take-off.
+        scenario: which a trained policy must fit; None: the one trained on.
+        time_limit_s: of planners that plan before take-off; the others take none.
         knows: the most that it may read in flight.
+        action: of a trained policy; see :func:`uavaou.load_run`.
 
     Raises:
         InputError: there is none of that name, it does not fit the scenario, or it needs to know more.
     """
     if isinstance(name, str) and is_planner(name):
-        return make_planner(name, time_limit_s, knows)
+        return make_planner(name, time_limit_s if name in PLAN_AHEAD else None, knows)
     from uavaou.runs.policy import load_run  # imports torch, which planners do without
 
-    return load_run(name, scenario, knows=knows)
+    return load_run(name, scenario, action, knows)
 
 
 def is_planner(name: str) -> bool:
@@ -228,7 +224,8 @@ class Comparison:
         Raises:
             InputError: the file cannot be written.
         """
-        from uavaou.evaluation.flights import Flights, write_table
+        from uavaou.csv_tables import write_table
+        from uavaou.evaluation.flights import Flights
 
         write_table(path, Flights.joined(self.flights(name) for name in self.results).flights)
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from uavaou.algorithms.io.tensor_file import POLICY, ArrayFile
+from uavaou.csv_tables import NUMBER, read_table
 from uavaou.errors import InputError
-from uavaou.evaluation.flights import NUMBER, SAMPLED, TRAINING, VALIDATION, Flights, column, read_table
+from uavaou.evaluation.flights import SAMPLED, TRAINING, VALIDATION, Flights, column
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.runs.checkpoint_header import TrainingProgress
 from uavaou.runs.folder import EPISODE_COLUMNS, RunConfig, RunFolder

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,7 @@ _LONGEST = 120
 def config_folder(out: Path, config: RunConfig) -> RunFolder:
     """The folder that ``uavaou train`` gives a run: named by what differs from the preset and the published settings.
 
-    Such a name is ``mappo+slots=200000``, ``mappo+3f9a1c`` where more has changed, or ``mappo-from-any-map``. Two
-    different runs do not share one.
+    Two different runs do not share one.
 
     Args:
         out: the folder of all results.
@@ -37,10 +36,27 @@ def config_folder(out: Path, config: RunConfig) -> RunFolder:
     Raises:
         InputError: the algorithm is not registered.
     """
+    return RunFolder(out / map_folder(config) / policy_name(config) / f"seed-{config.seed}")
+
+
+def policy_name(config: RunConfig, without: Collection[str] = ()) -> str:
+    """What a run's policy is called: ``mappo+slots=200000``, ``mappo+3f9a1c`` of many changes, ``mappo-from-any-map``.
+
+    Args:
+        config: of the run.
+        without: settings that do not make another policy.
+
+    Raises:
+        InputError: the algorithm is not registered.
+    """
     name, changed = _named(config)
     name += f"-from-{_beginning(config.start)}" if config.start else ""
-    place = family_folder(config.family) if config.family else scenario_folder(config.scenario)
-    return RunFolder(out / place / _folder_name(name, changed) / f"seed-{config.seed}")
+    return _folder_name(name, {field: value for field, value in changed.items() if field not in without})
+
+
+def map_folder(config: RunConfig) -> str:
+    """The name of the folder of the scenario or the family that a run was trained on."""
+    return family_folder(config.family) if config.family else scenario_folder(config.scenario)
 
 
 def changes(config: RunConfig) -> dict[str, str]:

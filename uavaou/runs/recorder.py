@@ -79,10 +79,16 @@ class Recorder(BaseCallback):
     """
 
     def __init__(
-        self, config: RunConfig, folder: RunFolder, env: MissionVecEnv, progress: TrainingProgress,
-        display: Display | None, interrupts: Interrupts, checkpoint_every_s: float,
+        self,
+        config: RunConfig,
+        folder: RunFolder,
+        env: MissionVecEnv,
+        progress: TrainingProgress,
+        display: Display | None,
+        interrupts: Interrupts,
+        checkpoint_every_s: float,
         after_update: AfterUpdate | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__()
         self.progress = progress
         self.progress_csv = ProgressCsv(folder.progress, progress.rows, progress.progress_sha256)
@@ -301,9 +307,13 @@ class Recorder(BaseCallback):
 
 
 def write_meta(
-    folder: RunFolder, config: RunConfig, progress: TrainingProgress, machine: dict[str, Any], device: str | None,
+    folder: RunFolder,
+    config: RunConfig,
+    progress: TrainingProgress,
+    machine: dict[str, Any],
+    device: str | None,
     checkpoints: dict[str, float],
-) -> None:  # fmt: skip
+) -> None:
     """Write ``meta.json``: the machine, the budgets, and where the last checkpoint stands."""
     meta = RunMeta(
         **machine,

@@ -21,10 +21,8 @@ if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 # The settings that the shapes of the weights follow from, and the pull, whose sharpness is one of them.
-OF_THE_NETWORK = (
-    "network", "token_width", "pull", "observation", "collection", "hidden", "critic_input", "state_value_width",
-    "mixer_width", "hypernet_width",
-)  # fmt: skip
+OF_THE_NETWORK = ["network", "token_width", "pull", "observation", "collection", "hidden", "critic_input"]
+OF_THE_NETWORK += ["state_value_width", "mixer_width", "hypernet_width"]
 OF_THE_WEIGHTS = frozenset({*OF_THE_NETWORK} - {"observation"})  # a training that begins with them cannot change these
 _KEPT = ("activation", "masks", "selection_bias")  # also of a training with other settings
 

@@ -101,10 +101,17 @@ def train(
 
 
 def _train(
-    config: RunConfig, folder: RunFolder, source: Start | None, device: str, backend: str, plan: Plans | None,
+    config: RunConfig,
+    folder: RunFolder,
+    source: Start | None,
+    device: str,
+    backend: str,
+    plan: Plans | None,
     resume: bool,
-    checkpoint_every_s: float, display: Display | None, after_update: AfterUpdate | None,
-) -> Outcome:  # fmt: skip
+    checkpoint_every_s: float,
+    display: Display | None,
+    after_update: AfterUpdate | None,
+) -> Outcome:
     """Train to the last budget of ``config``; those before it have been reached."""
     resuming = _check_folder(folder, config, resume)
     algorithm = config.algorithm
@@ -207,9 +214,15 @@ def _going_on(folder: RunFolder) -> str:
 
 
 def _learn(
-    config: RunConfig, folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv, progress: TrainingProgress,
-    checkpoint_every_s: float, display: Display | None, after_update: AfterUpdate | None,
-) -> Outcome:  # fmt: skip
+    config: RunConfig,
+    folder: RunFolder,
+    model: BaseAlgorithm,
+    env: MissionVecEnv,
+    progress: TrainingProgress,
+    checkpoint_every_s: float,
+    display: Display | None,
+    after_update: AfterUpdate | None,
+) -> Outcome:
     rows = env.row_layout.uavs  # of a mission
     remaining, update_slots = config.slots - progress.slots, longest_rollout(model) * config.algorithm.missions
     if remaining <= 0:  # resumed, but finished before

@@ -79,8 +79,8 @@ def ratio_of_trainings(values: Groups, reference: Groups) -> Interval:
     """
     if set(values) != set(reference):
         raise ValueError(f"trainings on {sorted(values)} cannot be compared with trainings on {sorted(reference)}")
-    signed = [(sign, np.asarray(group[task], dtype=np.float64)) for task in sorted(values)
-              for sign, group in ((1.0, values), (-1.0, reference))]  # fmt: skip
+    groups = [(1.0, values), (-1.0, reference)]
+    signed = [(sign, np.asarray(group[task], dtype=np.float64)) for task in sorted(values) for sign, group in groups]
     if any(not (group > 0).all() for _, group in signed):
         return Interval(math.nan, math.nan, math.nan)
     found = _weighted_sum([(sign / max(len(values), 1), np.log(group)) for sign, group in signed])
