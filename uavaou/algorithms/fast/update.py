@@ -47,8 +47,9 @@ class FastUpdate:
     def __init__(self, model: MAPPO, clip_range: float, mean: float, std: float, critic_alone: bool = False) -> None:
         keep_freed_memory()
         policy, buffer, value_net = model.policy, model.rollout_buffer, model.policy.value_net
-        numbers = (mean, 1 / std, clip_range, model.ent_coef, model.vf_coef, value_net.mean, value_net.std)
-        self._coefficients = LossCoefficients(*map(float, numbers))
+        self._coefficients = LossCoefficients(
+            mean, 1 / std, clip_range, model.ent_coef, model.vf_coef, float(value_net.mean), float(value_net.std)
+        )
         self._normalises_batches = model.advantage_normalization == "batch"
         self._parameters = policy.actor_parameters(), policy.critic_parameters()
         self._learning = (1,) if critic_alone else (0, 1)
