@@ -94,7 +94,7 @@ def _annealed(path: Path, scenario: Scenario, time_limit_s: float) -> RoutePlan:
             return plan
     plan = Anneal(time_limit_s).plan(scenario, scenario.draw_layout())
     if not plan.interrupted:
-        write_json(path, plan.to_dict(scenario), indent=None)
+        write_json(path, plan.to_dict(scenario))
     return plan
 
 

@@ -20,7 +20,7 @@ from torch import nn
 from benchmarks.measure import Measurement, Stopwatch, exactly, seconds_of, side_by_side
 from uavaou import MAPPO, Scenario, flatten
 from uavaou.algorithms.config import AlgorithmConfig, MappoConfig
-from uavaou.algorithms.fast import loss
+from uavaou.algorithms.fast import update as fast
 from uavaou.algorithms.fast.update import ClippedAdam
 from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
 from uavaou.algorithms.nets.mlp import FullyConnected, Linear
@@ -172,8 +172,8 @@ def parts(repeats: int = 3, rollout_slots: int | None = None) -> list[Measuremen
     update = {
         "update: networks forward": (FullyConnected, "forward"),
         "update: networks backward": (FullyConnected, "backward"),
-        "update: loss of the actor": (loss, "clipped_surrogate"),
-        "update: loss of the critic": (loss, "squared_error"),
+        "update: loss of the actor": (fast, "clipped_surrogate"),
+        "update: loss of the critic": (fast, "squared_error"),
         "update: clipping and Adam": (ClippedAdam, "step"),
     }
     learning, seconds = _split(learn, rollout, repeats, rollouts=ROLLOUTS)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from uavaou.algorithms.fast.loss import GradientShard
+from uavaou.algorithms.fast.update import FastUpdate
 from uavaou.algorithms.mappo.buffer import SlotRolloutBuffer
 from uavaou.algorithms.qlearning.policy import JointQPolicy
 from uavaou.algorithms.qlearning.replay import JointReplay
@@ -82,13 +82,13 @@ def test_the_default_is_below_the_rule_on_the_paper_s_map_at_once(tmp_path: Path
 def stale_critic_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """The critic learns on the rows of the first rollout for ever, as it once did with two threads."""
     first: dict[int, Any] = {}
-    init = GradientShard.__init__
+    init = FastUpdate.__init__
 
-    def keep_first(shard: Any, policy: Any, buffer: Any) -> None:
-        init(shard, policy, buffer)
-        shard._critic_rows = first.setdefault(id(buffer), shard._critic_rows.clone())
+    def keep_first(update: Any, model: Any, *numbers: Any) -> None:
+        init(update, model, *numbers)
+        update._critic_rows = first.setdefault(id(model.rollout_buffer), update._critic_rows.clone())
 
-    monkeypatch.setattr(GradientShard, "__init__", keep_first)
+    monkeypatch.setattr(FastUpdate, "__init__", keep_first)
 
 
 def flipped_advantages(monkeypatch: pytest.MonkeyPatch) -> None:

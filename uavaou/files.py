@@ -145,6 +145,6 @@ def write_text(path: Path, text: str) -> None:
             file.write(text)
 
 
-def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
-    """Replace a JSON file as :func:`write_text` does; without ``indent`` on one line."""
-    write_text(path, json.dumps(content, indent=indent, separators=None if indent else (",", ":")) + "\n")
+def write_json(path: Path, content: Any) -> None:
+    """Replace a JSON file as :func:`write_text` does."""
+    write_text(path, json.dumps(content, indent=1) + "\n")

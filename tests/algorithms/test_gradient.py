@@ -17,8 +17,7 @@ from torch import nn
 from tests.algorithms.small_mappo import small_model, trained_weights, weights
 from tests.documents import ROOT
 from uavaou import IPPO, MAPPO
-from uavaou.algorithms.fast import loss
-from uavaou.algorithms.fast.loss import GradientShard
+from uavaou.algorithms.fast import update
 from uavaou.algorithms.fast.update import FastUpdate
 from uavaou.algorithms.mappo import CentralizedValuePolicy
 from uavaou.algorithms.mappo.mappo import LossStatistics
@@ -64,7 +63,7 @@ def test_the_fast_gradient_is_that_of_the_loss(
         for parameter in model.policy.actor_and_critic_parameters():
             parameter.add_(th.randn(parameter.shape, generator=th.Generator().manual_seed(1)) * 0.02)
     assert model.uses_fast
-    assert not GradientShard(model.policy, model.rollout_buffer).uses_autograd
+    assert not FastUpdate(model, 0.2, 0.0, 1.0).uses_autograd
     pair = both_gradients(model, rng.permutation(24)[:9], 0.05, 0.3, 1.7)
     assert 0.2 < float(pair[0][0].clip_fraction) < 1
     assert_close(pair)
@@ -75,12 +74,11 @@ def test_the_fast_gradient_is_that_of_the_loss(
 def test_the_gradients_of_shards_add_up_to_that_of_the_loss(
     critic_input: str, observation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loss, "ROWS", 4)
+    monkeypatch.setattr(update, "ROWS", 4)
     model = small_model(observation=observation, policy_kwargs={"critic_input": critic_input})
     model.learn(6 * 8)
-    shard = GradientShard(model.policy, model.rollout_buffer)
-    pieces = shard.pieces(18, len(shard.critic_rows(np.arange(9))))
-    assert pieces == ((4, 2) if critic_input == "global" else (4, 4))  # of unequal sizes
+    fast = FastUpdate(model, 0.2, 0.0, 1.0)
+    assert fast.pieces(fast.rows(np.arange(9))) == ([4, 2] if critic_input == "global" else [4, 4])  # of unequal sizes
     assert_close(both_gradients(model, np.arange(9)))
 
 
@@ -152,7 +150,7 @@ def test_other_networks_get_their_true_gradient_from_the_compiled_loss(name: str
         )
     model.learn(2 * 6 * 8)
     assert model.uses_fast
-    assert GradientShard(model.policy, model.rollout_buffer).uses_autograd
+    assert FastUpdate(model, 0.2, 0.0, 1.0).uses_autograd
     pair = both_gradients(model, np.arange(3, 15))
     for expected, gradient in zip(pair[0][1], pair[1][1], strict=True):
         cosine = th.nn.functional.cosine_similarity(expected.flatten(), gradient.flatten(), dim=0)
@@ -164,7 +162,7 @@ def test_layers_of_mixed_activations_are_known() -> None:
     model = small_model(policy_kwargs={"net_arch": [16, 16]})
     model.policy.actor_body[3] = nn.ReLU()
     model.learn(6 * 8)
-    assert not GradientShard(model.policy, model.rollout_buffer).uses_autograd
+    assert not FastUpdate(model, 0.2, 0.0, 1.0).uses_autograd
     assert_close(both_gradients(model, np.arange(10)))
 
 

@@ -129,7 +129,7 @@ def test_returns_stop_where_the_mission_ends() -> None:
 
 def test_memory_is_what_the_docstring_states() -> None:
     replay = filled_replay(3, capacity=10, n_steps=1, ends=set())
-    held = sum(array.nbytes for array in replay.state_arrays().values())
+    held = sum(array.nbytes for array in (replay.local, replay.states, replay.actions, replay.rewards, replay.ends))
     assert held == 10 * 2 * (4 * (2 * 3 + 1 + 1) + 2 * 1 + 1)
     assert replay.slots == 6
 

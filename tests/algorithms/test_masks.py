@@ -14,7 +14,6 @@ from stable_baselines3.common.vec_env import VecCheckNan, VecFrameStack, VecNorm
 
 from uavaou import IPPO, MAPPO, QMIX, VDN, InputError, LocalRows, Scenario, World, flatten
 from uavaou.algorithms.registry import load_config, make_model
-from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.world import Views
 from uavaou.zoo import zoo_path
@@ -99,13 +98,9 @@ def test_a_learner_saved_without_masks_is_loaded_without(tmp_path: Path) -> None
     assert type(model).load(tmp_path / "model").policy.masks is False
 
 
-def test_published_settings_state_it_and_old_runs_load() -> None:
+def test_published_settings_state_it() -> None:
     for name in ("mappo-paper", "vdn", "qmix"):
         assert yaml.safe_load(zoo_path("algorithms", name).read_text())["masks"] is True
-    old = Path(__file__).parents[1] / "data" / "schema-1"
-    assert "masks" not in (old / "config.yaml").read_text()
-    config: Any = RunFolder(old).read_config().algorithm
-    assert config.masks is True
 
 
 def test_masks_are_true_or_false() -> None:

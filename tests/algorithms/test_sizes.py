@@ -21,8 +21,9 @@ from uavaou import (
     train,
 )
 from uavaou.algorithms import registry
+from uavaou.algorithms.nets.mlp import mlp
 from uavaou.algorithms.qlearning import JointQPolicy
-from uavaou.algorithms.qlearning.branches import UtilityNetwork
+from uavaou.algorithms.qlearning.branches import Branches, UtilityNetwork
 from uavaou.runs.folder import RunFolder
 from uavaou.world.views import RowLayout
 
@@ -33,8 +34,8 @@ POOLED = ("to_device_x", "to_device_y", "update_period", "since_own_collection")
 class PooledUtilities(UtilityNetwork):
     """Reads the mean over devices of some columns."""
 
-    def __init__(self, layout: RowLayout, *arguments: Any) -> None:
-        super().__init__(len(POOLED), *arguments)
+    def __init__(self, layout: RowLayout, branches: Branches) -> None:
+        super().__init__(mlp(len(POOLED), [8], "relu"), branches)
         self.layout = layout
 
     def forward(self, local: th.Tensor, allowed: th.Tensor | None) -> th.Tensor:
@@ -46,7 +47,7 @@ class PooledPolicy(JointQPolicy):
     depends_on_sizes = False
 
     def make_utilities(self) -> UtilityNetwork:
-        return PooledUtilities(self.row_layout, [8], "relu", self.branches)
+        return PooledUtilities(self.row_layout, self.branches)
 
 
 class PooledConfig(AlgorithmConfig):

@@ -16,8 +16,8 @@ from torch import nn
 
 from tests.algorithms.small_mappo import small_model, weights
 from uavaou import IPPO, Family, Scenario, flatten
-from uavaou.algorithms.fast import loss
-from uavaou.algorithms.fast.loss import GradientShard
+from uavaou.algorithms.fast import update
+from uavaou.algorithms.fast.update import FastUpdate
 from uavaou.algorithms.mappo.mappo import LossStatistics
 from uavaou.algorithms.registry import load_config, make_model
 from uavaou.threads import Tasks, use_threads
@@ -52,8 +52,8 @@ LEARNERS: dict[str, Callable[[], BaseAlgorithm]] = {
 
 @pytest.mark.parametrize("name", list(LEARNERS))
 def test_weights_do_not_depend_on_the_number_of_threads(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loss, "ROWS", 40)  # of a shard: several in each minibatch
-    monkeypatch.setattr(loss, "AUTOGRAD_ROWS", 40)
+    monkeypatch.setattr(update, "ROWS", 40)  # of a shard: several in each minibatch
+    monkeypatch.setattr(update, "AUTOGRAD_ROWS", 40)
     of_one, *others = [
         weights(LEARNERS[name]()).numpy().tobytes() for number in (1, 2, 4) for _ in [use_threads(number)]
     ]
@@ -94,7 +94,7 @@ class Bodies(BaseCallback):
 def test_a_network_is_divided_where_it_keeps_rows_apart(
     module: nn.Module, divisible: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loss, "AUTOGRAD_ROWS", 40)
+    monkeypatch.setattr(update, "AUTOGRAD_ROWS", 40)
     alone = []
     init = Tasks.__init__
     monkeypatch.setattr(Tasks, "__init__", lambda self, **how: [alone.append(how["alone"]), init(self, **how)][1])
@@ -103,9 +103,9 @@ def test_a_network_is_divided_where_it_keeps_rows_apart(
         use_threads(threads)
         model = small_model(n_steps=30, batch_size=120, n_epochs=2, policy_kwargs={"net_arch": [16]})
         model.learn(2 * 30 * 8, callback=Bodies(module))
-        shard = GradientShard(model.policy, model.rollout_buffer)
-        assert shard.divisible == divisible
-        assert shard.pieces(120, 60) == (3, 1)
+        fast = FastUpdate(model, 0.2, 0.0, 1.0)
+        assert fast.divisible == divisible
+        assert fast.pieces((np.arange(120), np.arange(60))) == ([3, 1] if divisible else [1, 1])
         return bytes(weights(model).numpy().tobytes())
 
     assert weights_with(1) == weights_with(2)

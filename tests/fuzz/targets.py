@@ -102,7 +102,7 @@ def config() -> RunConfig:
 
 def _checkpoint(path: Path) -> None:
     file = ArrayFile(path)
-    TrainingProgress.read(file, oldest=2)
+    TrainingProgress.read(file)
     for name in file.shapes:
         file.read(name)
 

@@ -176,16 +176,17 @@ def test_its_file_imports_two_packages() -> None:
     [("flat", "local"), ("flat", "shared"), ("entities", "part"), ("entities", "local"), ("entities", "shared")],
 )
 def test_the_json_describes_every_column(rows: str, observation: str) -> None:
-    from uavaou.onboard.columns import SOURCES, describe_inputs
+    from uavaou.onboard.columns import describe_inputs
     from uavaou.world.entities import make_views
 
     layout = make_views(QUICK, observation, "auto", rows).layout
-    inputs = describe_inputs(layout, observation, pulled=True)
-    assert json.loads(json.dumps(inputs)) == inputs
+    described = describe_inputs(layout, observation, pulled=True)
+    assert json.loads(json.dumps(described)) == described
+    inputs, sources = described["inputs"], described["from"]
     assert list(inputs) == (["local"] if rows == "flat" else [columns.name for columns in layout.local])
-    for described in inputs.values():
-        assert sum(column["size"] for column in described["columns"].values()) == described["shape"][-1]
-        assert {column["from"] for column in described["columns"].values()} <= set(SOURCES)
+    for each in inputs.values():
+        assert sum(column["size"] for column in each["columns"].values()) == each["shape"][-1]
+        assert {column["from"] for column in each["columns"].values()} <= set(sources)
     by_radio = [column for each in inputs.values() for column in each["columns"].values() if column["from"] == "radio"]
     assert bool(by_radio) == (observation == "shared")
 

@@ -79,6 +79,7 @@ class LearnerConfig(AlgorithmConfig):
     """
 
     adam: ClassVar[dict[str, Any]] = {"fused": True}  # options of the optimizer
+    of_policy: ClassVar[tuple[str, ...]] = ("network", "activation", "masks", "pull", "token_width", "selection_bias")
     _learner_arguments: ClassVar[Callable[[Self], dict[str, Any]]]  # of the constructor
     network: Literal["mlp", "set"] = "mlp"  # set: any number of UAVs and devices, in rows of entities
     hidden: HiddenSizes  # units of each hidden layer; MAPPO: of actor and critic alike
@@ -112,22 +113,12 @@ class LearnerConfig(AlgorithmConfig):
         from uavaou.algorithms.qlearning import IQL, QMIX, VDN
 
         learners: dict[str, Any] = {"mappo": MAPPO, "ippo": IPPO, "vdn": VDN, "qmix": QMIX, "iql": IQL}
+        policy = {name: getattr(self, name) for name in self.of_policy}
+        policy |= {"net_arch": list(self.hidden), "optimizer_kwargs": self.adam}
         learner: BaseAlgorithm = learners[self.name](
-            env=env, seed=seed, device=device, policy_kwargs=self._policy_arguments(), **self._learner_arguments()
+            env=env, seed=seed, device=device, policy_kwargs=policy, **self._learner_arguments()
         )
         return learner
-
-    def _policy_arguments(self) -> dict[str, Any]:
-        return {
-            "network": self.network,
-            "net_arch": list(self.hidden),
-            "activation": self.activation,
-            "masks": self.masks,
-            "pull": self.pull,
-            "token_width": self.token_width,
-            "selection_bias": self.selection_bias,
-            "optimizer_kwargs": self.adam,
-        }
 
 
 class IppoConfig(LearnerConfig):
@@ -178,11 +169,9 @@ def _one_input(value: Any) -> Any:
 class MappoConfig(IppoConfig):
     """MAPPO: also what its critic reads."""
 
+    of_policy: ClassVar[tuple[str, ...]] = (*IppoConfig.of_policy, "critic_input")
     name: Literal["mappo"] = "mappo"
     critic_input: Annotated[Literal["global", "local"], BeforeValidator(_one_input)] = "global"
-
-    def _policy_arguments(self) -> dict[str, Any]:
-        return super()._policy_arguments() | {"critic_input": self.critic_input}
 
 
 class JointQConfig(LearnerConfig):
@@ -237,22 +226,18 @@ class JointQConfig(LearnerConfig):
 class VdnConfig(JointQConfig):
     """VDN: also a value of the global state beside the sum, as QMIX has."""
 
+    of_policy: ClassVar[tuple[str, ...]] = (*JointQConfig.of_policy, "state_value_width")
     name: Literal["vdn"] = "vdn"
     state_value_width: Annotated[Whole, Field(ge=0, le=4096)] = 0  # hidden units of V(s); 0: Q_tot is the sum alone
-
-    def _policy_arguments(self) -> dict[str, Any]:
-        return super()._policy_arguments() | {"state_value_width": self.state_value_width}
 
 
 class QmixConfig(JointQConfig):
     """QMIX: also the mixing network's sizes."""
 
+    of_policy: ClassVar[tuple[str, ...]] = (*JointQConfig.of_policy, "mixer_width", "hypernet_width")
     name: Literal["qmix"] = "qmix"
     mixer_width: Annotated[PositiveWhole, Field(le=4096)]
     hypernet_width: Annotated[PositiveWhole, Field(le=4096)]
-
-    def _policy_arguments(self) -> dict[str, Any]:
-        return super()._policy_arguments() | {"mixer_width": self.mixer_width, "hypernet_width": self.hypernet_width}
 
 
 def _linear_schedule(start: float, final_fraction: float) -> Callable[[float], float]:

@@ -9,7 +9,7 @@ from stable_baselines3.common.policies import BasePolicy
 
 from uavaou.algorithms.nets.mlp import ACTIVATIONS, Mlp, mlp
 from uavaou.algorithms.nets.pull import Pull
-from uavaou.algorithms.nets.set_encoder import TOKEN_WIDTH, SetNetwork, check_network
+from uavaou.algorithms.nets.set_encoder import NETWORKS, TOKEN_WIDTH, SetNetwork
 from uavaou.algorithms.nets.symmetries import SquareSymmetries
 from uavaou.algorithms.postpone_dynamo import postpone_dynamo
 from uavaou.errors import InputError, unknown
@@ -58,7 +58,10 @@ class LocalPolicy(BasePolicy):
     ) -> None:
         if activation not in ACTIVATIONS:
             raise unknown("activation", activation, ACTIVATIONS)
-        check_network(network, row_layout)
+        if network not in NETWORKS:
+            raise unknown("network", network, NETWORKS)
+        if network != "mlp" and row_layout.rows != "entities":
+            raise InputError(f"network = '{network}': reads rows of entities: flatten(..., rows='entities')")
         self.row_layout, self.network, self.masks = row_layout, network, masks
         self.selection_bias, self.averages_views = selection_bias, averages_views
         self.pull = pull > 0 and network == "set"
@@ -67,12 +70,14 @@ class LocalPolicy(BasePolicy):
         postpone_dynamo()
         super().__init__(*args, **kwargs)
 
-    def make_body(
-        self, columns: Sequence[Columns], selects: bool = False, pull: Pull | None = None
-    ) -> Mlp | SetNetwork:
-        """Make the layers between rows and heads; of a set, each device has a logit if it ``selects``."""
+    def make_body(self, columns: Sequence[Columns], selects: bool = False, acts: bool = False) -> Mlp | SetNetwork:
+        """Make the layers between rows and heads.
+
+        Of a set, each device has a logit if it ``selects``, and devices pull if they should and it ``acts``.
+        """
         if self.network == "mlp":
             return mlp(columns[-1].stop, self._hidden, self._activation)
+        pull = Pull(self.row_layout, self._sharpness) if acts and self.pull else None
         return SetNetwork(columns, self._hidden, self._activation, selects, pull, self._token_width)
 
     @cached_property

@@ -18,7 +18,7 @@ from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.files import replacing, write_text, writing
 from uavaou.onboard import runner
-from uavaou.onboard.columns import NOTATION, SOURCES, describe_inputs
+from uavaou.onboard.columns import describe_inputs
 from uavaou.onboard.graph import inputs_of, make_graph, optional
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy, load_run
@@ -188,9 +188,7 @@ def _describe(name: str, trained: TrainedPolicy) -> dict[str, Any]:
         "collection": views.collection,
         "action": trained.action,
         "epsilon": None if epsilon is None else float(epsilon),
-        "notation": NOTATION,
-        "from": SOURCES,
-        "inputs": describe_inputs(layout, views.observation, getattr(policy, "pull", False)),
+        **describe_inputs(layout, views.observation, getattr(policy, "pull", False)),
         "outputs": outputs,
     }
 

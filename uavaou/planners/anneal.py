@@ -16,7 +16,7 @@ import numpy as np
 from uavaou.arrays import Ints
 from uavaou.planners.greedy import BestFirst
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner, expected_age, expected_mean_aou
-from uavaou.planners.search import anneal, recompute
+from uavaou.planners.search import ExpectedAge, anneal, recompute
 from uavaou.planners.tour import PartitionTour, Tour
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
@@ -48,34 +48,44 @@ class Anneal(RoutePlanner):
                 starts.append(tour.plan(scenario, layout).routes)
         starts.append(best_first_routes(scenario, layout))
         start = min(starts, key=lambda routes: expected_mean_aou(scenario, layout, routes))
-        search, interrupted = _Annealing(scenario, layout, start), False
+        expected, interrupted = expected_age(scenario, layout, start), False
+        best = expected.routes.copy()  # (U, K+1)
         try:
-            for done in self._cool(search, started):
+            for done, age in self._cool(scenario, expected, best, started):
                 if on_progress is not None:
-                    on_progress(PlanningStatus(done, scenario.slot_length_s * search.best_age / scenario.slots))
+                    on_progress(PlanningStatus(done, scenario.slot_length_s * age / scenario.slots))
         except KeyboardInterrupt:
             interrupted = True
-        routes = search.best_routes()
+        routes = np.stack(np.divmod(best[:, 1:].T, scenario.rows), axis=-1)  # (K, U, 2)
         return RoutePlan(self.name, expected_mean_aou(scenario, layout, routes), routes, interrupted=interrupted)
 
-    def _cool(self, search: _Annealing, started: float) -> Iterator[float]:
-        """Run the search in chunks; yield the fraction of it that is done."""
-        fraction, done, proposals, work = 0.0, 0, _FIRST_CHUNK, PROPOSALS_A_SLOT * search.slots
+    def _cool(
+        self, scenario: Scenario, expected: ExpectedAge, best: Ints, started: float
+    ) -> Iterator[tuple[float, float]]:
+        """Search in chunks, and write the best routes met; yield the fraction that is done, and the least total age."""
+        slots, rng, budget = scenario.slots, np.random.default_rng(0), Flight(scenario).budget  # (U,)
+        flown, age = flown_steps(best), expected.total_age  # (U,)
+        fraction, done, proposals, work = 0.0, 0, _FIRST_CHUNK, PROPOSALS_A_SLOT * slots
         if time.monotonic() - started >= self.most_s:
             return  # even one chunk may have to be compiled
         while fraction < 1.0:
-            chunk_started, before = time.monotonic(), fraction
+            chunk_started, hot = time.monotonic(), _temperature(fraction)
             if self.time_limit_s is None:
                 proposals = min(proposals, work - done)
                 done += proposals
                 fraction = done / work
             else:
                 fraction = min(1.0, (chunk_started - started + _CHUNK_S) / self.time_limit_s)
-            search.run(proposals, _temperature(before), _temperature(fraction))
+            if slots > 2:  # the cells of slots 1 and K are the CDS
+                age = anneal(
+                    expected, (scenario.columns, scenario.rows), budget, flown, (2, slots),
+                    (hot * slots, _temperature(fraction) * slots), proposals, best, age, rng,
+                )  # fmt: skip
+                recompute(expected)  # removes the rounding errors of many small changes
             if self.time_limit_s is not None:  # without one, the clock must not affect the plan
                 elapsed = time.monotonic() - chunk_started
                 proposals = max(_FIRST_CHUNK, int(proposals * min(4.0, _CHUNK_S / elapsed)))
-            yield fraction
+            yield fraction, age
 
 
 def best_first_routes(scenario: Scenario, layout: Layout) -> Ints:
@@ -97,31 +107,3 @@ def flown_steps(routes: Ints) -> Ints:
 def _temperature(fraction: float) -> float:
     """Return the temperature of geometric cooling after a fraction of the work."""
     return float(_HOT * (_COLD / _HOT) ** fraction)
-
-
-class _Annealing:
-    """One search: the present routes with their expected age, and the best routes met."""
-
-    def __init__(self, scenario: Scenario, layout: Layout, start: Ints) -> None:
-        self._expected = expected_age(scenario, layout, start)
-        self._grid = (scenario.columns, scenario.rows)
-        self.slots = scenario.slots
-        self._rng = np.random.default_rng(0)
-        self._budget = Flight(scenario).budget  # (U,)
-        self._flown = flown_steps(self._expected.routes)  # (U,)
-        self._best = self._expected.routes.copy()  # (U, K+1)
-        self.best_age = self._expected.total_age
-
-    def run(self, proposals: int, hot: float, cold: float) -> None:
-        """Try ``proposals`` changes while cooling from ``hot`` to ``cold``, in slots of age for each slot."""
-        between = (2, self.slots)  # the cells of slots 1 and K are the CDS
-        if self.slots > 2:
-            self.best_age = anneal(
-                self._expected, self._grid, self._budget, self._flown, between, (hot * self.slots, cold * self.slots),
-                proposals, self._best, self.best_age, self._rng,
-            )  # fmt: skip
-            recompute(self._expected)  # removes the rounding errors of many small changes
-
-    def best_routes(self) -> Ints:
-        """Return the best routes met, (K, U, 2)."""
-        return np.stack(np.divmod(self._best[:, 1:].T, self._grid[1]), axis=-1)

@@ -145,22 +145,17 @@ class LagrangianDecomposition:
         """
         differences = self.no_differences(charges) if differences is None else differences
         starts = charges, prices, differences
-        scales = (1.0, 1.0, 1.0) if self.short else (1.0, _SCALE, _SCALE_DIFFERENCES)
-        ends = np.cumsum([start.size for start in starts])
-
-        def parts(point: Floats) -> list[Floats]:
-            pieces = np.split(point, ends[:-1])
-            return [
-                scale * piece.reshape(start.shape) for scale, piece, start in zip(scales, pieces, starts, strict=True)
-            ]
+        sizes = [start.size for start in starts]
+        scale = np.repeat((1.0, 1.0, 1.0) if self.short else (1.0, _SCALE, _SCALE_DIFFERENCES), sizes)  # (n,)
 
         def value(point: Floats) -> tuple[float, Floats]:
-            arguments = parts(point)
+            pieces = np.split(scale * point, np.cumsum(sizes)[:-1])
+            arguments = [piece.reshape(start.shape) for piece, start in zip(pieces, starts, strict=True)]
             total, *slopes = self.bound(*arguments)
             on_round(total, *arguments)
-            return total, np.concatenate([scale * slope.ravel() for scale, slope in zip(scales, slopes, strict=True)])
+            return total, scale * np.concatenate([slope.ravel() for slope in slopes])
 
-        start = np.concatenate([start.ravel() / scale for scale, start in zip(scales, starts, strict=True)])
+        start = np.concatenate([start.ravel() for start in starts]) / scale
         return bundle_ascent(value, start, _FIRST_GAIN * self.slots, rounds, time_limit_s)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, ClassVar
@@ -76,7 +75,7 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
         started = time.monotonic()
         search, interrupted = _Search(scenario, layout), False
         try:
-            for done in self._fractions(search, started):
+            while (done := self._done(search, started)) < 1.0:
                 search.step(done)
                 if on_progress is not None:
                     on_progress(PlanningStatus(done, scenario.slot_length_s * search.best_age))
@@ -84,17 +83,13 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
             interrupted = True
         return search.best_plan(self.name, scenario.slot_length_s, interrupted)
 
-    def _fractions(self, search: _Search, started: float) -> Iterator[float]:
-        """Yield the fraction of the search that is done, before each proposal."""
+    def _done(self, search: _Search, started: float) -> float:
+        """Return the fraction of the search that is done."""
         if self.slots is not None:
-            while (done := search.slots / self.slots) < 1.0:
-                yield done
-        elif self.time_limit_s is None:
-            while (done := search.proposals / PROPOSALS) < 1.0:
-                yield done
-        else:
-            while (done := (time.monotonic() - started) / self.time_limit_s) < 1.0:
-                yield done
+            return search.slots / self.slots
+        if self.time_limit_s is None:
+            return search.proposals / PROPOSALS
+        return (time.monotonic() - started) / self.time_limit_s
 
     def reset(self, world: World, seed: int) -> None:
         """Tune the rule for each layout that has no plan yet; draw nothing from ``seed``."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from uavaou.algorithms.io.save_load import load_optimizer_arrays, load_policy_arrays, optimizer_arrays, policy_arrays
-from uavaou.algorithms.io.tensor_file import SCHEMA, ArrayFile, Arrays, unusable, write_arrays
+from uavaou.algorithms.io.tensor_file import ArrayFile, Arrays, unusable, write_arrays
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.errors import InputError
 from uavaou.files import replacing
@@ -100,7 +100,7 @@ def restore(folder: RunFolder, model: BaseAlgorithm, env: MissionVecEnv) -> Trai
 
 def _load(path: Path, model: BaseAlgorithm, env: MissionVecEnv) -> TrainingProgress:
     file = ArrayFile(path)
-    progress = TrainingProgress.read(file, oldest=SCHEMA)
+    progress = TrainingProgress.read(file)
     load_policy_arrays(file, model)
     with unusable(f"{path}: does not hold the state of this training"):
         load_optimizer_arrays(file, model)
@@ -148,9 +148,8 @@ def _load_replay(stored: Arrays, model: BaseAlgorithm) -> None:
 
 
 def _ring(replay: Any) -> Arrays:
-    """The arrays (T, ...) of a replay: those it names, or all that an SB3 replay has."""
-    named: Arrays = replay.state_arrays() if hasattr(replay, "state_arrays") else vars(replay)
-    return {name: value for name, value in named.items() if isinstance(value, np.ndarray)}
+    """The arrays (T, ...) of a replay."""
+    return {name: value for name, value in vars(replay).items() if isinstance(value, np.ndarray)}
 
 
 def _stream_arrays(model: BaseAlgorithm) -> Arrays:

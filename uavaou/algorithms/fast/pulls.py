@@ -33,20 +33,28 @@ def pull(rows: Tensor, changes: Tensor, numbers: Tensor, columns: Places) -> Ten
         numbers: logarithms of beta, lambda and both parts, (4,).
         columns: :attr:`uavaou.algorithms.nets.pull.Pull.columns`.
     """
-    if th.is_grad_enabled():
-        pulls: Tensor = _Pull.apply(rows, changes, numbers, columns)  # type: ignore[no-untyped-call]
-        return pulls
-    return _pulled(rows, changes, numbers, columns)[0]
+    pulls: Tensor = _Pull.apply(rows, changes, numbers, columns)  # type: ignore[no-untyped-call]
+    return pulls
 
 
 class _Pull(th.autograd.Function):
-    """:func:`pull` with a gradient, by changes and numbers."""
+    """:func:`pull` with a gradient, by changes and numbers; torch takes exponentials in vectors."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor, changes: Tensor, numbers: Tensor, columns: Places) -> Tensor:
-        pulls, *kept = _pulled(rows, changes, numbers, columns)
+        devices, first = changes.shape[1] // 2, columns[0]
+        beta, reach, *parts = numbers.detach().exp().tolist()
+        read, turned = rows.detach().contiguous(), changes.detach().tanh()  # (B, columns), (B, 2 I)
+        rate = turned[:, devices:].neg().exp_().div_(reach)  # (B, I) the steps' factor 1 / reach_i
+        score = read[:, first : first + _PULL * devices : _PULL].log()
+        score.add_(turned[:, :devices], alpha=SCORE_RANGE)
+        # What each move feels of each device, (B, I, 5), and of nothing, (B,); (B, 5)
+        felt, nothing, pulls = (th.empty(len(rows), *shape) for shape in ((devices, MOVES), (), (MOVES,)))
+        of_parts = OTHERS * parts[0], OTHERS * parts[1]
+        write_logs(read.numpy(), score.numpy(), rate.numpy(), columns, of_parts, felt.numpy(), nothing.numpy())
+        write_pulls(felt.exp_().numpy(), nothing.exp_().numpy(), beta, pulls.numpy())
         ctx.columns = columns
-        ctx.save_for_backward(rows, numbers, *kept)
+        ctx.save_for_backward(rows, numbers, turned, rate, felt, nothing)
         return pulls
 
     @staticmethod
@@ -60,32 +68,6 @@ class _Pull(th.autograd.Function):
         add_pull_gradient(read, by_pulls, *kept, ctx.columns, beta, by_changes.numpy(), by_numbers)
         by_numbers[2:] *= OTHERS * np.array(parts)
         return None, by_changes, th.from_numpy(by_numbers.astype(np.float32)), None
-
-
-def _pulled(rows: Tensor, changes: Tensor, numbers: Tensor, columns: Places) -> tuple[Tensor, ...]:
-    """Return the pulls, (B, 5), and what their gradient needs; torch takes exponentials in vectors.
-
-    That is tanh of the changes, (B, 2 I), the steps' factor 1 / reach_i, (B, I), what each move feels of each device,
-    (B, I, 5), and of nothing, (B,).
-    """
-    devices, first = changes.shape[1] // 2, columns[0]
-    beta, reach, *parts = numbers.detach().exp().tolist()
-    rows, turned = rows.detach().contiguous(), changes.detach().tanh()
-    rate = turned[:, devices:].neg().exp_().div_(reach)
-    score = rows[:, first : first + _PULL * devices : _PULL].log()
-    score.add_(turned[:, :devices], alpha=SCORE_RANGE)
-    felt, nothing, pulls = (th.empty(len(rows), *shape) for shape in ((devices, MOVES), (), (MOVES,)))
-    write_logs(
-        rows.numpy(),
-        score.numpy(),
-        rate.numpy(),
-        columns,
-        (OTHERS * parts[0], OTHERS * parts[1]),
-        felt.numpy(),
-        nothing.numpy(),
-    )
-    write_pulls(felt.exp_().numpy(), nothing.exp_().numpy(), beta, pulls.numpy())
-    return pulls, turned, rate, felt, nothing
 
 
 @compiled

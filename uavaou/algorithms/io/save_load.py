@@ -73,7 +73,7 @@ class LearnerHeader(Header):
     entry: ClassVar[str] = "about"
 
     learner: str = Field(alias="class")
-    policy: str | None = None  # class of the policy; files of earlier versions do not state it
+    policy: str  # its class
     arguments: dict[str, Any]
     layout: RowLayout
     rows: Annotated[int, Field(ge=1, le=10**7)]  # buffers have as many
@@ -176,7 +176,7 @@ class SafeSaveLoad(BaseAlgorithm):
         kind: Any = policy or next(iter(cls.policy_aliases.values()))
         header = LearnerHeader.read(file)
         for stated, wanted in ((header.learner, cls.__name__), (header.policy, kind.__name__)):
-            if stated not in (wanted, None):
+            if stated != wanted:
                 raise InputError(f"{file.path}: holds a {stated!r:.40}, not a {wanted}")
         layout = header.layout if env is None else env.row_layout
         with unusable(f"{file.path}: no {cls.__name__} can be made of it"):

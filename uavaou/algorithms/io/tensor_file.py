@@ -22,7 +22,7 @@ from uavaou.errors import InputError
 from uavaou.fields import validated
 from uavaou.files import replacing
 
-SCHEMA = 2  # 1 had no checksum; its policies are still read
+SCHEMA = "2"
 CHECKSUM = "checksum"
 POLICY = "policy."  # prefix of the names of a policy's arrays
 _UNSET = "0" * hashlib.sha256().digest_size * 2  # in the checksum's place while it is computed
@@ -139,25 +139,20 @@ class Header(BaseModel):
 
     def text(self) -> dict[str, str]:
         """The text for :func:`write_arrays`."""
-        return {"schema": str(SCHEMA), self.entry: self.model_dump_json(by_alias=True)}
+        return {"schema": SCHEMA, self.entry: self.model_dump_json(by_alias=True)}
 
     @classmethod
-    def read(cls, file: ArrayFile, oldest: int = 1) -> Self:
+    def read(cls, file: ArrayFile) -> Self:
         """Read what a file states.
 
-        Args:
-            file: to be read.
-            oldest: schema that is read.
-
         Raises:
-            InputError: the file has no such header, or is of a schema that is not read.
+            InputError: the file has no such header, or is of another schema.
         """
         content, schema = file.json(cls.entry), file.text.get("schema", "none")
-        known = [str(version) for version in range(oldest, SCHEMA + 1)]
-        if schema not in known:
-            reads = " and ".join(known)
-            raise InputError(f"{file.path}: written with checkpoint schema {schema:.20}, this version reads {reads}")
-        if schema != "1" and CHECKSUM not in file.text:
+        if schema != SCHEMA:
+            known = f"this version reads {SCHEMA}: train again"
+            raise InputError(f"{file.path}: written with checkpoint schema {schema:.20}, {known}")
+        if CHECKSUM not in file.text:
             raise InputError(f"{file.path}: damaged: its checksum is missing")
         return validated(cls, content, f"{file.path}: {cls.entry}")
 

@@ -256,14 +256,7 @@ class MAPPO(SafeSaveLoad, PPO):
                 return statistics
 
             return gradient, self.step
-        value_net, loss, update = self.policy.value_net, compiled_module("loss"), compiled_module("update")
-        coefficients = loss.LossCoefficients(
-            mean, 1 / std, clip_range, self.ent_coef, self.vf_coef, float(value_net.mean), float(value_net.std)
-        )
-        normalises_batches = self.advantage_normalization == "batch"
-        fast = update.FastUpdate(
-            self.policy, self.rollout_buffer, coefficients, normalises_batches, self.max_grad_norm, critic_alone
-        )
+        fast = compiled_module("update").FastUpdate(self, clip_range, mean, std, critic_alone)
         step = fast.adam.step if fast.adam and inherits(self, MAPPO, "step") else self.step
         return lambda indices: LossStatistics(*th.tensor(fast.gradient(indices).tolist())), step
 
@@ -272,7 +265,7 @@ class MAPPO(SafeSaveLoad, PPO):
         """Whether ``algorithms/fast`` computes the gradient: on a CPU, with the loss and distribution defined here."""
         own = inherits(self, MAPPO, "loss", "backward")
         update = compiled_module("update")  # without it, autograd takes every gradient, more slowly
-        return own and update is not None and update.FastUpdate.supports(self.policy, self.rollout_buffer)
+        return own and update is not None and update.FastUpdate.supports(self)
 
     def loss(self, batch: SlotBatch, clip_range: float, mean: float, std: float) -> LossStatistics:
         """PPO's loss on a minibatch.

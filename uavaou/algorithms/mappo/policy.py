@@ -3,14 +3,12 @@
 from typing import Any
 
 import torch as th
-from gymnasium import spaces
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import Schedule
 from torch import Tensor, nn
 
 from uavaou.algorithms.local_policy import LocalPolicy
 from uavaou.algorithms.nets.action_head import MoveAndDeviceLogits, MoveSelectionDistribution
-from uavaou.algorithms.nets.pull import Pull
 from uavaou.algorithms.nets.value_norm import PopArt, ValueScale
 from uavaou.errors import unknown
 
@@ -31,7 +29,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
     ``action_net`` or ``critic_body``; training takes the gradient of whatever these compute.
 
     Args:
-        observation_space, action_space, lr_schedule: as SB3 passes them.
+        args: the spaces and the schedule of the learning rate, as SB3 passes them.
         critic_input: ``global`` (MAPPO) or ``local`` (IPPO).
         activation, selection_bias, kwargs: of :class:`LocalPolicy`; the bias is a logit.
     """
@@ -41,9 +39,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
 
     def __init__(
         self,
-        observation_space: spaces.Box,
-        action_space: spaces.Space[Any],
-        lr_schedule: Schedule,
+        *args: Any,
         critic_input: str = "global",
         activation: str = "tanh",
         selection_bias: float = 2.0,
@@ -52,9 +48,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         if critic_input not in CRITIC_INPUTS:
             raise unknown("critic_input", critic_input, CRITIC_INPUTS)
         self.critic_input = critic_input
-        super().__init__(
-            observation_space, action_space, lr_schedule, activation=activation, selection_bias=selection_bias, **kwargs
-        )
+        super().__init__(*args, activation=activation, selection_bias=selection_bias, **kwargs)
 
     def _build(self, lr_schedule: Schedule) -> None:
         layout = self.row_layout
@@ -63,8 +57,7 @@ class CentralizedValuePolicy(LocalPolicy, ActorCriticPolicy):
         devices = layout.devices if layout.selects else 0
         by_token = self.network != "mlp" and layout.selects
         self.action_dist = MoveSelectionDistribution(devices)
-        pull = Pull(layout, self._sharpness) if self.pull else None
-        self.actor_body = self.make_body(layout.local, by_token, pull)
+        self.actor_body = self.make_body(layout.local, by_token, acts=True)
         head = self.action_dist.proba_distribution_net(self.actor_body.size, 0 if by_token else devices)
         of_slot = self.critic_input == "global"
         self.critic_body = self.make_body(layout.state if of_slot else layout.local)

@@ -16,11 +16,11 @@ from torch.nn import functional
 from uavaou.algorithms.nets.action_head import FORBIDDEN
 from uavaou.algorithms.nets.mlp import Linear, Mlp, mlp
 from uavaou.algorithms.nets.pull import CHANGES, Pull, compiled_module
-from uavaou.errors import InputError, unknown
-from uavaou.world.views import Columns, RowLayout
+from uavaou.world.views import Columns
 
 NETWORKS = ("mlp", "set")
 TOKEN_WIDTH = 32
+HEADS = 4  # of the attention over devices
 
 
 class SetEncoder(nn.Module):
@@ -31,32 +31,31 @@ class SetEncoder(nn.Module):
             devices, the others are read as they stand. The first feature of a token is 1, and 0 in padding.
         numbers: for each device.
         width: of a device's token.
-        heads: of the attention over devices.
 
     Attributes:
         size: number of features.
     """
 
-    def __init__(self, columns: Sequence[Columns], numbers: int = 0, width: int = TOKEN_WIDTH, heads: int = 4) -> None:
+    def __init__(self, columns: Sequence[Columns], numbers: int = 0, width: int = TOKEN_WIDTH) -> None:
         super().__init__()
-        self.columns, self.numbers, self.width, self.heads = without_pulls(columns), numbers, width, heads
+        self.columns, self.numbers, self.width = without_pulls(columns), numbers, width
         *own, uavs, devices = self.columns
         self.uavs = (uavs.stop - uavs.start) // uavs.width
         self.own = _layer(own[-1].stop, width)
         self.uav = _layer(uavs.width, width // 2)
         self.device = _layer(devices.width, width)
         self.device_2 = _layer(width, width)
-        self.query = _layer(width + width // 2, (heads + numbers) * width)
+        self.query = _layer(width + width // 2, (HEADS + numbers) * width)
         nn.init.orthogonal_(self.query.weight)
         with th.no_grad():
-            self.query.weight[heads * width :] *= 0.01  # as the action head: at first nothing is preferred
-        self.size = self.query.in_features + (heads + 2) * width
+            self.query.weight[HEADS * width :] *= 0.01  # as the action head: at first nothing is preferred
+        self.size = self.query.in_features + (HEADS + 2) * width
 
     def forward(self, rows: Tensor) -> Tensor:
         """Return features of ``rows`` (B, columns), and behind them the devices' numbers, (B, size + n I)."""
         fast = compiled_module("tokens")
         if fast is not None and fast.supports(rows):
-            encoded: Tensor = fast.encode(rows, self.columns[-1].stop, self.uavs, self.heads, *self.parameters())
+            encoded: Tensor = fast.encode(rows, self.columns[-1].stop, self.uavs, *self.parameters())
             return encoded
         return self.define(rows)
 
@@ -75,25 +74,25 @@ class SetEncoder(nn.Module):
         context = th.cat([context, most], dim=1)  # (B, 3 w / 2)
         there = tokens[..., :1]  # (B, I, 1)
         hidden = th.relu(self.device_2(th.relu(self.device(tokens)))) * there  # (B, I, w)
-        query = self.query(context).reshape(-1, self.heads + self.numbers, width)  # (B, heads + n, w)
+        query = self.query(context).reshape(-1, HEADS + self.numbers, width)  # (B, heads + n, w)
         scores = query @ hidden.transpose(1, 2) / math.sqrt(width)  # (B, heads + n, I)
-        attention = th.softmax(scores[:, : self.heads].masked_fill(there.transpose(1, 2) < 0.5, FORBIDDEN), dim=2)
+        attention = th.softmax(scores[:, :HEADS].masked_fill(there.transpose(1, 2) < 0.5, FORBIDDEN), dim=2)
         pooled = (attention @ hidden).flatten(1)  # (B, heads * w)
         mean = hidden.sum(dim=1) / there.sum(dim=1).clamp_min(1)
         features = [context, pooled, mean, hidden.amax(dim=1)]
-        return th.cat([*features, scores[:, self.heads :].flatten(1)], dim=1)
+        return th.cat([*features, scores[:, HEADS:].flatten(1)], dim=1)
 
     @th.no_grad()
     def zero_numbers(self, first: int) -> None:
         """Let the numbers of each device be 0, from the ``first`` on."""
         for tensor in (self.query.weight, self.query.bias):
-            tensor[(self.heads + first) * self.width :] = 0.0
+            tensor[(HEADS + first) * self.width :] = 0.0
 
     @th.no_grad()
     def rescale_logits(self, ratio: Tensor) -> None:
         """Multiply the first number of each device, a logit, by ``ratio``."""
         for tensor in (self.query.weight, self.query.bias):
-            tensor[self.heads * self.width : (self.heads + 1) * self.width] *= ratio
+            tensor[HEADS * self.width : (HEADS + 1) * self.width] *= ratio
 
 
 class SetNetwork(nn.Module):
@@ -146,14 +145,6 @@ class SetNetwork(nn.Module):
 def without_pulls(columns: Sequence[Columns]) -> tuple[Columns, ...]:
     """Return the columns that an encoder reads."""
     return tuple(part for part in columns if part.name != "pulls")
-
-
-def check_network(network: str, layout: RowLayout) -> None:
-    """Raise :class:`~uavaou.errors.InputError` unless the network has a known name and can read the rows."""
-    if network not in NETWORKS:
-        raise unknown("network", network, NETWORKS)
-    if network != "mlp" and layout.rows != "entities":
-        raise InputError(f"network = '{network}': reads rows of entities: flatten(..., rows='entities')")
 
 
 def _layer(inputs: int, outputs: int) -> Linear:

@@ -20,11 +20,10 @@ import torch as th
 from gymnasium import spaces
 from torch import Tensor, nn
 
-from uavaou.algorithms.nets.mlp import Linear, mlp, rescale_linear
-from uavaou.algorithms.nets.pull import Pull
-from uavaou.algorithms.nets.set_encoder import TOKEN_WIDTH, SetNetwork
+from uavaou.algorithms.nets.mlp import Linear, rescale_linear
+from uavaou.algorithms.nets.set_encoder import SetNetwork
 from uavaou.errors import InputError
-from uavaou.world.views import MOVES, RowLayout
+from uavaou.world.views import MOVES
 
 
 @dataclass(frozen=True)
@@ -133,17 +132,18 @@ class UtilityNetwork(nn.Module):
 
     Dueling (Wang et al. 2016), for branches (Tavakoli et al. 2018, arXiv 1711.08946). A branch with one allowed
     option has advantage 0.
+
+    Args:
+        body: from the rows to features.
+        branches: of the action.
+        options: that have an advantage of the features; all without.
     """
 
-    def __init__(self, inputs: int, hidden: list[int], activation: str, branches: Branches) -> None:
+    def __init__(self, body: Any, branches: Branches, options: int | None = None) -> None:
         super().__init__()
-        self.branches = branches
-        self.body = mlp(inputs, hidden, activation)
-        self._make_heads(hidden[-1], branches.total)
-
-    def _make_heads(self, features: int, options: int) -> None:
-        self.advantage = Linear(features, options)
-        self.value = Linear(features, 1)
+        self.body, self.branches = body, branches
+        self.advantage = Linear(body.size, branches.total if options is None else options)
+        self.value = Linear(body.size, 1)
         for head in (self.advantage, self.value):
             nn.init.orthogonal_(head.weight, gain=0.01)
             nn.init.zeros_(head.bias)
@@ -164,31 +164,15 @@ class SetUtilityNetwork(UtilityNetwork):
     """Branch values of rows of entities; the advantage of selecting a device comes from its token.
 
     Args:
-        layout: of the rows.
-        hidden, activation, branches: as :class:`UtilityNetwork`'s.
+        body, branches: as :class:`UtilityNetwork`'s.
         selection_bias: initial advantage of selecting a device.
-        pull: how sharply devices pull the UAV at first, a term of the moves' advantages; 0: not.
-        width: of a device's token.
     """
 
-    body: SetNetwork  # type: ignore[assignment]
+    body: SetNetwork
 
-    def __init__(
-        self,
-        layout: RowLayout,
-        hidden: list[int],
-        activation: str,
-        branches: Branches,
-        selection_bias: float,
-        pull: float = 0.0,
-        width: int = TOKEN_WIDTH,
-    ) -> None:
-        nn.Module.__init__(self)
-        self.branches = branches
-        pulls = Pull(layout, pull) if pull else None
-        self.body = SetNetwork(layout.local, hidden, activation, layout.selects, pulls, width)
+    def __init__(self, body: SetNetwork, branches: Branches, selection_bias: float) -> None:
+        super().__init__(body, branches, branches.sizes[0])
         self.selection_bias = nn.Parameter(th.tensor(selection_bias))
-        self._make_heads(hidden[-1], branches.sizes[0])
 
     def forward(self, local: Tensor, allowed: Tensor | None) -> Tensor:
         """Branch values (B, sum(n_b)) of ``local`` (B, local), for the options ``allowed`` (B, sum(n_b))."""

@@ -10,6 +10,7 @@ from stable_baselines3.common.utils import polyak_update
 from torch import Tensor, nn
 
 from uavaou.algorithms.local_policy import LocalPolicy
+from uavaou.algorithms.nets.set_encoder import SetNetwork
 from uavaou.algorithms.nets.value_norm import ReturnStatistics, ValueScale
 from uavaou.algorithms.qlearning.branches import Branches, SetUtilityNetwork, UtilityNetwork
 from uavaou.algorithms.qlearning.mixers import MIXERS, make_mixer
@@ -64,11 +65,10 @@ class JointQPolicy(LocalPolicy):
 
     def make_utilities(self) -> UtilityNetwork:
         """The network of the utilities; a policy of one's own may make another."""
-        network: UtilityNetwork
-        if self.network == "set":
-            arguments = self._hidden, self._activation, self.branches, self.selection_bias
-            return SetUtilityNetwork(self.row_layout, *arguments, self._sharpness, self._token_width)
-        network = UtilityNetwork(self.row_layout.local_size, self._hidden, self._activation, self.branches)
+        body = self.make_body(self.row_layout.local, self.row_layout.selects, acts=True)
+        if isinstance(body, SetNetwork):
+            return SetUtilityNetwork(body, self.branches, self.selection_bias)
+        network = UtilityNetwork(body, self.branches)
         if self.row_layout.selects:
             with th.no_grad():
                 network.advantage.bias[MOVES + 1 :: 2] = self.selection_bias

@@ -121,7 +121,3 @@ class JointReplay(BaseBuffer):
 
     def _tensor(self, array: NDArray[Any]) -> Tensor:
         return th.from_numpy(array).to(self.device)
-
-    def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """What is held, as arrays (T, N, ...); entries from ``pos`` on are unused until ``full``."""
-        return {name: getattr(self, name) for name in ("local", "states", "actions", "rewards", "ends")}
