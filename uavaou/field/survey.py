@@ -72,7 +72,7 @@ def understand(readings: Sequence[Reading], crs: str = "", stations: Sequence[Po
     Args:
         readings: of the files.
         crs: of coordinates in metres, such as ``EPSG:32632``; ``degrees`` or ``metres`` where columns are just x and y.
-        stations: that were given beside the files: longitude and latitude, or x and y.
+        stations: that were given beside the files: latitude and longitude, or x and y in metres.
         within: latitude, longitude and kilometres of a circle outside of which all points are ignored.
 
     Raises:
@@ -88,7 +88,11 @@ def understand(readings: Sequence[Reading], crs: str = "", stations: Sequence[Po
     if not frames:
         raise InputError(f"{readings[0].path}: holds no place")
     if geographic:
-        near = tuple(within[1::-1]) or (stations[0] if stations else None)
+        stations = [(longitude, latitude) for latitude, longitude in stations]
+        for longitude, latitude in stations:
+            if abs(latitude) > 90 or abs(longitude) > 180:
+                raise InputError(f"--station {latitude:g},{longitude:g}: a latitude from -90 to 90, then a longitude from -180 to 180")
+        near = (within[1], within[0]) if within else stations[0] if stations else None
         located = _on_one_map(located, near, notes)
     survey = Survey(geographic, notes=notes)
     for reading, features in located:
@@ -100,7 +104,7 @@ def understand(readings: Sequence[Reading], crs: str = "", stations: Sequence[Po
     if stations:
         if survey.stations:
             survey.notes.append(f"{len(survey.stations)} stations of the files are ignored: --station is given")
-        survey.stations = [Feature("point", (place,), "--station", frame=frames.pop()) for place in stations]
+        survey.stations = [Feature("point", (tuple(place),), "--station") for place in stations]
     _settle(survey, readings[0].path)
     return survey
 

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from uavaou.errors import InputError
-from uavaou.field.features import DEGREES, METRES, MOST_FEATURES, UNSTATED, Feature, Reading, circle, features_of
-from uavaou.field.words import meanings, number, unit_metres, words
+from uavaou.field.features import DEGREES, METRES, MOST_FEATURES, UNSTATED, Feature, Reading, features_of
+from uavaou.field.words import meanings, number, unit_metres
 from uavaou.fields import short
 
 Row = tuple[str, list[Any]]  # where it stands ("line 4"), and its cells
@@ -158,7 +158,7 @@ def read_rows(reading: Reading, names: Sequence[str], rows: Sequence[Row]) -> No
     columns = [known[axis] for axis in pair] if pair else [known["place"]]
     places = [list(names).index(column) for column in columns]
     frame = DEGREES if pair is None or pair[0] == "longitude" else _frame(columns)
-    scale = _scale(columns) if frame == METRES else 1.0
+    scale = unit_metres(columns[0]) if frame == METRES else 1.0
     without, unread = [], []
     for where, cells in rows:
         values = [cells[place] if place < len(cells) else "" for place in places]
@@ -169,7 +169,7 @@ def read_rows(reading: Reading, names: Sequence[str], rows: Sequence[Row]) -> No
             reading.add(*_of_cell(reading, where, columns[0], values[0], data))
         elif all(map(math.isfinite, numbers := [number(value) for value in values])):
             place = (numbers[0] * scale, numbers[1] * scale)
-            reading.add(_point_or_circle(place, where, data, frame, known))
+            reading.add(Feature("point", (place,), where, data, frame))
         else:
             unread.append((where, *next((c, v) for c, v in zip(columns, values, strict=True) if not math.isfinite(number(v)))))
     if unread and len(unread) > len(rows) // 10 + 1:
@@ -181,22 +181,9 @@ def read_rows(reading: Reading, names: Sequence[str], rows: Sequence[Row]) -> No
             reading.notes.append(f"{len(which)} rows {problem} are ignored ({', '.join(which[:_LISTED])}{more})")
 
 
-def _point_or_circle(
-    place: tuple[float, float], where: str, data: dict[str, Any], frame: str, known: Mapping[str, str]
-) -> Feature:
-    radius = number(data.get(known.get("radius", ""), ""))
-    if frame == DEGREES and radius > 0 and not {"id", "interval"} & known.keys():
-        return Feature("polygon", circle(place, radius), where, data)
-    return Feature("point", (place,), where, data, frame)
-
-
 def _frame(columns: Sequence[str]) -> str:
     """Metres where the header says so."""
     return METRES if all(math.isfinite(unit_metres(column)) for column in columns) else UNSTATED
-
-
-def _scale(columns: Sequence[str]) -> float:
-    return unit_metres(columns[0])
 
 
 def _of_cell(reading: Reading, where: str, column: str, value: Any, data: dict[str, Any]) -> Iterator[Feature]:
@@ -232,7 +219,3 @@ def _well_known(reading: Reading, where: str, text: str) -> Any:
     except (shapely.GEOSException, ValueError) as error:
         raise reading.error(where, f"{short(text)}: {error}") from None
 
-
-def dead_words(names: Sequence[str]) -> list[str]:
-    """The names that stand for nothing that is read."""
-    return [name for name in names if name and name not in meanings(list(names)).values() and words(name)]
