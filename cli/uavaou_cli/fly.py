@@ -87,7 +87,7 @@ def fly(
     from uavaou.runs.comparison import make_policy
     from uavaou.runs.names import flight_folder, scenario_folder
     from uavaou.scenario import Scenario
-    from uavaou.world.knowledge import within
+    from uavaou.world.knowledge import within as knows_enough
 
     overrides = parse_overrides(set_ or [])
     overrides.only_of_scenario("a policy flies as it is")
@@ -120,7 +120,7 @@ def fly(
     else:
         if json is not None:
             raise InputError(f"--json {json}: holds what a rehearsal has found, and --policy {policy} needs none")
-        reference = next(name for name in _REFERENCES if name != policy and within(planner_knowledge(name), knows))
+        reference = next(name for name in _REFERENCES if name != policy and knows_enough(planner_knowledge(name), knows))
         policies = {name: make_policy(name, flown, knows=knows) for name in (policy, reference)}
     _fly(flown, policies, seed, folder, overrides.scenario, quiet)
     if ages:
