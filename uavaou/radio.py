@@ -6,7 +6,7 @@ from typing import Annotated, Any, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from uavaou.errors import nearest, unknown
-from uavaou.fields import Decibels, NonNegative, Number, Strict
+from uavaou.fields import NonNegative, Number, Strict
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
 
 PathLossExponent = Annotated[Number, Field(ge=1, le=10)]
@@ -41,9 +41,7 @@ class LineOfSight(Strict):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.loss_los_db > self.loss_nlos_db:
-            raise ValueError(
-                f"loss_los_db ({self.loss_los_db:g}) must not exceed loss_nlos_db ({self.loss_nlos_db:g})"
-            )
+            raise ValueError(f"loss_los_db ({self.loss_los_db:g}) must not exceed loss_nlos_db ({self.loss_nlos_db:g})")
         return self
 
 

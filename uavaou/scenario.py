@@ -53,8 +53,8 @@ class Scenario(ScenarioFields):
         """Load a preset by name or a YAML file by path; return a :class:`Scenario` as it is.
 
         A file may name a preset under ``base`` and give only the fields that differ, and a radio under ``radio``; see
-        :func:`~uavaou.radio.with_radio`. Quantities may be text with a unit, ``30 min``. It may name a CSV file of devices
-        under ``devices_csv`` (columns ``x_m, y_m`` and, optionally, ``bandwidth_hz``, ``transmit_power_mw``,
+        :func:`~uavaou.radio.with_radio`. Quantities may be text with a unit, ``30 min``. It may name a CSV file of
+        devices under ``devices_csv`` (columns ``x_m, y_m`` and, optionally, ``bandwidth_hz``, ``transmit_power_mw``,
         ``update_period_slots``, ``name``); that path is relative to the YAML file.
 
         Raises:
@@ -72,6 +72,7 @@ class Scenario(ScenarioFields):
         faults: list[InputError] = []
         with collecting(faults):
             fields = with_radio(fields)
+        fields.pop("radio", None)  # an unknown one is a fault already
         if "base" in fields:
             base = fields.pop("base")
             presets = zoo_names("scenarios")
@@ -106,7 +107,7 @@ class Scenario(ScenarioFields):
             InputError: it names the field, its value and what is allowed.
             InfeasibleError: each value is allowed, but every flight breaks a constraint.
         """
-        content = in_own_units(with_radio(fields)) if isinstance(fields, dict) else fields
+        content = in_own_units(_with_radio(fields, source)) if isinstance(fields, dict) else fields
         return validated(cls, content, source, cls.misfits, ("base", "devices_csv", "radio"))
 
     def replace(self, /, **changes: Any) -> Scenario:
@@ -118,10 +119,11 @@ class Scenario(ScenarioFields):
         Raises:
             InputError: a field is unknown or its new value cannot be used.
         """
-        fields, changes = self.to_dict(), with_radio(changes)
+        source = f"scenario '{self.name}'"
+        fields, changes = self.to_dict(), _with_radio(changes, source)
         drop_superseded(fields, changes)
         fit_fleet(fields, changes)
-        return type(self).from_dict(fields | changes, source=f"scenario '{self.name}'")
+        return type(self).from_dict(fields | changes, source)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as plain values, without those that are None."""
@@ -154,7 +156,7 @@ class Scenario(ScenarioFields):
     @property
     def link_gain(self) -> float:
         """The mean power gain over 1 m with the antennas and the excess loss, linear."""
-        return self.reference_gain * 10.0 ** ((self.antenna_gain_db - self.excess_loss_db) / 10)
+        return self.reference_gain * float(10.0 ** ((self.antenna_gain_db - self.excess_loss_db) / 10))
 
     @property
     def threshold(self) -> str:
@@ -224,6 +226,13 @@ class Scenario(ScenarioFields):
         if isinstance(spec, Range):
             return spec.high - unit * (spec.high - spec.low)  # (low, high]: a power of 0 is never drawn
         return np.broadcast_to(np.asarray(spec, dtype=np.float64), (self.devices,)).copy()
+
+
+def _with_radio(fields: dict[str, Any], source: str) -> dict[str, Any]:
+    try:
+        return with_radio(fields)
+    except InputError as error:
+        raise all_faults(source, [error]) from None
 
 
 _NOT_HERE = {

@@ -65,7 +65,7 @@ def _quantity(text: str, unit: str, slot_s: float | None) -> Any:
     own = next(iter(units))
     number, given = found.groups()
     if given not in units:
-        return _misread(text, f"expected {kind}, such as {number} or '{number} {own}' (units: {', '.join(units)})")
+        return _misread(text, f"expected {kind}: a number of {own}, or text with one of the units {', '.join(units)}")
     if "," in number:
         return _misread(text, f"expected a number with a point: '{number.replace(',', '.')} {given}'")
     if unit == "slots":
