@@ -39,6 +39,7 @@ class Reading:
     features: list[Feature] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     corners: int = 0
+    headless: bool = False  # a table without a header, whose columns are guessed
 
     def add(self, *features: Feature) -> None:
         """Add features.

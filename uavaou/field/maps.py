@@ -139,24 +139,21 @@ def _float(text: str | None) -> float:
 
 
 def read_gpx(reading: Reading, root: ElementTree.Element) -> None:
-    """Read the waypoints of a GPX file; tracks and routes are flown or planned ways, and are ignored.
+    """Read the waypoints of a GPX file, or, without any, the points of its routes; tracks are flown, and are ignored.
 
     Raises:
         InputError: it names the waypoint, counted from 1.
     """
-    ignored = {"trk": 0, "rte": 0}
-    points = []
-    for element in root:
-        tag = _tag(element)
-        if tag in ignored:
-            ignored[tag] += 1
-        elif tag == "wpt":
-            points.append(element)
+    points, tracks, routes = ([child for child in root if _tag(child) == tag] for tag in ("wpt", "trk", "rte"))
+    if routes and not points:
+        points = [point for route in routes for point in route if _tag(point) == "rtept"]
+        reading.notes.append(f"without waypoints, the {len(points)} points of the routes are read")
+    elif routes:
+        reading.notes.append(f"{len(routes)} routes are ignored")
+    if tracks:
+        reading.notes.append(f"{len(tracks)} tracks are ignored: they were flown, and are no places of sensors")
     for number, element in enumerate(points, 1):
         where = f"waypoint {number}"
         place = reading.position(where, [_float(element.get("lon")), _float(element.get("lat"))])
         data = {_tag(child): (child.text or "").strip() for child in element if (child.text or "").strip()}
         reading.add(Feature("point", (place,), where, data))
-    for tag, name in (("trk", "tracks"), ("rte", "routes")):
-        if ignored[tag]:
-            reading.notes.append(f"{ignored[tag]} {name} are ignored: only waypoints are sensors")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _RADII_A_STEP = 0.4  # as in the paper: 100 m with a median radius of 250 m
 _STEPS_A_SIDE = 5  # at least, of the longer side
+_FINEST_M = 10.0  # otherwise: what satellites can tell apart in flight
 _ROUND = (1.0, 2.0, 2.5, 5.0)  # times a power of ten
 _MOST_CELLS = 10_000
 _MOST_REACHES = 40_000_000  # UAVs x cells x devices: a table of 0.3 GB
@@ -123,7 +124,7 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
     _note_reach(fields, ground.devices, radius, notes)
     width, height = ground.extent
     names = [name for name in columns.get("name", []) if name]
-    named = f", {short(', '.join(names))[1:-1]}" if names else ", without names"
+    named = f": {', '.join(name[:30] for name in names[:3])}{', ...' if len(names) > 3 else ''}" if names else ", without names"
     understood = [
         ("devices", f"{len(survey.devices):,}{named}"),
         ("extent", f"{width:,.0f} m x {height:,.0f} m"),
@@ -137,7 +138,22 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
         ("mission", f"{slots:,} slots of {tau:g} s (a grid step at that speed), {budget / 60:.3g} min in the air"),
         ("updates", updates),
     ]
-    return Field(fields, columns, ground.projection, radius, understood, notes)
+    return Field(fields, columns, ground.projection, radius, understood, _grouped(notes))
+
+
+def _grouped(notes: list[str]) -> list[str]:
+    """Notes without repetition: what is said of many places is said once, with the first of them."""
+    groups: dict[str, list[str]] = {}
+    for note in notes:
+        where, _, text = note.rpartition(": ")
+        groups.setdefault(text, []).append(where)
+    grouped = []
+    for text, places in groups.items():
+        if len(places) > _LISTED:
+            grouped.append(f"{len(places)} times, the first at {places[0]}: {text}")
+        else:
+            grouped += [f"{where}: {text}" if where else text for where in places]
+    return grouped
 
 
 def _radius(channel: dict[str, Any], altitude: float, coverage: Callable[[Scenario], Floats]) -> float:
@@ -238,13 +254,13 @@ def _grid_step(given: float | None, radius: float, extent: Floats, pairs: int) -
             raise InputError(f"--grid-step {given:g}: gives more than {_MOST_CELLS:,} cells, or a table that is too large; leave it out")
         return given, "as given"
     ladder = [factor * 10.0**power for power in range(-2, 7) for factor in _ROUND]
-    side = float(extent.max()) / _STEPS_A_SIDE or math.inf
+    side = max(float(extent.max()) / _STEPS_A_SIDE, _FINEST_M)
     finest = max((step for step in ladder if step <= min(_RADII_A_STEP * radius, side)), default=ladder[0])
     step = next((step for step in ladder if step >= finest and fits(step)), ladder[-1])
     if step > _RADII_A_STEP * radius:
         return step, f"coarser than {_RADII_A_STEP:g} radii, so that there are at most {_MOST_CELLS:,} cells"
     if side < _RADII_A_STEP * radius:
-        return step, f"round, and at most a fifth of the longer side ({side:.3g} m)"
+        return step, f"round, and at most {side:.3g} m, for a field of this size"
     return step, f"round, and at most {_RADII_A_STEP:g} radii ({_RADII_A_STEP * radius:.3g} m), as in the paper"
 
 
@@ -343,10 +359,14 @@ def _stations(
 
 
 def _note_reach(fields: dict[str, Any], devices: Floats, radius: float, notes: list[str]) -> None:
-    """Note the devices that a UAV cannot fly to and come home from, and stations that are not used."""
+    """Note the devices that a UAV cannot hear from any cell, and those that it cannot fly to and come home from."""
+    step = fields["grid_step_m"]
+    unheard = int((np.linalg.norm(devices - np.rint(devices / step) * step, axis=1) > radius).sum())
+    if unheard:
+        notes.append(f"{unheard} of {len(devices)} devices are out of range of every cell: --radio, --grid-step, --within")
     stations = np.array(fields["cds_m"])  # (U, 2) m
     away = abs(devices[:, None] - stations).sum(axis=2).min(axis=1) - math.sqrt(2) * radius  # (I,) m
-    beyond = int((2 * away > (fields["slots"] - 1) * fields["grid_step_m"]).sum())
+    beyond = int((2 * away > (fields["slots"] - 1) * step).sum())
     if beyond:
         notes.append(f"{beyond} of {len(devices)} devices lie beyond what a battery reaches: --endurance, --speed, --station")
 
@@ -412,7 +432,8 @@ def _periods(
         notes.append(f"update periods are rounded to whole slots of {slot_s:g} s, by up to {off:.0%}")
     low, high = int(whole.min()), int(whole.max())
     span = f"{low}" if low == high else f"{low} to {high}"
-    return whole.tolist(), f"every {span} slots ({low * slot_s / 60:.3g} to {high * slot_s / 60:.3g} min)"
+    minutes = " to ".join(dict.fromkeys(f"{count * slot_s / 60:.3g}" for count in (low, high)))
+    return whole.tolist(), f"every {span} slots ({minutes} min)"
 
 
 def _interval(device: Feature) -> tuple[float, float]:

@@ -11,6 +11,10 @@ from uavaou.fields import short
 
 # MAVLink's commands whose place is one to visit: waypoint, loiters, spline, take a picture there.
 _VISITS = {16, 17, 18, 19, 31, 82, 93}
+_RALLY = 5100
+# Of a fence: corners, whose first parameter is their number, and circles, whose is the radius; to stay in, or out of.
+_FENCES: dict[int, tuple[Role, bool]] = {5001: ("outline", False), 5002: ("zone", False)}
+_FENCES |= {5003: ("outline", True), 5004: ("zone", True)}
 _HOMES = {22, 84}  # take-offs; 20 and 21, return and land, have no place of their own to visit
 
 
@@ -104,23 +108,36 @@ def read_waypoints(reading: Reading, text: str) -> None:
         InputError: it names the line.
     """
     others = 0
+    fence: list[Position] = []
     for number, line in enumerate(text.splitlines()[1:], 2):
         cells = line.split()
         if not cells or cells[0].startswith("#"):
             continue
         where = f"line {number}"
         try:
-            sequence, command = int(cells[0]), int(cells[3])
+            sequence, command, size = int(cells[0]), int(cells[3]), float(cells[4])
             place = [float(cells[8]), float(cells[9])]
         except (IndexError, ValueError):
             raise reading.error(where, f"{short(line)}: expected 12 columns: a number, ..., latitude, longitude") from None
         if not any(place):
             others += command not in _HOMES and sequence > 0
-        elif sequence == 0:
+        elif sequence == 0 or command == _RALLY:
             _add(reading, where, place, "station")
+        elif command in _FENCES:
+            role, round_ = _FENCES[command]
+            centre = _position(reading, where, place)
+            fence = [*fence, centre]
+            if round_ and size > 0:
+                fence = list(circle(centre, size, inside=role == "outline"))
+            if round_ or len(fence) >= size:
+                if len(set(fence)) > 2:
+                    reading.add(Feature("polygon", tuple(fence), where, {}, role=role))
+                fence = []
         elif command in _VISITS:
             _add(reading, where, place, "")
         else:
             others += command not in _HOMES
+    if fence:
+        reading.notes.append(f"a fence of {len(fence)} corners is ignored: its last corners are missing")
     if others:
         reading.notes.append(f"{others} commands without a place to visit are ignored")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from uavaou.arrays import Floats
+from uavaou.arrays import Bools, Floats
 from uavaou.errors import InputError
 from uavaou.field.features import DEGREES, METRES, UNSTATED, Feature, Position, Reading, Role, circle
 from uavaou.field.words import meanings, number, words
@@ -27,7 +27,10 @@ _ROLES: dict[Role, str] = {
 }
 _HOMES = ({"home"}, {"base"}, {"depot"}, {"cds"}, {"gcs"}, {"base", "station"}, {"ground", "station"}, {"take", "off"})
 _KM = 111.195  # of a degree of latitude
-_WIDEST_KM = 100.0  # within which the projection is exact to a few centimetres
+_LEAST_M = 20.0  # across a field in metres
+_WIDEST_KM = 200.0  # beyond, distances on a plane are wrong by more than 0.02 %
+_STRAY = 0.05  # the share of devices that may lie far off by mistake
+_NEAR_KM = 10.0
 _POLE = 88.0  # degrees of latitude, beyond which longitudes say little
 _LISTED = 6
 
@@ -142,10 +145,18 @@ def _all_places(features: Iterable[Feature]) -> Floats:
 
 
 def _guessed_frame(reading: Reading, notes: list[str]) -> str:
-    """Whether columns that are just x and y hold degrees: small, close to each other, and with many decimals."""
+    """Whether columns that are just x and y hold degrees: small, close to each other, and with many decimals.
+
+    Raises:
+        InputError: they could be both.
+    """
     places = _all_places(feature for feature in reading.features if feature.frame == UNSTATED)
-    small = (abs(places) <= [180, 90]).all() and (np.ptp(places, axis=0) < 5).all()
-    frame = DEGREES if small and (abs(places * 100 - np.rint(places * 100)) > 1e-6).mean() > 0.5 else METRES
+    narrow = float(np.ptp(places, axis=0).max(initial=0)) < _LEAST_M
+    small = narrow and (abs(places) <= 180).all()
+    precise = (abs(places * 100 - np.rint(places * 100)) > 1e-6).mean() > 0.5
+    if small and len(places) > 1 and (reading.headless or not precise or (abs(places[:, 1]) > 90).any()):
+        raise InputError(f"{reading.path}: x and y could be metres or degrees: write a header of x_m, y_m or of lat, lon")
+    frame = DEGREES if small and precise and not reading.headless else METRES
     notes.append(f"{reading.path.name}: x and y are taken for {'longitude and latitude' if frame == DEGREES else 'metres'}")
     if frame == METRES and (abs(places) > 90_000).all():
         notes.append(f"{reading.path.name}: they look like UTM: --crs EPSG:326.. or 327.. would keep coordinates")
@@ -297,11 +308,16 @@ def _role(path: Path, feature: Feature, several: bool) -> tuple[Role, str]:
         for role in allowed:
             if said & set(_ROLES[role].split()):
                 return role, why
-    return ("station", "name") if feature.shape == "point" and set(name) in _HOMES else ("", "")
+    return "", ""
 
 
 def _settle(survey: Survey, path: Path) -> None:
     """Decide what depends on all features together."""
+    homes = [f for f in survey.devices if set(words(name_of(f))) in _HOMES]
+    if not survey.stations and len(homes) == 1 < len(survey.devices):
+        survey.stations = homes
+        survey.devices.remove(homes[0])
+        survey.notes.append(f"{homes[0].where}: is a station, by its name")
     if not survey.devices and len(survey.stations) > 1:
         survey.devices = [f for f in survey.stations if f.where != "--station"] or survey.devices
         survey.stations = [f for f in survey.stations if f not in survey.devices]
@@ -309,8 +325,7 @@ def _settle(survey: Survey, path: Path) -> None:
         survey.notes.append("all points are called stations, and are taken for devices")
     _drop_repeated(survey)
     if not survey.devices:
-        kinds = f"only {len(survey.zones)} polygons" if survey.zones else "no points"
-        raise InputError(f"{path}: holds {kinds}: add a file with the places of the devices")
+        raise InputError(f"no places of devices ({'; '.join(survey.facts)}): add a file with points for them")
     _choose_outline(survey)
     if survey.geographic:
         _refuse_too_wide(survey, path)
@@ -351,7 +366,7 @@ def _choose_outline(survey: Survey) -> None:
         survey.notes.append(f"polygons taken for no-fly zones: {'; '.join(guessed[:_LISTED])}{more}")
 
 
-def _inside(polygon: Feature, places: Floats) -> Floats:
+def _inside(polygon: Feature, places: Floats) -> Bools:
     """Whether places lie in a polygon, (P,): by the edges that a ray to the east crosses."""
     start = np.array(polygon.places)
     end = np.roll(start, -1, axis=0)
@@ -359,7 +374,7 @@ def _inside(polygon: Feature, places: Floats) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         at = start[:, 0] + (y - start[:, 1]) / (end[:, 1] - start[:, 1]) * (end[:, 0] - start[:, 0])
     crossed = ((start[:, 1] > y) != (end[:, 1] > y)) & (x < at)
-    return np.asarray(crossed.sum(axis=1) % 2, dtype=np.float64)
+    return np.asarray(crossed.sum(axis=1) % 2 == 1)
 
 
 def _size(polygon: Feature) -> float:
@@ -372,14 +387,26 @@ def _refuse_too_wide(survey: Survey, path: Path) -> None:
     if abs(places[:, 1]).max() > _POLE:
         raise InputError(f"{path}: latitude = {places[abs(places[:, 1]).argmax(), 1]:.6g}: fields within 2 degrees of a pole are not read")
     middle = np.median(places, axis=0)
+    off = [feature for feature in survey.devices if _km(feature.places[0], middle) > _WIDEST_KM / 2]
+    if 0 < len(off) <= _STRAY * len(survey.devices):
+        survey.devices = [feature for feature in survey.devices if feature not in off]
+        which = ", ".join(feature.where for feature in off[:_LISTED])
+        survey.notes.append(f"{len(off)} devices far from all others are ignored ({which}{', ...' if len(off) > _LISTED else ''})")
     far = max(survey.devices + survey.stations, key=lambda f: _km(f.places[0], middle))
     if (km := _km(far.places[0], middle)) > _WIDEST_KM / 2:
-        near = min(survey.devices, key=lambda f: _km(f.places[0], middle)).places[0]
+        tried = places[:: len(places) // 200 + 1]
+        count, near = max((int(_near(places, place).sum()), tuple(place)) for place in tried.tolist())
         raise InputError(
             f"{path}: {far.where.rpartition(', ')[2]} {short(name_of(far))} lies {km:,.0f} km from the middle of the "
-            f"{len(places):,} devices; a field is at most {_WIDEST_KM:g} km wide: --within {near[1]:.4f},{near[0]:.4f},10 "
-            f"reads what lies within 10 km of a place"
+            f"{len(places):,} devices; a field is at most {_WIDEST_KM:g} km wide: "
+            f"--within {near[1]:.4f},{near[0]:.4f},{_NEAR_KM:g} would read {count} of them, all within {_NEAR_KM:g} km"
         )
+
+
+def _near(places: Floats, place: Sequence[float]) -> Bools:
+    """Which places lie close to one, (P,)."""
+    east, north = ((places - place) * [math.cos(math.radians(place[1])) * _KM, _KM]).T
+    return np.asarray(np.hypot(east, north) <= _NEAR_KM)
 
 
 def _note_properties(survey: Survey) -> None:

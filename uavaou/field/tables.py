@@ -7,6 +7,7 @@ import io
 import json
 import math
 import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -17,6 +18,7 @@ from uavaou.fields import short
 
 Row = tuple[str, list[Any]]  # where it stands ("line 4"), and its cells
 _SEPARATORS = (",", ";", "\t", "|")
+_MARKS = re.compile(r"\s*[;,|\t]\s*|\s+")
 _HEAD = 60  # rows among which the header is looked for
 _NOTHING = {"", "-", "--", "?", "n/a", "na", "nan", "null", "none", "#n/a", "nil", "unknown"}
 _LISTED = 5  # rows that a note names
@@ -36,7 +38,12 @@ def read_text_table(reading: Reading, text: str) -> None:
         if place[0]:
             reading.notes.append(f"{place[0]} lines before the header are ignored")
         return
-    _read_bare_numbers(reading, text)
+    if not _read_bare(reading, _bare_rows(text)):
+        first = next((line for line in text.splitlines() if line.strip()), "")
+        raise InputError(
+            f"{reading.path}: no positions found: expected columns such as latitude, longitude or x_m, y_m "
+            f"(the first line: {short(first.strip())})"
+        )
 
 
 def _rows(reading: Reading, text: str, mark: str, most: int = 2 * MOST_FEATURES) -> Iterator[Row]:
@@ -65,24 +72,30 @@ def _header(rows: Iterator[Row] | Sequence[Row]) -> tuple[int, dict[str, str]] |
     return None
 
 
-def _read_bare_numbers(reading: Reading, text: str) -> None:
-    """Read columns of numbers without a header: x and y, or a number of the row before them (TSPLIB's among them)."""
-    rows: list[Row] = []
-    for line, content in enumerate(text.splitlines(), 1):
-        cells = [cell for cell in re.split(r"[\s,;|]+", content.strip()) if cell]
-        if len(cells) in (2, 3) and all(math.isfinite(number(cell)) for cell in cells):
-            rows.append((f"line {line}", cells[-2:] if len(cells) == 2 else cells))
+def _read_bare(reading: Reading, rows: Sequence[Row]) -> bool:
+    """Read rows without a header: a name or number where there is one, then x and y; return whether they are such."""
     widths = {len(cells) for _, cells in rows}
-    counts = [cells[0] for _, cells in rows] if widths == {3} else []
-    if not rows or len(widths) > 1 or (counts and len(set(counts)) < len(counts)):
-        first = next((line for line in text.splitlines() if line.strip()), "")
-        raise InputError(
-            f"{reading.path}: no positions found: expected columns such as latitude, longitude or x_m, y_m "
-            f"(the first line: {short(first.strip())})"
-        )
-    names = ["id", "x", "y"] if counts else ["x", "y"]
+    if len(widths) != 1 or not widths <= {2, 3}:
+        return False
+    columns = list(zip(*(cells for _, cells in rows), strict=True))
+    if not all(math.isfinite(number(cell)) for column in columns[-2:] for cell in column):
+        return False
+    if len(columns) == 3 and len(set(map(str, columns[0]))) < len(rows):
+        return False
+    names = ["name", "x", "y"][-len(columns) :]
+    reading.headless = True
     reading.notes.append(f"no header: its columns are taken for {', '.join(names)}")
     read_rows(reading, names, rows)
+    return True
+
+
+def _bare_rows(text: str) -> list[Row]:
+    """The lines of a text as cells, of TSPLIB's those of its coordinates."""
+    _, marked, after = text.partition("NODE_COORD_SECTION")
+    before = text[: len(text) - len(after)].count("\n") if marked else 0
+    lines = enumerate((after if marked else text).split("\nEOF")[0].splitlines(), before + 1)
+    rows = ((f"line {line}", [cell.strip('" ') for cell in re.split(_MARKS, content.strip())]) for line, content in lines)
+    return [(where, cells) for where, cells in rows if any(cells)]
 
 
 def read_workbook(reading: Reading, data: bytes) -> None:
@@ -96,11 +109,14 @@ def read_workbook(reading: Reading, data: bytes) -> None:
     except ImportError:
         raise InputError(f"{reading.path}: 'openpyxl' is not installed: pip install 'uavaou[field]'") from None
     try:
-        book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
-        sheets = [(sheet.title, _sheet_rows(sheet)) for sheet in book.worksheets]
+        with warnings.catch_warnings(action="ignore"):  # of styles and extensions
+            book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
+            sheets = [(sheet.title, _sheet_rows(sheet)) for sheet in book.worksheets]
     except Exception as error:  # openpyxl's errors on damaged files have no common class
         raise InputError(f"{reading.path}: not a workbook that can be read: {short(str(error))}") from None
     found = [(name, rows, head) for name, rows in sheets if (head := _header(rows[:_HEAD]))]
+    if not found and any(_read_bare(reading, rows) for _, rows in sheets):
+        return
     if not found:
         raise InputError(f"{reading.path}: no sheet has columns such as latitude, longitude or x_m, y_m")
     name, rows, (place, _) = found[0]
@@ -113,7 +129,9 @@ def _sheet_rows(sheet: Any) -> list[Row]:
     found: list[Row] = []
     for number, row in enumerate(sheet.iter_rows(values_only=True, max_row=2 * MOST_FEATURES, max_col=200), 1):
         cells = [cell.strip() if isinstance(cell, str) else "" if cell is None else cell for cell in row]
-        if any(cell != "" for cell in cells):
+        while cells and cells[-1] == "":
+            cells.pop()
+        if cells:
             found.append((f"row {number}", cells))
     return found
 
@@ -127,6 +145,8 @@ def read_records(reading: Reading, content: Any) -> None:
     waiting, most = [content], 10 * MOST_FEATURES
     while waiting and most:
         value, most = waiting.pop(0), most - 1
+        if isinstance(value, dict) and len(value) > 1 and all(isinstance(each, dict) for each in value.values()):
+            value = [{"id": key, **each} for key, each in value.items()]
         if isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
             flat = [_flattened(each) for each in value]
             names = list(dict.fromkeys(name for each in flat for name in each))
