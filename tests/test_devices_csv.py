@@ -60,8 +60,8 @@ def test_columns_and_rows_of_blanks_are_ignored(table: str, tmp_path: Path) -> N
 
 
 def test_other_columns_are_left_out_with_a_note(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match=r"map\.csv: columns that are not read: 'id', 'name'"):
-        scenario = with_csv(tmp_path, "id,name,x_m,y_m\n7,well,0,0\n9,barn,50,60\n")
+    with pytest.warns(UserWarning, match=r"map\.csv: columns that are not read: 'id', 'notes'"):
+        scenario = with_csv(tmp_path, "id,notes,x_m,y_m\n7,well,0,0\n9,barn,50,60\n")
     assert scenario.devices_m == ((0, 0), (50, 60))
 
 
@@ -95,7 +95,7 @@ def test_everything_wrong_is_said_at_once(tmp_path: Path) -> None:
         "map.csv: line 3, column 'y_m': 'zero' is not a finite number",
         "map.csv: line 3, column 'bandwidth_hz': 'x' is not a finite number",
         "unknown field 'slot'; did you mean 'slots'?",
-        "unknown field 'no_fly_zone': UAVs may fly over the whole area",
+        "unknown field 'no_fly_zone': no_fly lists zones, each with polygon_m",
         "speed_m_s = '15 m/s': expected a number, not text; write 15",
         "fading = 'rice': must be 'rician' or 'none'",
         "grid_step_m = 100: does not divide area_y_m = 250 into whole steps; area_y_m = 300 would fit",

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from uavaou.arrays import Floats
 from uavaou.errors import InfeasibleError, InputError, all_faults
@@ -25,6 +25,8 @@ from uavaou.fields import (
     Unbounded,
     Whole,
 )
+from uavaou.radio import PAPER_CHANNEL, Environment, ExcessLoss, PathLossExponent
+from uavaou.zones import Georeference, Names, Polygon, Zones, free_legs
 
 ZETA_TOLERANCE_S = 1e-6  # slack in comparisons of flight times
 _GRID_TOLERANCE = 1e-9
@@ -36,6 +38,7 @@ _FAR = 10  # times the area, from which on positions have another origin rather 
 _APART_M = 10.0  # between two altitudes that an error proposes
 _MOST_SHOWN = 8  # entries of a list in an error
 _BREAKS = "which breaks constraint"
+_BY_DEVICE = (*DEVICE_COLUMNS, "device_names")
 
 
 class Range(Strict):
@@ -79,7 +82,7 @@ class ScenarioFields(Strict):
     rician_factor: NonNegative  # Phi, linear
     fading: Literal["rician", "none"] = "rician"
     noise_power_dbm: Decibels  # sigma^2
-    rate_min_bit_s: Positive  # R_min
+    rate_min_bit_s: Positive | None = None  # R_min
     bandwidth_hz: Positive | tuple[Positive, ...] | Range  # B_i
     transmit_power_mw: Positive | tuple[Positive, ...] | Range  # P_i
     update_period_slots: Period | tuple[Period, ...] | WholeRange  # k_i
@@ -87,6 +90,19 @@ class ScenarioFields(Strict):
     layout: Literal["fixed", "resample"] = "fixed"
     layout_seed: Annotated[Whole, Field(ge=0)] = 0
     flight_time: Literal["enforce", "ignore"] = "enforce"
+    # Beyond the paper; off by default.
+    georeference: Georeference | None = None
+    outline_m: Polygon | None = None  # UAVs stay in it, border included
+    no_fly: Zones = None
+    device_names: Names = None
+    uav_names: Names = None
+    # Beyond the paper; what gives its channel stands in no file.
+    path_loss_exponent: PathLossExponent = 2.0  # eta
+    excess_loss_db: ExcessLoss = 0.0
+    line_of_sight: Environment = None
+    antenna_gain_db: Decibels = 0.0  # of both ends together
+    snr_min_db: Decibels | None = None  # in place of R_min
+    sensitivity_dbm: Decibels | None = None  # in place of R_min
 
     @property
     def columns(self) -> int:
@@ -97,6 +113,11 @@ class ScenarioFields(Strict):
     def rows(self) -> int:
         """Number of grid cells along y."""
         return round(self.area_y_m / self.grid_step_m) + 1
+
+    @model_serializer(mode="wrap")
+    def _without_paper_channel(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        usual = {name for name, value in PAPER_CHANNEL.items() if getattr(self, name) == value}
+        return {name: value for name, value in handler(self).items() if name not in usual}
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -124,13 +145,16 @@ class ScenarioFields(Strict):
         area = "area_x_m area_y_m grid_step_m"
         checks: tuple[tuple[str, Callable[[], Iterator[str]]], ...] = (
             ("carrier_frequency_hz reference_gain_db", self._misfits_of_gain),
+            ("rate_min_bit_s snr_min_db sensitivity_dbm", self._misfits_of_threshold),
             (area, self._misfits_of_grid),
             ("uavs devices", self._misfits_of_size),
             ("uavs altitudes_m", self._misfits_of_altitudes),
             ("uavs cds_m", self._misfits_of_stations),
             (f"cds_m {area}", self._misfits_of_places),
+            (f"uavs altitudes_m cds_m outline_m no_fly {area}", self._misfits_of_zones),
             ("altitudes_m speed_m_s flight_time flight_time_budget_s", self._misfits_of_time),
-            *((f"devices {field}", partial(self._misfits_of_list, field)) for field in (*DEVICE_COLUMNS, "devices_m")),
+            *((f"devices {field}", partial(self._misfits_of_list, field)) for field in (*_BY_DEVICE, "devices_m")),
+            ("uavs uav_names", partial(self._misfits_of_list, "uav_names", "uavs")),
             (f"devices_m {area}", self._misfits_of_devices),
         )
         for fields, misfits in checks:
@@ -140,6 +164,13 @@ class ScenarioFields(Strict):
     def _misfits_of_gain(self) -> Iterator[str]:
         if (self.carrier_frequency_hz is None) == (self.reference_gain_db is None):
             yield "give carrier_frequency_hz (such as 3.5e9) or reference_gain_db (such as -43.3), one of the two"
+
+    def _misfits_of_threshold(self) -> Iterator[str]:
+        if [self.rate_min_bit_s, self.snr_min_db, self.sensitivity_dbm].count(None) != 2:
+            yield (
+                "give rate_min_bit_s (such as 150000), snr_min_db (such as -7.5) or sensitivity_dbm (such as -100), "
+                "one of the three"
+            )
 
     def _misfits_of_grid(self) -> Iterator[str]:
         step = self.grid_step_m
@@ -194,6 +225,16 @@ class ScenarioFields(Strict):
                     )
                     break
 
+    def _misfits_of_zones(self) -> Iterator[str]:
+        for u, (place, altitude) in enumerate(zip(self.cds_m, self.altitudes_m, strict=False)):
+            cds = np.rint(np.array([place]) / self.grid_step_m) * self.grid_step_m  # (1, 2) m
+            limits: dict[str, Any] = {"outside of outline_m": (self.outline_m, ())}
+            zones = enumerate(self.no_fly or ())
+            limits |= {f"in no_fly[{z}]": (None, (zone,)) for z, zone in zones if zone.applies(altitude)}
+            for where, limit in limits.items():
+                if not free_legs(cds, cds, *limit).all():
+                    yield f"cds_m[{u}] = {_full_list(place)}: lies {where}, {_BREAKS} (CDS); move the one or the other"
+
     def _misfits_of_time(self) -> Iterator[str]:
         needed = 2 * max(self.altitudes_m, default=0.0) / self.speed_m_s
         if self.flight_time == "enforce" and needed > self.flight_time_budget_s + ZETA_TOLERANCE_S:
@@ -203,10 +244,10 @@ class ScenarioFields(Strict):
                 f"{_full(math.ceil(needed * 1000) / 1000)} or more would fit, and so would flight_time: ignore"
             )
 
-    def _misfits_of_list(self, field: str) -> Iterator[str]:
+    def _misfits_of_list(self, field: str, kind: str = "devices") -> Iterator[str]:
         values = getattr(self, field)
         if isinstance(values, tuple):
-            yield from _wrong_number(field, values, self.devices, "devices")
+            yield from _wrong_number(field, values, getattr(self, kind), kind)
 
     def _misfits_of_devices(self) -> Iterator[str]:
         if not self.devices_m:

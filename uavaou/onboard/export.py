@@ -20,17 +20,19 @@ from uavaou.files import replacing, write_text, writing
 from uavaou.onboard import runner
 from uavaou.onboard.columns import describe_inputs
 from uavaou.onboard.graph import inputs_of, make_graph, optional
+from uavaou.radio import THRESHOLDS
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy, load_run
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.entities import told_before_take_off
-from uavaou.world.flight import grid_cells
+from uavaou.world.flight import free_moves, grid_cells
 from uavaou.world.pull import SHARE, Plans, steps_left
 
 SCHEMA = 1
 FILES = ("policy.onnx", "policy.json", "mission.json", "runner.py")
 _MISSIONS, _SLOTS = 8, 60  # of the comparison with torch: the first slots of as many missions
+_MOVE_BITS = 2 ** np.arange(5)  # a cell's free moves as one number
 _LEAST_SAME = 0.99  # of its rows; where two logits are equal but for rounding, either may win
 
 
@@ -135,7 +137,7 @@ def describe_mission(scenario: Scenario, plan: Plans | None = None) -> dict[str,
         "area_m": [scenario.area_x_m, scenario.area_y_m],
         "grid_step_m": scenario.grid_step_m,
         "speed_m_s": scenario.speed_m_s,
-        "rate_min_bit_s": scenario.rate_min_bit_s,
+        **{form: least for form in THRESHOLDS if (least := getattr(scenario, form)) is not None},
         "altitude_m": list(scenario.altitudes_m),
         "cds_m": (scenario.cds_cells * scenario.grid_step_m).tolist(),
         "budget_steps": world.flight.budget.tolist(),
@@ -147,6 +149,7 @@ def describe_mission(scenario: Scenario, plan: Plans | None = None) -> dict[str,
         "own_devices": own[0].astype(int).tolist(),
         "pull_weight": weight.tolist(),
         "pull_reach_steps": reach.tolist(),
+        **({} if (free := free_moves(scenario)) is None else {"free_moves": (free @ _MOVE_BITS).tolist()}),
     }
 
 

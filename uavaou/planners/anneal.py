@@ -14,13 +14,14 @@ from typing import ClassVar
 import numpy as np
 
 from uavaou.arrays import Ints
+from uavaou.planners.expected import ExpectedAge
 from uavaou.planners.greedy import BestFirst
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner, expected_age, expected_mean_aou
-from uavaou.planners.search import ExpectedAge, anneal, recompute
+from uavaou.planners.search import anneal, recompute
 from uavaou.planners.tour import PartitionTour, Tour
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
-from uavaou.world.flight import Flight
+from uavaou.world.flight import Flight, free_moves, ways
 
 PROPOSALS_A_SLOT = 4000  # without a time limit; about half a minute on `paper`
 _HOT, _COLD = 0.06, 0.002  # first and last temperature, in slots of age for each slot of the mission
@@ -33,6 +34,8 @@ _FIRST_CHUNK = 5000  # proposals; without a time limit, of every chunk
 class Anneal(RoutePlanner):
     """Annealed routes, started from the best of the two tours and one flight of the best-first greedy planner.
 
+    With zones there are no tours.
+
     Without a time limit, the number of proposals is fixed (4000 a slot), so the plan is the same on every run. With a
     time limit, the temperature follows the clock. Ctrl-C ends the search and keeps the best routes.
     """
@@ -42,7 +45,7 @@ class Anneal(RoutePlanner):
     def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
         """Anneal; see :class:`RoutePlanner`."""
         started, starts = time.monotonic(), []
-        for tour in (Tour(), PartitionTour()):
+        for tour in (Tour(), PartitionTour()) if free_moves(scenario) is None else ():
             tour.give_up_at = started + _TOURS_END * self.most_s
             if time.monotonic() - started < _TOURS_SHARE * self.most_s:
                 starts.append(tour.plan(scenario, layout).routes)
@@ -78,7 +81,7 @@ class Anneal(RoutePlanner):
                 fraction = min(1.0, (chunk_started - started + _CHUNK_S) / self.time_limit_s)
             if slots > 2:  # the cells of slots 1 and K are the CDS
                 age = anneal(
-                    expected, (scenario.columns, scenario.rows), budget, flown, (2, slots),
+                    expected, (scenario.columns, scenario.rows, ways(scenario)), budget, flown, (2, slots),
                     (hot * slots, _temperature(fraction) * slots), proposals, best, age, rng,
                 )  # fmt: skip
                 recompute(expected)  # removes the rounding errors of many small changes
