@@ -47,11 +47,9 @@ _PLANNER_NAMES = (
 def evaluate(
     run: RunNames = None,
     policy: Annotated[
-        list[str] | None, option(f"Also play {_PLANNER_NAMES}; or the file of a plan. Repeatable.", "PLANNER")
+        list[str] | None, option(f"Also play {_PLANNER_NAMES}; or a plan's file. Repeatable.", "PLANNER")
     ] = None,
-    scenario: Annotated[
-        str | None, option("A preset or a YAML file. [default: the runs' or plan's own, else paper]")
-    ] = None,
+    scenario: Annotated[str | None, option("A preset or a YAML file. [default: of RUN or plan, else paper]")] = None,
     episodes: Episodes = 100,
     seed: Seed = EVALUATION_SEED,
     action: Annotated[
@@ -93,11 +91,8 @@ def evaluate(
             raise InputError(f"--knows {knows}: a suite says itself what policies know; leave out --suite or --knows")
         _evaluate_suite(suite, scenario, overrides, configs, made, episodes, seed, action, out, quiet)
         return
-    base = (
-        common_scenario(configs)
-        if configs and scenario is None
-        else Scenario.load(scenario or planned_scenario(planners) or "paper")
-    )
+    own = common_scenario(configs) if configs else planned_scenario(planners)
+    base = own if own is not None and scenario is None else Scenario.load(scenario or "paper")
     played = overrides.of_scenario(base)
     if out is not None:
         writable_file(out)

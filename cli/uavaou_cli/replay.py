@@ -43,7 +43,7 @@ def replay(
             autocompletion=trained,
         ),
     ],
-    scenario: Annotated[str | None, option("A preset or a YAML file. [default: the runs' or plan's own, else paper]")] = None,
+    scenario: Annotated[str | None, option("A preset or a YAML file. [default: of RUN or plan, else paper]")] = None,
     seed: Annotated[int | None, number("Seed of the mission. [default: 10000]", 0, LARGEST_SEED)] = None,
     format: Annotated[
         str | None, choice("A page for a browser, or a film. [default: as --out ends, else html]", *_FORMATS)

@@ -7,12 +7,12 @@ import io
 import json
 from collections.abc import Callable
 from typing import Any
-from xml.etree import ElementTree as XML
+from xml.etree import ElementTree
 
 import numpy as np
 
 from uavaou.arrays import Floats
-from uavaou.errors import InputError
+from uavaou.errors import InputError, unknown
 from uavaou.field.routes import Route
 from uavaou.scenario import Scenario
 
@@ -23,27 +23,24 @@ _PX4, _MULTICOPTER = 12, 2  # MAV_AUTOPILOT, MAV_TYPE
 _DIGITS = 9  # of degrees: 0.1 mm
 
 
-def route_text(route: Route, form: str) -> str:
-    """Return the text of a route's file in one of ``FORMATS``."""
-    return FORMATS[form][1](route)
-
-
-def check_coordinates(scenario: Scenario, form: str) -> None:
-    """Refuse a format of coordinates for a scenario that has none.
+def check_format(scenario: Scenario, form: str) -> None:
+    """Refuse a format that there is not, or that needs coordinates which the scenario does not have.
 
     Raises:
         InputError: it says what to add to the scenario.
     """
+    if form not in FORMATS:
+        raise unknown("--format", form, FORMATS)
     if form != "csv" and scenario.georeference is None:
         raise InputError(
-            f"--format {form}: '{scenario.name}' does not say where it lies; add to it, with the place of x = y = 0, "
-            "georeference: {latitude: 46.1012, longitude: 7.2210}, or take --format csv, which is in metres"
+            f"--format {form}: {scenario.name} does not say where it lies on the earth; add to the scenario the place "
+            "of x = y = 0, such as georeference: {latitude: 46.1012, longitude: 7.2210}; --format csv is in metres"
         )
 
 
 def _degrees(places: Floats | None) -> list[list[float]]:
     """Latitude and longitude, rounded, (..., 2)."""
-    assert places is not None  # see check_coordinates
+    assert places is not None  # see check_format
     rounded: list[list[float]] = np.round(places, _DIGITS).tolist()
     return rounded
 
@@ -110,23 +107,26 @@ def _wpl(route: Route) -> str:
 
 def _kml(route: Route) -> str:
     """A line, its waypoints and the fence, for maps."""
-    root = XML.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
-    document = XML.SubElement(root, "Document")
-    XML.SubElement(document, "name").text = route.name
+    root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
+    document = ElementTree.SubElement(root, "Document")
+    ElementTree.SubElement(document, "name").text = route.name
 
     def add(name: str, about: str, kind: str, places: list[list[float]]) -> None:
-        mark = XML.SubElement(document, "Placemark")
-        XML.SubElement(mark, "name").text = name
-        XML.SubElement(mark, "description").text = about
-        shape = XML.SubElement(mark, kind)
+        mark = ElementTree.SubElement(document, "Placemark")
+        ElementTree.SubElement(mark, "name").text = name
+        ElementTree.SubElement(mark, "description").text = about
+        shape = ElementTree.SubElement(mark, kind)
         if kind == "Polygon":
-            shape, places = XML.SubElement(XML.SubElement(shape, "outerBoundaryIs"), "LinearRing"), _closed(places)
+            shape, places = (
+                ElementTree.SubElement(ElementTree.SubElement(shape, "outerBoundaryIs"), "LinearRing"),
+                _closed(places),
+            )
             height = ""
         else:
-            XML.SubElement(shape, "altitudeMode").text = "relativeToGround"
+            ElementTree.SubElement(shape, "altitudeMode").text = "relativeToGround"
             height = f",{route.altitude_m}"
         text = " ".join(f"{longitude},{latitude}{height}" for latitude, longitude in places)
-        XML.SubElement(shape, "coordinates").text = text
+        ElementTree.SubElement(shape, "coordinates").text = text
 
     places = _degrees(route.waypoints)
     add(route.name, f"{route.altitude_m:g} m, {route.speed_m_s:g} m/s", "LineString", _line(places))
@@ -134,8 +134,8 @@ def _kml(route: Route) -> str:
         add(str(number), f"at {row['arrival_s']:g} s, holds {row['hold_s']:g} s", "Point", [place])
     for border in route.fence:
         add(border.name, "stay inside" if border.inclusion else "no-fly zone", "Polygon", _degrees(border.corners))
-    XML.indent(root, " ")
-    return XML.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+    ElementTree.indent(root, " ")
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
 def _geojson(route: Route) -> str:
@@ -153,8 +153,8 @@ def _geojson(route: Route) -> str:
     return json.dumps({"type": "FeatureCollection", "features": features}, indent=1) + "\n"
 
 
-def _feature(kind: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
-    return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": coordinates}}
+def _feature(shape: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
+    return {"type": "Feature", "properties": properties, "geometry": {"type": shape, "coordinates": coordinates}}
 
 
 def _csv(route: Route) -> str:

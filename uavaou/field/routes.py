@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,15 +51,6 @@ class Route:
         """The length of all legs, m."""
         return float(np.abs(np.diff(self.waypoints_m, axis=0)).sum())  # each along x or along y
 
-    def warnings(self) -> list[str]:
-        """The usual apps that do not take so many waypoints, a sentence for each."""
-        count = len(self.hold_s)
-        return [
-            f"{self.name} has {count:,} waypoints, and {app} takes {most}."
-            for app, most in APPS.items()
-            if count > most
-        ]
-
     def rows(self) -> list[dict[str, float]]:
         """The waypoints, as plain values by name."""
         columns = {"x_m": self.waypoints_m[:, 0], "y_m": self.waypoints_m[:, 1]}
@@ -87,13 +79,33 @@ def fleet_routes(scenario: Scenario, cells: Ints) -> list[Route]:
     return [_route(scenario, uav, cells[:, uav], place) for uav in range(scenario.uavs)]
 
 
+def warnings(scenario: Scenario, routes: Sequence[Route]) -> list[str]:
+    """Return what one should know before the routes are flown, a sentence each."""
+    found = []
+    for app, most in APPS.items():
+        if many := [f"{route.name} ({len(route.hold_s):,})" for route in routes if len(route.hold_s) > most]:
+            found.append(f"More waypoints than {app} takes, {most}: {', '.join(many)}.")
+    if routes[0].speed_m_s > scenario.speed_m_s * (1 + 1e-9):
+        needed, speed = routes[0].speed_m_s, scenario.speed_m_s
+        found.append(f"A grid step in a slot needs {needed:.3g} m/s, more than speed_m_s = {speed:g}: uavaou audit.")
+    if len(set(scenario.cds_m)) < len(routes):
+        found.append("UAVs share a station: let one climb to its altitude before the next takes off.")
+    return found
+
+
+def check_coordinates(scenario: Scenario) -> None:
+    """Raise, before anything is computed, as :func:`fleet_routes`."""
+    if scenario.georeference is not None:
+        Projection(scenario.georeference).to_degrees(np.zeros(2))
+
+
 def _route(scenario: Scenario, uav: int, cells: Ints, place: Projection | None) -> Route:
     moves = np.diff(cells, axis=0)  # (K-1, 2) grid steps
     turns = np.flatnonzero((moves[1:] != moves[:-1]).any(axis=1)) + 1
     ends = np.array([0, *turns, len(moves)])  # slots between which a UAV goes straight on, or stays
     stays = ~moves[ends[:-1]].any(axis=1)
     reached = np.array([0, *ends[1:][~stays]])  # slot of each waypoint, from 0
-    hold = np.zeros(len(reached), dtype=np.int64)  # slots
+    hold = np.zeros(len(reached))  # slots
     hold[np.searchsorted(reached, ends[:-1][stays])] = np.diff(ends)[stays]
     points = cells[reached] * scenario.grid_step_m
     return Route(

@@ -90,7 +90,7 @@ class RoutePlan(Plan):
     def of(cls, file: PlanFile) -> RoutePlan:
         """Return the plan of a file that was read; raise as :meth:`load`."""
         routes = np.empty((0, 0, 0)) if file.routes is None else file.routes
-        if routes.ndim != 3:
+        if routes.ndim != 3 or routes.shape[2] != 2:
             raise InputError(f"{file.path}: routes: expected a list of cells [column, row] for each UAV")
         cells: Ints = routes.swapaxes(0, 1).astype(np.int64)
         broken = broken_rule(file.scenario, cells)
@@ -159,7 +159,8 @@ def expected_mean_aou(scenario: Scenario, layout: Layout, routes: Ints) -> float
 def broken_rule(scenario: Scenario, routes: Ints) -> str | None:
     """Describe the first rule of flight that ``routes`` (K, U, 2) break; return None if the routes are feasible."""
     if routes.shape != (scenario.slots, scenario.uavs, 2):
-        return f"routes of shape {routes.shape}, expected {(scenario.slots, scenario.uavs, 2)}"
+        slots, uavs = routes.shape[:2]
+        return f"it has routes of {uavs} UAVs in {slots:,} slots, not of {scenario.uavs} in {scenario.slots:,}"
     flight = Flight(scenario)
     steps = np.abs(np.diff(routes, axis=0)).sum(axis=-1)  # (K-1, U) grid steps
     if routes.min() < 0 or (routes > [scenario.columns - 1, scenario.rows - 1]).any():

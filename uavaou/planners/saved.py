@@ -1,4 +1,4 @@
-"""Plans that ``uavaou plan`` and ``uavaou route`` have saved, as planners: a file stands where a planner's name does."""
+"""Saved plans as planners: the file of a plan stands where a planner's name does."""
 
 from __future__ import annotations
 
@@ -19,15 +19,21 @@ def load_planner(path: Path) -> SavedRoutes | SavedRule:
         InputError: the file cannot be read, is not a plan, or its routes break a rule of flight.
     """
     file = PlanFile.read(path)
-    return SavedRule(file) if file.routes is None else SavedRoutes(file)
+    return SavedRule(file) if file.routes is None else SavedRoutes(RoutePlan.of(file), file.scenario, path)
 
 
 class SavedRoutes(RoutePlanner):
-    """Flies the routes of a file open loop, on every scenario that they fit."""
+    """Flies given routes open loop, on every scenario that they fit.
 
-    def __init__(self, file: PlanFile) -> None:
+    Args:
+        plan: the routes.
+        scenario: that they are of.
+        source: their file.
+    """
+
+    def __init__(self, plan: RoutePlan, scenario: Scenario, source: Path) -> None:
         super().__init__()
-        self.file, self._saved = file, RoutePlan.of(file)
+        self._saved, self._step, self._source = plan, scenario.grid_step_m, source
 
     def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
         """Return the routes.
@@ -35,13 +41,11 @@ class SavedRoutes(RoutePlanner):
         Raises:
             InputError: they break a rule of flight there.
         """
-        step = self.file.scenario.grid_step_m
-        unlike = (
-            f"its grid step is {step:g} m, not {scenario.grid_step_m:g} m" if step != scenario.grid_step_m else None
-        )
-        broken = unlike or broken_rule(scenario, self._saved.routes)
+        broken = broken_rule(scenario, self._saved.routes)
+        if self._step != scenario.grid_step_m:
+            broken = f"its grid step is {self._step:g} m, not {scenario.grid_step_m:g} m"
         if broken is not None:
-            raise InputError(f"'{self.file.path}' does not fit {scenario.name}: {broken}")
+            raise InputError(f"'{self._source}' does not fit {scenario.name}: {broken}")
         return self._saved
 
 
