@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 _OPEN_LOOP = "its routes, open loop"
 _PLAN = "plan.json"
+_NOT_IN_NAMES, _LONGEST = '/\\:*?"<>|%', 200  # of files, on some systems
 
 
 def route(
@@ -103,7 +104,8 @@ def _policy(
     from uavaou.runs.comparison import beyond_training, make_policy
 
     if policy != AUTO:
-        show(paragraphs(filter(None, [beyond_training(policy, scenario)]))[1:])
+        if outside := beyond_training(policy, scenario):
+            show([*paragraphs([outside])[1:], ""])
         return policy, make_policy(policy, scenario, knows=knows), {}
     rehearsal = rehearse_in(scenario, seconds, knows, folder, quiet)
     show(rehearsal_lines(rehearsal))
@@ -169,7 +171,6 @@ def _write(scenario: Scenario, plan: RoutePlan, forms: list[str], folder: Path) 
     """Write the files, and print what is in them."""
     from uavaou.field.route_files import FORMATS
     from uavaou.field.routes import fleet_routes, warnings
-    from uavaou.runs.names import name_with
 
     routes = fleet_routes(scenario, plan.routes)
     rows = [("UAV", "altitude", "waypoints", "length", "holds", "flight without climb and landing")]
@@ -180,8 +181,16 @@ def _write(scenario: Scenario, plan: RoutePlan, forms: list[str], folder: Path) 
         rows.append((route.name, altitude, f"{len(route.hold_s):,}", length, holds, duration(route.duration_s)))
         for form in forms:
             ending, text_of = FORMATS[form]
-            files[folder / (name_with(folder_name(route.name), {}) + ending)] = text_of(route)
+            files[folder / (_file_name(route.name) + ending)] = text_of(route)
     write_json(folder / _PLAN, plan.to_dict(scenario))
     for path, text in files.items():
         write_text(path, text)
     show([*aligned(rows), *paragraphs(warnings(scenario, routes)), "", folder / _PLAN, *files])
+
+
+def _file_name(name: str) -> str:
+    """The name of a UAV as that of a file."""
+    from uavaou.runs.names import name_with
+
+    usable = not set(name) & set(_NOT_IN_NAMES) and name[0] != "." and len(name.encode()) <= _LONGEST
+    return name if usable else name_with(folder_name(name), {})
