@@ -104,9 +104,10 @@ def _policy(
     from uavaou.runs.comparison import beyond_training, make_policy
 
     if policy != AUTO:
+        made = make_policy(policy, scenario, knows=knows)
         if outside := beyond_training(policy, scenario):
             show([*paragraphs([outside])[1:], ""])
-        return policy, make_policy(policy, scenario, knows=knows), {}
+        return policy, made, {}
     rehearsal = rehearse_in(scenario, seconds, knows, folder, quiet)
     show(rehearsal_lines(rehearsal))
     fixed = {one.name: one.mean.value for one in rehearsal.candidates if one.knows == "nothing"}
@@ -173,7 +174,7 @@ def _write(scenario: Scenario, plan: RoutePlan, forms: list[str], folder: Path) 
     from uavaou.field.routes import fleet_routes, warnings
 
     routes = fleet_routes(scenario, plan.routes)
-    rows = [("UAV", "altitude", "waypoints", "length", "holds", "flight without climb and landing")]
+    rows = [("UAV", "altitude", "waypoints", "length", "holds", "time")]
     files = {}
     for route in routes:
         length, holds = f"{route.length_m / 1000:,.2f} km", duration(float(route.hold_s.sum()))
@@ -185,7 +186,8 @@ def _write(scenario: Scenario, plan: RoutePlan, forms: list[str], folder: Path) 
     write_json(folder / _PLAN, plan.to_dict(scenario))
     for path, text in files.items():
         write_text(path, text)
-    show([*aligned(rows), *paragraphs(warnings(scenario, routes)), "", folder / _PLAN, *files])
+    told = paragraphs(warnings(scenario, routes))
+    show([*aligned(rows), "", "time: without climb and landing", *told, "", folder / _PLAN, *files])
 
 
 def _file_name(name: str) -> str:
