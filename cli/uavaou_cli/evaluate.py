@@ -46,8 +46,10 @@ _PLANNER_NAMES = (
 
 def evaluate(
     run: RunNames = None,
-    policy: Annotated[list[str] | None, option(f"Also play {_PLANNER_NAMES}. Repeatable.", "PLANNER")] = None,
-    scenario: Annotated[str | None, option("A preset or a YAML file. [default: the runs' own, else paper]")] = None,
+    policy: Annotated[
+        list[str] | None, option(f"Also play {_PLANNER_NAMES}; or a plan's file. Repeatable.", "PLANNER")
+    ] = None,
+    scenario: Annotated[str | None, option("A preset or a YAML file. [default: of RUN or plan, else paper]")] = None,
     episodes: Episodes = 100,
     seed: Seed = EVALUATION_SEED,
     action: Annotated[
@@ -79,7 +81,7 @@ def evaluate(
     planners = [name for name in dict.fromkeys(policy or []) if name not in released]
     # Before torch is imported, so that a misspelled one fails at once.
     made = _make_planners(planners, folders, time_limit, suite, knows)
-    from uavaou.runs.comparison import common_scenario, compare, make_policy, read_runs
+    from uavaou.runs.comparison import common_scenario, compare, make_policy, planned_scenario, read_runs
     from uavaou.runs.folder import RunFolder
     from uavaou.scenario import Scenario
 
@@ -90,7 +92,8 @@ def evaluate(
             raise InputError(f"--knows {knows}: a suite says itself what policies know; leave out --suite or --knows")
         _evaluate_suite(suite, scenario, overrides, configs, made, episodes, seed, action, out, quiet)
         return
-    base = common_scenario(configs) if configs and scenario is None else Scenario.load(scenario or "paper")
+    own = common_scenario(configs) if configs else planned_scenario(planners)
+    base = own if own is not None and scenario is None else Scenario.load(scenario or "paper")
     played = overrides.of_scenario(base)
     if out is not None:
         writable_file(out)
@@ -111,7 +114,7 @@ def _make_planners(
     names: list[str], folders: list[str], limit_s: float | None, suite: str | None, knows: str
 ) -> dict[str, Planner]:
     """The planners of the command, after a check of all names that it gives."""
-    from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner
+    from uavaou.planners import PLAN_AHEAD, PLANNERS, is_plan, make_planner
 
     if not folders and not names and suite is None:
         raise InputError(f"nothing to evaluate: give run folders, or --policy with one of {', '.join(PLANNERS)}")
@@ -119,6 +122,8 @@ def _make_planners(
     for name in folders:
         if name in PLANNERS and not Path(name).exists():
             raise InputError(f"run folder '{name}' does not exist; for the planner of that name, write --policy {name}")
+        if is_plan(name) and Path(name).is_file():
+            raise InputError(f"'{name}' is no run folder; for the plan of that file, write --policy {name}")
         if name in names:
             raise InputError(f"'{name}' is both a run folder and a planner here: write ./{name} for the folder")
     if limit_s is not None and not any(name in PLAN_AHEAD for name in names):

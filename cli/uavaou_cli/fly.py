@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from uavaou.runs.rehearsal import Rehearsal
     from uavaou.scenario import Scenario
 
-_AUTO = "auto"
+AUTO = "auto"
 _REFERENCES = ("best-first", "local-greedy-parts", "greedy")  # beside a policy that was named; they need no time
 
 
@@ -58,7 +58,7 @@ def fly(
         option(
             "auto: the best in rehearsal; or a released policy, a run's folder or a planner. [default: auto]", "NAME"
         ),
-    ] = _AUTO,
+    ] = AUTO,
     seconds: Annotated[float, seconds("For the rehearsal; from 30 on it also trains a policy. [default: 10]")] = 10.0,
     knows: Knows = "everything",
     seed: Annotated[int, number("Seed of the mission.", 0, LARGEST_SEED)] = EVALUATION_SEED,
@@ -108,9 +108,9 @@ def fly(
         writable_file(json)
     notes: list[Path] = []
     ages: dict[str, Floats] = {}
-    if policy == _AUTO:
-        rehearsal = _rehearse(flown, seconds, knows, folder, quiet)
-        show(_rehearsal_lines(rehearsal))
+    if policy == AUTO:
+        rehearsal = rehearse_in(flown, seconds, knows, folder, quiet)
+        show(rehearsal_lines(rehearsal))
         first = rehearsal.candidates[:2]
         policies = {candidate.name: candidate.policy for candidate in first}
         if json is not None:
@@ -132,7 +132,8 @@ def fly(
     show(notes)
 
 
-def _rehearse(scenario: Scenario, seconds: float, knows: str, folder: Path, quiet: bool) -> Rehearsal:
+def rehearse_in(scenario: Scenario, seconds: float, knows: str, folder: Path, quiet: bool) -> Rehearsal:
+    """Rehearse with a display; a training has a folder of its own in ``folder``."""
     from uavaou.runs.rehearsal import rehearse
 
     places = (folder / ("training" if number == 1 else f"training-{number}") for number in count(1))
@@ -147,7 +148,7 @@ def _rehearse(scenario: Scenario, seconds: float, knows: str, folder: Path, quie
         return rehearse(scenario, seconds, knows, unused, show)
 
 
-def _rehearsal_lines(rehearsal: Rehearsal) -> list[str]:
+def rehearsal_lines(rehearsal: Rehearsal) -> list[str]:
     """The candidates, the best first; which one is served, and how sure that is."""
     from uavaou.runs.comparison import beyond_training
 

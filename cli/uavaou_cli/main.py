@@ -20,7 +20,7 @@ from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
 from uavaou.runs.interrupt import exit_code, interrupt_at_sigterm, was_interrupt
-from uavaou_cli import evaluate, export, fly, import_, plan, plot, replay, runs, scenarios, study, train, tune
+from uavaou_cli import evaluate, export, fly, import_, plan, plot, replay, route, runs, scenarios, study, train, tune
 from uavaou_cli.options import given_path, option
 
 BAD_INPUT = 2
@@ -71,6 +71,7 @@ app.command("tune", short_help="Search for better settings of an algorithm.")(tu
 app.command("eval", short_help="Play trained runs and planners on the same missions.")(evaluate.evaluate)
 app.command("replay", short_help="Replay one mission of several policies in a browser.")(replay.replay)
 app.command("plan", short_help="Plan a fleet's routes before take-off.")(plan.plan)
+app.command("route", short_help="Write what a policy flies as files for autopilots.")(route.route)
 app.command("gap", short_help="Compare planners and runs with the lower bound.")(plan.gap)
 plots = typer.Typer(**_STYLE, help="Draw the figures of studies and training runs, or one mission.")
 plots.command("figures", short_help="Draw the figures of studies or training runs.")(plot.figures)

@@ -64,6 +64,7 @@ def plan(
 
     Writes plan.json, and the pictures of the first mission, as PNG and PDF.
     """
+    from uavaou.field.routes import check_coordinates
     from uavaou.planners import PLANNERS_WITH_PLAN
     from uavaou.runs.names import name_with
 
@@ -76,6 +77,7 @@ def plan(
     if (folder / _PLAN).exists() and not replace_:
         raise InputError(f"'{folder}' already holds a plan: add --replace to plan anew, or choose another --out")
     writable_folder(folder)
+    check_coordinates(chosen)
     _plan_and_report(chosen, planner, time_limit, episodes, seed, folder, quiet)
 
 

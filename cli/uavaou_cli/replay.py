@@ -39,11 +39,11 @@ def replay(
         list[str],
         typer.Argument(
             metavar="RUN|POLICY",
-            help="Runs, released policies, planners, or missions as `uavaou fly` records them.",
+            help="Runs, released policies, planners, plans, or missions as `uavaou fly` records them.",
             autocompletion=trained,
         ),
     ],
-    scenario: Annotated[str | None, option("A preset or a YAML file. [default: the runs' own, else paper]")] = None,
+    scenario: Annotated[str | None, option("A preset or a YAML file. [default: of RUN or plan, else paper]")] = None,
     seed: Annotated[int | None, number("Seed of the mission. [default: 10000]", 0, LARGEST_SEED)] = None,
     format: Annotated[
         str | None, choice("A page for a browser, or a film. [default: as --out ends, else html]", *_FORMATS)
@@ -99,8 +99,13 @@ def _format(format: str | None, out: Path | None) -> str:
 
 
 def _is_recorded(name: str) -> bool:
-    """Whether the name is that of a recorded mission's file."""
-    return name.endswith(".json") and Path(name).is_file()
+    """Whether the name is that of a recorded mission's file; one that holds a planner is a plan."""
+    from uavaou.files import read_json
+
+    if not name.endswith(".json") or not Path(name).is_file():
+        return False
+    content = read_json(Path(name))
+    return not isinstance(content, dict) or "planner" not in content
 
 
 def _read_missions(names: Sequence[str]) -> dict[str, RecordedMission]:
@@ -111,7 +116,7 @@ def _read_missions(names: Sequence[str]) -> dict[str, RecordedMission]:
 
 def _base_scenario(names: Sequence[str], scenario: str | None, recorded: dict[str, RecordedMission]) -> Scenario:
     """The scenario that is flown, before changes: as given, of the recorded missions, of the runs, or the paper's."""
-    from uavaou.runs.comparison import common_scenario, is_planner, read_runs
+    from uavaou.runs.comparison import common_scenario, is_planner, planned_scenario, read_runs
     from uavaou.scenario import Scenario
 
     configs = read_runs([name for name in names if not is_planner(name)])
@@ -119,7 +124,7 @@ def _base_scenario(names: Sequence[str], scenario: str | None, recorded: dict[st
         return Scenario.load(scenario)
     if recorded:
         return next(iter(recorded.values())).scenario
-    return common_scenario(configs) if configs else Scenario.load("paper")
+    return common_scenario(configs) if configs else planned_scenario(names) or Scenario.load("paper")
 
 
 def _fly(

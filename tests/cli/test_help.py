@@ -29,6 +29,7 @@ COMMANDS = {
     "fly": "SCENARIO --scenario --policy --seconds --knows --seed --json --out --set --quiet",
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --knows --set --quiet",
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
+    "route": "SCENARIO --scenario --policy --seconds --knows --format --episodes --seed --out --set --quiet",
     "gap": "SCENARIO RUN --scenario --time-limit --bound-limit --certificate --episodes --seed --set --quiet",
     "audit": "SCENARIO --scenario --set",
     "export": "RUN --out --format --scenario",

@@ -30,7 +30,7 @@ from uavaou.experiments.study import Study
 from uavaou.experiments.suite import Suite
 from uavaou.onboard import runner
 from uavaou.plain_yaml import parse_yaml
-from uavaou.planners.plan import RoutePlan
+from uavaou.planners.saved import load_planner
 from uavaou.reports.figures import read_runs
 from uavaou.reports.suites import read_suites
 from uavaou.runs import folder
@@ -171,7 +171,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "space.yaml": partial(SearchSpace.load, "mappo"),
     "search/search.yaml": lambda path: SearchFolder(path.parent).read(),
     "mission.json": read_mission,
-    "plan.json": RoutePlan.load,
+    "plan.json": load_planner,
+    "rule/plan.json": load_planner,
     "suite.csv": lambda path: read_suites([path]),
     "rows.csv": _rows,
     "set.txt": _overrides,
@@ -185,7 +186,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
 def seeds() -> dict[str, bytes]:
     """A valid file for each reader."""
     tiny, mappo = config().scenario, config().algorithm
-    files = {name: place() / f"seed-{Path(name).name}" for name in READERS}
+    files = {name: place() / f"seed-{name.replace('/', '-')}" for name in READERS}
     arrays = {"policy.weight": np.ones((2, 3), np.float32), "stream.numpy": np.zeros(4, np.uint32)}
     about = {"class": "MAPPO", "arguments": {}, "layout": {}, "rows": 2}
     write_arrays(files["checkpoint.safetensors"], arrays, TrainingProgress().text())
@@ -222,6 +223,7 @@ def seeds() -> dict[str, bytes]:
         "search/search.yaml": search.to_yaml(),
         "mission.json": json.dumps(mission),
         "plan.json": json.dumps(plan | {"routes": [[cell] * slots for cell in cells]}),
+        "rule/plan.json": json.dumps(plan | dict.fromkeys(("weight", "reach", "share"), [[0.5] * devices] * uavs)),
         "suite.csv": (
             "suite,axis,scale,joined,point,x,policy,how,seed,mission_seed,mean_aou_slots\n"
             "s,x,linear,yes,1,1,mappo,trained,0,7,3\ns,x,linear,yes,1,1,best-first,planner,,7,30\n"

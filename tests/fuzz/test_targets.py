@@ -45,6 +45,7 @@ def test_the_corpus_is_read_or_refused_in_one_line() -> None:
         "set.txt",
         "any.yaml",
         "plan.json",
+        "rule/plan.json",
         "mission.json",
         "suite.yaml",
         "suite.csv",

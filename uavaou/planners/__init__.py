@@ -1,5 +1,6 @@
 """Policies that are not learned: the references for a learner."""
 
+from pathlib import Path
 from pkgutil import resolve_name
 
 from uavaou.errors import InputError, unknown
@@ -13,6 +14,7 @@ __all__ = [
     "PLAN_AHEAD",
     "Planner",
     "gap_planners",
+    "is_plan",
     "make_planner",
     "planner_knowledge",
 ]
@@ -38,30 +40,43 @@ PLAN_AHEAD = (*PLANNERS_WITH_PLAN, "rolling")
 
 
 def make_planner(name: str, time_limit_s: float | None = None, knows: str = "everything") -> Planner:
-    """Return the planner of that name.
+    """Return the planner of that name, or the one that flies a saved plan.
 
     Args:
-        name: one of ``PLANNERS``.
+        name: one of ``PLANNERS``, or the path of a plan's file.
         time_limit_s: of the planning before take-off, for ``PLAN_AHEAD``.
         knows: the most that it may read in flight.
 
     Raises:
-        InputError: no planner has that name, one without planning before take-off is given a time limit, or it needs to
-            know more.
+        InputError: no planner has that name, the file is not a plan, one without planning before take-off is given a
+            time limit, or it needs to know more.
     """
-    if name not in PLANNERS:
+    if name not in PLANNERS and not is_plan(name):
         raise unknown("planner", name, PLANNERS)
     check_within(name, planner_knowledge(name), knows)
     if time_limit_s is not None and name not in PLAN_AHEAD:
         raise InputError(f"planner '{name}' decides slot by slot and takes no time limit")
+    if is_plan(name):
+        return _saved(name)
     kind = resolve_name(PLANNERS[name])
     planner: Planner = kind() if time_limit_s is None else kind(time_limit_s)
     return planner
 
 
+def is_plan(name: str) -> bool:
+    """Whether a name in the place of a planner's means the file of a plan."""
+    return name.endswith(".json")
+
+
+def _saved(name: str) -> Planner:
+    from uavaou.planners.saved import load_planner  # as slow as other planners
+
+    return load_planner(Path(name))
+
+
 def planner_knowledge(name: str) -> Knowledge:
     """What the planner of that name reads in flight."""
-    return knowledge(resolve_name(PLANNERS[name]))
+    return knowledge(_saved(name) if is_plan(name) else resolve_name(PLANNERS[name]))
 
 
 def gap_planners(scenario: Scenario) -> list[str]:

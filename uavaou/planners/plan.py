@@ -10,9 +10,12 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from uavaou.arrays import Bools, Ints
 from uavaou.errors import InputError
+from uavaou.field.routes import fleet_routes
+from uavaou.fields import NonNegative, WholeNumbers, validated
 from uavaou.files import read_json
 from uavaou.planners.expected import ExpectedAge
 from uavaou.planners.search import recompute
@@ -70,8 +73,9 @@ class RoutePlan(Plan):
     routes: Ints  # (K, U, 2) column and row in slots 1 to K
 
     def to_dict(self, scenario: Scenario) -> dict[str, Any]:
-        """Return plain values for a JSON file, with the scenario."""
-        return super().to_dict(scenario) | {"routes": self.routes.swapaxes(0, 1).tolist()}
+        """Return plain values for a JSON file, with the scenario; ``uavs`` follow from the routes (docs/routes.md)."""
+        uavs = [route.to_dict() for route in fleet_routes(scenario, self.routes)]
+        return super().to_dict(scenario) | {"routes": self.routes.swapaxes(0, 1).tolist(), "uavs": uavs}
 
     @classmethod
     def load(cls, path: Path) -> tuple[RoutePlan, Scenario]:
@@ -80,19 +84,51 @@ class RoutePlan(Plan):
         Raises:
             InputError: the file is not a plan, or its routes break a rule of flight.
         """
-        try:
-            content = read_json(path)
-            scenario = Scenario.from_dict(content["scenario"], source=str(path))
-            routes = np.asarray(content["routes"], dtype=np.int64).swapaxes(0, 1)
-            fields = {name: content[name] for name in ("planner", "mean_aou_s", "bound_s", "interrupted")}
-        except InputError:
-            raise
-        except (ValueError, KeyError, TypeError, OverflowError) as error:
-            raise InputError(f"'{path}' is not a plan: {error!r}") from error
-        broken = broken_rule(scenario, routes)
+        file = PlanFile.read(path)
+        return cls.of(file), file.scenario
+
+    @classmethod
+    def of(cls, file: PlanFile) -> RoutePlan:
+        """Return the plan of a file that was read; raise as :meth:`load`."""
+        routes = np.empty((0, 0, 0)) if file.routes is None else file.routes
+        if routes.ndim != 3 or routes.shape[2] != 2:
+            raise InputError(f"{file.path}: routes: expected a list of cells [column, row] for each UAV")
+        cells: Ints = routes.swapaxes(0, 1).astype(np.int64)
+        broken = broken_rule(file.scenario, cells)
         if broken is not None:
-            raise InputError(f"'{path}': {broken}")
-        return cls(routes=routes, **fields), scenario
+            raise InputError(f"'{file.path}': {broken}")
+        return cls(**file.found(), routes=cells)
+
+
+class PlanFile(BaseModel):
+    """What stands in the file of a plan; the numbers of a :class:`~uavaou.planners.tuned.RulePlan` are extra."""
+
+    model_config = ConfigDict(arbitrary_types_allowed=True, extra="allow")
+
+    path: Path
+    planner: str
+    scenario: Scenario
+    mean_aou_s: NonNegative
+    bound_s: NonNegative | None
+    interrupted: bool
+    routes: WholeNumbers | None = None  # (U, K, 2)
+
+    @classmethod
+    def read(cls, path: Path) -> PlanFile:
+        """Read the file.
+
+        Raises:
+            InputError: the file cannot be read, or is not a plan.
+        """
+        content = read_json(path)
+        if not isinstance(content, dict) or "scenario" not in content:
+            raise InputError(f"'{path}' is not a plan, as `uavaou plan` saves it")
+        scenario = Scenario.from_dict(content["scenario"], source=f"{path}: scenario")
+        return validated(cls, content | {"path": path, "scenario": scenario}, str(path))
+
+    def found(self) -> dict[str, Any]:
+        """Return the fields of every :class:`Plan`."""
+        return {name: getattr(self, name) for name in ("planner", "mean_aou_s", "bound_s", "interrupted")}
 
 
 def expected_age(scenario: Scenario, layout: Layout, routes: Ints) -> ExpectedAge:
@@ -124,7 +160,8 @@ def expected_mean_aou(scenario: Scenario, layout: Layout, routes: Ints) -> float
 def broken_rule(scenario: Scenario, routes: Ints) -> str | None:
     """Describe the first rule of flight that ``routes`` (K, U, 2) break; return None if the routes are feasible."""
     if routes.shape != (scenario.slots, scenario.uavs, 2):
-        return f"routes of shape {routes.shape}, expected {(scenario.slots, scenario.uavs, 2)}"
+        slots, uavs = routes.shape[:2]
+        return f"it has routes of {uavs} UAVs in {slots:,} slots, not of {scenario.uavs} in {scenario.slots:,}"
     flight = Flight(scenario)
     steps = np.abs(np.diff(routes, axis=0)).sum(axis=-1)  # (K-1, U) grid steps
     if routes.min() < 0 or (routes > [scenario.columns - 1, scenario.rows - 1]).any():

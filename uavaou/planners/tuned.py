@@ -167,14 +167,19 @@ class _Search:
         weight, reach, share = numbers = self._best()
         age = self._chains[0].score(numbers, len(self._area.draws), fresh(self._area))
         steps = np.take_along_axis(self._steps, share[None, :, None].astype(np.int64), axis=0)[0]  # (U, C, I)
-        with np.errstate(divide="ignore"):
-            pull = np.exp(np.log(weight)[:, None] - steps / reach[:, None])  # (U, C, I)
         return RulePlan(
             name,
             slot_length_s * age,
             weight,
             reach,
             np.array(_SHARES)[share.astype(int)],
-            pull,
+            pull_in_cells(weight, reach, steps),
             interrupted=interrupted,
         )
+
+
+def pull_in_cells(weight: Floats, reach: Floats, steps: Floats) -> Floats:
+    """Return weight exp(-steps / reach) in each cell, (U, C, I), of weights and reaches (U, I)."""
+    with np.errstate(divide="ignore"):
+        pull: Floats = np.exp(np.log(weight)[:, None] - steps / reach[:, None])
+    return pull

@@ -13,8 +13,9 @@ from uavaou.errors import InputError, unknown
 from uavaou.evaluation.evaluate import Evaluation, play
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.family import beyond
-from uavaou.planners import PLAN_AHEAD, PLANNERS, make_planner, planner_knowledge
+from uavaou.planners import PLAN_AHEAD, PLANNERS, is_plan, make_planner, planner_knowledge
 from uavaou.planners.base import Planner
+from uavaou.planners.plan import PlanFile
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.released import released_names
 from uavaou.scenario import Scenario
@@ -77,7 +78,8 @@ def make_policy(
     """The planner, released policy or run of that name, to act in ``scenario``.
 
     Args:
-        name: of a planner (:func:`uavaou.planners.make_planner`), of a released policy, or the path of a run's folder.
+        name: of a planner or the file of a plan (:func:`uavaou.planners.make_planner`), of a released policy, or the
+            path of a run's folder.
         scenario: which a trained policy must fit; None: the one trained on.
         time_limit_s: of planners that plan before take-off; the others take none.
         knows: the most that it may read in flight.
@@ -99,11 +101,20 @@ def is_planner(name: str) -> bool:
     Raises:
         InputError: there is no policy of that name.
     """
-    if name in PLANNERS:
+    if name in PLANNERS or is_plan(name):
         return True
     if Path(name).name == name and not RunFolder.at(name).path.exists():  # with a separator it can only be a folder
         raise unknown("policy", name, [*released_names(), *PLANNERS])
     return False
+
+
+def planned_scenario(names: Iterable[str]) -> Scenario | None:
+    """The scenario of the first plan's file among the names of policies; None where there is none.
+
+    Raises:
+        InputError: the file is not a plan.
+    """
+    return next((PlanFile.read(Path(name)).scenario for name in names if is_plan(name)), None)
 
 
 def known_by(name: str, limit: str = "everything") -> Knowledge:
@@ -144,6 +155,8 @@ def evaluate(
 
 def recorded_as(name: str) -> tuple[str, int | None]:
     """How a recorded mission calls the policy of that name: a run by its variant and its training seed."""
+    if is_plan(name):
+        return PlanFile.read(Path(name)).planner, None
     folder = RunFolder.at(name)
     if name in PLANNERS or folder.is_released:
         return name, None
@@ -154,7 +167,7 @@ def recorded_as(name: str) -> tuple[str, int | None]:
 
 def beyond_training(name: str, scenario: Scenario) -> str:
     """A sentence on how a scenario is unlike the family that a policy was trained on; empty where it is not."""
-    family = None if name in PLANNERS else RunFolder.at(name).read_config().family
+    family = None if name in PLANNERS or is_plan(name) else RunFolder.at(name).read_config().family
     outside = [] if family is None else beyond(family, scenario)
     if not outside:
         return ""

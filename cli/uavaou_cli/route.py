@@ -1,0 +1,198 @@
+"""``uavaou route``: what a policy flies, as files for autopilots, ground stations and maps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isnan
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from uavaou.errors import InputError
+from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
+from uavaou.files import folder_name, write_json, write_text
+from uavaou_cli.fly import AUTO, rehearsal_lines, rehearse_in
+from uavaou_cli.options import (
+    Changes,
+    Knows,
+    Quiet,
+    ScenarioName,
+    ScenarioOption,
+    Seed,
+    needed_scenario,
+    number,
+    option,
+    seconds,
+    stated_scenario,
+    writable_folder,
+)
+from uavaou_cli.overrides import parse_overrides
+from uavaou_cli.progress import EvaluationDisplay
+from uavaou_cli.tables import aligned, duration, figure, interval_figures, paragraphs, show
+
+if TYPE_CHECKING:
+    from uavaou.evaluation.evaluate import Evaluation
+    from uavaou.planners.base import Planner
+    from uavaou.planners.plan import RoutePlan
+    from uavaou.scenario import Scenario
+
+_OPEN_LOOP = "its routes, open loop"
+_PLAN = "plan.json"
+_NOT_IN_NAMES, _LONGEST = '/\\:*?"<>|%', 200  # of files, on some systems
+
+
+def route(
+    scenario: ScenarioName = None,
+    scenario_option: ScenarioOption = None,
+    policy: Annotated[
+        str,
+        option(
+            "auto: the best in rehearsal; or a released policy, a run's folder, a planner or the file of a plan. "
+            "[default: auto]",
+            "NAME",
+        ),
+    ] = AUTO,
+    seconds: Annotated[float, seconds("For the rehearsal; from 30 on it also trains a policy. [default: 10]")] = 10.0,
+    knows: Knows = "everything",
+    format: Annotated[
+        list[str] | None, option("plan, wpl, kml, geojson or csv. Repeatable. [default: plan]", "FORMAT")
+    ] = None,
+    episodes: Annotated[int, number("Missions that policy and routes are flown in.", 1, MOST_EPISODES)] = 100,
+    seed: Seed = EVALUATION_SEED,
+    out: Annotated[
+        Path | None, option("Where the files go. [default: results/<scenario>/route/<policy>]", "DIR")
+    ] = None,
+    set_: Changes = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write a route file for each UAV: take-off, speed, waypoints with holds, landing, fence.
+
+    A policy that reacts to what it hears has no fixed route. It flies 16 simulated missions, and the routes of one of
+    them are written: those with the lowest expected mean AoU. Prints what they cost against the policy itself.
+
+    plan.json holds the routes, too: for `uavaou eval --policy`, `uavaou replay` and `uavaou route --policy`. See
+    docs/routes.md.
+    """
+    from uavaou.field.route_files import check_format
+    from uavaou.field.routes import check_coordinates
+    from uavaou.runs.comparison import planned_scenario
+    from uavaou.runs.names import flight_folder, scenario_folder
+    from uavaou.scenario import Scenario
+
+    overrides = parse_overrides(set_ or [])
+    overrides.only_of_scenario("a policy flies as it is")
+    stated = stated_scenario(scenario, scenario_option)
+    planned = planned_scenario([policy]) if stated is None else None
+    base = planned or Scenario.load(needed_scenario(stated, None))
+    flown = overrides.of_scenario(base)
+    if flown.layout == "resample":
+        raise InputError("uavaou route: the scenario draws a new layout each mission; set scenario.layout=fixed")
+    forms = list(dict.fromkeys(format or ["plan"]))
+    for form in forms:
+        check_format(flown, form)
+    check_coordinates(flown)
+    folder = out or Path("results") / scenario_folder(base, overrides.scenario) / "route" / flight_folder([policy])
+    writable_folder(folder)
+    name, chosen, others = _policy(policy, flown, seconds, knows, folder, quiet)
+    plan = _measured(flown, name, chosen, others, folder / _PLAN, episodes, seed, quiet)
+    _write(flown, plan, forms, folder)
+
+
+def _policy(
+    policy: str, scenario: Scenario, seconds: float, knows: str, folder: Path, quiet: bool
+) -> tuple[str, Planner, dict[str, float]]:
+    """The policy, with its name, and the mean AoU in slots of what was planned for open loop in a rehearsal."""
+    from uavaou.runs.comparison import beyond_training, make_policy
+
+    if policy != AUTO:
+        made = make_policy(policy, scenario, knows=knows)
+        if outside := beyond_training(policy, scenario):
+            show([*paragraphs([outside])[1:], ""])
+        return policy, made, {}
+    rehearsal = rehearse_in(scenario, seconds, knows, folder, quiet)
+    show(rehearsal_lines(rehearsal))
+    fixed = {one.name: one.mean.value for one in rehearsal.candidates if one.knows == "nothing"}
+    return rehearsal.served.name, rehearsal.served.policy, fixed
+
+
+def _measured(
+    scenario: Scenario,
+    name: str,
+    policy: Planner,
+    others: dict[str, float],
+    path: Path,
+    episodes: int,
+    seed: int,
+    quiet: bool,
+) -> RoutePlan:
+    """The routes of a policy, after a table of what they cost against the policy itself."""
+    from uavaou.evaluation.open_loop import MISSIONS, best_routes
+    from uavaou.planners.plan import RoutePlanner
+    from uavaou.planners.saved import SavedRoutes
+    from uavaou.runs.comparison import compare
+
+    with EvaluationDisplay(quiet, [name], MISSIONS * scenario.slots) as display:
+        display.start(name)
+        plan = best_routes(policy, name, scenario, display.after_slot)
+    policies: dict[str, Planner] = {name: policy}
+    if not isinstance(policy, RoutePlanner):
+        policies[_OPEN_LOOP] = SavedRoutes(plan, scenario, path)
+    with EvaluationDisplay(quiet, list(policies), episodes * scenario.slots) as display:
+        results = compare(policies, scenario, episodes, seed, display).results
+    show([f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}", ""])
+    show(_cost_lines(results, scenario.slot_length_s / 60, others))
+    return plan
+
+
+def _cost_lines(results: Mapping[str, Evaluation], minutes: float, others: dict[str, float]) -> list[str]:
+    """The mean AoU of the policy and of its routes, and their difference in common missions; a slot has ``minutes``."""
+    from uavaou.statistics import interval_over_missions
+
+    ages = {name: result.values("mean_aou_s") / result.slot_length_s for name, result in results.items()}  # (N,) slots
+    rows = [("flown by", "mean AoU", "interval", "mean AoU"), ("", "(slots)", "95 %", "(min)")]
+    for name, values in ages.items():
+        mean = interval_over_missions(values)
+        rows.append((name, *interval_figures(mean), figure(minutes * mean.value)))
+    texts = []
+    policy, *flown = ages.values()
+    for routes in flown:
+        cost = interval_over_missions(routes - policy)
+        share = f", {cost.value / policy.mean():.0%}" if policy.mean() > 0 else ""
+        ends = "" if isnan(cost.low) else f"; 95 % interval {figure(cost.low)} to {figure(cost.high)} slots"
+        more = f"{figure(cost.value)} slots ({figure(minutes * cost.value)} min{share})"
+        texts.append(f"Without what the policy hears, the routes cost {more} of mean AoU{ends}.")
+        texts += [
+            f"{name} plans routes for open loop and had {figure(mean)} slots in the rehearsal: --policy {name}."
+            for name, mean in others.items()
+            if mean < interval_over_missions(routes).low
+        ]
+    return [*aligned(rows), *paragraphs(texts or ["The policy flies these routes in every mission."]), ""]
+
+
+def _write(scenario: Scenario, plan: RoutePlan, forms: list[str], folder: Path) -> None:
+    """Write the files, and print what is in them."""
+    from uavaou.field.route_files import FORMATS
+    from uavaou.field.routes import fleet_routes, warnings
+
+    routes = fleet_routes(scenario, plan.routes)
+    rows = [("UAV", "altitude", "waypoints", "length", "holds", "time")]
+    files = {}
+    for route in routes:
+        length, holds = f"{route.length_m / 1000:,.2f} km", duration(float(route.hold_s.sum()))
+        altitude = f"{route.altitude_m:g} m"
+        rows.append((route.name, altitude, f"{len(route.hold_s):,}", length, holds, duration(route.duration_s)))
+        for form in forms:
+            ending, text_of = FORMATS[form]
+            files[folder / (_file_name(route.name) + ending)] = text_of(route)
+    write_json(folder / _PLAN, plan.to_dict(scenario))
+    for path, text in files.items():
+        write_text(path, text)
+    told = paragraphs(warnings(scenario, routes))
+    show([*aligned(rows), "", "time: without climb and landing", *told, "", folder / _PLAN, *files])
+
+
+def _file_name(name: str) -> str:
+    """The name of a UAV as that of a file."""
+    from uavaou.runs.names import name_with
+
+    usable = not set(name) & set(_NOT_IN_NAMES) and name[0] != "." and len(name.encode()) <= _LONGEST
+    return name if usable else name_with(folder_name(name), {})
