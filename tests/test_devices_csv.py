@@ -60,8 +60,8 @@ def test_columns_and_rows_of_blanks_are_ignored(table: str, tmp_path: Path) -> N
 
 
 def test_other_columns_are_left_out_with_a_note(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match=r"map\.csv: columns that are not read: 'id', 'name'"):
-        scenario = with_csv(tmp_path, "id,name,x_m,y_m\n7,well,0,0\n9,barn,50,60\n")
+    with pytest.warns(UserWarning, match=r"map\.csv: columns that are not read: 'id', 'notes'"):
+        scenario = with_csv(tmp_path, "id,notes,x_m,y_m\n7,well,0,0\n9,barn,50,60\n")
     assert scenario.devices_m == ((0, 0), (50, 60))
 
 

@@ -98,7 +98,7 @@ def read_devices(
 ) -> Callable[[str], str]:
     """Add the positions and per-device values of a CSV file to the fields of a scenario.
 
-    Columns that are none of a device's, such as names, are left out with a warning.
+    A column ``name`` has their names. Columns that are none of a device's are left out with a warning.
 
     Args:
         csv: the file.
@@ -121,11 +121,13 @@ def read_devices(
         if stated_devices is not None and stated_devices != len(table):
             faults.append(InputError(f"devices = {short(stated_devices)}: but {csv} holds {len(table)}"))
         fields["devices"] = len(table)
+        if named := next((name for name in table.columns if name.casefold() == "name"), ""):
+            fields["device_names"] = table.text(named)
         values = {}
         for name, column in columns.items():
             with collecting(faults):
                 values[name] = table.floats(column).tolist()
-        of_table = "|".join(("devices_m", *(values.keys() & DEVICE_COLUMNS)))
+        of_table = "|".join(("devices_m", "device_names", *(values.keys() & DEVICE_COLUMNS)))
         places = [values.pop(name) for name in ("x_m", "y_m") if name in values]
         if len(places) == 2:
             fields["devices_m"] = list(zip(*places, strict=True))
@@ -135,7 +137,7 @@ def read_devices(
 
         def with_line(found: re.Match[str]) -> str:
             field, device, axis = found.groups()
-            name = field if axis is None else _KNOWN[int(axis)]
+            name = field.replace("device_names", "name") if axis is None else _KNOWN[int(axis)]
             return f"{csv}: line {table.lines[int(device)]}" + (f", column '{name}'" if name != "devices_m" else "")
 
         return lambda message: re.sub(rf"\b({of_table})\[(\d+)\](?:\[([01])\])?", with_line, message)
@@ -154,7 +156,7 @@ def _read_table(csv: Path) -> CsvTable:
 def _device_columns(table: CsvTable, faults: list[InputError]) -> dict[str, str]:
     """The columns of devices: name -> name in the table. The words of a file of another kind are not shown."""
     columns = {name.casefold(): name for name in reversed(table.columns) if name.casefold() in _KNOWN}
-    others = [name for name in table.columns if name not in columns.values()]
+    others = [name for name in table.columns if name not in columns.values() and name.casefold() != "name"]
     absent = [name for name in _KNOWN if name not in columns]
     if not {"x_m", "y_m"} & columns.keys():
         _refuse_degrees(table)

@@ -206,7 +206,8 @@ class Family(Strict):
         if not isinstance(n, int | np.integer) or n < 0:
             raise InputError(f"draw = {n!r}: expected a whole number from 0 on")
         rng = np.random.default_rng(np.random.SeedSequence(int(n), spawn_key=(_STREAM,)))
-        changes = {"devices_m": None} | ({} if rng.random() < self.base_share else self._changes(rng))
+        changes: dict[str, Any] = {"devices_m": None, "device_names": None, "uav_names": None}
+        changes |= {} if rng.random() < self.base_share else self._changes(rng)
         try:
             return self.base.replace(name=f"{self.name}-{n}", layout="resample", **changes)
         except InputError as error:

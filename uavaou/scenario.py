@@ -51,7 +51,7 @@ class Scenario(ScenarioFields):
 
         A file may name a preset under ``base`` and give only the fields that differ. It may name a CSV file of devices
         under ``devices_csv`` (columns ``x_m, y_m`` and, optionally, ``bandwidth_hz``, ``transmit_power_mw``,
-        ``update_period_slots``); that path is relative to the YAML file.
+        ``update_period_slots``, ``name``); that path is relative to the YAML file.
 
         Raises:
             InputError: the name is unknown, or the file or a value in it cannot be used.
@@ -149,6 +149,14 @@ class Scenario(ScenarioFields):
         """The grid cell (column, row) of each UAV's CDS, shape (U, 2)."""
         return np.rint(np.asarray(self.cds_m, dtype=np.float64) / self.grid_step_m).astype(np.int64)
 
+    def device_name(self, device: int) -> str:
+        """The name of a device: as given, else ``device 0``, ..."""
+        return f"device {device}" if self.device_names is None else self.device_names[device]
+
+    def uav_name(self, uav: int) -> str:
+        """The name of a UAV: as given, else ``uav_0``, ..."""
+        return f"uav_{uav}" if self.uav_names is None else self.uav_names[uav]
+
     @property
     def longest_update_period(self) -> int:
         """The longest k_i that a layout can have, in slots."""
@@ -193,8 +201,11 @@ class Scenario(ScenarioFields):
 
 
 _NOT_HERE = {
-    "no_?fly|zone|fence|obstacle|building|terrain": "UAVs may fly over the whole area; zones are not in the model",
-    "lat|lon|crs|epsg|origin": "positions are metres from a corner of the area: convert them",
+    "no_?fly|zone|fence|obstacle|building": "no_fly lists zones, each with polygon_m and, if it has them, floor_m, "
+    "ceiling_m, margin_m and name; outline_m is where UAVs may fly",
+    "terrain": "the ground is flat in the model",
+    "lat|lon|crs|epsg|origin": "positions are metres from a corner of the area; georeference: {latitude: ..., "
+    "longitude: ...} says where that lies",
     "battery|energy": "flight_time_budget_s limits a flight",
 }
 

@@ -25,6 +25,7 @@ from uavaou.fields import (
     Unbounded,
     Whole,
 )
+from uavaou.zones import Georeference, Names, Polygon, Zones
 
 ZETA_TOLERANCE_S = 1e-6  # slack in comparisons of flight times
 _GRID_TOLERANCE = 1e-9
@@ -36,6 +37,7 @@ _FAR = 10  # times the area, from which on positions have another origin rather 
 _APART_M = 10.0  # between two altitudes that an error proposes
 _MOST_SHOWN = 8  # entries of a list in an error
 _BREAKS = "which breaks constraint"
+_BY_DEVICE = (*DEVICE_COLUMNS, "device_names")
 
 
 class Range(Strict):
@@ -87,6 +89,12 @@ class ScenarioFields(Strict):
     layout: Literal["fixed", "resample"] = "fixed"
     layout_seed: Annotated[Whole, Field(ge=0)] = 0
     flight_time: Literal["enforce", "ignore"] = "enforce"
+    # Beyond the paper; off by default.
+    georeference: Georeference | None = None
+    outline_m: Polygon | None = None  # UAVs stay in it, border included
+    no_fly: Zones = None
+    device_names: Names = None
+    uav_names: Names = None
 
     @property
     def columns(self) -> int:
@@ -130,7 +138,8 @@ class ScenarioFields(Strict):
             ("uavs cds_m", self._misfits_of_stations),
             (f"cds_m {area}", self._misfits_of_places),
             ("altitudes_m speed_m_s flight_time flight_time_budget_s", self._misfits_of_time),
-            *((f"devices {field}", partial(self._misfits_of_list, field)) for field in (*DEVICE_COLUMNS, "devices_m")),
+            *((f"devices {field}", partial(self._misfits_of_list, field)) for field in (*_BY_DEVICE, "devices_m")),
+            ("uavs uav_names", partial(self._misfits_of_list, "uav_names", "uavs")),
             (f"devices_m {area}", self._misfits_of_devices),
         )
         for fields, misfits in checks:
@@ -203,10 +212,10 @@ class ScenarioFields(Strict):
                 f"{_full(math.ceil(needed * 1000) / 1000)} or more would fit, and so would flight_time: ignore"
             )
 
-    def _misfits_of_list(self, field: str) -> Iterator[str]:
+    def _misfits_of_list(self, field: str, kind: str = "devices") -> Iterator[str]:
         values = getattr(self, field)
         if isinstance(values, tuple):
-            yield from _wrong_number(field, values, self.devices, "devices")
+            yield from _wrong_number(field, values, getattr(self, kind), kind)
 
     def _misfits_of_devices(self) -> Iterator[str]:
         if not self.devices_m:
