@@ -35,6 +35,7 @@ LAYERS = (
     "evaluation",
     "runs",
     "onboard",
+    "link",
     "experiments",
     "reports",
     "uavaou_cli",

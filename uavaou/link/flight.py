@@ -17,6 +17,7 @@ import numpy as np
 from uavaou.arrays import Bools, Floats
 from uavaou.errors import InputError, all_faults
 from uavaou.link.autopilot import HELD, RETURNING, Autopilot, Refused, State
+from uavaou.world.flight import STEP_OF_MOVE
 
 if TYPE_CHECKING:
     from uavaou.onboard.runner import Pilot
@@ -35,7 +36,7 @@ class _ComeHome(Exception):  # noqa: N818 - the flight goes on, by the autopilot
 
 
 class Released(Exception):  # noqa: N818 - nothing went wrong
-    """A pilot has taken over."""
+    """A pilot has taken over, or the aircraft is out of reach: the link can do nothing more."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,7 @@ class LinkedFlight:
 
         Raises:
             InputError: the aircraft is not ready; nothing was commanded.
-            Released: a pilot has taken over; nothing more is commanded.
-            ConnectionError: nothing was heard of the aircraft for ten minutes.
+            Released: a pilot has taken over, or nothing was heard for ten minutes; nothing more is commanded.
         """
         if faults := self.faults():
             raise all_faults("the aircraft cannot fly this mission", [InputError(fault) for fault in faults])
@@ -119,7 +119,7 @@ class LinkedFlight:
             except _ComeHome as why:
                 self._leave(str(why))
                 self._come_down(self.autopilot.return_home)
-        except (Released, ConnectionError):
+        except Released:
             raise
         except BaseException:  # a bug, or a second Ctrl-C: what can still be done for the aircraft
             with suppress(Refused):
@@ -144,10 +144,12 @@ class LinkedFlight:
             raise Released(f"a pilot has taken over ({state.mode})")
         if self._flying and state.landed:
             raise _ComeHome("it is on the ground")
-        if not self.reason and self.stopped():
-            self._leave("interrupted")
-        if not self.reason and state.battery_percent <= self.battery_percent:
-            self._leave(f"battery at {state.battery_percent:.0f} %")
+        low = state.battery_percent <= self.battery_percent
+        why = "interrupted" if self.stopped() else f"battery at {state.battery_percent:.0f} %" if low else ""
+        if why and not self._flying:
+            raise _ComeHome(why)
+        if why and not self.reason:
+            self._leave(why)
         return state
 
     def _command(self, command: Callable[..., None], *arguments: object) -> None:
@@ -192,7 +194,8 @@ class LinkedFlight:
         at, slot, flown = np.clip(state.at_m, 0, pilot.area), pilot.slot, pilot.flown  # (2,) m
         heard = collected = np.zeros(len(pilot.period), dtype=bool)  # (I,)
         if reason:
-            target = pilot.next_home(at)
+            cell = np.rint(at / pilot.step).astype(int)  # (2,)
+            target = (cell + STEP_OF_MOVE[pilot.step_home(cell)]) * pilot.step
         else:
             heard = self.radio(slot, at)
             _, target, collected = pilot.decide(at, heard)
@@ -232,7 +235,7 @@ class LinkedFlight:
             if not lost and self._flying and state.mode not in (*HELD, *RETURNING):
                 raise Released(f"a pilot has taken over ({state.mode})")
             if state.silent_s > _GIVE_UP_S:
-                raise ConnectionError(f"nothing was heard of the aircraft for {_GIVE_UP_S:g} s")
+                raise Released(f"nothing was heard of the aircraft for {_GIVE_UP_S:g} s")
             if (lost or state.mode not in RETURNING) and self.autopilot.time() >= again:
                 try:
                     command()
