@@ -32,7 +32,7 @@ def make_pilot(policy: str, scenario: Scenario, uav: int, folder: Path) -> Pilot
             another map.
     """
     if not 0 <= uav < scenario.uavs:
-        raise InputError(f"--uav {uav + 1}: scenario '{scenario.name}' has {scenario.uavs} UAVs, numbered from 1")
+        raise InputError(f"--uav {uav + 1}: scenario '{scenario.name}' has UAVs from 1 to {scenario.uavs}")
     optional("onnxruntime")
     from uavaou.onboard.runner import Pilot
 
