@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 
 from tests.link.conftest import FIELD
 from uavaou.errors import InputError
-from uavaou.link.autopilot import Imagined, Refused, State
-from uavaou.link.flight import OVER, Leg, LinkedFlight, Released
-from uavaou.link.radio import SimulatedRadio
+from uavaou.link.autopilot import Refused, State
+from uavaou.link.flight import OVER, LinkedFlight
+from uavaou.link.radio import simulated_radio
 from uavaou.onboard.runner import Pilot
 
 STATION = np.array([200.0, 100.0])  # m
-RADIO = SimulatedRadio(FIELD, 0, seed=0)
+RADIO = simulated_radio(FIELD, 0, seed=0)
+NAMES = [FIELD.device_name(device) for device in range(FIELD.devices)]
 
 
 @dataclass
@@ -30,33 +31,31 @@ class Faults:
     refused: float = 0.0  # the share of commands
     silent_at: float = math.inf  # s
     silent_s: float = 0.0
-    low_at: float = math.inf  # s, the battery
     warned_at: float = math.inf
     returns_at: float = math.inf
     pilot_at: float = math.inf
     stop_at: float = math.inf
 
 
-class Aircraft(Imagined):
+class Aircraft:
     """Flies at a speed, and fails as told."""
 
     def __init__(self, faults: Faults) -> None:
-        super().__init__(STATION)
-        self.faults, self.rng = faults, np.random.default_rng(faults.seed)
-        self.mode, self.to, self.commands, self.targets = "HOLD", np.array([*STATION, 0.0]), list[str](), [STATION]
-        self.told = self._state
+        self.faults, self.rng, self.clock = faults, np.random.default_rng(faults.seed), 0.0
+        self.here = self.to = np.array([*STATION, 0.0])  # (3,) m
+        self.mode, self.armed, self.ready, self.commands, self.targets = "HOLD", False, True, list[str](), [STATION]
 
     def state(self) -> State:
-        silent = self.faults.silent_at <= self._time < self.faults.silent_at + self.faults.silent_s
-        told = replace(
-            self._state,
-            mode=self.mode,
-            silent_s=self._time - self.faults.silent_at if silent else 0.0,
-            battery_percent=20.0 if self._time >= self.faults.low_at else 90.0,
-            alarm="Low battery" if self._time >= self.faults.warned_at else "",
-        )
-        self.told = replace(self.told, silent_s=told.silent_s) if silent else told  # while it is silent, as it was
+        silent = self.faults.silent_at <= self.clock < self.faults.silent_at + self.faults.silent_s
+        if silent:
+            return replace(self.told, silent_s=self.clock - self.faults.silent_at)
+        alarm = "Low battery" if self.clock >= self.faults.warned_at else ""
+        at, height = self.here[:2], float(self.here[2])
+        self.told = State(at, height, 0.0, self.mode, self.armed, self.ready, 90.0, alarm)
         return self.told
+
+    def time(self) -> float:
+        return self.clock
 
     def _obey(self, name: str, mode: str, to: Any) -> None:
         self.commands.append(name)
@@ -66,7 +65,7 @@ class Aircraft(Imagined):
 
     def arm(self) -> None:
         self._obey("arm", self.mode, self.to)
-        super().arm()
+        self.armed = True
 
     def take_off(self) -> None:
         self._obey("take_off", "TAKEOFF", [*STATION, 10.0])
@@ -79,69 +78,70 @@ class Aircraft(Imagined):
         self._obey("return_home", "RETURN_TO_LAUNCH", [*STATION, 0.0])
 
     def land(self) -> None:
-        self._obey("land", "LAND", [*self._state.at_m, 0.0])
+        self._obey("land", "LAND", [*self.here[:2], 0.0])
 
     def sleep(self, seconds: float) -> None:
-        super().sleep(seconds)
-        if self._time >= self.faults.returns_at:
+        self.clock += seconds
+        if self.clock >= self.faults.returns_at:
             self.mode, self.to = "RETURN_TO_LAUNCH", np.array([*STATION, 0.0])
-        if self._time >= self.faults.pilot_at:
+        if self.clock >= self.faults.pilot_at:
             self.mode = "POSCTL"
-        here = np.array([*self._state.at_m, self._state.height_m])
-        away = float(np.linalg.norm(self.to - here))
-        here = here + (self.to - here) * min(self.faults.speed_m_s * seconds / max(away, 1e-9), 1.0)
-        self._state = replace(self._state, at_m=here[:2], height_m=float(here[2]), landed=bool(here[2] < 0.01))
+        away = float(np.linalg.norm(self.to - self.here))
+        self.here = self.here + (self.to - self.here) * min(self.faults.speed_m_s * seconds / max(away, 1e-9), 1.0)
+        if self.mode in ("RETURN_TO_LAUNCH", "LAND") and self.here[2] < 0.01:
+            self.armed = False
 
 
-def fly(make_pilot: Callable[[], Pilot], **faults: Any) -> tuple[str, Aircraft, list[Any]]:
+def fly(
+    make_pilot: Callable[[], Pilot], radio: Any = RADIO, **faults: Any
+) -> tuple[Callable[[], str], Aircraft, list[Any]]:
     aircraft, notes = Aircraft(Faults(**faults)), list[Any]()
-    stopped = lambda: aircraft.time() >= aircraft.faults.stop_at  # noqa: E731
-    flight = LinkedFlight(make_pilot(), aircraft, RADIO, notes.append, silence_s=1.0, stopped=stopped)
-    return flight.run(), aircraft, notes
+    stopped = lambda: aircraft.clock >= aircraft.faults.stop_at  # noqa: E731
+    return LinkedFlight(make_pilot(), aircraft, radio, NAMES, notes.append, stopped, 1.0).run, aircraft, notes
 
 
 def check_landed_at_home(aircraft: Aircraft) -> None:
-    assert aircraft._state.landed
-    np.testing.assert_allclose(aircraft._state.at_m, STATION, atol=10.0)
+    assert not aircraft.armed
+    np.testing.assert_allclose(aircraft.here, [*STATION, 0.0], atol=10.0)
     steps = np.abs(np.diff(aircraft.targets, axis=0)).sum(axis=1)
     assert set(steps) <= {0.0, 100.0}  # one leg of the grid at a time, however late or refused
 
 
 def test_a_mission_as_planned(make_pilot: Callable[[], Pilot]) -> None:
-    reason, aircraft, notes = fly(make_pilot)
+    run, aircraft, notes = fly(make_pilot)
+    assert run() == OVER
     check_landed_at_home(aircraft)
-    legs = [note for note in notes if isinstance(note, Leg)]
-    assert reason == OVER
+    legs = [note for note in notes if note.x_m is not None]
     assert [leg.slot for leg in legs] == list(range(1, 17))
     assert all(leg.arrived for leg in legs)
-    assert len({tuple(leg.target_m) for leg in legs}) > 3
+    assert len({(leg.to_x_m, leg.to_y_m) for leg in legs}) > 3
     assert "return_home" not in aircraft.commands
-    pilot, last = make_pilot(), 0.0
+    pilot = make_pilot()
     for leg in legs:  # the moves of the policy, and the age that follows from the collections by eq. (1)
-        np.testing.assert_array_equal(leg.target_m, pilot.decide(leg.state.at_m, leg.heard)[1])
-        pilot.end_slot(np.where(leg.collected, 0, -1))
-        last = pilot.ages(pilot.slot, pilot.last_own).mean()
-        assert leg.age_slots == last
+        heard = np.array([name in leg.heard.split(", ") for name in NAMES])
+        _, target, collected = pilot.decide([leg.x_m, leg.y_m], heard)
+        np.testing.assert_array_equal([leg.to_x_m, leg.to_y_m], target)
+        pilot.end_slot(np.where(collected, 0, -1))
+        assert leg.mean_aou_slots == pytest.approx(pilot.ages(pilot.slot, pilot.last_own).mean())
 
 
 @pytest.mark.parametrize(
     ("faults", "why"),
     [
         ({"silent_at": 1.5, "silent_s": 4.0}, "link lost"),
-        ({"low_at": 1.5}, "battery at 20 %"),
         ({"warned_at": 1.5}, "Low battery"),
-        ({"returns_at": 1.5}, "return by itself"),
+        ({"returns_at": 1.5}, "by itself"),
         ({"stop_at": 1.5}, "interrupted"),
         ({"speed_m_s": 60.0}, "slots were not enough"),
-        ({"refused": 0.75, "seed": 12}, "refused 3 commands"),
+        ({"refused": 0.75, "seed": 12}, "3 commands in a row refused"),
         ({"stop_at": 0.0}, "interrupted"),
     ],
 )
 def test_it_comes_home_and_says_why(faults: dict[str, float], why: str, make_pilot: Callable[[], Pilot]) -> None:
-    reason, aircraft, notes = fly(make_pilot, **faults)
+    run, aircraft, notes = fly(make_pilot, **faults)
+    assert why in run()
     check_landed_at_home(aircraft)
-    assert why in reason
-    assert any(why in note for note in notes if isinstance(note, str))
+    assert any(why in note.event for note in notes if note.x_m is None)
     if "returns_at" in faults:  # the autopilot is not disturbed
         assert aircraft.commands[-1] == "goto"
     if faults.get("stop_at") == 0.0:
@@ -153,34 +153,34 @@ def test_it_comes_home_and_says_why(faults: dict[str, float], why: str, make_pil
 @given(data=st.data())
 def test_it_always_ends_at_home(data: st.DataObject, make_pilot: Callable[[], Pilot]) -> None:
     moment = st.none() | st.floats(0.1, 10)
-    drawn = {name: data.draw(moment, name) for name in ("silent_at", "low_at", "warned_at", "returns_at", "stop_at")}
+    drawn = {name: data.draw(moment, name) for name in ("silent_at", "warned_at", "returns_at", "stop_at")}
     faults: dict[str, Any] = {name: at for name, at in drawn.items() if at is not None}
     faults |= {"seed": data.draw(st.integers(0, 999)), "speed_m_s": data.draw(st.floats(30, 2000))}
     faults |= {"refused": data.draw(st.floats(0, 0.8)), "silent_s": data.draw(st.floats(0, 20))}
-    reason, aircraft, _ = fly(make_pilot, **faults)
+    run, aircraft, _ = fly(make_pilot, **faults)
+    assert run()
     check_landed_at_home(aircraft)
-    assert reason
 
 
 def test_a_pilot_who_takes_over_is_left_alone(make_pilot: Callable[[], Pilot]) -> None:
-    aircraft = Aircraft(Faults(pilot_at=1.5))
-    with pytest.raises(Released, match="POSCTL"):
-        LinkedFlight(make_pilot(), aircraft, RADIO, list[Any]().append).run()
+    run, aircraft, notes = fly(make_pilot, pilot_at=1.5)
+    assert run() == "a pilot has taken over (POSCTL)"
     assert aircraft.commands[-1] == "goto"
+    assert "commands nothing more" in notes[-1].event
 
 
 def test_a_bug_in_flight_still_sends_it_home(make_pilot: Callable[[], Pilot]) -> None:
-    aircraft = Aircraft(Faults())
+    run, aircraft, _ = fly(make_pilot, lambda slot, at: 1 // 0)
     with pytest.raises(ZeroDivisionError):
-        LinkedFlight(make_pilot(), aircraft, lambda slot, at: 1 // 0, print).run()
+        run()
     assert aircraft.mode == "RETURN_TO_LAUNCH"
 
 
-def test_an_aircraft_elsewhere_or_empty_stays_on_the_ground(make_pilot: Callable[[], Pilot]) -> None:
-    aircraft = Aircraft(Faults(low_at=0.0))
-    aircraft._state = replace(aircraft._state, at_m=STATION + 60.0, ready=False)
+def test_an_aircraft_that_is_elsewhere_or_not_ready_stays_on_the_ground(make_pilot: Callable[[], Pilot]) -> None:
+    run, aircraft, _ = fly(make_pilot, warned_at=0.0)
+    aircraft.here, aircraft.armed, aircraft.ready = aircraft.here + 60.0, True, False
     with pytest.raises(InputError) as error:
-        LinkedFlight(make_pilot(), aircraft, RADIO, print).run()
-    for fault in ("85 m from station (200, 100) m of UAV 1", "not ready", "20 %, and it comes home at 25 %"):
+        run()
+    for fault in ("85 m from the station (200, 100) m of UAV 1", "not ready", "armed already", "warns: Low battery"):
         assert fault in str(error.value)
     assert aircraft.commands == []

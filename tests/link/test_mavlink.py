@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import queue
 import signal
 import socket
 import sys
 import threading
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,7 @@ from uavaou.csv_tables import read_csv
 from uavaou.field.geodesy import Projection
 from uavaou.link.flight import OVER, LinkedFlight
 from uavaou.link.mavsdk_autopilot import connect
-from uavaou.link.radio import ReportedRadio, SimulatedRadio, datagrams
+from uavaou.link.radio import reported_radio, simulated_radio
 from uavaou.onboard.runner import Pilot
 from uavaou_cli.main import main
 
@@ -43,8 +45,9 @@ def port() -> int:
 
 def fly(make_pilot: Callable[[], Pilot], port: int, **faults: Any) -> tuple[str, FakeAutopilot, list[Any]]:
     notes: list[Any] = []
+    radio, names = simulated_radio(FIELD, 0, 0), [FIELD.device_name(device) for device in range(FIELD.devices)]
     with FakeAutopilot(port, STATION, **faults) as fake, connect(f"udp://127.0.0.1:{port}", Projection.of(FIELD)) as up:
-        reason = LinkedFlight(make_pilot(), up, SimulatedRadio(FIELD, 0, 0), notes.append, silence_s=1.0).run()
+        reason = LinkedFlight(make_pilot(), up, radio, names, notes.append, bool, silence_s=1.0).run()
     return reason, fake, notes
 
 
@@ -56,13 +59,13 @@ def fly(make_pilot: Callable[[], Pilot], port: int, **faults: Any) -> tuple[str,
         ({"delay_s": 0.1}, OVER),
         ({"loss": 0.2, "seed": 1}, OVER),
         ({"loss": 0.1, "delay_s": 0.05, "seed": 2}, OVER),
-        ({"refuses": {GOTO: 99}}, "refused 3 commands in a row: goto_location: COMMAND_DENIED"),
+        ({"refuses": {GOTO: 99}}, "3 commands in a row refused: goto_location: COMMAND_DENIED"),
         ({"refuses": {GOTO: 2, ARM: 1}}, OVER),
         ({"refuses": {LAND: 9}}, OVER),
-        ({"refuses": {ARM: 9}}, "refused 3 commands in a row: arm: COMMAND_DENIED"),
+        ({"refuses": {ARM: 9}}, "3 commands in a row refused: arm: COMMAND_DENIED"),
         ({"low_battery_s": 2.0}, "battery"),
-        ({"silent": (2.0, 3.0)}, "link lost"),
-        ({"silent": (2.0, 4.0), "deaf": True}, "link lost"),
+        ({"silent": (2.0, 5.0)}, "link lost"),
+        ({"silent": (2.0, 5.0), "deaf": True}, "link lost"),
     ],
 )
 def test_it_ends_at_home(faults: dict[str, Any], why: str, port: int, make_pilot: Callable[[], Pilot]) -> None:
@@ -71,14 +74,19 @@ def test_it_ends_at_home(faults: dict[str, Any], why: str, port: int, make_pilot
     assert fake.landed
     assert not fake.armed
     assert np.hypot(fake.x, fake.y) < 10
-    assert "landed" in notes
-    assert any(reason in note for note in notes if isinstance(note, str))
+    assert notes[-1].event == "the motors are off"
+    assert any(reason in note.event for note in notes)
 
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    Path("field.yaml").write_text(json.dumps(FIELD.to_dict()))
+    for name, scenario in {
+        "field": FIELD,
+        "finer": FIELD.replace(grid_step_m=50),
+        "nowhere": FIELD.replace(georeference=None),
+    }.items():
+        Path(f"{name}.yaml").write_text(json.dumps(scenario.to_dict()))
     return tmp_path
 
 
@@ -90,13 +98,13 @@ def test_without_arm_nothing_is_commanded(
     place: Path, exported: Path, port: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with FakeAutopilot(port, (47.1, 8.5)) as fake:
-        assert command(exported, port, "--out", "log.csv") == 0
+        assert command(exported, port, "--out", "log") == 0
     assert not COMMANDING & set(fake.commands)
     printed = capsys.readouterr().out
     assert "the devices are simulated" in printed
     assert "dry run: nothing is armed and nothing commanded" in printed
-    assert "m from station (200, 100) m of UAV 1" in printed
-    assert len(read_csv(Path("log.csv"))) == 32 + 2
+    assert "m from the station (200, 100) m of UAV 1" in printed
+    assert len(read_csv(Path("log/uav-1.csv"))) == 32
 
 
 @pytest.mark.slow
@@ -104,14 +112,14 @@ def test_ctrl_c_brings_it_home(place: Path, exported: Path, port: int, capsys: p
     with FakeAutopilot(port, STATION) as fake:
         timer = threading.Timer(6.0, lambda: os.kill(os.getpid(), signal.SIGINT))
         timer.start()
-        assert command(exported, port, "--arm", "--out", "log.csv") == 130
+        assert command(exported, port, "--arm", "--out", "log") == 130
     assert fake.landed
     assert np.hypot(fake.x, fake.y) < 10
     assert link.MAV_CMD_NAV_LAND in fake.commands
-    log = read_csv(Path("log.csv"))
-    assert log.text("event")[-1] == "landed"
+    log = read_csv(Path("log/uav-1.csv"))
+    assert log.text("event")[-1] == "the motors are off"
     assert "coming home: interrupted" in log.text("event")
-    assert sum(slot != "" for slot in log.text("slot")) < 32
+    assert len(set(log.text("slot"))) < 32
     assert "coming home: interrupted" in capsys.readouterr().out
 
 
@@ -119,9 +127,9 @@ def test_ctrl_c_brings_it_home(place: Path, exported: Path, port: int, capsys: p
     ("options", "message"),
     [
         (["--uav", "2"], "--uav 2: scenario 'quickstart' has UAVs from 1 to 1"),
-        (["--set", "scenario.grid_step_m=50"], "was exported for another map than 'quickstart': grid_step_m differs"),
-        (["--set", "scenario.georeference=null"], "does not say where it lies"),
-        (["--devices", "tcp://a"], "--devices tcp://a: expected simulated, stdin or udp://HOST:PORT"),
+        (["--scenario", "finer.yaml"], "was exported for another map than 'quickstart': grid_step_m differs"),
+        (["--scenario", "nowhere.yaml"], "does not say where it lies"),
+        (["--devices", "radio"], "unknown --devices 'radio'"),
         (["--policy", "best-first"], "best-first"),
         ([], "no autopilot was heard"),
     ],
@@ -145,12 +153,16 @@ def test_a_missing_package_is_one_line(
     assert capsys.readouterr().err == "uavaou: 'mavsdk' 4 is not installed: pip install 'uavaou[link]'\n"
 
 
-def test_a_receiver_reports_what_it_hears(port: int) -> None:
-    radio = ReportedRadio(datagrams("127.0.0.1", port), ["tank 3", "mast", "well"])
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender, pytest.warns(UserWarning, match="expected"):
-        for line in ("{", '{"heard": ["nobody"]}', '{"heard": ["tank 3"]}', '{"heard": [2]}'):
-            sender.sendto(line.encode(), ("127.0.0.1", port))
-        while not (heard := radio(1, np.zeros(2)))[2]:
-            seen = heard
-    assert (heard | seen).tolist() == [True, False, True]
+def test_a_receiver_reports_what_it_hears() -> None:
+    lines: queue.Queue[str] = queue.Queue()
+    radio, heard = reported_radio(iter(lines.get, ""), ["tank 3", "mast", "well"]), np.zeros(3, dtype=bool)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        for line in ("{", '{"heard": 3}', '{"heard": ["nobody", "tank 3"]}', '{"heard": [2]}'):
+            lines.put(line)
+        while not heard[2]:
+            heard |= radio(1, np.zeros(2))
+    assert heard.tolist() == [True, False, True]
+    assert len(warned) == 2
     assert not radio(2, np.zeros(2)).any()
+    lines.put("")

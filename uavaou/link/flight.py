@@ -1,7 +1,7 @@
 """The flight of one UAV by a policy: slot by slot from its station, and home, whatever happens.
 
-The policy commands as long as all is well. The rule of its masks brings it home by slot K. When the user asks or the
-battery is low, the UAV goes home at once by the same steps, at its own altitude. When these cannot be flown, the
+The policy commands as long as all is well, and the rule of its masks brings it home by slot K. When the user asks or
+the battery is low, the UAV goes home at once by the same steps, at its own altitude. When these cannot be flown, the
 autopilot's own return takes over. When a pilot takes over, the link commands nothing more.
 """
 
@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from uavaou.arrays import Bools, Floats
-from uavaou.errors import InputError, all_faults
+from uavaou.errors import InputError
 from uavaou.link.autopilot import HELD, RETURNING, Autopilot, Refused, State
 from uavaou.world.flight import STEP_OF_MOVE
 
@@ -25,34 +25,35 @@ if TYPE_CHECKING:
 Radio = Callable[[int, Floats], Bools]  # slot and position (2,) m -> which devices are heard there, (I,)
 
 OVER = "the mission is over"
-_TICK_S, _RETRY_S = 0.05, 1.0
+_TICK_S, _RETRY_S, _TAKE_OFF_S, _LIFTED_M = 0.05, 1.0, 300.0, 1.0
 _MOST_REFUSALS, _MOST_LATE = 3, 3  # in a row: of one command, and slots on one leg
-_GIVE_UP_S = 600.0  # of silence
-_CLIMB_S, _CLIMB_M_S = 60.0, 0.5  # what a take-off may take, and the least speed of the climb
 
 
 class _ComeHome(Exception):  # noqa: N818 - the flight goes on, by the autopilot
     """The autopilot is to bring the aircraft home."""
 
 
-class Released(Exception):  # noqa: N818 - nothing went wrong
-    """A pilot has taken over, or the aircraft is out of reach: the link can do nothing more."""
+class _Released(Exception):  # noqa: N818 - nothing went wrong
+    """A pilot has taken over."""
 
 
-@dataclass(frozen=True)
-class Leg:
-    """What was done in a slot, or in a step home after the policy's last slot."""
+class Entry(NamedTuple):
+    """A line of the log: an event, or what was done in a slot or in a step home. The names are the columns."""
 
     slot: int
-    state: State  # as it was decided
-    target_m: Floats  # (2,) m, the cell commanded
-    heard: Bools  # (I,)
-    collected: Bools  # (I,)
-    age_slots: float  # mean AoU of the devices that this UAV serves, after the slot, by its own collections
-    arrived: bool
-    reason: str  # why it flies home; empty while the policy commands
+    event: str  # of a step home, its reason
+    x_m: float | None = None  # where it was decided
+    y_m: float | None = None
+    height_m: float | None = None
+    battery_percent: float | None = None
+    to_x_m: float | None = None  # the cell commanded
+    to_y_m: float | None = None
+    arrived: bool | None = None
+    heard: str = ""  # devices
+    mean_aou_slots: float | None = None  # of the devices that this UAV serves, by its own collections
 
 
+@dataclass
 class LinkedFlight:
     """Flies one mission.
 
@@ -60,54 +61,57 @@ class LinkedFlight:
         pilot: the exported policy.
         autopilot: of the aircraft.
         radio: tells the devices heard in a slot.
-        note: is called with each :class:`Leg` and with each event, a text.
-        silence_s: without a position; after it the link counts as lost.
-        battery_percent: at which it comes home.
+        names: of the devices.
+        note: is called with each :class:`Entry`.
         stopped: whether the user wants it home.
+        silence_s: without a position; after it the link counts as lost.
     """
 
-    def __init__(
-        self,
-        pilot: Pilot,
-        autopilot: Autopilot,
-        radio: Radio,
-        note: Callable[[Leg | str], None],
-        silence_s: float = 5.0,
-        battery_percent: float = 25.0,
-        stopped: Callable[[], object] = lambda: False,
-    ) -> None:
-        self.pilot, self.autopilot, self.radio, self.note, self.stopped = pilot, autopilot, radio, note, stopped
-        self.silence_s, self.battery_percent = silence_s, battery_percent
+    pilot: Pilot
+    autopilot: Autopilot
+    radio: Radio
+    names: list[str]
+    note: Callable[[Entry], None]
+    stopped: Callable[[], object]
+    silence_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        pilot = self.pilot
         self.station: Floats = pilot.cds[pilot.uav] * pilot.step  # (2,) m
-        self.height: float = float(pilot.altitude[pilot.uav])
+        self.height = float(pilot.altitude[pilot.uav])
         self.near = max(2.0, pilot.step / 10)  # m; what counts as there
-        self.reason = ""
-        self._target, self._late, self._flying = self.station, 0, False
+        self.reason = ""  # why it flies home
+        self.target, self.late, self.flying = self.station, 0, False
 
     def faults(self) -> list[str]:
         """What keeps the aircraft on the ground."""
-        state = self.autopilot.state()
-        away = float(np.linalg.norm(state.at_m - self.station))
+        state, (x, y) = self.autopilot.state(), self.station
+        away = float(np.linalg.norm(state.at_m - self.station))  # m
         checks = {
-            "it does not tell its position": not np.isfinite(away) or state.silent_s > self.silence_s,
-            f"it is {away:,.0f} m from station ({self.station[0]:g}, {self.station[1]:g}) m of UAV "
-            f"{self.pilot.uav + 1}": away > self.pilot.step / 2,
-            "it is not ready to be armed (sensors, position or home)": not state.ready,
-            f"its battery is at {state.battery_percent:.0f} %, and it comes home at {self.battery_percent:g} %": (
-                state.battery_percent <= self.battery_percent
+            "it does not tell its position": not away < np.inf or state.silent_s > self.silence_s,
+            f"it is {away:,.0f} m from the station ({x:g}, {y:g}) m of UAV {self.pilot.uav + 1}": (
+                self.pilot.step / 2 < away < np.inf
             ),
+            "it is armed already": state.armed,
+            "it is not ready to be armed (sensors, position or home)": not state.ready,
+            f"it warns: {state.alarm}": state.alarm,
         }
         return [fault for fault, holds in checks.items() if holds]
 
+    def rehearse(self) -> str:
+        """Note what would be commanded if the aircraft were at once where it is sent; command nothing."""
+        while not self.pilot.done:
+            self._fly_leg(dry=True)
+        return OVER
+
     def run(self) -> str:
-        """Arm, take off and fly; when it returns, the aircraft has landed. Return why it came home.
+        """Arm, take off and fly; return why it came home. Its motors are off then, unless a pilot has taken over.
 
         Raises:
             InputError: the aircraft is not ready; nothing was commanded.
-            Released: a pilot has taken over, or nothing was heard for ten minutes; nothing more is commanded.
         """
         if faults := self.faults():
-            raise all_faults("the aircraft cannot fly this mission", [InputError(fault) for fault in faults])
+            raise InputError(f"the aircraft cannot fly this mission: {'; '.join(faults)}")
         try:
             try:
                 self._take_off()
@@ -119,16 +123,20 @@ class LinkedFlight:
             except _ComeHome as why:
                 self._leave(str(why))
                 self._come_down(self.autopilot.return_home)
-        except Released:
-            raise
+        except _Released as why:
+            self._event(f"the link commands nothing more: {why}")
+            return str(why)
         except BaseException:  # a bug, or a second Ctrl-C: what can still be done for the aircraft
             with suppress(Refused):
                 self.autopilot.return_home()
             raise
         return self.reason
 
+    def _event(self, event: str) -> None:
+        self.note(Entry(self.pilot.slot, event))
+
     def _leave(self, reason: str) -> None:
-        self.note(f"coming home: {reason}" if not self.reason else f"on the way home: {reason}")
+        self._event(f"coming home: {reason}")
         self.reason = self.reason or reason
 
     def _watch(self) -> State:
@@ -138,91 +146,77 @@ class LinkedFlight:
             raise _ComeHome(f"link lost: no position for {state.silent_s:.1f} s")
         if state.alarm:
             raise _ComeHome(f"the autopilot warns: {state.alarm}")
-        if self._flying and state.mode in RETURNING:
-            raise _ComeHome(f"the autopilot has begun to return by itself ({state.mode})")
-        if self._flying and state.mode not in HELD:
-            raise Released(f"a pilot has taken over ({state.mode})")
-        if self._flying and state.landed:
-            raise _ComeHome("it is on the ground")
-        low = state.battery_percent <= self.battery_percent
-        why = "interrupted" if self.stopped() else f"battery at {state.battery_percent:.0f} %" if low else ""
-        if why and not self._flying:
-            raise _ComeHome(why)
-        if why and not self.reason:
-            self._leave(why)
+        if self.flying:
+            _leave_to_pilot(state)
+            if state.mode in RETURNING or not state.armed:
+                raise _ComeHome(f"the autopilot ends the flight by itself ({state.mode})")
+        if self.stopped() and not self.reason:
+            self._leave("interrupted")
+            if not self.flying:
+                raise _ComeHome(self.reason)
         return state
 
     def _command(self, command: Callable[..., None], *arguments: object) -> None:
-        for attempt in range(_MOST_REFUSALS):
-            if attempt:
-                self.autopilot.sleep(_RETRY_S)
+        for _ in range(_MOST_REFUSALS):
             self._watch()
             try:
                 return command(*arguments)
             except Refused as error:
-                reason = str(error)
-                self.note(f"refused: {reason}")
-        raise _ComeHome(f"the autopilot refused {_MOST_REFUSALS} commands in a row: {reason}")
+                reason = f"refused: {error}"
+                self._event(reason)
+                self.autopilot.sleep(_RETRY_S)
+        raise _ComeHome(f"{_MOST_REFUSALS} commands in a row {reason}")
+
+    def _until(self, reached: Callable[[State], bool], seconds: float) -> bool:
+        """Watch until something is reached, or for some time; whether it was reached."""
+        end = self.autopilot.time() + seconds
+        while not (there := reached(self._watch())) and self.autopilot.time() < end:
+            self.autopilot.sleep(_TICK_S)
+        return there
+
+    def _is_at(self, state: State, place_m: Floats) -> bool:
+        away = (*(state.at_m - place_m), state.height_m - self.height)
+        return bool(np.linalg.norm(away) <= self.near)
 
     def _take_off(self) -> None:
         """Climb to the UAV's altitude above its station."""
-        until = self.autopilot.time() + _CLIMB_S + self.height / _CLIMB_M_S
-        if self.autopilot.state().landed:
-            self._command(self.autopilot.arm)
-            self._command(self.autopilot.take_off)
-        while (state := self._watch()).landed:
-            self._wait_for_take_off(until)
-        self._flying = True
+        self._command(self.autopilot.arm)
+        self._command(self.autopilot.take_off)
+        self.flying = self._until(lambda state: state.height_m > _LIFTED_M and state.mode in HELD, _TAKE_OFF_S)
         self._command(self.autopilot.goto, self.station, self.height)
-        while abs(state.height_m - self.height) > self.near or not self._is_at(state, self.station):
-            self._wait_for_take_off(until)
-            state = self._watch()
-            if self.reason:
-                return
-
-    def _wait_for_take_off(self, until: float) -> None:
-        if self.autopilot.time() > until:
+        if not self._until(lambda state: bool(self.reason) or self._is_at(state, self.station), _TAKE_OFF_S):
             raise _ComeHome(f"it did not reach {self.height:g} m above its station in time")
-        self.autopilot.sleep(_TICK_S)
 
-    def _is_at(self, state: State, place_m: Floats) -> bool:
-        return bool(np.linalg.norm(state.at_m - place_m) <= self.near)
-
-    def _fly_leg(self) -> None:
+    def _fly_leg(self, dry: bool = False) -> None:
         """Decide by where the aircraft is, go there, and wait for the end of the slot; homewards for the arrival."""
-        pilot, start, state, reason = self.pilot, self.autopilot.time(), self._watch(), self.reason
+        pilot, start, reason = self.pilot, self.autopilot.time(), self.reason
+        state = replace(self.autopilot.state(), at_m=self.target, height_m=self.height) if dry else self._watch()
         at, slot, flown = np.clip(state.at_m, 0, pilot.area), pilot.slot, pilot.flown  # (2,) m
-        heard = collected = np.zeros(len(pilot.period), dtype=bool)  # (I,)
+        heard = collected = np.zeros(len(self.names), dtype=bool)  # (I,)
         if reason:
             cell = np.rint(at / pilot.step).astype(int)  # (2,)
             target = (cell + STEP_OF_MOVE[pilot.step_home(cell)]) * pilot.step
         else:
             heard = self.radio(slot, at)
             _, target, collected = pilot.decide(at, heard)
-        if self._late:  # the leg is flown to its end first: from between two cells a new one could cross a zone
-            target, pilot.flown = self._target, flown
-        self._target = target
-        self._command(self.autopilot.goto, target, self.height)
-        arrived = self._wait(start + pilot.mission["slot_length_s"])
-        self._late = 0 if arrived else self._late + 1
+        if self.late:  # the leg is flown to its end first: from between two cells a new one could cross a zone
+            target, pilot.flown = self.target, flown
+        self.target = target
+        if not dry:
+            self._command(self.autopilot.goto, target, self.height)
+            left = start + pilot.mission["slot_length_s"] - self.autopilot.time()
+            self._until(lambda now: bool(self.reason) and (not reason or self._is_at(now, target)), left)
+        arrived = dry or self._is_at(self.autopilot.state(), target)
+        self.late = 0 if arrived else self.late + 1
         if not reason:
             pilot.end_slot(np.where(collected, pilot.uav, -1))
-        own = np.array(pilot.mission["own_devices"])[pilot.uav] == 1  # (I,)
-        ages = pilot.ages(pilot.slot, pilot.last_own)  # (I,) slots
-        age = float(ages[own].mean() if own.any() else ages.mean())
-        self.note(Leg(slot, state, target, heard, collected, age, arrived, reason))
-        if self._late > _MOST_LATE:
-            raise _ComeHome(f"{self._late} slots were not enough to reach ({target[0]:g}, {target[1]:g}) m")
-
-    def _wait(self, until: float) -> bool:
-        """Wait until a time, or until it is to go home, or homewards until it is there; whether it is there."""
-        reason = self.reason
-        while True:
-            there = self._is_at(self._watch(), self._target)
-            left = until - self.autopilot.time()
-            if left <= 0 or self.reason != reason or (reason and there):
-                return there
-            self.autopilot.sleep(min(_TICK_S, left))
+        own = np.array(pilot.mission["own_devices"])[pilot.uav] + 1e-9  # (I,) of one that serves none, all count
+        age = float(np.average(pilot.ages(pilot.slot, pilot.last_own), weights=own))
+        (x, y), (to_x, to_y), names = at.tolist(), target.tolist(), ", ".join(np.array(self.names)[heard])
+        here = x, y, state.height_m, state.battery_percent
+        self.note(Entry(slot, reason, *here, to_x, to_y, arrived, names, age))
+        if self.late > _MOST_LATE:
+            raise _ComeHome(f"{self.late} slots were not enough for one leg")
 
     def _come_down(self, command: Callable[[], None]) -> None:
         """Give a command, and after a refusal that to return, until it is followed; wait until the aircraft landed."""
@@ -230,17 +224,20 @@ class LinkedFlight:
         while True:
             state = self.autopilot.state()
             lost = state.silent_s > self.silence_s
-            if not lost and state.landed:
-                return self.note("landed")
-            if not lost and self._flying and state.mode not in (*HELD, *RETURNING):
-                raise Released(f"a pilot has taken over ({state.mode})")
-            if state.silent_s > _GIVE_UP_S:
-                raise Released(f"nothing was heard of the aircraft for {_GIVE_UP_S:g} s")
+            if not (state.armed or lost):
+                return self._event("the motors are off")
+            if self.flying and not lost:
+                _leave_to_pilot(state)
             if (lost or state.mode not in RETURNING) and self.autopilot.time() >= again:
                 try:
                     command()
                 except Refused as error:
-                    self.note(f"refused: {error}")
+                    self._event(f"refused: {error}")
                     command = self.autopilot.return_home
                 again = self.autopilot.time() + _RETRY_S
             self.autopilot.sleep(_TICK_S)
+
+
+def _leave_to_pilot(state: State) -> None:
+    if state.mode not in HELD + RETURNING:
+        raise _Released(f"a pilot has taken over ({state.mode})")

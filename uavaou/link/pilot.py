@@ -31,26 +31,21 @@ def make_pilot(policy: str, scenario: Scenario, uav: int, folder: Path) -> Pilot
         InputError: there is no such UAV or policy, the policy needs what the other UAVs tell, or it was exported for
             another map.
     """
-    if not 0 <= uav < scenario.uavs:
-        raise InputError(f"--uav {uav + 1}: scenario '{scenario.name}' has UAVs from 1 to {scenario.uavs}")
     optional("onnxruntime")
     from uavaou.onboard.runner import Pilot
 
-    exported = (Path(policy) / FILES[0]).exists()
-    if exported:
+    if (Path(policy) / FILES[0]).exists():
         folder = Path(policy)
     else:
-        write_policy(load_run(policy, scenario, knows="local" if scenario.uavs > 1 else "shared"), policy, folder)
+        write_policy(load_run(policy, scenario, knows="local"), policy, folder)
     try:
         pilot = Pilot(folder, uav)
     except ValueError as error:
         raise InputError(str(error)) from error
-    if pilot.shared and scenario.uavs > 1:
+    if pilot.shared:
         raise InputError(f"'{policy}' needs the positions of the other UAVs, which the link does not have")
-    told = json.loads(json.dumps(describe_mission(scenario))) if exported else pilot.mission
+    told = json.loads(json.dumps(describe_mission(scenario)))
     for name in _MAP:
         if pilot.mission.get(name) != told[name]:
-            raise InputError(
-                f"{folder / 'mission.json'}: {name} is not that of scenario '{scenario.name}'; export anew"
-            )
+            raise InputError(f"'{policy}' was exported for another map than '{scenario.name}': {name} differs")
     return pilot
