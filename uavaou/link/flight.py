@@ -1,7 +1,7 @@
 """The flight of one UAV by a policy: slot by slot from its station, and home, whatever happens.
 
 The policy commands as long as all is well, and the rule of its masks brings it home by slot K. When the user asks or
-the battery is low, the UAV goes home at once by the same steps, at its own altitude. When these cannot be flown, the
+the autopilot warns, the UAV goes home at once by the same steps, at its own altitude. When these cannot be flown, the
 autopilot's own return takes over. When a pilot takes over, the link commands nothing more.
 """
 
@@ -144,16 +144,15 @@ class LinkedFlight:
         state = self.autopilot.state()
         if state.silent_s > self.silence_s:
             raise _ComeHome(f"link lost: no position for {state.silent_s:.1f} s")
-        if state.alarm:
-            raise _ComeHome(f"the autopilot warns: {state.alarm}")
         if self.flying:
             _leave_to_pilot(state)
             if state.mode in RETURNING or not state.armed:
                 raise _ComeHome(f"the autopilot ends the flight by itself ({state.mode})")
-        if self.stopped() and not self.reason:
-            self._leave("interrupted")
-            if not self.flying:
-                raise _ComeHome(self.reason)
+        why = f"the autopilot warns: {state.alarm}" if state.alarm else "interrupted" if self.stopped() else ""
+        if why and not self.flying:
+            raise _ComeHome(why)
+        if why and not self.reason:
+            self._leave(why)
         return state
 
     def _command(self, command: Callable[..., None], *arguments: object) -> None:
@@ -182,7 +181,8 @@ class LinkedFlight:
         """Climb to the UAV's altitude above its station."""
         self._command(self.autopilot.arm)
         self._command(self.autopilot.take_off)
-        self.flying = self._until(lambda state: state.height_m > _LIFTED_M and state.mode in HELD, _TAKE_OFF_S)
+        self._until(lambda state: state.height_m > _LIFTED_M and state.mode in HELD, _TAKE_OFF_S)
+        self.flying = True
         self._command(self.autopilot.goto, self.station, self.height)
         if not self._until(lambda state: bool(self.reason) or self._is_at(state, self.station), _TAKE_OFF_S):
             raise _ComeHome(f"it did not reach {self.height:g} m above its station in time")
