@@ -95,7 +95,7 @@ def test_everything_wrong_is_said_at_once(tmp_path: Path) -> None:
         "map.csv: line 3, column 'y_m': 'zero' is not a finite number",
         "map.csv: line 3, column 'bandwidth_hz': 'x' is not a finite number",
         "unknown field 'slot'; did you mean 'slots'?",
-        "unknown field 'no_fly_zone': UAVs may fly over the whole area",
+        "unknown field 'no_fly_zone': no_fly lists zones, each with polygon_m",
         "speed_m_s = '15 m/s': expected a number, not text; write 15",
         "fading = 'rice': must be 'rician' or 'none'",
         "grid_step_m = 100: does not divide area_y_m = 250 into whole steps; area_y_m = 300 would fit",

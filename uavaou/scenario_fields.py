@@ -25,7 +25,7 @@ from uavaou.fields import (
     Unbounded,
     Whole,
 )
-from uavaou.zones import Georeference, Names, Polygon, Zones
+from uavaou.zones import Georeference, Names, Polygon, Zones, free_legs
 
 ZETA_TOLERANCE_S = 1e-6  # slack in comparisons of flight times
 _GRID_TOLERANCE = 1e-9
@@ -137,6 +137,7 @@ class ScenarioFields(Strict):
             ("uavs altitudes_m", self._misfits_of_altitudes),
             ("uavs cds_m", self._misfits_of_stations),
             (f"cds_m {area}", self._misfits_of_places),
+            (f"uavs altitudes_m cds_m outline_m no_fly {area}", self._misfits_of_zones),
             ("altitudes_m speed_m_s flight_time flight_time_budget_s", self._misfits_of_time),
             *((f"devices {field}", partial(self._misfits_of_list, field)) for field in (*_BY_DEVICE, "devices_m")),
             ("uavs uav_names", partial(self._misfits_of_list, "uav_names", "uavs")),
@@ -202,6 +203,16 @@ class ScenarioFields(Strict):
                         f"{_full_list([cell * step for cell in cells])} would fit"
                     )
                     break
+
+    def _misfits_of_zones(self) -> Iterator[str]:
+        for u, (place, altitude) in enumerate(zip(self.cds_m, self.altitudes_m, strict=False)):
+            cds = np.rint(np.array([place]) / self.grid_step_m) * self.grid_step_m  # (1, 2) m
+            limits: dict[str, Any] = {"outside of outline_m": (self.outline_m, ())}
+            zones = enumerate(self.no_fly or ())
+            limits |= {f"in no_fly[{z}]": (None, (zone,)) for z, zone in zones if zone.applies(altitude)}
+            for where, limit in limits.items():
+                if not free_legs(cds, cds, *limit).all():
+                    yield f"cds_m[{u}] = {_full_list(place)}: lies {where}, {_BREAKS} (CDS); move the one or the other"
 
     def _misfits_of_time(self) -> Iterator[str]:
         needed = 2 * max(self.altitudes_m, default=0.0) / self.speed_m_s

@@ -10,10 +10,12 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from uavaou.arrays import Bools, Floats
 from uavaou.errors import nearest
 from uavaou.fields import Coordinate, NonNegative, Number, Point, Strict
 
 _MOST_POINTS, _MOST_ZONES, _MOST_LETTERS = 2_000, 1_000, 100
+_ROUNDING_M = 1e-6  # by which a leg keeps away from a zone beyond the margin, and may lie outside of the outline
 
 
 class _Mapping(Strict):
@@ -124,3 +126,86 @@ Name = Annotated[str, BeforeValidator(_as_text), Field(max_length=_MOST_LETTERS)
 Names = Annotated[Annotated[tuple[Name, ...], AfterValidator(_distinct)] | None, BeforeValidator(_none_if_empty)]
 Zones = Annotated[Annotated[tuple[Zone, ...], Field(max_length=_MOST_ZONES)] | None, BeforeValidator(_none_if_empty)]
 Zone.model_rebuild()
+
+
+# -- geometry ----------------------------------------------------------------------------------------
+
+
+def free_legs(start: Floats, end: Floats, outline: tuple[Point, ...] | None, zones: Sequence[Zone]) -> Bools:
+    """Return which straight legs lie in the outline and outside of all zones grown by their margins, (L,).
+
+    The border of the outline is free, that of a grown zone is not. A leg may be a point.
+
+    Args:
+        start: one end of each leg, (L, 2) m.
+        end: the other one.
+        outline: None for no limit.
+        zones: all of them, at whatever altitude.
+    """
+    free = np.ones(len(start), dtype=np.bool_)
+    if outline is not None:
+        free &= _within(start, end, np.array(outline))
+    for zone in zones:
+        border = np.array(zone.polygon_m)
+        near = np.flatnonzero(free & _boxes_meet(start, end, border, zone.margin_m + _ROUNDING_M))
+        apart = _gap(start[near], end[near], border) > zone.margin_m + _ROUNDING_M
+        free[near] = apart & ~_inside(start[near], border)
+    return free
+
+
+def _boxes_meet(start: Floats, end: Floats, border: Floats, margin: float) -> Bools:
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    meet: Bools = ((low <= border.max(axis=0) + margin) & (high >= border.min(axis=0) - margin)).all(axis=-1)
+    return meet
+
+
+def _within(start: Floats, end: Floats, border: Floats) -> Bools:
+    """Whether all of each leg lies in the polygon, (L,): its pieces between the lines of the edges do."""
+    free = np.asarray(_in_or_on(start, border) & _in_or_on(end, border))
+    touching = np.flatnonzero(free & (_gap(start, end, border) <= _ROUNDING_M) & (start != end).any(axis=-1))
+    edge = np.roll(border, -1, axis=0) - border  # (E, 2)
+    for leg in touching:
+        way = end[leg] - start[leg]
+        across = way[0] * edge[:, 1] - way[1] * edge[:, 0]  # (E,)
+        from_start = border - start[leg]  # (E, 2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cut = (from_start[:, 0] * edge[:, 1] - from_start[:, 1] * edge[:, 0]) / across
+        along = from_start @ way / (way @ way)  # the corners, for edges along the leg
+        ends = np.sort(np.concatenate([[0.0, 1.0], np.where(across == 0.0, along, cut), along]).clip(0.0, 1.0))
+        middle = (ends[1:] + ends[:-1]) / 2
+        free[leg] = _in_or_on(start[leg] + middle[:, None] * way, border).all()
+    return free
+
+
+def _in_or_on(points: Floats, border: Floats) -> Bools:
+    return np.asarray(_inside(points, border) | (_gap(points, points, border) <= _ROUNDING_M))
+
+
+def _inside(points: Floats, border: Floats) -> Bools:
+    """Whether points lie in a polygon (E, 2), (P,): a ray towards +x meets its border an odd number of times."""
+    inside = np.zeros(len(points), dtype=np.bool_)
+    for (x, y), (to_x, to_y) in zip(border, np.roll(border, -1, axis=0), strict=True):
+        if y != to_y:
+            beside = (points[:, 1] < y) != (points[:, 1] < to_y)
+            inside ^= beside & (points[:, 0] < x + (points[:, 1] - y) / (to_y - y) * (to_x - x))
+    return inside
+
+
+def _gap(start: Floats, end: Floats, border: Floats) -> Floats:
+    """The distance in m from each leg to the border of a polygon (E, 2), (L,)."""
+    least = np.full(len(start), np.inf)
+    for a, b in zip(border, np.roll(border, -1, axis=0), strict=True):
+        crosses = (_side(a, b, start) * _side(a, b, end) < 0) & (_side(start, end, a) * _side(start, end, b) < 0)
+        for gap in (_away(start, a, b), _away(end, a, b), _away(a, start, end), _away(b, start, end)):
+            np.minimum(least, gap, out=least)
+        least[crosses] = 0.0
+    return least
+
+
+def _away(point: Floats, start: Floats, end: Floats) -> Floats:
+    """The distance from points to straight lines between two ends, elementwise."""
+    way = end - start
+    length = np.maximum((way * way).sum(axis=-1), 1e-300)
+    along = (((point - start) * way).sum(axis=-1) / length).clip(0.0, 1.0)
+    away: Floats = np.hypot(*np.moveaxis(point - start - along[..., None] * way, -1, 0))
+    return away

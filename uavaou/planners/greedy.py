@@ -5,7 +5,7 @@ import numpy as np
 from uavaou.arrays import Bools, Ints
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
-from uavaou.world.flight import first_step, grid_cells
+from uavaou.world.flight import first_moves, first_step, grid_cells, moves_along_legs, steps_from
 
 
 class Greedy:
@@ -36,7 +36,8 @@ class Greedy:
         self._probability = np.stack([cell_coverage(scenario, layout) for layout in layouts])  # (L, U, C, I)
         self._in_radius = np.stack([cell_coverage(unfaded, layout) > 0 for layout in layouts])  # (L, U, C, I)
         self._cells = grid_cells(scenario)  # (C, 2)
-        self._steps_home = np.abs(self._cells - world.flight.cds[:, None, :]).sum(axis=-1)  # (U, C)
+        self._steps_home = world.flight.home  # (U, C)
+        self._legs = moves_along_legs(scenario)  # (U, C, 5) or None
 
     def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Return the first step of each UAV towards its cell, (N, U)."""
@@ -44,7 +45,7 @@ class Greedy:
         mission = np.arange(missions)
         layout = mission % len(self._in_radius)  # (N,), all 0 for a common layout
         probability = np.broadcast_to(self._probability, (missions, *self._probability.shape[1:]))  # (N, U, C, I)
-        steps = np.abs(self._cells - world.cells[:, :, None, :]).sum(axis=-1)  # (N, U, C)
+        steps = self._steps(world, world.cells)  # (N, U, C)
         round_trip = steps + self._steps_home  # (N, U, C)
         candidate = round_trip <= world.scenario.slots - world.slot  # (N, U, C) and back in time
         candidate &= round_trip <= (world.flight.budget - world.flown)[:, :, None]
@@ -60,7 +61,18 @@ class Greedy:
             targets[mission[worthwhile], uav[worthwhile]] = self._cells[cell[worthwhile]]
             age = np.where(self._in_radius[layout, uav, cell] & worthwhile[:, None], 0.0, age)
             candidate[mission, uav] = False  # this UAV has chosen
-        return first_step(targets - world.cells), None
+        if self._legs is None:
+            return first_step(targets - world.cells), None
+        here, to = world.cells @ [world.scenario.rows, 1], self._steps(world, targets)  # (N, U), (N, U, C)
+        pairs = ([*zip(self._legs, *each, strict=True)] for each in zip(here, to, strict=True))
+        return np.array([[first_moves(legs, steps)[cell] for legs, cell, steps in each] for each in pairs]), None
+
+    def _steps(self, world: World, cells: Ints) -> Ints:
+        """Return the moves between each of some cells (N, U, 2) and every cell, (N, U, C)."""
+        if self._legs is None:
+            return np.asarray(np.abs(self._cells - cells[:, :, None, :]).sum(axis=-1))
+        number = cells @ [world.scenario.rows, 1]  # (N, U)
+        return np.array([[steps_from(*pair) for pair in zip(self._legs, each, strict=True)] for each in number])
 
 
 class BestFirst(Greedy):

@@ -6,7 +6,7 @@ import numpy as np
 
 from uavaou.arrays import Bools, Ints
 from uavaou.world import World
-from uavaou.world.flight import neighbours
+from uavaou.world.flight import targets
 from uavaou.world.knowledge import Knowledge
 from uavaou.world.partition import partition
 from uavaou.world.pull import estimated_age, steps_left
@@ -37,7 +37,7 @@ class LocalGreedy:
         owner = self.owners(world, reaches)  # (L, I)
         own = owner[:, None] == np.arange(scenario.uavs)[:, None]  # (L, U, I)
         self._pull = own[:, :, None] * np.exp(-steps / _REACH)  # (L, U, C, I)
-        self._target = neighbours(scenario)[0]  # (C, 5)
+        self._target = targets(scenario)  # (T, C, 5)
 
     def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Return the allowed move of each UAV with the largest pull, (N, U)."""
@@ -45,7 +45,9 @@ class LocalGreedy:
         age = estimated_age(world.slot, self._last(world), world.update_period[:, None])  # (N, U, I) slots
         cell = world.cells @ [world.scenario.rows, 1]  # (N, U)
         layout = (np.arange(missions) % len(self._pull))[:, None, None]  # (N, 1, 1), all 0 for a common layout
-        pull = self._pull[layout, np.arange(uavs)[:, None], self._target[cell]]  # (N, U, 5, I)
+        uav = np.arange(uavs)
+        target = self._target[uav % len(self._target), cell]  # (N, U, 5)
+        pull = self._pull[layout, uav[:, None], target]  # (N, U, 5, I)
         # A matrix product may round differently with N; near-ties would then depend on the batch.
         value = np.einsum("nui,numi->num", age.astype(np.float64), pull)
         return np.where(world.allowed_moves, value, -1.0).argmax(axis=-1), None

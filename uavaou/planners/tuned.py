@@ -17,7 +17,7 @@ from uavaou.planners.plan import AheadPlanner, OnProgress, Plan, PlanningStatus
 from uavaou.scenario import Layout, Scenario
 from uavaou.threads import Tasks
 from uavaou.world import World
-from uavaou.world.flight import neighbours
+from uavaou.world.flight import targets
 from uavaou.world.patrol import fresh, patrol_area
 from uavaou.world.pull import SHARE, PullPlan, steps_left
 
@@ -99,7 +99,7 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
     def reset(self, world: World, seed: int) -> None:
         """Tune the rule for each layout that has no plan yet; draw nothing from ``seed``."""
         self._pull = np.stack([plan.pull for plan in self.plan_layouts(world)])  # (L, U, C, I)
-        self._target = neighbours(world.scenario)[0]  # (C, 5)
+        self._target = targets(world.scenario)  # (T, C, 5)
 
     def _last(self, world: World) -> Ints:
         return np.where(world.in_range, world.slot, world.last_in_range)

@@ -18,6 +18,7 @@ from scipy.special import i0e
 from uavaou.arrays import Floats
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.channel import Channel, minimum_snr
+from uavaou.world.flight import closed_cells
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -67,12 +68,12 @@ def drawn_radius(scenario: Scenario, layout: Layout) -> Floats:
 
 
 def best_probability(scenario: Scenario, layout: Layout) -> Floats:
-    """Return the largest P(R_iu >= R_min) in a slot over all UAVs and grid cells, (I,)."""
+    """Return the largest P(R_iu >= R_min) in a slot over all UAVs and the cells they can fly to, (I,)."""
     size = max(1, _BLOCK // (scenario.uavs * scenario.columns * scenario.rows))  # devices at a time
     parts = []
     for first in range(0, scenario.devices, size):
         few = Layout(**{name: values[first : first + size] for name, values in vars(layout).items()})
-        parts.append(coverage_probability(scenario, few).max(axis=(0, 1, 2)))
+        parts.append(cell_coverage(scenario, few).max(axis=(0, 1)))
     return np.concatenate(parts)
 
 
@@ -102,9 +103,15 @@ def _exceedance(scenario: Scenario, layout: Layout, snr: Floats) -> Floats:
 
 
 def cell_coverage(scenario: Scenario, layout: Layout) -> Floats:
-    """Return :func:`coverage_probability` with all grid cells in one axis, column by column, (U, C, I)."""
+    """Return :func:`coverage_probability` with all grid cells in one axis, column by column, (U, C, I).
+
+    It is 0 in cells that a UAV cannot fly to.
+    """
     probability = coverage_probability(scenario, layout)  # (U, X, Y, I)
-    return probability.reshape(scenario.uavs, -1, probability.shape[-1])
+    probability = probability.reshape(scenario.uavs, -1, probability.shape[-1])
+    if (closed := closed_cells(scenario)) is not None:
+        probability[closed] = 0.0
+    return probability
 
 
 def rician_exceedance(power_gain: Floats, rician_factor: float) -> Floats:

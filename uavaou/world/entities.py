@@ -13,7 +13,7 @@ from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError, unknown
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
-from uavaou.world.flight import STAY, neighbours
+from uavaou.world.flight import STAY, targets
 from uavaou.world.partition import partition
 from uavaou.world.pull import MOST_STEPS, Plans, planned_steps, steps_left, write_pulls
 from uavaou.world.views import (
@@ -157,7 +157,7 @@ class EntityViews(RowViews):
         self._sizes = np.log([own[1] / _PAPER_DEVICES, own[0] / _PAPER_UAVS, cells / 121]).astype(np.float32)  # (3,)
         self._altitudes = scenario.altitudes  # (U,) m
         self._placed: Floats | None = None  # the positions of the devices that the arrays of the map are of
-        self._target = neighbours(scenario)[0]  # (C, 5)
+        self._target = targets(scenario)  # (T, C, 5)
 
     def local(self, world: World, out: Rows | None = None) -> Rows:
         """Return the local observations, (N, U, local), or write them into the first columns of ``out``."""
@@ -168,7 +168,7 @@ class EntityViews(RowViews):
         at["allowed_moves"][:, :uavs] = world.allowed_moves
         at["allowed_moves"][:, uavs:, STAY] = 1.0
         shared, alone, cds = self.observation == "shared", self.observation == "part", world.flight.cds
-        _write_own(world.cells, cds, *self._left(world), self._altitudes, self._mission(world), at["own"])
+        _write_own(world.cells, cds, self._spare(world), self._altitudes, self._mission(world), at["own"])
         if alone:
             own = at["own"][:, :uavs]  # (N, U, features)
             members = self._own.sum(axis=-1)  # (L, U)
@@ -197,7 +197,7 @@ class EntityViews(RowViews):
         out = self._new(world.missions, self.layout.global_size)
         at = {columns.name: out[:, columns.slice] for columns in self.layout.state}
         at["mission"][...] = self._mission(world)
-        _write_uavs(world.cells, world.flight.cds, *self._left(world), self._altitudes, self._middle, at["uavs"])
+        _write_uavs(world.cells, world.flight.cds, self._spare(world), self._altitudes, self._middle, at["uavs"])
         _write_state(
             self._devices, self._middle, world.cells, self._radius, world.in_range, world.update_period, world.slot,
             world.last_collection, world.pending, world.ages.age_slots, self._waiting, at["devices"],
@@ -212,9 +212,11 @@ class EntityViews(RowViews):
         left = self.scenario.slots + 1 - world.slot
         return np.array([left / (left + _LEFT_SLOTS), *self._sizes], dtype=np.float32)
 
-    def _left(self, world: World) -> tuple[int, Ints]:
-        """Grid steps that the slots leave, and those that the flight time of each UAV leaves, (N, U)."""
-        return self.scenario.slots - world.slot, world.flight.budget - world.flown
+    def _spare(self, world: World) -> Floats:
+        """Grid steps that each UAV can fly beside its way home, (N, U), scaled."""
+        left = np.minimum(self.scenario.slots - world.slot, world.flight.budget - world.flown)
+        spare: Floats = np.clip(left - world.flight.moves_home(world.cells), 0, 2 * _FAR) / _FAR
+        return spare
 
     def _place(self, world: World) -> None:
         """Compute what depends on the map alone, once for each."""
@@ -231,17 +233,7 @@ class EntityViews(RowViews):
 
 
 @compiled
-def _spare(cell: Ints, cds: Ints, slots_left: int, budget_left: int) -> float:
-    """Grid steps that a UAV can fly beside its way home, scaled."""
-    home = abs(cds[0] - cell[0]) + abs(cds[1] - cell[1])
-    spare: float = min(max(min(slots_left, budget_left) - home, 0), 2 * _FAR) / _FAR
-    return spare
-
-
-@compiled
-def _write_own(
-    cells: Ints, cds: Ints, slots_left: int, budget_left: Ints, altitude: Floats, mission: Rows, own: Rows
-) -> None:
+def _write_own(cells: Ints, cds: Ints, spare: Floats, altitude: Floats, mission: Rows, own: Rows) -> None:
     """Write (N, U, features): what each UAV knows of itself."""
     for n in range(len(cells)):
         for u in range(cells.shape[1]):
@@ -250,7 +242,7 @@ def _write_own(
             token[1] = (cds[u, 0] - cells[n, u, 0]) / _STEPS
             token[2] = (cds[u, 1] - cells[n, u, 1]) / _STEPS
             token[3] = mission[0]
-            token[4] = _spare(cells[n, u], cds[u], slots_left, budget_left[n, u])
+            token[4] = spare[n, u]
             token[5] = altitude[u] / 100.0
             token[6] = mission[1]
             token[7] = mission[2]
@@ -343,9 +335,7 @@ def _write_devices(
 
 
 @compiled
-def _write_uavs(
-    cells: Ints, cds: Ints, slots_left: int, budget_left: Ints, altitude: Floats, middle: Floats, tokens: Rows
-) -> None:
+def _write_uavs(cells: Ints, cds: Ints, spare: Floats, altitude: Floats, middle: Floats, tokens: Rows) -> None:
     """Write (N, U * features): a token of the state for each UAV."""
     for n in range(len(cells)):
         layout = min(n, len(middle) - 1)
@@ -356,7 +346,7 @@ def _write_uavs(
             token[2] = (cells[n, u, 1] - middle[layout, 1]) / _STEPS
             token[3] = (cds[u, 0] - cells[n, u, 0]) / _STEPS
             token[4] = (cds[u, 1] - cells[n, u, 1]) / _STEPS
-            token[5] = _spare(cells[n, u], cds[u], slots_left, budget_left[n, u])
+            token[5] = spare[n, u]
             token[6] = altitude[u] / 100.0
 
 

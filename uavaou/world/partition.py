@@ -14,7 +14,9 @@ from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
 from uavaou.threads import Tasks
 from uavaou.world.compiled import compiled
+from uavaou.world.flight import moves_along_legs, open_moves, steps_from
 from uavaou.world.patrol import improve_in_flight, patrol_area, plans_age_sums, without_return
+from uavaou.world.pull import gain_needed
 from uavaou.world.world import World
 
 _ROUNDS = 25  # of Lloyd's algorithm, and of the search on lengths of tours
@@ -66,7 +68,7 @@ def parts_in_flight(world: World) -> tuple[Ints, Floats]:
 
 def _known_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, scenario: Scenario) -> tuple[Ints, float]:
     """Return :func:`_best_plan`, once found: the same map is in the scenario that is flown and in those of planners."""
-    arrays = positions, headroom, period, cds, scenario.altitudes / scenario.grid_step_m
+    arrays = positions, headroom, period, cds, scenario.altitudes / scenario.grid_step_m, open_moves(scenario)
     numbers = scenario.columns, scenario.rows, scenario.slots, scenario.fading, scenario.rician_factor
     key = sha256(b"".join(array.tobytes() for array in arrays) + repr(numbers).encode()).digest()
     if key not in _PLANS:
@@ -85,7 +87,11 @@ def _best_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, sce
     altitude = scenario.altitudes[:, None] / scenario.grid_step_m
     radius = altitude * np.sqrt(np.maximum(headroom - 1.0, 0.0))  # (U, I) grid steps
     covered = (radius > 0) | ~(radius > 0).any(axis=0)  # (U, I)
-    ways = np.abs(positions[:, None] - positions).sum(axis=-1)  # (I, I)
+    ways = np.abs(positions[:, None] - positions).sum(axis=-1)  # (I, I), or with zones (U, I, I)
+    if (target := moves_along_legs(scenario)) is not None:
+        needed = gain_needed(scenario, positions, 1.0 / headroom)  # (U, C, I)
+        covered = (needed.min(axis=1) <= 1.0) | ~(needed.min(axis=1) <= 1.0).any(axis=0)
+        ways = _ways_around(target, needed.argmin(axis=1))
     reach = REACH * (radius[:, :, None] + radius[:, None])  # (U, I, I)
     by_uav = np.ascontiguousarray(np.maximum(ways - reach, 0.0))  # (U, I, I)
     plans = _plans_to_begin_with(positions, cds, covered)  # (P, I)
@@ -94,9 +100,18 @@ def _best_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, sce
     best = plans[plans_age_sums(area, plans, _SCREENED).argsort(kind="stable")[:_FLOWN]]
     changes = max(_CHANGES, len(period) // _OF_DEVICES)
     sums = np.empty(len(best))
-    flights = (area, ways, covered, _TRIES, changes)
+    flights = (area, ways if ways.ndim == 2 else ways.min(axis=0), covered, _TRIES, changes)
     Tasks(*(partial(improve_in_flight, *flights, plan, sums[p : p + 1]) for p, plan in enumerate(best))).run()
     return np.array(best[sums.argmin()], dtype=np.int64), float(sums.min())
+
+
+def _ways_around(target: Ints, cell: Ints) -> Floats:
+    """The grid steps that each UAV flies from device to device, (U, I, I), by its moves (U, C, 5).
+
+    ``cell`` (U, I) is the one from which it collects each device best.
+    """
+    pairs = zip(target, cell, strict=True)
+    return np.array([[steps_from(moves, at)[of_uav] for at in of_uav] for moves, of_uav in pairs], dtype=np.float64)
 
 
 def _plans_to_begin_with(positions: Floats, cds: Ints, covered: Bools) -> Ints:

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from uavaou.arrays import Bools, Floats, Ints, Singles
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled_fast
-from uavaou.world.flight import Flight, first_step, grid_cells, neighbours
-from uavaou.world.pull import SHARE, chance, gain_exceeded, gain_needed
+from uavaou.world.flight import Flight, free_moves, grid_cells, targets
+from uavaou.world.pull import SHARE, chance, gain_exceeded, gain_needed, steps_where
 
 _MISSIONS, _FLOWN_DEVICES = 8, 800  # flown for each part, fewer where there are many devices
 _WORSE = 0.02  # in one mission, from which a change is not flown in more
+_TIE = 1e-3  # of the way as the crow flies, beside the steps around zones
 _LANES = 32  # columns are a multiple of it: whole vectors of the processor
 
 Cells = NDArray[np.int32]
@@ -29,7 +30,7 @@ class PatrolArea(NamedTuple):
     """What the rule flies over: C cells, I devices in W columns, of which the last are empty."""
 
     start: Ints  # (U,) cell of each CDS
-    target: Ints  # (C, 5) the cell that each move leads to, or the same where that is outside
+    target: Ints  # (T, C, 5) the cell that each move leads to, or the same where that is closed; T is U or 1
     home: Ints  # (U, C) grid steps to the CDS
     step_home: Ints  # (U, C) the move towards it
     budget: Ints  # (U,) grid steps that the flight time allows
@@ -61,14 +62,17 @@ def patrol_area(
     altitude = scenario.altitudes[:, None] / scenario.grid_step_m  # (U, 1) grid steps
     best = chance(scenario, 1.0 / headroom)  # (U, I)
     near = altitude * np.sqrt(np.maximum(gain_exceeded(scenario, SHARE * best) * headroom - 1.0, 0.0))  # (U, I)
-    pull = np.exp(-np.maximum(distance - near[:, None], 0.0)) * (best > 0)[:, None]  # (U, C, I)
-    ways = cds[:, None] - grid_cells(scenario)  # (U, C, 2)
+    way = np.maximum(distance - near[:, None], 0.0)  # (U, C, I)
+    if free_moves(scenario) is not None:
+        way = steps_where(scenario, needed, SHARE) + _TIE * way
+    pull = np.exp(-way) * (best > 0)[:, None]  # (U, C, I)
+    flight = Flight(scenario)
     return PatrolArea(
         start=cds @ np.array([scenario.rows, 1]),
-        target=np.ascontiguousarray(neighbours(scenario)[0], dtype=np.int64),
-        home=np.abs(ways).sum(axis=-1),
-        step_home=first_step(ways),
-        budget=Flight(scenario).budget,
+        target=np.ascontiguousarray(targets(scenario), dtype=np.int64),
+        home=flight.home,
+        step_home=flight.step_home,
+        budget=flight.budget,
         probability=probability,
         pull=_padded(pull),
         generated=_padded((slots % period == 0) + 1.0 * (slots == 1)),  # update 0 waits from the beginning
@@ -135,7 +139,8 @@ def fly(area: PatrolArea, uav: int, serves: Singles, pull: Singles, first: int, 
     In each slot it collects what fading lets it, and makes the allowed move to the cell with the largest sum of ages,
     each times its pull there; of equal ones to the first. Draws begin anew where they end.
     """
-    members, cells = np.flatnonzero(serves), (area.target, area.home[uav], area.step_home[uav])
+    target = area.target[min(uav, len(area.target) - 1)]
+    members, cells = np.flatnonzero(serves), (target, area.home[uav], area.step_home[uav])
     start, budget, probability, generated = area.start[uav], area.budget[uav], area.probability[uav], area.generated
     columns = max(len(members) + -len(members) % _LANES, _LANES)
     if columns < len(serves):

@@ -19,7 +19,7 @@ from uavaou.errors import InputError
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.coverage import rician_exceedance
-from uavaou.world.flight import grid_cells
+from uavaou.world.flight import UNLIMITED, closed_cells, grid_cells, moves_along_legs, steps_from
 from uavaou.world.views import Rows
 from uavaou.world.world import World
 
@@ -125,6 +125,8 @@ def steps_left(world: World, share: float | Floats = SHARE) -> Floats:
 def gain_needed(scenario: Scenario, positions: Floats, above: Floats) -> Floats:
     """Return the power gain that fading must have for a UAV in a cell to collect a device, (U, C, I).
 
+    It is infinite in cells that the UAV cannot fly to.
+
     Args:
         scenario: grid and altitudes.
         positions: of the devices, (I, 2) grid steps.
@@ -134,6 +136,8 @@ def gain_needed(scenario: Scenario, positions: Floats, above: Floats) -> Floats:
     altitude = scenario.altitudes[:, None] / scenario.grid_step_m  # (U, 1) grid steps
     squared = ((cells[:, None] - positions) ** 2).sum(axis=-1)  # (C, I)
     needed: Floats = (1.0 + squared / altitude[:, :, None] ** 2) * above[:, None]
+    if (closed := closed_cells(scenario)) is not None:
+        needed[closed] = np.inf
     return needed
 
 
@@ -162,6 +166,8 @@ def steps_where(scenario: Scenario, needed: Floats, share: float | Floats) -> Fl
     # The gain that is exceeded so much more seldom; the nearest cell is always good enough, whatever the rounding.
     enough = np.maximum(gain_exceeded(scenario, share * best), nearest)
     good = (needed <= enough[:, None]) & (best > 0.0)[:, None]
+    if (target := moves_along_legs(scenario)) is not None:
+        return steps_along(target, good)
     grid = (len(needed), scenario.columns, scenario.rows, needed.shape[2])
     return steps_to(good.reshape(grid)).reshape(good.shape)
 
@@ -189,6 +195,15 @@ def steps_to(good: Bools) -> Floats:
     return steps
 
 
+def steps_along(target: Ints, good: Bools) -> Floats:
+    """Return the steps of :func:`steps_to` by the moves of each UAV (U, C, 5) alone, (U, C, I)."""
+    steps = np.full(good.shape, np.inf)
+    for u, i in np.argwhere(good.any(axis=1)):
+        moves = steps_from(target[u], np.flatnonzero(good[u, :, i]))
+        steps[u, :, i] = np.where(moves < UNLIMITED, moves, np.inf)
+    return steps
+
+
 @compiled
 def estimated_age(slot: Any, last: Any, period: Any) -> Any:
     """Return the age sum in slots at the end of ``slot`` of a device that was last collected in slot ``last``.
@@ -212,13 +227,15 @@ def write_pulls(
 ) -> None:  # fmt: skip
     """Write (N, U, I * features): what the pull of each device is made of, for UAVs in ``cells`` (N, U).
 
+    ``target`` (T, C, 5) is that of :func:`uavaou.world.flight.targets`.
     ``places`` (L, U, I) says which of the pulls in a row is that of a device; those below 0 are left out.
     """
     missions, uavs = cells.shape
-    moves = target.shape[1]
+    moves = target.shape[2]
     for n in range(missions):
         layout = min(n, len(steps) - 1)
         for u in range(uavs):
+            ways = target[min(u, len(target) - 1)]
             for i in range(steps.shape[3]):
                 place = places[layout, u, i]
                 if place < 0:
@@ -232,5 +249,5 @@ def write_pulls(
                 else:
                     pull[0] = estimated_age(slot, last_by[n, u, i], k)
                 for move in range(moves):
-                    pull[1 + move] = steps[layout, u, target[cells[n, u], move], i]
+                    pull[1 + move] = steps[layout, u, ways[cells[n, u], move], i]
                 pull[1 + moves] = shared
