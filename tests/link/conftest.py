@@ -20,6 +20,10 @@ FIELD = QUICK.replace(
     slot_length_s=0.3,
     speed_m_s=500,
     flight_time_budget_s=100,
+    no_fly=[
+        {"polygon_m": [[80, 180], [120, 180], [120, 220], [80, 220]]},  # closes a cell
+        {"polygon_m": [[245, 150], [255, 150], [255, 250], [245, 250]]},  # closes a leg
+    ],
     georeference={"latitude": HOME[0], "longitude": HOME[1]},
 )
 

@@ -105,6 +105,10 @@ def check_landed_at_home(aircraft: Aircraft) -> None:
     np.testing.assert_allclose(aircraft.here, [*STATION, 0.0], atol=10.0)
     steps = np.abs(np.diff(aircraft.targets, axis=0)).sum(axis=1)
     assert set(steps) <= {0.0, 100.0}  # one leg of the grid at a time, however late or refused
+    flown = {tuple(map(tuple, leg)) for leg in zip(aircraft.targets, aircraft.targets[1:], strict=False)}
+    closed = ((200.0, 200.0), (300.0, 200.0))
+    assert not flown & {closed, closed[::-1]}
+    assert (100.0, 200.0) not in {place for leg in flown for place in leg}
 
 
 def test_a_mission_as_planned(make_pilot: Callable[[], Pilot]) -> None:

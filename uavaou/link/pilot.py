@@ -15,7 +15,9 @@ from uavaou.scenario import Scenario
 if TYPE_CHECKING:
     from uavaou.onboard.runner import Pilot
 
-_MAP = ("slots", "slot_length_s", "area_m", "grid_step_m", "altitude_m", "cds_m", "devices_m")  # what must be the same
+_MAP = (  # what must be the same
+    "slots", "slot_length_s", "area_m", "grid_step_m", "altitude_m", "cds_m", "devices_m", "free_moves",
+)  # fmt: skip
 
 
 def make_pilot(policy: str, scenario: Scenario, uav: int, folder: Path) -> Pilot:
@@ -46,6 +48,6 @@ def make_pilot(policy: str, scenario: Scenario, uav: int, folder: Path) -> Pilot
         raise InputError(f"'{policy}' needs the positions of the other UAVs, which the link does not have")
     told = json.loads(json.dumps(describe_mission(scenario)))
     for name in _MAP:
-        if pilot.mission.get(name) != told[name]:
+        if pilot.mission.get(name) != told.get(name):
             raise InputError(f"'{policy}' was exported for another map than '{scenario.name}': {name} differs")
     return pilot
