@@ -38,6 +38,7 @@ LAYERS = (
     "evaluation",
     "runs",
     "onboard",
+    "link",
     "experiments",
     "reports",
     "uavaou_cli",

@@ -20,7 +20,22 @@ from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
 from uavaou.runs.interrupt import exit_code, interrupt_at_sigterm, was_interrupt
-from uavaou_cli import evaluate, export, fly, import_, plan, plot, replay, route, runs, scenarios, study, train, tune
+from uavaou_cli import (
+    evaluate,
+    export,
+    fly,
+    import_,
+    link,
+    plan,
+    plot,
+    replay,
+    route,
+    runs,
+    scenarios,
+    study,
+    train,
+    tune,
+)
 from uavaou_cli.options import given_path, option
 
 BAD_INPUT = 2
@@ -85,6 +100,7 @@ studies.command("report", short_help="Rewrite its condensed results and print th
 app.add_typer(studies, name="study")
 app.command("audit", short_help="Check a scenario's link budget and numbers.")(scenarios.audit)
 app.command("export", short_help="Write a trained run for another tool.")(export.export)
+app.command("link", short_help="Fly one UAV by a policy over MAVLink.")(link.link)
 app.command("runs", short_help="List the trainings, what each changed and reached.")(runs.runs)
 app.command("scenarios", short_help="List the scenarios that come with uavaou.")(scenarios.scenarios)
 
