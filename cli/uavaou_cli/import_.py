@@ -111,8 +111,8 @@ def write_map_field(files: Sequence[Path], options: MapOptions, out: Path) -> Sc
 
     writable_folder(out)
     wishes = _wishes(options)
-    pairs = [_numbers("--station", text, 2) for text in options.station or ()]
-    within = _numbers("--within", options.within, 3) if options.within is not None else ()
+    pairs = [numbers("--station", text, 2) for text in options.station or ()]
+    within = numbers("--within", options.within, 3) if options.within is not None else ()
     survey = understand([read_file(path) for path in files], options.crs or "", pairs, within)
     found = lay_out(survey, wishes, lambda scenario: coverage_radius(scenario, scenario.draw_layout()))
     scenario = write_field(found, files, out)
@@ -148,16 +148,16 @@ def _wishes(options: MapOptions) -> Any:
     return Wishes(
         radio=options.radio,
         uavs=options.uavs,
-        speed_m_s=_quantity("--speed", options.speed, "speed_m_s", "m/s"),
-        endurance_s=_quantity("--endurance", options.endurance, "endurance_s", "min"),
+        speed_m_s=quantity("--speed", options.speed, "speed_m_s", "m/s"),
+        endurance_s=quantity("--endurance", options.endurance, "endurance_s", "min"),
         altitude_m=options.altitude,
-        interval_s=_quantity("--interval", options.interval, "interval_s", "min"),
+        interval_s=quantity("--interval", options.interval, "interval_s", "min"),
         grid_step_m=options.grid_step,
         slots=options.slots,
     )
 
 
-def _quantity(flag: str, text: str | None, field: str, unit: str) -> float | None:
+def quantity(flag: str, text: str | None, field: str, unit: str) -> float | None:
     """A number, in ``unit`` where it has none of its own, in the unit that the name of the field ends with."""
     from uavaou.units import in_own_units
 
@@ -172,7 +172,7 @@ def _quantity(flag: str, text: str | None, field: str, unit: str) -> float | Non
     return float(value)
 
 
-def _numbers(flag: str, text: str, count: int) -> tuple[float, ...]:
+def numbers(flag: str, text: str, count: int) -> tuple[float, ...]:
     with suppress(ValueError):
         values = tuple(float(part) for part in text.replace(" ", "").split(","))
         if len(values) == count and all(map(math.isfinite, values)):

@@ -32,6 +32,7 @@ from uavaou_cli import (
     route,
     runs,
     scenarios,
+    size,
     study,
     train,
     tune,
@@ -87,6 +88,7 @@ app.command("eval", short_help="Play trained runs and planners on the same missi
 app.command("replay", short_help="Replay one mission of several policies in a browser.")(replay.replay)
 app.command("plan", short_help="Plan a fleet's routes before take-off.")(plan.plan)
 app.command("route", short_help="Write what a policy flies as files for autopilots.")(route.route)
+app.command("size", short_help="Find the smallest fleet that keeps data fresh enough.")(size.size)
 app.command("gap", short_help="Compare planners and runs with the lower bound.")(plan.gap)
 plots = typer.Typer(**_STYLE, help="Draw the figures of studies and training runs, or one mission.")
 plots.command("figures", short_help="Draw the figures of studies or training runs.")(plot.figures)
