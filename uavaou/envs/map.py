@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LogNorm, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Polygon
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,8 @@ from uavaou.world.coverage import drawn_radius
 # Okabe and Ito's palette, which colour-blind readers can tell apart (https://jfly.uni-koeln.de/color/).
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
-UAV_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, YELLOW)
+TAN, FORBIDDEN = "#A0724A", "#B4232A"
+UAV_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, TAN, YELLOW)
 UAV_DASHES: tuple[Any, ...] = ("-", (0, (3, 1)), (0, (1, 1)), (0, (4, 1, 1, 1)))
 AGE_COLOURS = "magma_r"  # perceptually uniform; fresh is light, stale is dark
 
@@ -32,6 +33,8 @@ FRAME_SHAPE = (576, 640, 3)  # (H, W, 3): multiples of 16, as video encoders lik
 _FRAME_DPI = 100
 _TRAIL_SLOTS = 40  # a frame shows the recent past; older slots would hide the map
 _COVERAGE_GREY = "#555555"
+_LONGEST_NAME = 18
+_ARROW_PT = 18  # length of the arrow to the north
 _MOST_NUMBERS = 3  # of UAVs with one CDS
 
 
@@ -86,12 +89,47 @@ def draw_ground(axes: Axes, scenario: Scenario) -> None:
     axes.grid(which="both", color="#E4E4E4", linewidth=0.4)
     axes.tick_params(which="minor", length=0)
     axes.set_axisbelow(True)
+    draw_zones(axes, scenario)
+    draw_north(axes, scenario)
     for u, (x, y) in enumerate(scenario.cds_m):
         # Nested squares show all UAVs that share a CDS.
         side = 7.5 + 3.5 * (scenario.cds_m[:u].count((x, y)))
         axes.plot(x, y, "s", ms=side, mfc="none", mec=uav_colour(u), mew=1.3, zorder=4, clip_on=False)
     for place in dict.fromkeys(scenario.cds_m):
         _number_cds(axes, place, [u for u, own in enumerate(scenario.cds_m) if own == place])
+
+
+def draw_zones(axes: Axes, scenario: Scenario) -> None:
+    """The outline, dashed, and where UAVs may not fly, hatched, with the names of the zones."""
+    if scenario.outline_m is not None:
+        axes.add_patch(Polygon(scenario.outline_m, fill=False, ec=_COVERAGE_GREY, lw=1.2, ls="--", zorder=2))
+    for zone in scenario.no_fly or ():
+        look: dict[str, Any] = {
+            "fc": to_rgba(FORBIDDEN, 0.12),
+            "ec": FORBIDDEN,
+            "hatch": "////",
+            "lw": 0.8,
+            "zorder": 2,
+        }
+        axes.add_patch(Polygon(zone.polygon_m, **look))
+        text = axes.annotate(short_name(zone.name or ""), np.mean(zone.polygon_m, axis=0), fontsize=6, color=FORBIDDEN)
+        text.set(ha="center", va="center", path_effects=[withStroke(linewidth=2, foreground="white")])
+
+
+def draw_north(axes: Axes, scenario: Scenario) -> None:
+    """An arrow to the north, where the scenario says where that is."""
+    if scenario.georeference is None:
+        return
+    angle = math.radians(scenario.georeference.bearing_deg)
+    start = (_ARROW_PT * math.sin(angle), -_ARROW_PT * math.cos(angle))
+    arrow = {"arrowstyle": "-|>", "color": BLACK, "shrinkA": 0, "shrinkB": 0}
+    north = axes.annotate("N", (0.96, 0.98), start, "axes fraction", "offset points", arrowprops=arrow, fontsize=7)
+    north.set(ha="center", va="center", zorder=9)
+
+
+def short_name(name: str) -> str:
+    """A name that fits on a map, for matplotlib."""
+    return (name if len(name) <= _LONGEST_NAME else name[: _LONGEST_NAME - 1] + "…").replace("$", r"\$")
 
 
 def _number_cds(axes: Axes, place: tuple[float, float], uavs: list[int]) -> None:

@@ -9,14 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon
 
-from uavaou.envs.map import BLACK, BLUE, GREEN, VERMILLION
+from uavaou.envs.map import BLACK, BLUE, FORBIDDEN, draw_north, draw_zones, short_name
 from uavaou.reports import style
 from uavaou.scenario import Scenario
 
 _MOST_NAMES = 40
-_LONGEST_NAME = 18
 
 
 def plot_field(scenario: Scenario, radius_m: float, out_dir: Path, name: str = "map") -> list[Path]:
@@ -43,21 +41,16 @@ def _draw(figure: Figure, axes: Axes, scenario: Scenario, radius_m: float) -> No
     axes.set(xlim=(-margin, scenario.area_x_m + margin), ylim=(-2 * margin, scenario.area_y_m + margin), aspect="equal")
     axes.set(xlabel="$x$ (m)", ylabel="$y$ (m)")
     handles = []
+    draw_zones(axes, scenario)
     if scenario.outline_m is not None:
-        axes.add_patch(Polygon(scenario.outline_m, fill=False, ec=GREEN, lw=1.4))
-        handles.append(Line2D([], [], color=GREEN, lw=1.4, label="outline"))
-    for zone in scenario.no_fly or ():
-        axes.add_patch(Polygon(zone.polygon_m, fc=VERMILLION, ec=VERMILLION, alpha=0.35, hatch="///", lw=1))
-        if zone.name:
-            x, y = np.mean(zone.polygon_m, axis=0)
-            axes.annotate(_short(zone.name), (x, y), fontsize=6, ha="center", va="center")
+        handles.append(Line2D([], [], color=style.GREY, lw=1.2, ls="--", label="outline"))
     if scenario.no_fly:
-        handles.append(Line2D([], [], color=VERMILLION, lw=5, alpha=0.5, label="no-fly zone"))
+        handles.append(Line2D([], [], color=FORBIDDEN, lw=5, alpha=0.4, label="no-fly zone"))
     places = np.asarray(scenario.devices_m)  # (I, 2) m
     axes.plot(*places.T, "o", color=BLACK, ms=4 if len(places) < 200 else 2, zorder=3)
     handles.append(Line2D([], [], ls="", marker="o", color=BLACK, ms=4, label="device"))
     for i, place in enumerate(places) if scenario.device_names and len(places) <= _MOST_NAMES else ():
-        axes.annotate(_short(scenario.device_name(i)), place, (3, 3), textcoords="offset points", fontsize=6)
+        axes.annotate(short_name(scenario.device_name(i)), place, (3, 3), textcoords="offset points", fontsize=6)
     axes.plot(*np.array(scenario.cds_m).T, "s", ms=9, mfc="none", mec=BLUE, mew=1.6, zorder=4)
     handles.append(Line2D([], [], ls="", marker="s", mfc="none", mec=BLUE, ms=7, label="station"))
     turns = np.linspace(0, 2 * np.pi, 90)
@@ -66,7 +59,7 @@ def _draw(figure: Figure, axes: Axes, scenario: Scenario, radius_m: float) -> No
     )
     handles.append(Line2D([], [], ls="--", color=BLACK, lw=0.6, label=f"coverage, {radius_m:,.0f} m"))
     _draw_scale(axes, scenario, margin)
-    _draw_north(axes, scenario)
+    draw_north(axes, scenario)
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
 
 
@@ -78,19 +71,3 @@ def _draw_scale(axes: Axes, scenario: Scenario, margin: float) -> None:
     axes.plot([0, length], [-1.2 * margin] * 2, color=BLACK, lw=2.5, solid_capstyle="butt")
     text = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
     axes.annotate(text, (length, -1.2 * margin), (4, 0), textcoords="offset points", fontsize=7, va="center")
-
-
-def _draw_north(axes: Axes, scenario: Scenario) -> None:
-    """An arrow to the north, where the scenario says where that is."""
-    if scenario.georeference is None:
-        return
-    angle = math.radians(scenario.georeference.bearing_deg)
-    end = (0.965 - 0.05 * math.sin(angle), 0.9 + 0.05 * math.cos(angle))
-    axes.annotate(
-        "", end, (0.965, 0.9), "axes fraction", "axes fraction", arrowprops={"arrowstyle": "-|>", "color": BLACK}
-    )
-    axes.annotate("N", (0.965, 0.87), xycoords="axes fraction", ha="center", va="center", fontsize=8)
-
-
-def _short(name: str) -> str:
-    return (name if len(name) <= _LONGEST_NAME else name[: _LONGEST_NAME - 1] + "…").replace("$", r"\$")

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ _LEGEND_COLUMNS = 4
 _ROUTES = "square: CDS of the UAV; line: route, wider where flown more often"
 _PANELS_A_ROW = 3
 _MOST_PANELS = 12
+_NO_UAV_HAS = (maps.BLACK, "#64748B", "#5C6B1F", "#6D2A6B")  # colours of policies beside a map of UAVs, as on the page
 _PARTS = 40  # of a mission, that a line has a point for
 
 
@@ -61,7 +63,8 @@ def plot_rehearsal(ages: Mapping[str, Floats], out_dir: Path, name: str) -> list
     Raises:
         InputError: the folder cannot be written.
     """
-    looks = style.looks(ages)
+    plain = zip(ages, style.looks(ages).values(), _NO_UAV_HAS, strict=False)
+    looks = {policy: replace(look, colour=colour) for policy, look, colour in plain}
     lines = {policy: _in_parts(table) for policy, table in ages.items()}
     with style.house_style():
         never_0 = all((line.y.value > 0).all() for line in lines.values())

@@ -8,6 +8,7 @@ import json
 import re
 import zlib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from html import escape
 from pathlib import Path
 from string import Template
@@ -19,8 +20,10 @@ from numpy.typing import ArrayLike
 from uavaou.arrays import Floats
 from uavaou.errors import InputError
 from uavaou.evaluation.recorded_mission import RecordedMission, read_mission
+from uavaou.field.geodesy import Projection
 from uavaou.files import read_text, write_text
 from uavaou.reports import style
+from uavaou.scenario import Scenario
 from uavaou.world.coverage import drawn_radius
 
 STUDY_REPLAY = "replay.html"
@@ -111,8 +114,25 @@ def replay_content(missions: Mapping[str, RecordedMission]) -> dict[str, Any]:
             "update_period_slots": layout.update_period.tolist(),
             "coverage_m": _rounded(drawn_radius(scenario, layout)),
         },
+        **_field(scenario),
         "policies": [{"name": label} | _packed_mission(mission) for label, mission in missions.items()],
     }
+
+
+def _field(scenario: Scenario) -> dict[str, Any]:
+    """What a map of a real field has: names, outline, zones, and where its corners lie on the earth."""
+    field: dict[str, Any] = {
+        "device_names": scenario.device_names,
+        "uav_names": scenario.uav_names,
+        "outline_m": scenario.outline_m,
+        "zones": [{"polygon_m": zone.polygon_m, "name": zone.name} for zone in scenario.no_fly or ()],
+    }
+    if scenario.georeference is not None:
+        field["bearing_deg"] = scenario.georeference.bearing_deg
+        corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * [scenario.area_x_m, scenario.area_y_m]  # (4, 2) m
+        with suppress(InputError):  # pyproj is not installed: the page has metres alone
+            field["corners_deg"] = Projection(scenario.georeference).to_degrees(corners).round(9).tolist()
+    return {name: value for name, value in field.items() if value not in (None, [], ())}
 
 
 def check_one_mission(missions: Mapping[str, RecordedMission]) -> None:

@@ -19,7 +19,7 @@ class Theme {
   refresh() {
     this.dark = document.documentElement.dataset.theme === "dark";
     const style = getComputedStyle(document.documentElement);
-    for (const name of ["ink", "soft", "card", "field", "grid", "cover", "rim", "line", "accent"])
+    for (const name of ["ink", "soft", "card", "field", "grid", "cover", "rim", "line", "accent", "forbidden"])
       this[name] = style.getPropertyValue(`--${name}`).trim();
     this.uavs = Array.from({ length: UAV_COLOURS }, (_, u) => style.getPropertyValue(`--uav-${u}`).trim());
     this.stops = (this.dark ? MAGMA : [...MAGMA].reverse()).map(channels);

@@ -82,8 +82,10 @@ class FleetMap {
     pen.fillRect(0, 0, ...this.size);
     if (view.layers.coverage) this.drawCoverage(pen);
     this.drawGrid(pen);
+    this.drawZones(pen);
     this.drawStations(pen);
     this.drawScale(pen);
+    this.drawNorth(pen);
     return this.ground;
   }
 
@@ -124,6 +126,72 @@ class FleetMap {
         pen.fill();
       }
     }
+  }
+
+  /** The outline, and where UAVs may not fly: hatched, with its name. */
+  drawZones(pen) {
+    const { outline, zones } = this.mission;
+    const trace = (polygon) => {
+      pen.beginPath();
+      polygon.forEach(([x, y], k) => (k ? pen.lineTo(this.x(x), this.y(y)) : pen.moveTo(this.x(x), this.y(y))));
+      pen.closePath();
+    };
+    if (outline) {
+      trace(outline);
+      pen.strokeStyle = this.theme.soft;
+      pen.lineWidth = 1.4;
+      pen.setLineDash([7, 4]);
+      pen.stroke();
+      pen.setLineDash([]);
+    }
+    for (const { polygon_m: polygon, name } of zones) {
+      pen.save();
+      trace(polygon);
+      pen.strokeStyle = pen.fillStyle = this.theme.forbidden;
+      pen.lineWidth = 1.2;
+      pen.stroke();
+      pen.globalAlpha = 0.1;
+      pen.fill();
+      pen.clip();
+      pen.globalAlpha = 0.5;
+      pen.lineWidth = 0.8;
+      pen.beginPath();
+      for (let at = -this.size[1]; at < this.size[0]; at += 9) {
+        pen.moveTo(at, this.size[1]);
+        pen.lineTo(at + this.size[1], 0);
+      }
+      pen.stroke();
+      pen.restore();
+      if (!name) continue;
+      const [x, y] = [0, 1].map((axis) => polygon.reduce((sum, corner) => sum + corner[axis], 0) / polygon.length);
+      pen.font = `600 ${Math.round(10.5 * Math.max(this.unit, 0.85))}px system-ui, sans-serif`;
+      pen.textAlign = "center";
+      pen.lineWidth = 3;
+      pen.strokeStyle = this.theme.field;
+      pen.strokeText(name, this.x(x), this.y(y));
+      pen.fillStyle = this.theme.forbidden;
+      pen.fillText(name, this.x(x), this.y(y));
+    }
+  }
+
+  /** An arrow to the north, in the upper right corner, where the scenario says where that is. */
+  drawNorth(pen) {
+    if (this.mission.bearing === undefined) return;
+    pen.save();
+    pen.translate(this.size[0] - 18 * this.unit, 20 * this.unit);
+    pen.rotate((-this.mission.bearing * Math.PI) / 180);
+    pen.scale(this.unit, this.unit);
+    pen.fillStyle = this.theme.soft;
+    pen.beginPath();
+    pen.moveTo(0, -11);
+    pen.lineTo(5, 4);
+    pen.lineTo(0, 1);
+    pen.lineTo(-5, 4);
+    pen.fill();
+    pen.font = "600 9px system-ui, sans-serif";
+    pen.textAlign = "center";
+    pen.fillText("N", 0, 14);
+    pen.restore();
   }
 
   drawStations(pen) {
@@ -229,7 +297,7 @@ class FleetMap {
       pen.globalAlpha = 1;
       if (!view.layers.numbers) continue;
       pen.fillStyle = this.theme.soft;
-      pen.fillText(String(i), at[0] + radius + 2, at[1] - radius + 1);
+      pen.fillText(this.mission.named ? this.mission.deviceName(i) : String(i), at[0] + radius + 2, at[1] - radius + 1);
     }
   }
 
@@ -315,7 +383,8 @@ class FleetMap {
   }
 
   drawName(pen, device, slot) {
-    const text = `Device ${device}: ${whole.format(this.flight.age(slot, device))}`;
+    const age = this.flight.age(slot, device);
+    const text = `${this.mission.deviceName(device)}: ${whole.format(age)} slots, ${inTime(this.mission, age)}`;
     pen.font = "600 12px system-ui, sans-serif";
     const width = pen.measureText(text).width + 14;
     const x = this.x(this.mission.x[device]);
@@ -333,12 +402,20 @@ class FleetMap {
     pen.textBaseline = "alphabetic";
   }
 
+  /** A point on the canvas in words: metres, and degrees where they are known. */
+  where(left, top) {
+    const [x, y] = [(left - this.left) / this.scale, (this.bottom - top) / this.scale];
+    const degrees = degreesAt(this.mission, x, y);
+    const metres = `x ${whole.format(x)}, y ${whole.format(y)} m`;
+    return degrees ? `${metres} · ${degrees.map((angle) => angle.toFixed(6)).join(", ")}` : metres;
+  }
+
   /** What the map shows in a slot, in words. */
   words(slot) {
     const { uavs, slots } = this.mission;
     const places = Array.from({ length: uavs }, (_, u) => {
       const [x, y] = this.flight.place(slot, u);
-      return `UAV ${u} at ${whole.format(x)}, ${whole.format(y)} m`;
+      return `${this.mission.uavName(u)} at ${whole.format(x)}, ${whole.format(y)} m`;
     });
     return `Map of ${this.flight.name}, slot ${slot} of ${slots}: ${places.join("; ")}`;
   }

@@ -81,7 +81,7 @@ class Flight {
   devicesAt(slot) {
     const { devices } = this.mission;
     const found = Array.from({ length: devices }, (_, i) => ({
-      device: i, period: this.mission.periods[i], age: this.age(slot, i), mean: 0, communications: 0, last: 0, by: -1,
+      device: i, period: this.mission.periods[i], age: this.age(slot, i), mean: 0, communications: 0, last: 0, carrier: "",
     }));
     for (let row = 0, at = 0; row < slot; row++) {
       for (const one of found) {
@@ -90,7 +90,7 @@ class Flight {
         if (uav < 0) continue;
         one.communications += 1;
         one.last = row + 1;
-        one.by = uav;
+        one.carrier = this.mission.uavName(uav);
       }
     }
     for (const one of found) one.mean /= slot;
@@ -106,11 +106,29 @@ async function readMission() {
     width: content.area_m[0], height: content.area_m[1], step: content.grid_step_m, stations: content.cds_m,
     altitudes: content.altitudes_m, uavs: content.cds_m.length, devices: content.devices.x_m.length,
     x: content.devices.x_m, y: content.devices.y_m, periods: content.devices.update_period_slots,
-    coverage: content.devices.coverage_m,
+    coverage: content.devices.coverage_m, outline: content.outline_m, zones: content.zones ?? [],
+    bearing: content.bearing_deg, corners: content.corners_deg,
   };
+  mission.deviceName = (i) => content.device_names?.[i] ?? `Device ${i}`;
+  mission.uavName = (u) => content.uav_names?.[u] ?? `UAV ${u}`;
+  mission.named = Boolean(content.device_names);
   mission.flights = await Promise.all(content.policies.map((policy) => Flight.read(policy, mission)));
   mission.oldest = mission.flights.reduce((most, flight) => flight.ages.reduce((a, b) => Math.max(a, b), most), 2);
   return mission;
+}
+
+/** Latitude and longitude of a place on the map, between those of its corners; null where nothing says where it lies. */
+function degreesAt(mission, x, y) {
+  if (!mission.corners) return null;
+  const [right, up] = [x / mission.width, y / mission.height];
+  const shares = [(1 - right) * (1 - up), right * (1 - up), (1 - right) * up, right * up];
+  return [0, 1].map((axis) => shares.reduce((sum, share, k) => sum + share * mission.corners[k][axis], 0));
+}
+
+/** Slots as minutes, or seconds where they are few. */
+function inTime(mission, slots) {
+  const seconds = slots * mission.slotSeconds;
+  return seconds < 90 ? `${inWords(seconds)} s` : `${inWords(seconds / 60)} min`;
 }
 
 /** A time in the mission as a person says it. */

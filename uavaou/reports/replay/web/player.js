@@ -63,6 +63,12 @@ class Player {
       const box = canvas.getBoundingClientRect();
       this.choose(map.deviceAt(event.clientX - box.left, event.clientY - box.top));
     });
+    const where = append(ground, "p", "where");
+    canvas.addEventListener("pointermove", (event) => {
+      const box = canvas.getBoundingClientRect();
+      where.textContent = map.where(event.clientX - box.left, event.clientY - box.top);
+    });
+    canvas.addEventListener("pointerleave", () => { where.textContent = ""; });
     return Object.assign(map, { now, more });
   }
 
@@ -197,7 +203,7 @@ class Player {
     const { flight } = map;
     map.slot = slot;
     map.now.textContent = whole.format(flight.aou[slot - 1]);
-    map.more.textContent = `mean so far ${inWords(flight.aouSum[slot - 1] / slot)}, whole mission ${inWords(flight.meanAou)} slots\n`
+    map.more.textContent = `mean so far ${inWords(flight.aouSum[slot - 1] / slot)}, whole mission ${inWords(flight.meanAou)} slots (${inTime(this.mission, flight.meanAou)})\n`
       + `${flight.served[slot - 1]} of ${this.mission.devices} devices, ${whole.format(flight.communications[slot - 1])} communications`;
   }
 

@@ -6,7 +6,7 @@ const COLUMNS = [
   { key: "age", title: "Age", text: (one) => whole.format(one.age) },
   { key: "mean", title: "Mean age", text: (one) => inWords(one.mean) },
   { key: "communications", title: "Collected", text: (one) => whole.format(one.communications) },
-  { key: "last", title: "Last in", text: (one) => (one.last ? `${whole.format(one.last)}, UAV ${one.by}` : "never") },
+  { key: "last", title: "Last in", text: (one) => (one.last ? `${whole.format(one.last)}, ${one.carrier}` : "never") },
 ];
 
 class DeviceTable {
@@ -25,8 +25,8 @@ class DeviceTable {
       const cells = COLUMNS.map(() => append(row, "td"));
       const button = append(cells[0], "button");
       const chip = append(button, "span", "chip");
-      append(button, "span", "", String(device));
-      button.setAttribute("aria-label", `Device ${device}`);
+      append(button, "span", "", mission.named ? mission.deviceName(device) : String(device));
+      button.setAttribute("aria-label", mission.deviceName(device));
       row.addEventListener("click", () => choose(device));
       return { row, cells, chip, button };
     });
