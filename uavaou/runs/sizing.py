@@ -152,12 +152,14 @@ def at_speed(scenario: Scenario, speed_m_s: float) -> Scenario:
             return [slots(part) for part in value]
         return max(1, round(value * ratio))
 
-    stated = scenario.to_dict()
+    periods = scenario.to_dict()["update_period_slots"]
+    if scenario.layout == "fixed":  # else others would be drawn from a range of other slots
+        periods = scenario.draw_layout().update_period.tolist()
     return scenario.replace(
         speed_m_s=speed_m_s,
         slot_length_s=scenario.slot_length_s / ratio,
         slots=max(2, round(scenario.slots * ratio)),
-        update_period_slots=slots(stated["update_period_slots"]),
+        update_period_slots=slots(periods),
     )
 
 
