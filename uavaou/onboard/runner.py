@@ -95,13 +95,13 @@ def read_policy(path: Path) -> dict[str, Any]:
     epsilon = policy.get("epsilon", "missing")
     if epsilon is not None and not (type(epsilon) in (int, float) and 0 <= epsilon <= 1):
         raise ValueError(f"{path}: epsilon: expected null or a number from 0 to 1")
-    inputs = policy.get("inputs")
-    known = list(inputs) if isinstance(inputs, dict) else []
-    fits = known in (TOKENS[:4], TOKENS)
-    if policy["rows"] == "flat":
-        local = inputs["local"] if isinstance(inputs, dict) and known == ["local"] else None
-        columns = local.get("columns") if isinstance(local, dict) else None
-        fits = isinstance(columns, dict) and len(columns) > 0 and set(columns) <= set(COLUMNS)
+    inputs: Any = policy.get("inputs")
+    flat = policy["rows"] == "flat"
+    try:
+        names = list(inputs["local"]["columns"] if flat else inputs)
+        fits = [*inputs] == ["local"] and names and {*names} <= {*COLUMNS} if flat else names in (TOKENS[:4], TOKENS)
+    except (KeyError, TypeError):  # no objects of these names
+        fits = False
     if not fits:
         raise ValueError(f"{path}: inputs: expected those of rows that are {policy['rows']}")
     return policy

@@ -76,23 +76,13 @@ class Exact(RoutePlanner):
 
         program = Program(scenario, layout)
         left = max(self.most_s - (time.monotonic() - started), 0.0)
-        solution = program.solve(start.routes, left, report)
-        mean = expected_mean_aou(scenario, layout, solution.routes)
-        routes, mean = (solution.routes, mean) if mean <= incumbent else (start.routes, incumbent)
-        bound = min(solution.bound * per_slot, mean)
-        plan = RoutePlan(self.name, mean, routes, bound_s=bound, interrupted=solution.interrupted)
+        routes, total, interrupted = program.solve(start.routes, left, report)
+        mean = expected_mean_aou(scenario, layout, routes)
+        routes, mean = (routes, mean) if mean <= incumbent else (start.routes, incumbent)
+        plan = RoutePlan(self.name, mean, routes, bound_s=min(total * per_slot, mean), interrupted=interrupted)
         if on_progress is not None:
             on_progress(PlanningStatus(1.0, plan.mean_aou_s, plan.bound_s))
         return plan
-
-
-@dataclass(frozen=True)
-class Solution:
-    """The result of HiGHS."""
-
-    routes: Ints  # (K, U, 2)
-    bound: float  # on the total age, in slots squared
-    interrupted: bool
 
 
 def gap_ages(update_period: int, slots: int) -> Ints:
@@ -162,8 +152,8 @@ class Program:
         start: Ints,
         time_limit_s: float = np.inf,
         on_progress: Callable[[float, float], None] = lambda total, bound: None,
-    ) -> Solution:
-        """Return the best routes found and the bound proven.
+    ) -> tuple[Ints, float, bool]:
+        """Return the best routes found (K, U, 2), the bound proven in slots squared, and whether it was interrupted.
 
         Args:
             start: feasible routes to start from, (K, U, 2).
@@ -181,7 +171,7 @@ class Program:
         found = solver.getSolution()
         routes = self._routes_of(np.asarray(found.col_value)) if found.value_valid else start
         bound = float(np.ceil(solver.getInfo().mip_dual_bound - _INTEGRALITY))
-        return Solution(routes, max(bound, 0.0), interrupted)
+        return routes, max(bound, 0.0), interrupted
 
     def relaxation(self) -> tuple[Floats, Floats]:
         """Return the dual of the linear relaxation: prices of collections (K+1, I) and of grid steps (U,), at least 0.
