@@ -221,7 +221,7 @@ class ScenarioFields(Strict):
             yield (
                 f"flight_time_budget_s = {_full(self.flight_time_budget_s)}: take-off and landing alone need "
                 f"2 H / speed = {needed:g} s, {_BREAKS} (Time); "
-                f"{_full(math.ceil(needed * 1000) / 1000)} or more would fit, and so would flight_time: ignore"
+                f"{_full(math.ceil(min(needed, 1e300) * 1000) / 1000)} or more would fit, and so would flight_time: ignore"
             )
 
     def _misfits_of_list(self, field: str) -> Iterator[str]:
