@@ -216,12 +216,12 @@ class ScenarioFields(Strict):
                     break
 
     def _misfits_of_time(self) -> Iterator[str]:
-        needed = 2 * max(self.altitudes_m, default=0.0) / self.speed_m_s
+        needed = min(2 * max(self.altitudes_m, default=0.0) / self.speed_m_s, 1e300)
         if self.flight_time == "enforce" and needed > self.flight_time_budget_s + ZETA_TOLERANCE_S:
             yield (
                 f"flight_time_budget_s = {_full(self.flight_time_budget_s)}: take-off and landing alone need "
                 f"2 H / speed = {needed:g} s, {_BREAKS} (Time); "
-                f"{_full(math.ceil(min(needed, 1e300) * 1000) / 1000)} or more would fit, and so would flight_time: ignore"
+                f"{_full(math.ceil(needed * 1000) / 1000)} or more would fit, and so would flight_time: ignore"
             )
 
     def _misfits_of_list(self, field: str) -> Iterator[str]:

@@ -2,12 +2,12 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any
 
 _TEXT = re.compile(r"\s*([-+]?(?:\d+(?:[.,]\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\W\d_][^\s\d]*)\s*")
 _SLOT_ROUNDING = 1e-6  # slots by which a duration may miss a whole number of them
-_READ_THROUGH = (str, list, tuple, dict)
 _DEEPEST = 8  # lists and mappings inside each other
 _DIGITS = 14  # what a factor adds beyond is rounding noise
 
@@ -46,18 +46,30 @@ def in_own_units(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _converted(name: Any, value: Any, unit: str, slot_s: float | None, depth: int = 0) -> Any:
-    unit = next((own for own in _UNITS if name == own == "slots" or str(name).endswith(f"_{own}")), unit)
+    unit = (isinstance(name, str) and _unit_of(name)) or unit
     if isinstance(value, str):
         return _quantity(value, unit, slot_s) if unit else value
     if depth == _DEEPEST:
         return value
     if isinstance(value, Mapping):
         return {key: _converted(key, part, unit, slot_s, depth + 1) for key, part in value.items()}
-    if isinstance(value, list | tuple) and any(isinstance(part, _READ_THROUGH) for part in value):
-        return [
-            _converted("", part, unit, slot_s, depth + 1) if isinstance(part, _READ_THROUGH) else part for part in value
-        ]
+    if isinstance(value, list | tuple) and _holds_text(value):
+        return [_converted("", part, unit, slot_s, depth + 1) for part in value]
     return value
+
+
+@cache
+def _unit_of(name: str) -> str:
+    return next((unit for unit in _UNITS if name == unit == "slots" or name.endswith(f"_{unit}")), "")
+
+
+def _holds_text(values: Sequence[Any]) -> bool:
+    """Whether there is text, or a mapping, in a list or in the lists in it: most hold many numbers alone."""
+    for _ in range(_DEEPEST):
+        if any(isinstance(part, str | dict) for part in values):
+            return True
+        values = [inner for part in values if isinstance(part, list | tuple) for inner in part]
+    return False
 
 
 def _quantity(text: str, unit: str, slot_s: float | None) -> Any:
