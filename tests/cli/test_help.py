@@ -31,7 +31,7 @@ COMMANDS = {
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
     "route": "SCENARIO --scenario --policy --seconds --knows --format --episodes --seed --out --set --quiet",
     "gap": "SCENARIO RUN --scenario --time-limit --bound-limit --certificate --episodes --seed --set --quiet",
-    "audit": "SCENARIO --scenario --set",
+    "audit": "SCENARIO --scenario --out --set",
     "export": "RUN --out --format --scenario",
     "runs": "--out",
     "scenarios": "",
