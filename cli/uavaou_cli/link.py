@@ -46,7 +46,9 @@ def link(
     It comes home at the end of the mission, at Ctrl-C, when the link is lost, when commands are refused, and when the
     battery is low. A second Ctrl-C commands the autopilot's own return and leaves.
     """
-    from uavaou.csv_tables import write_csv
+    import pandas as pd
+
+    from uavaou.csv_tables import write_table
     from uavaou.field.geodesy import Projection
     from uavaou.link.flight import OVER, Entry, LinkedFlight
     from uavaou.link.mavsdk_autopilot import connect
@@ -73,7 +75,7 @@ def link(
         with suppress(OSError):  # nobody reads it any more, and the flight goes on
             show([_line(entry)])
         if arm:
-            write_csv(path, Entry._fields, entries)
+            write_table(path, pd.DataFrame(entries, columns=Entry._fields))
 
     with connect(url, projection) as aircraft, Interrupts(quiet=True) as interrupts:
         flight = LinkedFlight(pilot, aircraft, radio, names, note, lambda: interrupts.received, silence)
@@ -81,7 +83,7 @@ def link(
         if not arm:
             show([*(f"it could not fly now: {fault}" for fault in flight.faults()), _DRY])
         reason = flight.run() if arm else flight.rehearse()
-    write_csv(path, Entry._fields, entries)
+    write_table(path, pd.DataFrame(entries, columns=Entry._fields))
     show([path])
     if reason != OVER:
         raise typer.Exit(1 if interrupts.received is None else 128 + interrupts.received)

@@ -32,10 +32,16 @@ def read_plan(reading: Reading, content: Mapping[str, Any]) -> None:
     for number, item in enumerate(_flat(reading, mission.get("items", []), 0), 1):
         params = item.get("params")
         command = item.get("command")
-        if item.get("type") == "SimpleItem" and command in _VISITS and isinstance(params, list) and len(params) >= 6:
+        if (
+            item.get("type") == "SimpleItem"
+            and is_number(command)
+            and command in _VISITS
+            and isinstance(params, list)
+            and len(params) >= 6
+        ):
             if any(params[4:6]):  # 0, 0: where the aircraft is
                 _add(reading, f"item {number}", params[4:6], "")
-        elif command not in _HOMES:
+        elif not is_number(command) or command not in _HOMES:
             kind = str(item.get("complexItemType") or f"command {short(command)}")
             others[kind] = others.get(kind, 0) + 1
     if others:
@@ -93,7 +99,8 @@ def _add_fence(reading: Reading, fence: Mapping[str, Any]) -> None:
             else:
                 inner = shape.get("circle")
                 inner = inner if isinstance(inner, dict) else {}
-                if not is_number(radius := inner.get("radius")):
+                radius = inner.get("radius")
+                if not isinstance(radius, int | float) or not is_number(radius):
                     raise reading.error(where, f"radius = {short(radius)}: expected a number of metres")
                 centre = _position(reading, where, inner.get("center"))
                 border = circle(centre, radius, inside=role == "outline") if radius > 0 else ()

@@ -19,6 +19,8 @@ from uavaou.fields import short
 Row = tuple[str, list[Any]]  # where it stands ("line 4"), and its cells
 _SEPARATORS = (",", ";", "\t", "|")
 _MARKS = re.compile(r"\s*[;,|\t]\s*|\s+")
+_POINT = re.compile(r"(?:SRID=\d+;\s*)?POINT\s*Z?\s*\(\s*([-\d.eE]+)[\s,]+([-\d.eE]+)[\s\d.eE-]*\)", re.IGNORECASE)
+_LONGEST_POINT = 200  # letters
 _HEAD = 60  # rows among which the header is looked for
 _NOTHING = {"", "-", "--", "?", "n/a", "na", "nan", "null", "none", "#n/a", "nil", "unknown"}
 _LISTED = 5  # rows that a note names
@@ -66,9 +68,9 @@ def _header(rows: Iterator[Row] | Sequence[Row]) -> tuple[int, dict[str, str]] |
         found = meanings([cell for cell in cells if isinstance(cell, str) and cell])
         if place >= _HEAD:
             break
-        if {"latitude", "longitude"} <= found.keys() or {"x", "y"} <= found.keys() or "place" in found:
-            if sum(math.isfinite(number(cell)) for cell in cells if cell not in ("", None)) < 2:
-                return place, found
+        has_place = {"latitude", "longitude"} <= found.keys() or {"x", "y"} <= found.keys() or "place" in found
+        if has_place and sum(math.isfinite(number(cell)) for cell in cells if cell not in ("", None)) < 2:
+            return place, found
     return None
 
 
@@ -129,12 +131,12 @@ def read_workbook(reading: Reading, data: bytes) -> None:
 
 def _sheet_rows(sheet: Any) -> list[Row]:
     found: list[Row] = []
-    for number, row in enumerate(sheet.iter_rows(values_only=True, max_row=2 * MOST_FEATURES, max_col=200), 1):
+    for line, row in enumerate(sheet.iter_rows(values_only=True, max_row=2 * MOST_FEATURES, max_col=200), 1):
         cells = [cell.strip() if isinstance(cell, str) else "" if cell is None else cell for cell in row]
         while cells and cells[-1] == "":
             cells.pop()
         if cells:
-            found.append((f"row {number}", cells))
+            found.append((f"row {line}", cells))
     return found
 
 
@@ -226,10 +228,8 @@ def _of_cell(reading: Reading, where: str, column: str, value: Any, data: dict[s
             return features_of(reading, json.loads(text.replace("'", '"')), where, rest)
         except (ValueError, RecursionError) as error:
             raise reading.error(where, f"column {short(column)}: {short(text)}: {error}") from None
-    if found := re.fullmatch(
-        r"(?:SRID=\d+;\s*)?(POINT\s*Z?\s*)\(?\s*([-\d.eE]+)[\s,]+([-\d.eE]+)[\s\d.eE-]*\)", text, re.IGNORECASE
-    ):
-        return iter((Feature("point", ((number(found[2]), number(found[3])),), where, rest),))
+    if len(text) < _LONGEST_POINT and (found := _POINT.fullmatch(text)):
+        return iter((Feature("point", ((number(found[1]), number(found[2])),), where, rest),))
     if re.match(r"(SRID=\d+;\s*)?(MULTI|POLYGON|LINESTRING|GEOMETRYCOLLECTION)", text, re.IGNORECASE):
         return features_of(reading, _well_known(reading, where, text), where, rest)
     parts = [part for part in re.split(r"[,;\s]+", text.strip("()[] ")) if part]
