@@ -26,7 +26,7 @@ COMMANDS = {
     "tune": "SCENARIO --scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out "
     "--set --search --quiet",
     "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --knows --out --set --quiet",
-    "fly": "SCENARIO --scenario --policy --seconds --knows --seed --json --out --set --quiet",
+    "fly": "SCENARIO --scenario --policy --seconds --knows --seed --json --out --route --set --quiet",
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --knows --set --quiet",
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
     "route": "SCENARIO --scenario --policy --seconds --knows --format --episodes --seed --out --set --quiet",
