@@ -297,8 +297,10 @@ def _chosen(weights: tuple[float, ...], unit: float) -> int:
     return min(int(np.searchsorted(ends, unit * ends[-1], side="right")), len(weights) - 1)
 
 
-def _range(value: float | tuple[float, ...] | Range) -> tuple[float, ...]:
-    """The values of a quantity of the devices, or the ends of the range that they are drawn from."""
+def _range(value: float | tuple[float, ...] | Range | None) -> tuple[float, ...]:
+    """The values of a quantity of the devices, or the ends of the range that they are drawn from; none for None."""
+    if value is None:
+        return ()
     if isinstance(value, Range):
         return value.low, value.high
     return value if isinstance(value, tuple) else (value,)
@@ -319,6 +321,8 @@ _QUANTITIES = (
     ("transmit powers", "mW", "", "transmit_power_mw"),
     ("noise powers", "dBm", "", "noise_power_dbm"),
     ("reference gains", "dB", "", "gain_db"),
+    ("path-loss exponents", "", "", "path_loss_exponent"),
+    ("excess losses", "dB", "", "excess_loss_db"),
 )
 _ROUNDING = 1e-9  # relative
 
@@ -333,6 +337,8 @@ def beyond(family: Family, scenario: Scenario) -> list[str]:
         of_base, own = (
             [v for name in names.split() for v in _range(getattr(of, name))] for of in (family.base, scenario)
         )
+        if not own or not of_base:  # a radio of another kind
+            continue
         low, high = family.ends(field, of_base)
         drawn_to = scenario.grid_step_m / 2 if field == "area_m" else _ROUNDING * max(abs(low), abs(high))
         if min(own) < low - drawn_to or max(own) > high + drawn_to:

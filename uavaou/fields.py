@@ -23,6 +23,7 @@ from pydantic import (
 )
 
 from uavaou.errors import InputError, all_faults, nearest
+from uavaou.units import MisreadText
 
 
 class Strict(BaseModel):
@@ -48,7 +49,8 @@ def _plain_number(value: Any) -> Any:
     if isinstance(value, bool):
         raise ValueError("expected a number, not true or false")
     if isinstance(value, str):
-        raise ValueError(f"expected a number, not text{number_meant(value)}")
+        reason = value.reason if isinstance(value, MisreadText) else f"expected a number, not text{number_meant(value)}"
+        raise ValueError(reason)
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError("must be a finite number")
     return value

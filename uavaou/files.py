@@ -91,11 +91,11 @@ def folder_name(name: str) -> str:
     return quote(name, safe=" +=,.-_~()")
 
 
-def read_text(path: Path, most_bytes: int) -> str:
-    """Read a UTF-8 text file of at most ``most_bytes``, also unpacked where its name ends in ``.gz``.
+def read_bytes(path: Path, most_bytes: int) -> bytes:
+    """Read a file of at most ``most_bytes``, also unpacked where its name ends in ``.gz``.
 
     Raises:
-        InputError: the file cannot be read, is no regular file, is larger, or is not UTF-8.
+        InputError: the file cannot be read, is no regular file, or is larger.
     """
     try:
         state = path.stat()
@@ -105,19 +105,31 @@ def read_text(path: Path, most_bytes: int) -> str:
         if state.st_size > most_bytes:
             raise InputError(f"{path}: {state.st_size:,} bytes, at most {most_bytes:,} are read")
         if path.suffix != ".gz":
-            return path.read_text(encoding="utf-8")
+            return path.read_bytes()
         with gzip.open(path) as file:
             content = file.read(most_bytes + 1)
         if len(content) > most_bytes:
             raise InputError(f"{path}: more than {most_bytes:,} bytes when unpacked, at most so many are read")
-        return content.decode()
+        return content
     except InputError:
         raise
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise InputError(f"{path}: cannot be read: it is damaged, or not packed by gzip") from error
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8 text: save it as UTF-8"
-        raise InputError(f"{path}: cannot be read: {reason}") from error
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+
+
+def read_text(path: Path, most_bytes: int) -> str:
+    """Read a UTF-8 text file as :func:`read_bytes` does; its line ends become ``\n``.
+
+    Raises:
+        InputError: as there, or the file is not UTF-8.
+    """
+    try:
+        text = read_bytes(path, most_bytes).decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: cannot be read: it is not UTF-8 text: save it as UTF-8") from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_json(path: Path, most_bytes: int = 512_000_000) -> Any:

@@ -17,10 +17,13 @@ import numpy as np
 
 from uavaou.arrays import Floats, Ints
 from uavaou.devices_csv import read_devices_csv, refuse_map
-from uavaou.errors import InputError, all_faults, nearest
+from uavaou.errors import InputError, all_faults, collecting, nearest
 from uavaou.fields import short, validated
+from uavaou.fleet import fit_fleet
 from uavaou.plain_yaml import to_yaml
+from uavaou.radio import drop_superseded, with_radio
 from uavaou.scenario_fields import Range, ScenarioFields, WholeRange
+from uavaou.units import in_own_units
 from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_names, zoo_or_file, zoo_path
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
@@ -49,8 +52,9 @@ class Scenario(ScenarioFields):
     def load(cls, source: str | Path | Scenario) -> Scenario:
         """Load a preset by name or a YAML file by path; return a :class:`Scenario` as it is.
 
-        A file may name a preset under ``base`` and give only the fields that differ. It may name a CSV file of devices
-        under ``devices_csv`` (columns ``x_m, y_m`` and, optionally, ``bandwidth_hz``, ``transmit_power_mw``,
+        A file may name a preset under ``base`` and give only the fields that differ, and a radio under ``radio``; see
+        :func:`~uavaou.radio.with_radio`. Quantities may be text with a unit, ``30 min``. It may name a CSV file of
+        devices under ``devices_csv`` (columns ``x_m, y_m`` and, optionally, ``bandwidth_hz``, ``transmit_power_mw``,
         ``update_period_slots``, ``name``); that path is relative to the YAML file.
 
         Raises:
@@ -66,6 +70,9 @@ class Scenario(ScenarioFields):
             return cls.from_dict(fields["scenario"], source=f"{path}: scenario")
         stated_devices = fields.get("devices")
         faults: list[InputError] = []
+        with collecting(faults):
+            fields = with_radio(fields)
+        fields.pop("radio", None)  # an unknown one is a fault already
         if "base" in fields:
             base = fields.pop("base")
             presets = zoo_names("scenarios")
@@ -76,7 +83,8 @@ class Scenario(ScenarioFields):
             if base is None:
                 raise all_faults(str(path), faults)
             inherited = read_yaml_mapping(zoo_path("scenarios", base))
-            _drop_superseded(inherited, fields)
+            drop_superseded(inherited, fields)
+            fit_fleet(inherited, fields)
             fields = inherited | fields
         with_line: Callable[[str], str] = str
         if "devices_csv" in fields:
@@ -93,23 +101,29 @@ class Scenario(ScenarioFields):
 
     @classmethod
     def from_dict(cls, fields: dict[str, Any], source: str = "scenario") -> Scenario:
-        """Validate a mapping of field names to values.
+        """Validate a mapping of field names to values. Quantities may be text with a unit, ``30 min``.
 
         Raises:
             InputError: it names the field, its value and what is allowed.
             InfeasibleError: each value is allowed, but every flight breaks a constraint.
         """
-        return validated(cls, fields, source, cls.misfits, ("base", "devices_csv"))
+        content = in_own_units(_with_radio(fields, source)) if isinstance(fields, dict) else fields
+        return validated(cls, content, source, cls.misfits, ("base", "devices_csv", "radio"))
 
     def replace(self, /, **changes: Any) -> Scenario:
         """Return a validated copy with some fields changed.
 
+        Where ``uavs`` changes alone, altitudes and CDSs follow (:func:`~uavaou.fleet.fit_fleet`). ``radio`` stands for
+        the fields of a preset (:func:`~uavaou.radio.with_radio`).
+
         Raises:
             InputError: a field is unknown or its new value cannot be used.
         """
-        fields = self.to_dict()
-        _drop_superseded(fields, changes)
-        return type(self).from_dict(fields | changes, source=f"scenario '{self.name}'")
+        source = f"scenario '{self.name}'"
+        fields, changes = self.to_dict(), _with_radio(changes, source)
+        drop_superseded(fields, changes)
+        fit_fleet(fields, changes)
+        return type(self).from_dict(fields | changes, source)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as plain values, without those that are None."""
@@ -138,6 +152,20 @@ class Scenario(ScenarioFields):
     def gain_db(self) -> float:
         """beta_0 in dB."""
         return 10 * math.log10(self.reference_gain)
+
+    @property
+    def link_gain(self) -> float:
+        """The mean power gain over 1 m with the antennas and the excess loss, linear."""
+        return self.reference_gain * float(10.0 ** ((self.antenna_gain_db - self.excess_loss_db) / 10))
+
+    @property
+    def threshold(self) -> str:
+        """What a device needs to be in range, in words."""
+        if self.rate_min_bit_s is not None:
+            return f"R_min = {self.rate_min_bit_s / 1000:g} kbit/s"
+        if self.snr_min_db is not None:
+            return f"the minimum SNR of {self.snr_min_db:g} dB"
+        return f"the sensitivity of {self.sensitivity_dbm:g} dBm"
 
     @property
     def altitudes(self) -> Floats:
@@ -200,6 +228,13 @@ class Scenario(ScenarioFields):
         return np.broadcast_to(np.asarray(spec, dtype=np.float64), (self.devices,)).copy()
 
 
+def _with_radio(fields: dict[str, Any], source: str) -> dict[str, Any]:
+    try:
+        return with_radio(fields)
+    except InputError as error:
+        raise all_faults(source, [error]) from None
+
+
 _NOT_HERE = {
     "no_?fly|zone|fence|obstacle|building": "no_fly lists zones, each with polygon_m and, if it has them, floor_m, "
     "ceiling_m, margin_m and name; outline_m is where UAVs may fly",
@@ -221,11 +256,3 @@ def _advised(fault: str) -> str:
         if re.match("the fields? [\\w, ]+ missing$", fault)
         else fault
     )
-
-
-def _drop_superseded(fields: dict[str, Any], changes: dict[str, Any]) -> None:
-    """Remove the inherited form of the reference gain if ``changes`` give the other form."""
-    forms = ("carrier_frequency_hz", "reference_gain_db")
-    for given, other in (forms, forms[::-1]):
-        if changes.get(given) is not None and changes.get(other) is None:
-            fields.pop(other, None)

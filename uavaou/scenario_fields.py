@@ -6,7 +6,7 @@ from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from uavaou.arrays import Floats
 from uavaou.errors import InfeasibleError, InputError, all_faults
@@ -25,6 +25,7 @@ from uavaou.fields import (
     Unbounded,
     Whole,
 )
+from uavaou.radio import PAPER_CHANNEL, Environment, ExcessLoss, PathLossExponent
 from uavaou.zones import Georeference, Names, Polygon, Zones, free_legs
 
 ZETA_TOLERANCE_S = 1e-6  # slack in comparisons of flight times
@@ -81,7 +82,7 @@ class ScenarioFields(Strict):
     rician_factor: NonNegative  # Phi, linear
     fading: Literal["rician", "none"] = "rician"
     noise_power_dbm: Decibels  # sigma^2
-    rate_min_bit_s: Positive  # R_min
+    rate_min_bit_s: Positive | None = None  # R_min
     bandwidth_hz: Positive | tuple[Positive, ...] | Range  # B_i
     transmit_power_mw: Positive | tuple[Positive, ...] | Range  # P_i
     update_period_slots: Period | tuple[Period, ...] | WholeRange  # k_i
@@ -95,6 +96,13 @@ class ScenarioFields(Strict):
     no_fly: Zones = None
     device_names: Names = None
     uav_names: Names = None
+    # Beyond the paper; what gives its channel stands in no file.
+    path_loss_exponent: PathLossExponent = 2.0  # eta
+    excess_loss_db: ExcessLoss = 0.0
+    line_of_sight: Environment = None
+    antenna_gain_db: Decibels = 0.0  # of both ends together
+    snr_min_db: Decibels | None = None  # in place of R_min
+    sensitivity_dbm: Decibels | None = None  # in place of R_min
 
     @property
     def columns(self) -> int:
@@ -105,6 +113,11 @@ class ScenarioFields(Strict):
     def rows(self) -> int:
         """Number of grid cells along y."""
         return round(self.area_y_m / self.grid_step_m) + 1
+
+    @model_serializer(mode="wrap")
+    def _without_paper_channel(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        usual = {name for name, value in PAPER_CHANNEL.items() if getattr(self, name) == value}
+        return {name: value for name, value in handler(self).items() if name not in usual}
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -132,6 +145,7 @@ class ScenarioFields(Strict):
         area = "area_x_m area_y_m grid_step_m"
         checks: tuple[tuple[str, Callable[[], Iterator[str]]], ...] = (
             ("carrier_frequency_hz reference_gain_db", self._misfits_of_gain),
+            ("rate_min_bit_s snr_min_db sensitivity_dbm", self._misfits_of_threshold),
             (area, self._misfits_of_grid),
             ("uavs devices", self._misfits_of_size),
             ("uavs altitudes_m", self._misfits_of_altitudes),
@@ -150,6 +164,13 @@ class ScenarioFields(Strict):
     def _misfits_of_gain(self) -> Iterator[str]:
         if (self.carrier_frequency_hz is None) == (self.reference_gain_db is None):
             yield "give carrier_frequency_hz (such as 3.5e9) or reference_gain_db (such as -43.3), one of the two"
+
+    def _misfits_of_threshold(self) -> Iterator[str]:
+        if [self.rate_min_bit_s, self.snr_min_db, self.sensitivity_dbm].count(None) != 2:
+            yield (
+                "give rate_min_bit_s (such as 150000), snr_min_db (such as -7.5) or sensitivity_dbm (such as -100), "
+                "one of the three"
+            )
 
     def _misfits_of_grid(self) -> Iterator[str]:
         step = self.grid_step_m

@@ -9,6 +9,20 @@ from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED, LARGEST_SEED
 from uavaou.files import write_json
 from uavaou_cli.evaluate import evaluation_lines
+from uavaou_cli.import_ import (
+    Crs,
+    Endurance,
+    Interval,
+    MapOptions,
+    Radio,
+    Speed,
+    Station,
+    Uavs,
+    Within,
+    is_map,
+    read_map_field,
+    write_map_field,
+)
 from uavaou_cli.options import (
     Changes,
     Knows,
@@ -53,6 +67,14 @@ def fly(
     route: Annotated[
         list[str] | None, option("Also write its routes: plan, wpl, kml, geojson or csv. Repeatable.", "FORMAT")
     ] = None,
+    uavs: Uavs = None,
+    station: Station = None,
+    radio: Radio = None,
+    crs: Crs = None,
+    speed: Speed = None,
+    endurance: Endurance = None,
+    interval: Interval = None,
+    within: Within = None,
     set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
@@ -61,22 +83,34 @@ def fly(
     Prints how fresh each policy keeps the data, which one is served, and its mission beside that of the next best.
     Writes a page that replays both in a browser, the mission as JSON, and its pictures. `uavaou plot trajectories` also
     draws PDFs. --route adds what `uavaou route` writes.
+
+    SCENARIO may be a map file, such as sensors.geojson: it is imported first, as `uavaou import` does.
     """
     from uavaou.planners import planner_knowledge
     from uavaou.runs.comparison import make_policy
     from uavaou.runs.names import flight_folder, scenario_folder
     from uavaou.scenario import Scenario
-    from uavaou.world.knowledge import within
+    from uavaou.world.knowledge import within as knows_enough
 
     overrides = parse_overrides(set_ or [])
     overrides.only_of_scenario("a policy flies as it is")
-    base = Scenario.load(needed_scenario(scenario, scenario_option))
+    source = needed_scenario(scenario, scenario_option)
+    field = None
+    options = MapOptions(uavs, station, radio, crs, speed, endurance, interval, within)
+    if is_map(source):
+        field, base = read_map_field([Path(source)], options)
+    else:
+        options.refuse(source)
+        base = Scenario.load(source)
     flown = overrides.of_scenario(base)
     place = Path("results") / scenario_folder(base, overrides.scenario) / "fly"
     folder = out or place / flight_folder([policy])
     writable_folder(folder)
     if route:
         check_routes(flown, route)
+    if field is not None:
+        write_map_field(field, base, (out or place.parent) / "field")
+        show([""])
     if json is not None:
         writable_file(json)
     notes: list[Path] = []
@@ -95,7 +129,9 @@ def fly(
     else:
         if json is not None:
             raise InputError(f"--json {json}: holds what a rehearsal has found, and --policy {policy} needs none")
-        reference = next(name for name in _REFERENCES if name != policy and within(planner_knowledge(name), knows))
+        reference = next(
+            name for name in _REFERENCES if name != policy and knows_enough(planner_knowledge(name), knows)
+        )
         policies = {name: make_policy(name, flown, knows=knows) for name in (policy, reference)}
     _fly(flown, policies, seed, folder, overrides.scenario, quiet)
     if ages:

@@ -20,7 +20,7 @@ from typer.core import TyperGroup
 
 from uavaou.errors import InputError, nearest, unknown
 from uavaou.runs.interrupt import exit_code, interrupt_at_sigterm, was_interrupt
-from uavaou_cli import evaluate, export, fly, plan, plot, replay, route, runs, scenarios, study, train, tune
+from uavaou_cli import evaluate, export, fly, import_, plan, plot, replay, route, runs, scenarios, study, train, tune
 from uavaou_cli.options import given_path, option
 
 BAD_INPUT = 2
@@ -64,6 +64,7 @@ _STYLE: dict[str, Any] = {
     "rich_markup_mode": None,  # rich alone takes longer to import than the help takes to print
 }
 app = typer.Typer(**_STYLE, pretty_exceptions_enable=False)
+app.command("import", short_help="Make a scenario of maps, missions and tables of sensors.")(import_.import_)
 app.command("fly", short_help="Fly one mission of a scenario and draw its map.")(fly.fly)
 app.command("train", short_help="Train a policy.")(train.train)
 app.command("tune", short_help="Search for better settings of an algorithm.")(tune.tune)

@@ -30,7 +30,7 @@ class Overrides:
         """
         if not self.scenario:
             return base
-        fields = dict.fromkeys((*type(base).model_fields, "devices_csv")) | base.to_dict()
+        fields = dict.fromkeys((*type(base).model_fields, "devices_csv", "radio")) | base.to_dict()
         changes = _changes("scenario", self.scenario, fields)
         faults: list[InputError] = []
         with_line: Callable[[str], str] = str

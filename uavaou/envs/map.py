@@ -101,7 +101,7 @@ def _number_cds(axes: Axes, place: tuple[float, float], uavs: list[int]) -> None
     number.set(ha="center", va="center", zorder=4.5, path_effects=[withStroke(linewidth=1.5, foreground="white")])
 
 
-def _draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:
+def draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:
     """A disc around each device: where the UAV of middle altitude reaches R_min without fading."""
     radius = drawn_radius(scenario, layout)  # (I,) m
     discs = [Circle(tuple(place), float(r)) for place, r in zip(layout.positions, radius, strict=True) if r > 0]
@@ -201,7 +201,7 @@ def _frame_ground(
     layout = Layout(places, np.frombuffer(bandwidth), np.frombuffer(transmit_power), periods)
     figure, axes = _frame()
     draw_ground(axes, scenario)
-    _draw_coverage(axes, scenario, layout)
+    draw_coverage(axes, scenario, layout)
     bar = figure.add_axes((0.87, 0.09, 0.025, 0.83))
     add_age_bar(axes, age_scale(scenario, layout), "age sum of the device (slots)", cax=bar)
     ground = _pixels(figure)

@@ -82,7 +82,8 @@ class ViolationCounter:
         self._area = np.array([scenario.area_x_m, scenario.area_y_m])  # (2,) m
         self._cds = np.array(scenario.cds_m, dtype=np.float64)  # (U, 2) m
         self._altitude = np.array(scenario.altitudes_m, dtype=np.float64)  # (U,) m
-        self._gain_per_noise = _reference_gain(scenario) / 10 ** ((scenario.noise_power_dbm - 30) / 10)  # 1/W
+        self._noise = 10 ** ((scenario.noise_power_dbm - 30) / 10)  # W
+        self._gain_per_noise = _reference_gain(scenario) / self._noise  # 1/W
         self._rngs = [np.random.default_rng(seed + mission) for mission in range(missions)]
         self._zoned = scenario.outline_m is not None or scenario.no_fly is not None
         self._start()
@@ -190,7 +191,7 @@ class ViolationCounter:
             self._check_pairs()
 
     def _check_pairs(self) -> None:
-        """(Rate): B log2(1 + Gamma) >= R_min for every collected pair; Gamma is the channel's for every pair."""
+        """(Rate): collected pairs are in range, B log2(1 + Gamma) >= R_min; Gamma is the channel's for every pair."""
         if not self._pairs:  # a full block was checked in the last slot
             return
         pairs = _Pairs(*map(np.concatenate, zip(*self._pairs, strict=True)))
@@ -199,15 +200,36 @@ class ViolationCounter:
         device = {name: values[row, pairs.device] for name, values in self._layout.items()}  # (M, ...)
         ground = pairs.place - device["positions"]  # (M, 2) m
         squared = np.einsum("ma,ma->m", ground, ground) + self._altitude[pairs.uav] ** 2  # (M,) m^2
-        unfaded = device["transmit_power"] * self._gain_per_noise / squared  # (M,) P beta_0 / (sigma^2 d^2)
+        loss = self._path_loss(squared, self._altitude[pairs.uav])  # (M,) d^2 in free space
+        unfaded = device["transmit_power"] * self._gain_per_noise / loss  # (M,) P beta_0 / (sigma^2 d^2)
         expected = unfaded * self._fading(pairs)  # (M,) Gamma
         slack = _RELATIVE_SLACK * (expected + unfaded)  # a deep fade is a difference of larger numbers
-        rate = device["bandwidth"] * np.log2(1 + expected)  # (M,) bit/s
-        least = self.scenario.rate_min_bit_s
+        rate, least = self._compared(expected, device["bandwidth"])  # (M,)
         reaches = rate >= least * (1 - _RELATIVE_SLACK)
         right = np.abs(pairs.snr - expected) <= slack  # not of a NaN
         out_of_range = ~pairs.collected & (pairs.snr == 0.0) & (rate <= least * (1 + _RELATIVE_SLACK))
         np.add.at(self._counts["rate"], pairs.mission, ~(right & reaches | out_of_range))
+
+    def _path_loss(self, squared: Floats, altitude: Floats) -> Floats:
+        """d^eta, times the excess loss and the mean loss of line of sight, less the antennas' gain, at d^2, (M,)."""
+        scenario, sight = self.scenario, self.scenario.line_of_sight
+        loss = squared ** (scenario.path_loss_exponent / 2) * 10 ** (scenario.excess_loss_db / 10)
+        loss /= 10 ** (scenario.antenna_gain_db / 10)
+        if sight is None:
+            return np.asarray(loss)
+        elevation = np.rad2deg(np.arctan2(altitude, np.sqrt(np.maximum(squared - altitude**2, 0))))
+        seen = 1 / (1 + sight.a * np.exp(-sight.b * (elevation - sight.a)))
+        return np.asarray(loss * 10 ** ((seen * sight.loss_los_db + (1 - seen) * sight.loss_nlos_db) / 10))
+
+    def _compared(self, snr: Floats, bandwidth: Floats) -> tuple[Floats, float]:
+        """What decides whether a pair is in range, (M,), and the least that does: a rate, an SNR or a power in W."""
+        scenario = self.scenario
+        if scenario.rate_min_bit_s is not None:
+            return bandwidth * np.log2(1 + snr), scenario.rate_min_bit_s
+        if scenario.snr_min_db is not None:
+            return snr, 10 ** (scenario.snr_min_db / 10)
+        assert scenario.sensitivity_dbm is not None
+        return snr * self._noise, 10 ** ((scenario.sensitivity_dbm - 30) / 10)
 
     def _fading(self, pairs: _Pairs) -> Floats:
         """|sqrt(Phi/(Phi+1)) xi_LoS + sqrt(1/(Phi+1)) xi_NLoS|^2 of each pair, from the key of its mission, (M,).

@@ -47,7 +47,7 @@ class Point(BaseModel, frozen=True, extra="forbid"):
     @field_validator("set", mode="before")
     @classmethod
     def _known_fields(cls, value: Any) -> Any:
-        known = [name for name in Scenario.model_fields if name not in ("name", "description")]
+        known = [name for name in Scenario.model_fields if name not in ("name", "description")] + ["radio"]
         for name in value if isinstance(value, dict) else []:
             if name in ("name", "description"):
                 raise ValueError(f"a point cannot change a scenario's {name}")
@@ -162,7 +162,7 @@ def _resolve(suite: Suite, point: Point, base: Scenario) -> ResolvedPoint:
         return ResolvedPoint(point, scenario)
     who = "no device can be" if hopeless.all() else f"{hopeless.sum()} of {scenario.devices} devices can never be"
     reason = (
-        f"{who} served: R_min = {scenario.rate_min_bit_s / 1000:g} kbit/s is met with probability "
+        f"{who} served: {scenario.threshold} is met with probability "
         f"{best[hopeless].max():.2g} a slot at the best cell (constraint Rate)"
     )
     return ResolvedPoint(point, None, reason) if hopeless.all() else ResolvedPoint(point, scenario, remark=reason)

@@ -20,6 +20,7 @@ from uavaou.files import replacing, write_text, writing
 from uavaou.onboard import runner
 from uavaou.onboard.columns import NOTATION, SOURCES, describe_inputs
 from uavaou.onboard.graph import inputs_of, make_graph, optional
+from uavaou.radio import THRESHOLDS
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy, load_run
 from uavaou.scenario import Scenario
@@ -136,7 +137,7 @@ def describe_mission(scenario: Scenario, plan: Plans | None = None) -> dict[str,
         "area_m": [scenario.area_x_m, scenario.area_y_m],
         "grid_step_m": scenario.grid_step_m,
         "speed_m_s": scenario.speed_m_s,
-        "rate_min_bit_s": scenario.rate_min_bit_s,
+        **{form: least for form in THRESHOLDS if (least := getattr(scenario, form)) is not None},
         "altitude_m": list(scenario.altitudes_m),
         "cds_m": (scenario.cds_cells * scenario.grid_step_m).tolist(),
         "budget_steps": world.flight.budget.tolist(),

@@ -43,6 +43,7 @@ def audit(scenario: Scenario) -> Audit:
 def audit_lines(result: Audit) -> list[str]:
     """Write an audit as lines of plain text: the findings under the table of devices."""
     scenario = result.scenario
+    in_range = "R >= R_min holds" if scenario.rate_min_bit_s is not None else f"{scenario.threshold} is met"
     lines = [
         f"Scenario {scenario.name}: {scenario.devices} devices, {scenario.uavs} UAVs, "
         f"{scenario.columns} x {scenario.rows} cells of {plain(scenario.grid_step_m)} m, "
@@ -51,9 +52,9 @@ def audit_lines(result: Audit) -> list[str]:
         *_table(result),
         *([f"({_DEVICES_SHOWN} devices that are hardest to reach)"] if scenario.devices > _DEVICES_SHOWN else []),
         "",
-        "radius: on the ground, in m, within which R >= R_min holds without fading; - out of range even right below",
+        f"radius: on the ground, in m, within which {in_range} without fading; - out of range even right below",
         "cells: grid cells from which some UAV is within that radius",
-        "P: probability of R >= R_min in a slot, over all UAVs and cells",
+        f"P: probability that {in_range} in a slot, over all UAVs and cells",
         "",
     ]
     for finding in result.findings:

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from uavaou.arrays import Floats, Ints
+from uavaou.radio import THRESHOLDS
 from uavaou.reports.link_budget import LinkBudget, there_and_back
 from uavaou.scenario import SPEED_OF_LIGHT_M_S, Layout, Scenario
 from uavaou.scenario_fields import ZETA_TOLERANCE_S
@@ -62,12 +63,17 @@ def findings(scenario: Scenario, layout: Layout, budget: LinkBudget) -> Iterator
 def _check_rate(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     """Whether R_min ever prevents a communication."""
     lowest, at_cds = float(budget.lowest.min()), float(budget.at_cds.min())
-    r_min = f"R_min = {_si(scenario.rate_min_bit_s, 'bit/s')}"
-    change = "raise rate_min_bit_s, or lower bandwidth_hz, transmit_power_mw or the reference gain"
+    least = scenario.rate_min_bit_s
+    r_min = scenario.threshold if least is None else f"R_min = {_si(least, 'bit/s')}"
+    change = (
+        f"raise {_threshold_field(scenario)}, lower {_strength(scenario)} or the reference gain, or state "
+        "the losses of the place: path_loss_exponent, excess_loss_db, line_of_sight"
+    )
     if lowest > _CERTAIN:
         message = (
-            f"{r_min} is met with probability {_probability(lowest)} or more from every cell to every device: it never "
-            "binds, collecting everything from the CDS keeps every age near 0, and there is nothing to learn."
+            f"the radio reaches everything from everywhere: {r_min} is met with probability {_probability(lowest)} or "
+            "more from every cell to every device. It never binds, collecting everything from the CDS keeps every age "
+            "near 0 with any policy, and there is nothing to learn."
         )
         yield Finding("error", "rate", lowest, message, change)
     elif at_cds > _CERTAIN:
@@ -84,14 +90,17 @@ def _check_rate(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
         yield Finding("warning", "rate", everywhere, message, change)
     else:
         share = float(budget.mean.mean())
-        message = f"R_min binds: from a cell taken at random, a UAV has a device in range with probability {share:.3f}."
+        message = (
+            f"{_threshold_name(scenario)} binds: from a cell taken at random, a UAV has a device in range with "
+            f"probability {share:.3f}."
+        )
         yield Finding("note", "rate", share, message)
 
 
 def _check_radio(scenario: Scenario, layout: Layout, budget: LinkBudget) -> Iterator[Finding]:
     """The rate at the far corner, bandwidth and noise power, each against what radio allows."""
     far = float(np.median(budget.far_rate))
-    margin = far / scenario.rate_min_bit_s
+    margin = far / (scenario.rate_min_bit_s or math.inf)  # of a rate alone: what else there is, is met by the SNR
     if margin >= _AMPLE:
         message = (
             f"at its farthest corner of the grid half of the devices still reach {_si(far, 'bit/s')} or more "
@@ -244,13 +253,12 @@ def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
         change = "shrink the zones or their margins, widen the outline, or let a UAV fly above or below"
         yield Finding("error" if shut_off.all() else "warning", "zones", int(shut_off.sum()), message, change)
     hopeless &= ~shut_off
-    change = (
-        "raise transmit_power_mw or bandwidth_hz, lower altitudes_m or rate_min_bit_s, or choose another layout_seed"
-    )
+    places = "choose another layout_seed" if scenario.devices_m is None else "move the devices, or the area"
+    change = f"raise {_strength(scenario)}, lower altitudes_m or {_threshold_field(scenario)}, or {places}"
     if hopeless.any():
         message = (
-            f"{_listed('device', np.flatnonzero(hopeless))} can never be served: from every cell out of every UAV's "
-            "range without fading, and with it R_min is met with probability "
+            f"cannot reach these: {_listed('device', np.flatnonzero(hopeless))} can never be served. From every cell "
+            f"out of every UAV's range without fading, and with it {_threshold_name(scenario)} is met with probability "
             f"{best[hopeless].max():.2g} a slot at best."
         )
         level: Level = "error" if hopeless.all() else "warning"
@@ -281,6 +289,19 @@ def _check_places(scenario: Scenario, layout: Layout) -> Iterator[Finding]:
     if len(devices_at) > 1 and span < scenario.grid_step_m / 10:
         message = f"all devices lie within {_metres(span)}, less than a tenth of a grid step."
         yield Finding("warning", "places", span, message, "check that positions are in metres")
+
+
+def _threshold_field(scenario: Scenario) -> str:
+    return next(form for form in THRESHOLDS if getattr(scenario, form) is not None)
+
+
+def _strength(scenario: Scenario) -> str:
+    """The fields of a device that bring it into range."""
+    return "bandwidth_hz or transmit_power_mw" if scenario.rate_min_bit_s is not None else "transmit_power_mw"
+
+
+def _threshold_name(scenario: Scenario) -> str:
+    return "R_min" if scenario.rate_min_bit_s is not None else scenario.threshold
 
 
 # -- quantities as text -------------------------------------------------------------------------------

@@ -1,7 +1,8 @@
 """The air-to-ground channel: Rician block fading, SNR and rate (the paper's "Communication Model").
 
 h = sqrt(beta_0) / d * ( sqrt(Phi/(Phi+1)) xi_LoS + sqrt(1/(Phi+1)) xi_NLoS ),
-Gamma = P |h|^2 / sigma^2, R = B log2(1 + Gamma).
+Gamma = P |h|^2 / sigma^2, R = B log2(1 + Gamma). With a radio of another kind, the mean of |h|^2 is that of
+:mod:`uavaou.world.path_loss`, and a device is in range by its SNR or by its received power P |h|^2.
 
 The fading of slot t, UAV u and device i is a counter-based random number: a function of the key of the mission and of
 (t, u, i). So it depends on no action and on no other mission, and values that cannot bring a device into range need
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from uavaou.arrays import Floats
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
+from uavaou.world.path_loss import loss_above, ratio_at, sight_of, weakening
 
 Keys = NDArray[np.uint64]
 
@@ -95,6 +97,28 @@ def _mean_snr(
 
 
 @compiled
+def _mean_snr_weakened(
+    positions: Floats,
+    device_x: Floats,
+    device_y: Floats,
+    altitude_squared: Floats,
+    snr_above: Floats,
+    exponent: float,
+    sight: Floats,
+    snr: Floats,
+) -> None:
+    missions, uavs, devices = snr.shape
+    for n in range(missions):
+        row = n if len(device_x) > 1 else 0
+        for u in range(uavs):
+            for i in range(devices):
+                dx = positions[n, u, 0] - device_x[row, i]
+                dy = positions[n, u, 1] - device_y[row, i]
+                ratio = 1.0 + (dx * dx + dy * dy) / altitude_squared[u]
+                snr[n, u, i] = snr_above[row, u, i] / weakening(ratio, exponent, sight)
+
+
+@compiled
 def _fade(keys: Keys, slot: int, rician_factor: float, snr_min: Floats, all_pairs: bool, snr: Floats) -> None:
     """Replace mean SNRs by those of a slot; SNRs below the minimum become 0 unless ``all_pairs`` is true."""
     missions, uavs, devices = snr.shape
@@ -122,6 +146,16 @@ def _fade(keys: Keys, slot: int, rician_factor: float, snr_min: Floats, all_pair
                 second = uniform(random_bits(keys[n], start + 2 * i + 1))
                 faded = mean[i] * rician_power_gain(first[i], second, line_of_sight, scattered)
                 snr[n, u, i] = faded if all_pairs or faded >= least[i] else 0.0
+
+
+def least_snr(scenario: Scenario, bandwidth: Floats) -> Floats:
+    """Return the smallest SNR at which a device is in range, for each bandwidth in Hz, in the same shape."""
+    if scenario.rate_min_bit_s is not None:
+        return minimum_snr(bandwidth, scenario.rate_min_bit_s)
+    if scenario.snr_min_db is not None:
+        return np.full_like(bandwidth, 10.0 ** (scenario.snr_min_db / 10))
+    assert scenario.sensitivity_dbm is not None  # the validator asks for one of the three
+    return np.full_like(bandwidth, 10.0 ** ((scenario.sensitivity_dbm - scenario.noise_power_dbm) / 10))
 
 
 def minimum_snr(bandwidth: Floats, rate_min: float) -> Floats:
@@ -168,6 +202,8 @@ class Channel:
     def __init__(self, scenario: Scenario, missions: int) -> None:
         self._scenario = scenario
         self._altitude_squared = scenario.altitudes**2  # (U,) m^2
+        self._loss_above, self._sight = loss_above(scenario), sight_of(scenario)  # (U,), (4,) or (0,)
+        self._free_space = scenario.path_loss_exponent == 2 and scenario.line_of_sight is None
         self.keys = np.zeros(missions, dtype=np.uint64)
 
     def set_devices(self, positions: Floats, bandwidth: Floats, transmit_power: Floats) -> None:
@@ -176,8 +212,8 @@ class Channel:
         self._device_y = np.ascontiguousarray(positions[..., 1])  # (L, I) m
         self.bandwidth = bandwidth  # (L, I) Hz
         self.transmit_power = transmit_power  # (L, I) W
-        self.snr_min = minimum_snr(bandwidth, self._scenario.rate_min_bit_s)  # (L, I)
-        self._snr_at_1_m = transmit_power * self._scenario.reference_gain / self._scenario.noise_power_w  # (L, I)
+        self.snr_min = least_snr(self._scenario, bandwidth)  # (L, I)
+        self._snr_at_1_m = transmit_power * self._scenario.link_gain / self._scenario.noise_power_w  # (L, I)
 
     def start_missions(self, rngs: list[np.random.Generator]) -> None:
         """Draw the key of each mission from its generator."""
@@ -187,12 +223,23 @@ class Channel:
         """Return the SNR without fading for UAVs at ``positions`` (N, U, 2) m; (N, U, I)."""
         positions = np.require(positions, requirements=("C", "W"))  # each other layout would be compiled anew
         snr = np.empty((*positions.shape[:2], self._device_x.shape[1]))  # (N, U, I)
-        _mean_snr(positions, self._device_x, self._device_y, self._altitude_squared, self._snr_at_1_m, snr)
+        places = positions, self._device_x, self._device_y, self._altitude_squared
+        if self._free_space:
+            _mean_snr(*places, self._snr_at_1_m, snr)
+        else:
+            exponent = self._scenario.path_loss_exponent
+            _mean_snr_weakened(*places, self.mean_snr_above(), exponent, self._sight, snr)
         return snr
 
     def mean_snr_above(self) -> Floats:
         """Return the SNR without fading of each UAV right above each device, (L, U, I)."""
-        return self._snr_at_1_m[:, None, :] / self._altitude_squared[:, None]
+        return self._snr_at_1_m[:, None, :] / self._loss_above[:, None]
+
+    def coverage_radius(self) -> Floats:
+        """Return the ground radius in which the mean SNR is enough, (L, U, I) m; 0 where it nowhere is."""
+        ratio = ratio_at(self._scenario, self.mean_snr_above() / self.snr_min[:, None, :])  # (L, U, I)
+        radius: Floats = self._scenario.altitudes[:, None] * np.sqrt(np.maximum(ratio - 1.0, 0.0))
+        return radius
 
     def snr(self, positions: Floats, slot: int, all_pairs: bool = True) -> Floats:
         """Return the SNR Gamma_iu in a slot, for UAVs at ``positions`` (N, U, 2) m; (N, U, I).

@@ -17,8 +17,9 @@ from scipy.special import i0e
 
 from uavaou.arrays import Floats
 from uavaou.scenario import Layout, Scenario
-from uavaou.world.channel import Channel, minimum_snr
+from uavaou.world.channel import Channel, least_snr
 from uavaou.world.flight import closed_cells
+from uavaou.world.path_loss import ratio_at
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -47,14 +48,15 @@ def mean_snr(scenario: Scenario, layout: Layout, positions: Floats) -> Floats:
 def coverage_radius(scenario: Scenario, layout: Layout) -> Floats:
     """Return the ground radius in m within which R_iu >= R_min without fading, (U, I).
 
-    From d^2 = r^2 + H_u^2 and Gamma_0 = Gamma_min: r = H_u sqrt(Gamma_0(r = 0) / Gamma_min - 1). NaN means
-    that even a UAV right above the device is too far (no distance compares as within NaN); 0 means right above only.
+    There Gamma_0 is the least SNR that is enough, Gamma_min. In the paper's channel, with d^2 = r^2 + H_u^2, this is
+    r = H_u sqrt(Gamma_0(r = 0) / Gamma_min - 1). NaN means that even a UAV right above the device is too far (no
+    distance compares as within NaN); 0 means right above only.
     """
     below = replace(layout, positions=np.zeros_like(layout.positions))
-    snr_min = minimum_snr(layout.bandwidth, scenario.rate_min_bit_s)  # (I,)
+    snr_min = least_snr(scenario, layout.bandwidth)  # (I,)
     with np.errstate(invalid="ignore"):
         headroom = mean_snr(scenario, below, np.zeros(2)) / snr_min  # (U, I)
-        return scenario.altitudes[:, None] * np.sqrt(headroom - 1.0)  # (U, I) m
+        return scenario.altitudes[:, None] * np.sqrt(ratio_at(scenario, headroom) - 1.0)  # (U, I) m
 
 
 def drawn_radius(scenario: Scenario, layout: Layout) -> Floats:
@@ -95,7 +97,7 @@ def coverage_probability(scenario: Scenario, layout: Layout) -> Floats:
 
 def _exceedance(scenario: Scenario, layout: Layout, snr: Floats) -> Floats:
     """Return P(R_iu >= R_min) in a slot at a mean ``snr`` (..., I) of each device, in the same shape."""
-    snr_min = minimum_snr(layout.bandwidth, scenario.rate_min_bit_s)  # (I,)
+    snr_min = least_snr(scenario, layout.bandwidth)  # (I,)
     if scenario.fading == "none":
         return (snr >= snr_min).astype(np.float64)
     with np.errstate(divide="ignore", over="ignore"):

@@ -96,8 +96,7 @@ def told_before_take_off(world: World, plan: Plans | None) -> tuple[Floats, Bool
         :func:`steps_left`, returns, (L, U, C, I).
     """
     scenario, channel = world.scenario, world.channel
-    headroom = channel.mean_snr_above() / channel.snr_min[:, None, :]  # (L, U, I)
-    radius = scenario.altitudes[:, None] * np.sqrt(np.maximum(headroom - 1.0, 0.0)) / scenario.grid_step_m
+    radius = channel.coverage_radius() / scenario.grid_step_m
     plans = None if plan is None else plan.for_maps(world)
     if plans is not None:
         return radius, np.stack([each.serves for each in plans]), planned_steps(world, plans)

@@ -15,6 +15,7 @@ from uavaou.scenario import Scenario
 from uavaou.threads import Tasks
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import moves_along_legs, open_moves, steps_from
+from uavaou.world.path_loss import ratio_at
 from uavaou.world.patrol import improve_in_flight, patrol_area, plans_age_sums, without_return
 from uavaou.world.pull import gain_needed
 from uavaou.world.world import World
@@ -69,7 +70,8 @@ def parts_in_flight(world: World) -> tuple[Ints, Floats]:
 def _known_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, scenario: Scenario) -> tuple[Ints, float]:
     """Return :func:`_best_plan`, once found: the same map is in the scenario that is flown and in those of planners."""
     arrays = positions, headroom, period, cds, scenario.altitudes / scenario.grid_step_m, open_moves(scenario)
-    numbers = scenario.columns, scenario.rows, scenario.slots, scenario.fading, scenario.rician_factor
+    of_channel = scenario.fading, scenario.rician_factor, scenario.path_loss_exponent, scenario.line_of_sight
+    numbers = scenario.columns, scenario.rows, scenario.slots, *of_channel
     key = sha256(b"".join(array.tobytes() for array in arrays) + repr(numbers).encode()).digest()
     if key not in _PLANS:
         if len(_PLANS) == _MOST_PLANS:
@@ -85,7 +87,7 @@ def _best_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, sce
         plan = np.zeros(len(period), dtype=np.int64)
         return plan, float(plans_age_sums(area, plan[None], len(area.draws))[0])
     altitude = scenario.altitudes[:, None] / scenario.grid_step_m
-    radius = altitude * np.sqrt(np.maximum(headroom - 1.0, 0.0))  # (U, I) grid steps
+    radius = altitude * np.sqrt(np.maximum(ratio_at(scenario, headroom) - 1.0, 0.0))  # (U, I) grid steps
     covered = (radius > 0) | ~(radius > 0).any(axis=0)  # (U, I)
     ways = np.abs(positions[:, None] - positions).sum(axis=-1)  # (I, I), or with zones (U, I, I)
     if (target := moves_along_legs(scenario)) is not None:

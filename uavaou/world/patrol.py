@@ -16,6 +16,7 @@ from uavaou.arrays import Bools, Floats, Ints, Singles
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.flight import Flight, free_moves, grid_cells, targets
+from uavaou.world.path_loss import ratio_at
 from uavaou.world.pull import SHARE, chance, gain_exceeded, gain_needed, steps_where
 
 _MISSIONS, _FLOWN_DEVICES = 8, 800  # flown for each part, fewer where there are many devices
@@ -61,7 +62,8 @@ def patrol_area(
     distance = np.linalg.norm(grid_cells(scenario)[:, None] - positions, axis=-1)  # (C, I) grid steps
     altitude = scenario.altitudes[:, None] / scenario.grid_step_m  # (U, 1) grid steps
     best = chance(scenario, 1.0 / headroom)  # (U, I)
-    near = altitude * np.sqrt(np.maximum(gain_exceeded(scenario, SHARE * best) * headroom - 1.0, 0.0))  # (U, I)
+    reached = ratio_at(scenario, gain_exceeded(scenario, SHARE * best) * headroom)  # (U, I)
+    near = altitude * np.sqrt(np.maximum(reached - 1.0, 0.0))  # (U, I)
     way = np.maximum(distance - near[:, None], 0.0)  # (U, C, I)
     if free_moves(scenario) is not None:
         way = steps_where(scenario, needed, SHARE) + _TIE * way

@@ -20,6 +20,7 @@ from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.coverage import rician_exceedance
 from uavaou.world.flight import UNLIMITED, closed_cells, grid_cells, moves_along_legs, steps_from
+from uavaou.world.path_loss import weakened
 from uavaou.world.views import Rows
 from uavaou.world.world import World
 
@@ -135,7 +136,7 @@ def gain_needed(scenario: Scenario, positions: Floats, above: Floats) -> Floats:
     cells = grid_cells(scenario).astype(np.float64)  # (C, 2)
     altitude = scenario.altitudes[:, None] / scenario.grid_step_m  # (U, 1) grid steps
     squared = ((cells[:, None] - positions) ** 2).sum(axis=-1)  # (C, I)
-    needed: Floats = (1.0 + squared / altitude[:, :, None] ** 2) * above[:, None]
+    needed: Floats = weakened(scenario, 1.0 + squared / altitude[:, :, None] ** 2) * above[:, None]
     if (closed := closed_cells(scenario)) is not None:
         needed[closed] = np.inf
     return needed

@@ -1,0 +1,281 @@
+"""From devices, stations and zones on a map to the fields of a scenario: origin, grid, stations, slots, updates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from uavaou.arrays import Bools, Floats
+from uavaou.errors import InputError
+from uavaou.field.features import Feature
+from uavaou.field.geodesy import Projection
+from uavaou.field.ground import Ground, choose_grid_step, draw_borders
+from uavaou.field.survey import Survey, name_of
+from uavaou.field.words import SLOTS, duration, meanings, number, unit_seconds
+from uavaou.fields import DEVICE_COLUMNS
+from uavaou.scenario import Scenario
+
+_MOST_SLOTS = 1_000_000
+_LISTED = 5
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a person says of the mission; None where nothing is said."""
+
+    radio: str | None = None
+    uavs: int | None = None
+    speed_m_s: float | None = None
+    endurance_s: float | None = None
+    altitude_m: float | None = None
+    interval_s: float | None = None
+    grid_step_m: float | None = None
+    slots: int | None = None
+
+
+_DEFAULTS: dict[str, tuple[Any, str, str]] = {
+    "radio": ("802.15.4", "a radio of {}", "--radio"),
+    "speed_m_s": (10.0, "a speed of {:g} m/s", "--speed"),
+    "endurance_s": (1500.0, "a battery for {:g} s in the air", "--endurance"),
+    "altitude_m": (60.0, "altitudes from {:g} m, 10 m apart", "--altitude"),
+}
+_INTERVAL_S = 300.0
+
+
+@dataclass
+class Field:
+    """A scenario and all that leads to it."""
+
+    fields: dict[str, Any]  # of the scenario, without its devices
+    devices: dict[str, list[Any]]  # the columns of devices.csv
+    projection: Projection | None
+    radius_m: float
+    understood: list[tuple[str, str]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # all that was ignored or guessed
+
+
+def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Floats]) -> Field:
+    """Lay a grid over a map, and fit a mission to it.
+
+    Args:
+        survey: what was found.
+        wishes: what a person says.
+        coverage: the radius on the ground in m of each UAV and device of a scenario, (U, I); nan where out of range.
+
+    Raises:
+        InputError: no mission fits; it names what to change.
+    """
+    notes = list(survey.notes)
+    said = {name: getattr(wishes, name) for name in _DEFAULTS}
+    for name, (value, text, flag) in _DEFAULTS.items():
+        if said[name] is None and not (name == "endurance_s" and wishes.slots):
+            said[name] = value
+            notes.append(f"guessed: {text.format(value)} ({flag})")
+    uavs = wishes.uavs or max(len(survey.stations), 1)
+    if wishes.uavs is None:
+        notes.append(f"guessed: {uavs} UAV{'s' if uavs > 1 else ''}, one a station (--uavs)")
+    notes.append("guessed: fading with a Rician factor of 10, as in the paper (rician_factor)")
+    channel = {"radio": said["radio"], "rician_factor": 10.0, "fading": "rician"}
+    radius = _radius(channel, said["altitude_m"], coverage)
+    ground = Ground.of(survey)
+    step, why = choose_grid_step(wishes.grid_step_m, radius, ground.extent, uavs * len(survey.devices))
+    if "coarser" in why:
+        notes.append(f"the grid step of {step:g} m is {why}")
+    ground.align(step, bool(survey.stations))
+    free, borders = draw_borders(survey, ground, step, notes)
+    stations, snapped = _stations(survey, ground, step, free, notes)
+    speed, tau = said["speed_m_s"], step / said["speed_m_s"]
+    budget = said["endurance_s"] or wishes.slots * tau
+    slots = wishes.slots or min(math.floor(budget / tau + 1e-9), _MOST_SLOTS)
+    if slots < 2:
+        raise InputError(
+            f"a battery for {budget:g} s lasts for less than 2 slots of {tau:g} s: --grid-step, --endurance, --speed"
+        )
+    periods, updates = _periods(survey.devices, wishes.interval_s, tau, notes)
+    fields: dict[str, Any] = {
+        **({} if ground.projection is None else {"georeference": ground.projection.georeference.model_dump()}),
+        "area_x_m": ground.cells[0] * step,
+        "area_y_m": ground.cells[1] * step,
+        "grid_step_m": step,
+        **borders,
+        "uavs": uavs,
+        "cds_m": [stations[u % len(stations)] for u in range(uavs)],
+        "altitudes_m": [said["altitude_m"] + 10.0 * u for u in range(uavs)],
+        "speed_m_s": speed,
+        "slots": slots,
+        "slot_length_s": tau,
+        "flight_time_budget_s": budget,
+        **channel,
+    }
+    columns = _columns(survey.devices, ground, periods, notes)
+    _note_reach(fields, ground.devices, radius, notes)
+    width, height = ground.extent
+    names = [name for name in columns.get("name", []) if name]
+    named = (
+        f": {', '.join(name[:30] for name in names[:3])}{', ...' if len(names) > 3 else ''}"
+        if names
+        else ", without names"
+    )
+    understood = [
+        ("devices", f"{len(survey.devices):,}{named}"),
+        ("extent", f"{width:,.0f} m x {height:,.0f} m"),
+        ("origin", ground.origin),
+        ("grid step", f"{step:g} m, {ground.cells[0] + 1} x {ground.cells[1] + 1} cells; {why}"),
+        ("radio", f"{said['radio']}: a radius of {radius:,.0f} m on the ground from {said['altitude_m']:g} m"),
+        ("outline", "none" if survey.outline is None else survey.outline.where),
+        ("zones", f"{len(borders.get('no_fly', []))}"),
+        ("stations", snapped),
+        ("fleet", f"{uavs} UAV{'s' if uavs > 1 else ''} at {speed:g} m/s"),
+        ("mission", f"{slots:,} slots of {tau:g} s (a grid step at that speed), {budget / 60:.3g} min in the air"),
+        ("updates", updates),
+    ]
+    return Field(fields, columns, ground.projection, radius, understood, _grouped(notes))
+
+
+def _grouped(notes: list[str]) -> list[str]:
+    """Notes without repetition: what is said of many places is said once, with the first of them."""
+    groups: dict[str, list[str]] = {}
+    for note in notes:
+        where, _, text = note.rpartition(": ")
+        groups.setdefault(text, []).append(where)
+    grouped = []
+    for text, places in groups.items():
+        if len(places) > _LISTED:
+            grouped.append(f"{len(places)} times, the first at {places[0]}: {text}")
+        else:
+            grouped += [f"{where}: {text}" if where else text for where in places]
+    return grouped
+
+
+def _radius(channel: dict[str, Any], altitude: float, coverage: Callable[[Scenario], Floats]) -> float:
+    """The median radius on the ground of devices with this radio, in m."""
+    usual = {"area_x_m": 1, "area_y_m": 1, "grid_step_m": 1, "uavs": 1, "devices": 101, "slots": 2, "speed_m_s": 1}
+    times = {"slot_length_s": 1, "flight_time_budget_s": 1, "flight_time": "ignore", "update_period_slots": 1}
+    probe = Scenario.from_dict({**usual, **times, **channel, "altitudes_m": [altitude], "cds_m": [[0, 0]]}, "radio")
+    radius = float(np.median(coverage(probe)))
+    if not radius > 0:
+        raise InputError(f"--radio {channel['radio']}: does not reach an altitude of {altitude:g} m")
+    return radius
+
+
+def _stations(
+    survey: Survey, ground: Ground, step: float, free: Bools, notes: list[str]
+) -> tuple[list[list[float]], str]:
+    """The stations on free cells in m, and how far they were moved."""
+    cells = np.argwhere(free) * step  # (C, 2) m
+    if not len(cells):
+        raise InputError("no cell of the grid is free: the zones and the outline close the whole area")
+    if survey.stations:
+        wanted = ground.places[1]
+    else:
+        wanted = ground.devices.mean(axis=0, keepdims=True)
+        notes.append("guessed: a station in the middle of the devices (--station)")
+    found, moved = [], []
+    for place in wanted:
+        away = np.linalg.norm(cells - place, axis=1)
+        found.append(cells[away.argmin()].tolist())
+        moved.append(float(away.min()))
+    far = [
+        f"{feature.where} by {metres:.0f} m"
+        for feature, metres in zip(survey.stations, moved, strict=False)
+        if metres > 0.5
+    ]
+    if far:
+        notes.append(
+            f"stations moved to a free cell: {', '.join(far[:_LISTED])}{', ...' if len(far) > _LISTED else ''}"
+        )
+    shown = ", ".join(f"({x:g}, {y:g}) m" for x, y in found[:_LISTED]) + (", ..." if len(found) > _LISTED else "")
+    return found, f"{len(found)}: {shown}" + (f"; moved by up to {max(moved):.0f} m" if far else "")
+
+
+def _note_reach(fields: dict[str, Any], devices: Floats, radius: float, notes: list[str]) -> None:
+    """Note the devices that a UAV cannot hear from any cell, and those that it cannot fly to and come home from."""
+    step = fields["grid_step_m"]
+    unheard = int((np.linalg.norm(devices - np.rint(devices / step) * step, axis=1) > radius).sum())
+    if unheard:
+        notes.append(
+            f"{unheard} of {len(devices)} devices are out of range of every cell: --radio, --grid-step, --within"
+        )
+    stations = np.array(fields["cds_m"])  # (U, 2) m
+    away = abs(devices[:, None] - stations).sum(axis=2).min(axis=1) - math.sqrt(2) * radius  # (I,) m
+    beyond = int((2 * away > (fields["slots"] - 1) * step).sum())
+    if beyond:
+        notes.append(
+            f"{beyond} of {len(devices)} devices lie beyond what a battery reaches: --endurance, --speed, --station"
+        )
+
+
+def _columns(devices: Sequence[Feature], ground: Ground, periods: list[int], notes: list[str]) -> dict[str, list[Any]]:
+    """The columns of devices.csv."""
+    places = ground.devices.clip(0, None)
+    columns: dict[str, list[Any]] = {
+        "x_m": [f"{x:.2f}" for x in places[:, 0]],
+        "y_m": [f"{y:.2f}" for y in places[:, 1]],
+    }
+    names = [name_of(device) for device in devices]
+    if any(names):
+        columns["name"] = _distinct(names, notes)
+    for name in DEVICE_COLUMNS[:2]:
+        values = [number(device.properties[name]) for device in devices if name in device.properties]
+        if len(values) == len(devices) and all(math.isfinite(value) and value > 0 for value in values):
+            columns[name] = values
+        elif values:
+            notes.append(f"{name} is ignored: not every device has a number above 0")
+    columns["update_period_slots"] = periods
+    return columns
+
+
+def _distinct(names: list[str], notes: list[str]) -> list[str]:
+    """Names that all differ; where there is none, the number of the device."""
+    seen: set[str] = set()
+    found, changed = [], 0
+    for place, name in enumerate(names):
+        base = chosen = name or f"device {place}"
+        count = 1
+        while chosen in seen:
+            count += 1
+            chosen = f"{base} ({count})"
+        seen.add(chosen)
+        changed += chosen != name
+        found.append(chosen)
+    if changed:
+        first = next(new for new, old in zip(found, names, strict=True) if new != old)
+        notes.append(f"{changed} devices without a name of their own got one, such as {first}")
+    return found
+
+
+def _periods(
+    devices: Sequence[Feature], default_s: float | None, slot_s: float, notes: list[str]
+) -> tuple[list[int], str]:
+    """The update period of each device in slots, and where it is from."""
+    found = [_interval(device) for device in devices]
+    bare = [value for value, unit in found if math.isfinite(value) and math.isnan(unit)]
+    if bare:
+        guess = 1.0 if float(np.median(bare)) >= 30 else 60.0
+        notes.append(f"guessed: intervals without a unit are {'seconds' if guess == 1 else 'minutes'}")
+        found = [(value, guess if math.isnan(unit) else unit) for value, unit in found]
+    slots = np.array([value * (1 if unit == SLOTS else unit / slot_s) for value, unit in found])  # (I,)
+    missing = ~(slots > 0)
+    if missing.any():
+        seconds = default_s or _INTERVAL_S
+        if default_s is None:
+            which = "" if missing.all() else f" of {int(missing.sum())} devices"
+            notes.append(f"guessed: an update every {seconds / 60:g} min{which} (--interval)")
+        slots[missing] = seconds / slot_s
+    whole = np.clip(np.rint(slots), 1, 1_000_000).astype(int)
+    if (off := float((abs(whole - slots) / slots).max())) > 0.005:
+        notes.append(f"update periods are rounded to whole slots of {slot_s:g} s, by up to {off:.0%}")
+    low, high = int(whole.min()), int(whole.max())
+    span = f"{low}" if low == high else f"{low} to {high}"
+    minutes = " to ".join(dict.fromkeys(f"{count * slot_s / 60:.3g}" for count in (low, high)))
+    return whole.tolist(), f"every {span} slots ({minutes} min)"
+
+
+def _interval(device: Feature) -> tuple[float, float]:
+    """An interval's number and the seconds of its unit; nan without one."""
+    name = meanings(list(device.properties)).get("interval")
+    return (math.nan, math.nan) if name is None else duration(device.properties[name], unit_seconds(name))
