@@ -137,6 +137,7 @@ def read_plan(path: Path, route: Route, raw: Any) -> Read:
     assert [each["inclusion"] for each in content["geoFence"]["polygons"]] == [
         border.inclusion for border in route.fence
     ]
+    assert content["mission"]["plannedHomePosition"] == [*content["mission"]["items"][0]["params"][4:6], 0]
     assert content["mission"]["cruiseSpeed"] == route.speed_m_s == data.mission_items[1].param2
     return of_items([(i.command, i.frame, i.param1, i.x / 1e7, i.y / 1e7, i.z) for i in data.mission_items])
 
