@@ -26,6 +26,7 @@ LESS = {  # work than the page asks for
     "eval": ["--episodes", "2"],
     "fly": ["--seconds", "3"],
     "rolling": ["--time-limit", "1"],
+    "route": ["--seconds", "3", "--episodes", "2"],
 }
 ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that runs its like
     "uavaou eval any-map --policy best-first --suite uavs": "tests/experiments",
@@ -50,6 +51,7 @@ PAGES = (
     "docs/on-board",
     "docs/own-field",
     "docs/replay",
+    "docs/routes",
     "docs/speed",
     "docs/studies",
     "docs/suites",

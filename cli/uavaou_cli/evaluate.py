@@ -49,7 +49,7 @@ def evaluate(
     policy: Annotated[
         list[str] | None, option(f"Also play {_PLANNER_NAMES}; or a plan's file. Repeatable.", "PLANNER")
     ] = None,
-    scenario: Annotated[str | None, option("A preset or a YAML file. [default: of RUN or plan, else paper]")] = None,
+    scenario: Annotated[str | None, option("A preset or a YAML file. [default: of plan or RUN, else paper]")] = None,
     episodes: Episodes = 100,
     seed: Seed = EVALUATION_SEED,
     action: Annotated[
@@ -92,7 +92,7 @@ def evaluate(
             raise InputError(f"--knows {knows}: a suite says itself what policies know; leave out --suite or --knows")
         _evaluate_suite(suite, scenario, overrides, configs, made, episodes, seed, action, out, quiet)
         return
-    own = common_scenario(configs) if configs else planned_scenario(planners)
+    own = planned_scenario(planners) or (common_scenario(configs) if configs else None)
     base = own if own is not None and scenario is None else Scenario.load(scenario or "paper")
     played = overrides.of_scenario(base)
     if out is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -38,16 +37,16 @@ from uavaou_cli.options import (
     writable_folder,
 )
 from uavaou_cli.overrides import parse_overrides
-from uavaou_cli.progress import NAME_WIDTH, Display, RecordingDisplay
-from uavaou_cli.tables import aligned, figure, interval_figures, paragraphs, show
+from uavaou_cli.progress import RecordingDisplay
+from uavaou_cli.rehearsal import AUTO, rehearsal_lines, rehearse_in
+from uavaou_cli.route import ROUTE_FOLDER, check_routes, write_routes
+from uavaou_cli.tables import show
 
 if TYPE_CHECKING:
     from uavaou.arrays import Floats
     from uavaou.planners.base import Planner
-    from uavaou.runs.rehearsal import Rehearsal
     from uavaou.scenario import Scenario
 
-AUTO = "auto"
 _REFERENCES = ("best-first", "local-greedy-parts", "greedy")  # beside a policy that was named; they need no time
 
 
@@ -65,6 +64,9 @@ def fly(
     seed: Annotated[int, number("Seed of the mission.", 0, LARGEST_SEED)] = EVALUATION_SEED,
     json: Annotated[Path | None, option("Write what the rehearsal has found as JSON.", "FILE")] = None,
     out: Annotated[Path | None, option("Where the files go. [default: results/<scenario>/fly/<policy>]", "DIR")] = None,
+    route: Annotated[
+        list[str] | None, option("Also write its routes: plan, wpl, kml, geojson or csv. Repeatable.", "FORMAT")
+    ] = None,
     uavs: Uavs = None,
     station: Station = None,
     radio: Radio = None,
@@ -80,7 +82,7 @@ def fly(
 
     Prints how fresh each policy keeps the data, which one is served, and its mission beside that of the next best.
     Writes a page that replays both in a browser, the mission as JSON, and its pictures. `uavaou plot trajectories` also
-    draws PDFs.
+    draws PDFs. --route adds what `uavaou route` writes.
 
     SCENARIO may be a map file, such as sensors.geojson: it is imported first, as `uavaou import` does.
     """
@@ -104,6 +106,8 @@ def fly(
     place = Path("results") / scenario_folder(base, overrides.scenario) / "fly"
     folder = out or place / flight_folder([policy])
     writable_folder(folder)
+    if route:
+        check_routes(flown, route)
     if field is not None:
         write_map_field(field, base, (out or place.parent) / "field")
         show([""])
@@ -111,6 +115,7 @@ def fly(
         writable_file(json)
     notes: list[Path] = []
     ages: dict[str, Floats] = {}
+    planned: dict[str, float] = {}
     if policy == AUTO:
         rehearsal = rehearse_in(flown, seconds, knows, folder, quiet)
         show(rehearsal_lines(rehearsal))
@@ -120,6 +125,7 @@ def fly(
             write_json(json, rehearsal.to_dict())
             notes.append(json)
         ages = {one.name: one.ages_over_time for one in first}
+        planned = rehearsal.open_loop
     else:
         if json is not None:
             raise InputError(f"--json {json}: holds what a rehearsal has found, and --policy {policy} needs none")
@@ -133,47 +139,10 @@ def fly(
 
         notes += plot_rehearsal(ages, folder, "rehearsal")
     show(notes)
-
-
-def rehearse_in(scenario: Scenario, seconds: float, knows: str, folder: Path, quiet: bool) -> Rehearsal:
-    """Rehearse with a display; a training has a folder of its own in ``folder``."""
-    from uavaou.runs.rehearsal import rehearse
-
-    places = (folder / ("training" if number == 1 else f"training-{number}") for number in count(1))
-    unused = next(place for place in places if not place.exists())
-
-    def show(share: float, at_work: str, best: float | None) -> None:
-        if display.due:
-            aou = "" if best is None else f"best mean AoU {best:,.2f} slots"
-            display.advance(share * seconds, aou, at_work[:NAME_WIDTH], rate=1.0)
-
-    with Display(quiet, seconds, "") as display:
-        return rehearse(scenario, seconds, knows, unused, show)
-
-
-def rehearsal_lines(rehearsal: Rehearsal) -> list[str]:
-    """The candidates, the best first; which one is served, and how sure that is."""
-    from uavaou.runs.comparison import beyond_training
-
-    scenario, best = rehearsal.scenario, rehearsal.served
-    minutes = scenario.slot_length_s / 60
-    rows = [
-        ("policy", "knows", "missions", "mean AoU", "interval", "mean AoU"),
-        ("", "", "", "(slots)", "95 %", "(min)"),
-    ]
-    for one in rehearsal.candidates:
-        mean = one.mean
-        rows.append((one.name, one.knows, str(len(one.ages)), *interval_figures(mean), figure(minutes * mean.value)))
-    lines = [f"rehearsal of {scenario.name}", "", *aligned(rows, left=2)]
-    texts = [
-        found for one in rehearsal.candidates if one.run is None and (found := beyond_training(one.name, scenario))
-    ]
-    if rehearsal.late:
-        texts.append(f"Too slow for the time given: {', '.join(rehearsal.late)}; --seconds gives more.")
-    lead = "" if len(rehearsal.candidates) == 1 else f" Its lead is {'clear' if rehearsal.is_clear else 'not clear'}."
-    run = "" if best.run is None else f" It was trained here, in {best.run.path}."
-    texts.append(f"Served: {best.name}, which knows {best.knows} in flight.{lead}{run}")
-    return [*lines, *paragraphs(texts), ""]
+    if route:
+        show([""])
+        name, flying = next(iter(policies.items()))
+        write_routes(flown, name, flying, planned, route, folder / ROUTE_FOLDER, quiet=quiet)
 
 
 def _fly(

@@ -43,7 +43,7 @@ def replay(
             autocompletion=trained,
         ),
     ],
-    scenario: Annotated[str | None, option("A preset or a YAML file. [default: of RUN or plan, else paper]")] = None,
+    scenario: Annotated[str | None, option("A preset or a YAML file. [default: of plan or RUN, else paper]")] = None,
     seed: Annotated[int | None, number("Seed of the mission. [default: 10000]", 0, LARGEST_SEED)] = None,
     format: Annotated[
         str | None, choice("A page for a browser, or a film. [default: as --out ends, else html]", *_FORMATS)
@@ -124,7 +124,7 @@ def _base_scenario(names: Sequence[str], scenario: str | None, recorded: dict[st
         return Scenario.load(scenario)
     if recorded:
         return next(iter(recorded.values())).scenario
-    return common_scenario(configs) if configs else planned_scenario(names) or Scenario.load("paper")
+    return planned_scenario(names) or (common_scenario(configs) if configs else Scenario.load("paper"))
 
 
 def _fly(

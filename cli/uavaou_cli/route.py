@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED, MOST_EPISODES
 from uavaou.files import folder_name, write_json, write_text
-from uavaou_cli.fly import AUTO, rehearsal_lines, rehearse_in
 from uavaou_cli.options import (
     Changes,
     Knows,
@@ -27,6 +26,7 @@ from uavaou_cli.options import (
 )
 from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import EvaluationDisplay
+from uavaou_cli.rehearsal import AUTO, rehearsal_lines, rehearse_in
 from uavaou_cli.tables import aligned, duration, figure, interval_figures, paragraphs, show
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from uavaou.planners.plan import RoutePlan
     from uavaou.scenario import Scenario
 
+ROUTE_FOLDER, EPISODES = "route", 100
 _OPEN_LOOP = "its routes, open loop"
 _PLAN = "plan.json"
 _NOT_IN_NAMES, _LONGEST = '/\\:*?"<>|%', 200  # of files, on some systems
@@ -56,7 +57,7 @@ def route(
     format: Annotated[
         list[str] | None, option("plan, wpl, kml, geojson or csv. Repeatable. [default: plan]", "FORMAT")
     ] = None,
-    episodes: Annotated[int, number("Missions that policy and routes are flown in.", 1, MOST_EPISODES)] = 100,
+    episodes: Annotated[int, number("Missions that policy and routes are flown in.", 1, MOST_EPISODES)] = EPISODES,
     seed: Seed = EVALUATION_SEED,
     out: Annotated[
         Path | None, option("Where the files go. [default: results/<scenario>/route/<policy>]", "DIR")
@@ -72,8 +73,6 @@ def route(
     plan.json holds the routes, too: for `uavaou eval --policy`, `uavaou replay` and `uavaou route --policy`. See
     docs/routes.md.
     """
-    from uavaou.field.route_files import check_format
-    from uavaou.field.routes import check_coordinates
     from uavaou.runs.comparison import planned_scenario
     from uavaou.runs.names import flight_folder, scenario_folder
     from uavaou.scenario import Scenario
@@ -84,17 +83,52 @@ def route(
     planned = planned_scenario([policy]) if stated is None else None
     base = planned or Scenario.load(needed_scenario(stated, None))
     flown = overrides.of_scenario(base)
-    if flown.layout == "resample":
-        raise InputError("uavaou route: the scenario draws a new layout each mission; set scenario.layout=fixed")
-    forms = list(dict.fromkeys(format or ["plan"]))
-    for form in forms:
-        check_format(flown, form)
-    check_coordinates(flown)
-    folder = out or Path("results") / scenario_folder(base, overrides.scenario) / "route" / flight_folder([policy])
+    forms = format or ["plan"]
+    check_routes(flown, forms)
+    folder = out or Path("results") / scenario_folder(base, overrides.scenario) / ROUTE_FOLDER / flight_folder([policy])
     writable_folder(folder)
     name, chosen, others = _policy(policy, flown, seconds, knows, folder, quiet)
-    plan = _measured(flown, name, chosen, others, folder / _PLAN, episodes, seed, quiet)
-    _write(flown, plan, forms, folder)
+    write_routes(flown, name, chosen, others, forms, folder, episodes, seed, quiet)
+
+
+def check_routes(scenario: Scenario, forms: Sequence[str]) -> None:
+    """Refuse, before anything is computed, a scenario whose routes cannot be written in these formats."""
+    from uavaou.field.route_files import check_format
+    from uavaou.field.routes import check_coordinates
+
+    if scenario.layout == "resample":
+        raise InputError("routes are of one layout, and the scenario draws a new one each mission; set layout: fixed")
+    for form in forms:
+        check_format(scenario, form)
+    check_coordinates(scenario)
+
+
+def write_routes(
+    scenario: Scenario,
+    name: str,
+    policy: Planner,
+    planned: Mapping[str, float],
+    forms: Sequence[str],
+    folder: Path,
+    episodes: int = EPISODES,
+    seed: int = EVALUATION_SEED,
+    quiet: bool = False,
+) -> None:
+    """Write the routes of a policy, and print what they cost against it.
+
+    Args:
+        scenario: of one layout.
+        name: of the policy.
+        policy: that flies.
+        planned: the mean AoU in slots of policies that were planned to be flown open loop, by name.
+        forms: of ``uavaou.field.route_files.FORMATS``.
+        folder: of the files.
+        episodes: missions that policy and routes fly.
+        seed: of the first of them.
+        quiet: show no progress.
+    """
+    plan = _measured(scenario, name, policy, planned, folder / _PLAN, episodes, seed, quiet)
+    _write(scenario, plan, forms, folder)
 
 
 def _policy(
@@ -110,15 +144,14 @@ def _policy(
         return policy, made, {}
     rehearsal = rehearse_in(scenario, seconds, knows, folder, quiet)
     show(rehearsal_lines(rehearsal))
-    fixed = {one.name: one.mean.value for one in rehearsal.candidates if one.knows == "nothing"}
-    return rehearsal.served.name, rehearsal.served.policy, fixed
+    return rehearsal.served.name, rehearsal.served.policy, rehearsal.open_loop
 
 
 def _measured(
     scenario: Scenario,
     name: str,
     policy: Planner,
-    others: dict[str, float],
+    planned: Mapping[str, float],
     path: Path,
     episodes: int,
     seed: int,
@@ -139,11 +172,11 @@ def _measured(
     with EvaluationDisplay(quiet, list(policies), episodes * scenario.slots) as display:
         results = compare(policies, scenario, episodes, seed, display).results
     show([f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}", ""])
-    show(_cost_lines(results, scenario.slot_length_s / 60, others))
+    show(_cost_lines(results, scenario.slot_length_s / 60, planned))
     return plan
 
 
-def _cost_lines(results: Mapping[str, Evaluation], minutes: float, others: dict[str, float]) -> list[str]:
+def _cost_lines(results: Mapping[str, Evaluation], minutes: float, planned: Mapping[str, float]) -> list[str]:
     """The mean AoU of the policy and of its routes, and their difference in common missions; a slot has ``minutes``."""
     from uavaou.statistics import interval_over_missions
 
@@ -156,19 +189,20 @@ def _cost_lines(results: Mapping[str, Evaluation], minutes: float, others: dict[
     policy, *flown = ages.values()
     for routes in flown:
         cost = interval_over_missions(routes - policy)
-        share = f", {cost.value / policy.mean():.0%}" if policy.mean() > 0 else ""
-        ends = "" if isnan(cost.low) else f"; 95 % interval {figure(cost.low)} to {figure(cost.high)} slots"
-        more = f"{figure(cost.value)} slots ({figure(minutes * cost.value)} min{share})"
-        texts.append(f"Without what the policy hears, the routes cost {more} of mean AoU{ends}.")
+        share = f", {abs(cost.value) / policy.mean():.0%}" if policy.mean() > 0 else ""
+        much = f"{figure(abs(cost.value))} slots ({figure(minutes * abs(cost.value))} min{share})"
+        ends = "" if isnan(cost.low) else f"; 95 % interval of the difference {figure(cost.low)} to {figure(cost.high)}"
+        word = "lower" if cost.value < 0 else "higher"
+        texts.append(f"Open loop, without what the policy hears, the mean AoU is {much} {word}{ends}.")
         texts += [
             f"{name} plans routes for open loop and had {figure(mean)} slots in the rehearsal: --policy {name}."
-            for name, mean in others.items()
+            for name, mean in planned.items()
             if mean < interval_over_missions(routes).low
         ]
     return [*aligned(rows), *paragraphs(texts or ["The policy flies these routes in every mission."]), ""]
 
 
-def _write(scenario: Scenario, plan: RoutePlan, forms: list[str], folder: Path) -> None:
+def _write(scenario: Scenario, plan: RoutePlan, forms: Sequence[str], folder: Path) -> None:
     """Write the files, and print what is in them."""
     from uavaou.field.route_files import FORMATS
     from uavaou.field.routes import fleet_routes, warnings
@@ -180,7 +214,7 @@ def _write(scenario: Scenario, plan: RoutePlan, forms: list[str], folder: Path) 
         length, holds = f"{route.length_m / 1000:,.2f} km", duration(float(route.hold_s.sum()))
         altitude = f"{route.altitude_m:g} m"
         rows.append((route.name, altitude, f"{len(route.hold_s):,}", length, holds, duration(route.duration_s)))
-        for form in forms:
+        for form in dict.fromkeys(forms):
             ending, text_of = FORMATS[form]
             files[folder / (_file_name(route.name) + ending)] = text_of(route)
     write_json(folder / _PLAN, plan.to_dict(scenario))

@@ -29,7 +29,7 @@ def test_a_policy_becomes_files_and_its_routes_are_compared_with_it(shell: Shell
     assert sorted(line for line in out.splitlines() if line.startswith("there/")) == [f"there/{name}" for name in files]
     assert "field: 20 missions, seeds 10000 to 10019" in out
     assert "its routes, open loop" in out
-    assert "Without what the policy hears, the routes cost 0." in out
+    assert "Open loop, without what the policy hears, the mean AoU is 0." in out
     again = shell.done("route --policy there/plan.json --format csv --episodes 20 --quiet --out again")
     assert "The policy flies these routes in every mission." in again
     assert Path("again/süd.csv").read_bytes() == Path("there/süd.csv").read_bytes()
@@ -37,17 +37,19 @@ def test_a_policy_becomes_files_and_its_routes_are_compared_with_it(shell: Shell
     assert next(line for line in again.splitlines() if line.startswith("there/plan.json")).split()[1:] == open_loop
     played = shell.done("eval --policy there/plan.json --episodes 20 --quiet")
     assert played.startswith("field: 20 missions")
+    assert shell.done("eval any-map --policy there/plan.json --episodes 1 --quiet").startswith("field: 1 mission")
     assert open_loop[0] in played
     page = shell.done("replay there/plan.json best-first --quiet --out page.html").splitlines()[-1]
     assert "best-first, open loop" in Path(page).read_text(encoding="utf-8")
 
 
 def test_what_fly_serves_is_exported(shell: Shell, field: Path) -> None:
-    out = shell.done("route field.yaml --seconds 1 --episodes 4 --quiet")
-    assert "Served: " in out
-    folder = next(Path("results").glob("field*/route/auto"))
-    assert {path.name for path in folder.iterdir()} == {"north%2F1.plan", "süd.plan", "plan.json"}
-    assert json.loads((folder / "plan.json").read_text())["planner"].endswith(", open loop")
+    for command, folder in (("route field.yaml", "route/auto"), ("fly field.yaml --route plan", "fly/auto/route")):
+        out = shell.done(f"{command} --seconds 1 --quiet")
+        assert "Served: " in out
+        (place,) = Path("results").glob(f"field*/{folder}")
+        assert {path.name for path in place.iterdir()} == {"north%2F1.plan", "süd.plan", "plan.json"}
+        assert json.loads((place / "plan.json").read_text())["planner"].endswith(", open loop")
 
 
 def test_saved_rules_and_plans_are_flown(shell: Shell, field: Path) -> None:
@@ -71,9 +73,10 @@ def test_saved_rules_and_plans_are_flown(shell: Shell, field: Path) -> None:
         ("route", "missing argument 'SCENARIO'"),
         (
             "route field.yaml --set scenario.layout=resample",
-            "draws a new layout each mission; set scenario.layout=fixed",
+            "draws a new one each mission; set layout: fixed",
         ),
         ("route field.yaml --policy greedy --knows local", "--knows local does not allow"),
+        ("fly quickstart --route plan", "add to the scenario the place of x = y = 0"),
         ("route field.yaml --out file", "'file' is not a folder"),
         ("eval file.json --quiet", "file.json' is no run folder; for the plan of that file, write --policy file.json"),
         ("eval --policy file.json", "is not a plan"),

@@ -53,7 +53,10 @@ def test_every_format_holds_the_same_field(name: str, tmp_path: Path) -> None:
         assert scenario.update_period_slots == (12, 12, 12)  # of 2 min, in slots of 10 s
     if name not in ("map.gpx", "table.csv", "book.xlsx", "records.json"):
         assert latitudes(survey) and (survey.stations[0].places[0][::-1]) == HOME
-        assert scenario.outline_m is not None and np.isclose(np.ptp(scenario.outline_m, axis=0), [1160, 1001], atol=3).all()
+        assert (
+            scenario.outline_m is not None
+            and np.isclose(np.ptp(scenario.outline_m, axis=0), [1160, 1001], atol=3).all()
+        )
     if name in ("map.geojson", "map.kml", "map.kmz", "mission.plan"):
         assert len(scenario.no_fly or ()) == 1
 
@@ -157,8 +160,15 @@ def test_several_files_are_sorted_by_what_they_hold(tmp_path: Path) -> None:
 
 
 def test_a_polygon_around_the_devices_is_the_outline_and_its_holes_are_zones(tmp_path: Path) -> None:
-    corners = [*ring([(46.09, 7.21), (46.09, 7.25), (46.12, 7.25), (46.12, 7.21)]), *ring([(46.103, 7.226), (46.103, 7.229), (46.105, 7.229)])]
-    features = [*FEATURES[:3], feature("Polygon", corners), feature("Polygon", ring([(46.1, 7.23), (46.1, 7.232), (46.102, 7.231)]))]
+    corners = [
+        *ring([(46.09, 7.21), (46.09, 7.25), (46.12, 7.25), (46.12, 7.21)]),
+        *ring([(46.103, 7.226), (46.103, 7.229), (46.105, 7.229)]),
+    ]
+    features = [
+        *FEATURES[:3],
+        feature("Polygon", corners),
+        feature("Polygon", ring([(46.1, 7.23), (46.1, 7.232), (46.102, 7.231)])),
+    ]
     survey = survey_of(tmp_path, json.dumps({"type": "FeatureCollection", "features": features}), "a.geojson")
     assert survey.outline is not None and survey.outline.where == "a.geojson, feature 4"
     assert len(survey.zones) == 2
@@ -186,7 +196,11 @@ def test_the_folder_is_the_scenario(tmp_path: Path) -> None:
     scenario = scenario_of(found, [tmp_path / "a.geojson"])
     write_field(found, scenario, tmp_path / "field")
     assert Scenario.load(tmp_path / "field" / "scenario.yaml") == scenario
-    zones = survey_of(tmp_path, (tmp_path / "field" / "zones.geojson").read_bytes() , "z.geojson", stations=[HOME]) if False else None
+    zones = (
+        survey_of(tmp_path, (tmp_path / "field" / "zones.geojson").read_bytes(), "z.geojson", stations=[HOME])
+        if False
+        else None
+    )
     text = (tmp_path / "field" / "zones.geojson").read_text()
     kinds = [each["properties"]["type"] for each in json.loads(text)["features"]]
     assert kinds == ["outline", "no-fly zone", "station"] and zones is None

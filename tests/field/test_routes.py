@@ -14,13 +14,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
+from hypothesis import example, given, reject
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pymavlink import mavutil, mavwp
 
 from tests.strategies import random_actions, scenarios, seeds
-from uavaou import Scenario, World
+from uavaou import InputError, Scenario, World
 from uavaou.field.geodesy import Projection
 from uavaou.field.route_files import FORMATS
 from uavaou.field.routes import Border, Route, fleet_routes, warnings
@@ -48,10 +48,10 @@ def flown(scenario: Scenario, act: Callable[[World], Any]) -> NDArray[np.int64]:
     return np.stack(cells)
 
 
-def mission(policy: str) -> NDArray[np.int64]:
+def mission(policy: str, scenario: Scenario = FIELD) -> NDArray[np.int64]:
     planner = make_planner(policy)
-    planner.reset(World(FIELD), 0)
-    return flown(FIELD, planner.act)
+    planner.reset(World(scenario), 0)
+    return flown(scenario, planner.act)
 
 
 def expanded(points: Places, holds: NDArray[np.float64], scenario: Scenario) -> Places:
@@ -137,6 +137,7 @@ def read_plan(path: Path, route: Route, raw: Any) -> Read:
     assert [each["inclusion"] for each in content["geoFence"]["polygons"]] == [
         border.inclusion for border in route.fence
     ]
+    assert content["mission"]["plannedHomePosition"] == [*content["mission"]["items"][0]["params"][4:6], 0]
     assert content["mission"]["cruiseSpeed"] == route.speed_m_s == data.mission_items[1].param2
     return of_items([(i.command, i.frame, i.param1, i.x / 1e7, i.y / 1e7, i.z) for i in data.mission_items])
 
@@ -223,16 +224,31 @@ def test_the_fence_has_the_zones_of_the_altitude() -> None:
     assert not any(isinstance(border, Border) and border.inclusion for border in low.fence[1:])
 
 
-@pytest.mark.parametrize("policy", ["greedy", "local-greedy-parts", "random"])
-def test_no_leg_crosses_a_zone(policy: str) -> None:
-    cells = mission(policy)
-    assert len(np.unique(cells, axis=0)) > 2
-    for uav, route in enumerate(fleet_routes(FIELD, cells)):
+@given(
+    st.lists(st.tuples(*[st.integers(-50, 450)] * 6, st.integers(0, 60), st.booleans()), min_size=1, max_size=3),
+    st.sampled_from(["random", "greedy", "local-greedy-parts"]),
+)
+@example([(150, 150, 250, 150, 200, 250, 0, True)], "random")
+def test_no_leg_crosses_a_zone(drawn: list[tuple[Any, ...]], policy: str) -> None:
+    zones = [
+        {"polygon_m": [(ax, ay), (bx, by), (cx, cy)], "margin_m": margin} | ({} if always else {"floor_m": 85})
+        for ax, ay, bx, by, cx, cy, margin, always in drawn
+    ]
+    try:
+        scenario = FIELD.replace(no_fly=zones, slots=30)
+    except InputError:  # a station in a zone, or no triangle
+        reject()
+    cells = mission(policy, scenario)
+    for uav, route in enumerate(fleet_routes(scenario, cells)):
         line = shapely.LineString([*route.waypoints_m, route.waypoints_m[-1]])
-        assert shapely.Polygon(FIELD.outline_m).covers(line)
-        for zone in FIELD.no_fly or ():
-            if zone.applies(FIELD.altitudes_m[uav]):
-                assert line.distance(shapely.Polygon(zone.polygon_m)) > zone.margin_m
+        assert shapely.Polygon(scenario.outline_m).covers(line)
+        for zone in scenario.no_fly or ():
+            if zone.applies(scenario.altitudes_m[uav]):
+                assert line.distance(shapely.Polygon(zone.polygon_m)) > zone.margin_m - 1e-6
+        written, *others = shapely.from_geojson(FORMATS["geojson"][1](route)).geoms
+        outline, *closed = [shape for shape in others if shape.geom_type == "Polygon"]
+        assert outline.covers(written)
+        assert not any(shape.buffer(-1e-9).intersects(written) for shape in closed)
 
 
 @st.composite

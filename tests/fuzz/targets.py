@@ -196,7 +196,15 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "onboard/mission.json": _onboard,
     "any.yaml": lambda path: parse_yaml(path.read_bytes().decode("utf-8", "replace"), "f"),
     **dict.fromkeys(
-        ("field/map.geojson", "field/map.kml", "field/map.gpx", "field/map.kmz", "field/mission.plan", "field/list.wpl"), _field
+        (
+            "field/map.geojson",
+            "field/map.kml",
+            "field/map.gpx",
+            "field/map.kmz",
+            "field/mission.plan",
+            "field/list.wpl",
+        ),
+        _field,
     ),
     **dict.fromkeys(("field/table.csv", "field/book.xlsx", "field/records.json"), _field),
 }

@@ -99,6 +99,11 @@ class Rehearsal:
         """Whether the lead over the next one is more than luck: its 95 % interval over common missions is above 0."""
         return len(self.candidates) == 1 or _is_behind(self.candidates[1], self.served)
 
+    @property
+    def open_loop(self) -> dict[str, float]:
+        """The mean AoU in slots of those whose routes were planned to be flown without hearing anything."""
+        return {one.name: one.mean.value for one in self.candidates if one.knows == "nothing"}
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for a JSON file."""
         run = self.served.run
