@@ -47,7 +47,7 @@ def fly(make_pilot: Callable[[], Pilot], port: int, **faults: Any) -> tuple[str,
     notes: list[Any] = []
     radio, names = simulated_radio(FIELD, 0, 0), [FIELD.device_name(device) for device in range(FIELD.devices)]
     with FakeAutopilot(port, STATION, **faults) as fake, connect(f"udp://127.0.0.1:{port}", Projection.of(FIELD)) as up:
-        reason = LinkedFlight(make_pilot(), up, radio, names, notes.append, bool, silence_s=1.0).run()
+        reason = LinkedFlight(make_pilot(), up, radio, names, notes.append, bool, silence_s=2.0).run()
     return reason, fake, notes
 
 
@@ -64,8 +64,8 @@ def fly(make_pilot: Callable[[], Pilot], port: int, **faults: Any) -> tuple[str,
         ({"refuses": {LAND: 9}}, OVER),
         ({"refuses": {ARM: 9}}, "3 commands in a row refused: arm: COMMAND_DENIED"),
         ({"low_battery_s": 2.0}, "battery"),
-        ({"silent": (2.0, 5.0)}, "link lost"),
-        ({"silent": (2.0, 5.0), "deaf": True}, "link lost"),
+        ({"silent": (2.0, 6.0)}, "link lost"),
+        ({"silent": (2.0, 6.0), "deaf": True}, "link lost"),
     ],
 )
 def test_it_ends_at_home(faults: dict[str, Any], why: str, port: int, make_pilot: Callable[[], Pilot]) -> None:
