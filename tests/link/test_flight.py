@@ -92,9 +92,7 @@ class Aircraft:
             self.armed = False
 
 
-def fly(
-    make_pilot: Callable[[], Pilot], radio: Any = RADIO, **faults: Any
-) -> tuple[Any, Aircraft, list[Any]]:
+def fly(make_pilot: Callable[[], Pilot], radio: Any = RADIO, **faults: Any) -> tuple[Any, Aircraft, list[Any]]:
     aircraft, notes = Aircraft(Faults(**faults)), list[Any]()
     stopped = lambda: aircraft.clock >= aircraft.faults.stop_at  # noqa: E731
     return LinkedFlight(make_pilot(), aircraft, radio, NAMES, notes.append, stopped, 1.0).run, aircraft, notes
