@@ -18,7 +18,7 @@ from uavaou.reports.scores import study_scores
 README = ROOT / "README.md"
 COMMANDS = {
     *["fly", "replay", "train", "eval", "gap", "plan", "route", "plot", "study", "tune"],
-    *["audit", "export", "scenarios", "runs", "import"],
+    *["audit", "export", "scenarios", "runs", "import", "link", "size"],
 }
 
 

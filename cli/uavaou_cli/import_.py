@@ -179,6 +179,11 @@ def quantity(flag: str, text: str | None, field: str, unit: str) -> float | None
 
 
 def numbers(flag: str, text: str, count: int) -> tuple[float, ...]:
+    """So many numbers with commas between, of an option.
+
+    Raises:
+        InputError: it has others.
+    """
     with suppress(ValueError):
         values = tuple(float(part) for part in text.replace(" ", "").split(","))
         if len(values) == count and all(map(math.isfinite, values)):

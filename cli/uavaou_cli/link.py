@@ -44,7 +44,7 @@ def link(
 
     Without --arm it connects, checks what the aircraft tells, and prints what would be commanded in each slot.
     It comes home at the end of the mission, at Ctrl-C, when the link is lost, when commands are refused, and when the
-    battery is low. A second Ctrl-C commands the autopilot's own return and leaves.
+    autopilot warns of its battery. A second Ctrl-C commands the autopilot's own return and leaves.
     """
     import pandas as pd
 
@@ -79,7 +79,8 @@ def link(
 
     with connect(url, projection) as aircraft, Interrupts(quiet=True) as interrupts:
         flight = LinkedFlight(pilot, aircraft, radio, names, note, lambda: interrupts.received, silence)
-        show([_SIMULATED] * simulated)
+        if simulated:
+            show([_SIMULATED])
         if not arm:
             show([*(f"it could not fly now: {fault}" for fault in flight.faults()), _DRY])
         reason = flight.run() if arm else flight.rehearse()

@@ -6,7 +6,7 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uavaou_cli.progress import RehearsalDisplay
+from uavaou_cli.progress import NAME_WIDTH, Display
 from uavaou_cli.tables import aligned, figure, interval_figures, paragraphs
 
 if TYPE_CHECKING:
@@ -22,8 +22,14 @@ def rehearse_in(scenario: Scenario, seconds: float, knows: str, folder: Path, qu
 
     places = (folder / ("training" if number == 1 else f"training-{number}") for number in count(1))
     unused = next(place for place in places if not place.exists())
-    with RehearsalDisplay(quiet, seconds) as display:
-        return rehearse(scenario, seconds, knows, unused, display.show)
+
+    def show(share: float, at_work: str, best: float | None) -> None:
+        if display.due:
+            aou = "" if best is None else f"best mean AoU {best:,.2f} slots"
+            display.advance(share * seconds, aou, at_work[:NAME_WIDTH], rate=1.0)
+
+    with Display(quiet, seconds, "") as display:
+        return rehearse(scenario, seconds, knows, unused, show)
 
 
 def rehearsal_lines(rehearsal: Rehearsal) -> list[str]:

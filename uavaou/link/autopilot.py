@@ -8,7 +8,7 @@ from typing import Protocol
 from uavaou.arrays import Floats
 
 RETURNING = ("RETURN_TO_LAUNCH", "LAND")  # modes in which an autopilot ends the flight by itself
-HELD = ("UNKNOWN", "READY", "TAKEOFF", "HOLD", "OFFBOARD")  # modes in which it follows the link; others are a pilot's
+HELD = ("READY", "TAKEOFF", "HOLD", "OFFBOARD")  # modes in which it follows the link; the others are a pilot's
 
 
 class Refused(Exception):  # noqa: N818 - an answer, which the flight deals with

@@ -30,8 +30,7 @@ def make_pilot(policy: str, scenario: Scenario, uav: int, folder: Path) -> Pilot
         folder: where a run or a released policy is exported to.
 
     Raises:
-        InputError: there is no such UAV or policy, the policy needs what the other UAVs tell, or it was exported for
-            another map.
+        InputError: there is no such policy, it needs what the other UAVs tell, or it was exported for another map.
     """
     optional("onnxruntime")
     from uavaou.onboard.runner import Pilot
