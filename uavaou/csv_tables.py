@@ -114,15 +114,15 @@ def _float(cell: str) -> float:
         return math.inf
 
 
-def write_table(path: Path, frame: pd.DataFrame) -> None:
+def write_table(path: Path, frame: pd.DataFrame, kept: Sequence[str] = ()) -> None:
     """Write a table as CSV, packed where the name ends in ``.gz``, whole or not at all; the same rows, the same bytes.
 
-    Columns without any value are left out.
+    Columns without any value are left out, but for those ``kept``.
 
     Raises:
         InputError: it cannot be written.
     """
-    frame = frame.dropna(axis="columns", how="all") if len(frame) else frame
+    frame = frame.loc[:, frame.notna().any() | frame.columns.isin(kept)] if len(frame) else frame
     packed: Any = {"method": "gzip", "compresslevel": 9, "mtime": 0} if path.suffix == ".gz" else None
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -47,18 +47,18 @@ def figures(
 def _draw_all(studies: list[Path], out: Path | None) -> None:
     """Draw every study that can be drawn; a damaged one, or one without results yet, is named and left out."""
     from uavaou.experiments.results import NothingYetError
-    from uavaou.reports.figures import plot_studies
+    from uavaou.reports.figures import plot_study
 
     places = {study: _place(study, studies, out) for study in studies}
     for place in places.values():
         writable_folder(place)
     problems: list[InputError] = []
-    for drawn in plot_studies(places):
-        if isinstance(drawn, InputError):
-            problems.append(drawn)
-            print(f"uavaou: left out: {drawn}", file=sys.stderr)
-        else:
-            show(drawn)
+    for study, place in places.items():
+        try:
+            show(plot_study(study, place))
+        except InputError as problem:
+            problems.append(problem)
+            print(f"uavaou: left out: {problem}", file=sys.stderr)
     damaged = [problem for problem in problems if not isinstance(problem, NothingYetError)]
     if damaged or len(problems) == len(studies):
         raise InputError(f"{len(problems)} of {len(studies)} studies could not be drawn")
@@ -78,7 +78,7 @@ def _draw_runs(runs: list[Path], target: Path) -> None:
     from uavaou.reports.figures import plot_runs
 
     show(plot_runs(runs, target))
-    if not any(folder.glob("eval/*.json") for folder in runs):
+    if not any(RunFolder(folder).flights.is_file() for folder in runs):
         print(f"figures 7 and 8 need an evaluation first: uavaou eval {runs[0]}", file=sys.stderr)
 
 

@@ -61,6 +61,7 @@ def replay(
     The page is one file that needs no server and no network. It shows the map, the AoU and every device, slot by slot.
     mp4 needs `pip install 'uavaou[video]'`.
     """
+    from uavaou.evaluation.recorded_mission import read_mission
     from uavaou.runs.names import flight_folder, scenario_folder
 
     names = list(dict.fromkeys(policy))
@@ -68,8 +69,9 @@ def replay(
     form = _format(format, out)
     overrides = parse_overrides(set_ or [])
     overrides.only_of_scenario("a policy flies as it is")
-    recorded = _read_missions([name for name in names if _is_recorded(name)])
-    base = _base_scenario([name for name in names if name not in recorded], scenario, recorded)
+    recorded = {name: read_mission(Path(name)) for name in names if _is_recorded(name)}
+    flying = [name for name in names if name not in recorded]
+    base = _base_scenario(flying, scenario, recorded)
     flown = overrides.of_scenario(base)
     first = next(iter(recorded.values()), None)
     mission_seed = seed if seed is not None else EVALUATION_SEED if first is None else first.mission_seed
@@ -80,9 +82,7 @@ def replay(
         from uavaou.reports.replay.film import check_format
 
         check_format(form)
-    missions = recorded | _fly(
-        [name for name in names if name not in recorded], flown, overrides, mission_seed, time_limit, knows, quiet
-    )
+    missions = recorded | _fly(flying, flown, overrides, mission_seed, time_limit, knows, quiet)
     _write(path, form, [missions[name] for name in names], quiet)
     print(path)
 
@@ -106,12 +106,6 @@ def _is_recorded(name: str) -> bool:
         return False
     content = read_json(Path(name))
     return not isinstance(content, dict) or "planner" not in content
-
-
-def _read_missions(names: Sequence[str]) -> dict[str, RecordedMission]:
-    from uavaou.evaluation.recorded_mission import read_mission
-
-    return {name: read_mission(Path(name)) for name in names}
 
 
 def _base_scenario(names: Sequence[str], scenario: str | None, recorded: dict[str, RecordedMission]) -> Scenario:

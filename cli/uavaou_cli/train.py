@@ -93,6 +93,9 @@ def train(
 
     Writes DIR/<scenario>/<algorithm>/seed-<N>/ or DIR/family-<name>/..., and prints what to type next.
     """
+    from uavaou.runs.folder import RunFolder
+    from uavaou.runs.start import continued
+
     _refuse_other_names(scenario)
     scenario = stated_scenario(scenario, scenario_option)
     given = {
@@ -104,7 +107,8 @@ def train(
     }
     if continue_ is not None:
         _refuse("--continue", given | {"--from": from_, "--config": config}, "the run goes on with its own settings")
-        plan, folder = _continued(continue_, slots, resume)
+        folder = RunFolder.at(continue_)
+        plan = continued(folder, slots, resume)
     elif config is not None:
         _refuse("--config", given | {"--slots": slots, "--seed": None}, "the file says everything else")
         plan, folder = _again(config, seed, out)
@@ -230,15 +234,6 @@ def _again(path: Path, seed: int | None, out: Path) -> tuple[RunConfig, RunFolde
     elif own.episodes.is_file() and realpath(own.path / "../../..") == realpath(out):
         return config, own  # an earlier version may have named it otherwise
     return config, config_folder(out, config)
-
-
-def _continued(run: str, slots: int | None, resume: bool) -> tuple[RunConfig, RunFolder]:
-    """The run that goes on to more ``slots``, and its folder."""
-    from uavaou.runs.folder import RunFolder
-    from uavaou.runs.start import continued
-
-    folder = RunFolder.at(run)
-    return continued(folder, slots, resume), folder
 
 
 def _resuming(arguments: list[str], folder: RunFolder) -> list[str]:

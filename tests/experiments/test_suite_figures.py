@@ -19,6 +19,7 @@ from uavaou.experiments.suite_flights import plan_suite
 from uavaou.planners import make_planner
 from uavaou.reports import style
 from uavaou.reports.suites import SuiteTable, plot_suite, read_suites
+from uavaou.scenario import Scenario
 
 
 def rows(policy: str, how: str, point: str, x: float, *ages: float, **more: Any) -> Flights:
@@ -77,7 +78,7 @@ def test_lines_join_all_points_but_marked_ones(monkeypatch: pytest.MonkeyPatch, 
     ]
     axis = {"label": "budget", "scale": scale}
     suite = Suite.from_dict(GOOD | {"axis": axis, "points": points}, "own", "own.yaml")
-    flights = plan_suite(suite, {}, ["stay"], "tiny")
+    flights = plan_suite(suite, {}, ["stay"], "tiny", Scenario.load("tiny"))
     silent = SimpleNamespace(start=lambda name: None, after_slot=lambda slots, world: None)
     flights.play({"stay": make_planner("stay")}, 1, 0, silent)
     assert flights.table["joined"].tolist() == ["yes", "yes", "no"]

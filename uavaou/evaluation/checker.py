@@ -130,7 +130,7 @@ class ViolationCounter:
         self._note_pairs(stepped.positions, stepped.snr, stepped.association.collected_by)
         self._check_ages(world.ages.age_slots, self._known(stepped.association.collected_by))
         if reward is not None:
-            self._differ("metrics", reward, -self.scenario.slot_length_s * self._age.sum(axis=1))
+            self._differ(reward, -self.scenario.slot_length_s * self._age.sum(axis=1))
         self._check_association(world.last_collection_by == stepped.slot, stepped.association.collected_by)
         self._check_bounds(stepped.positions)
         if stepped.slot in (1, self.scenario.slots):
@@ -259,17 +259,17 @@ class ViolationCounter:
     def _check_metrics(self, metrics: MissionMetrics) -> None:
         """The figures of the missions follow from the collections and from the ways."""
         tau, slots = self.scenario.slot_length_s, self.scenario.slots
-        self._differ("metrics", metrics.reward, -tau * self._age_total)
-        self._differ("metrics", metrics.mean_aou_s, tau * self._age_total / slots)
-        self._differ("metrics", metrics.communications, self._communications.sum(axis=1))
-        self._differ("metrics", metrics.devices_served, (self._communications > 0).sum(axis=1))
+        self._differ(metrics.reward, -tau * self._age_total)
+        self._differ(metrics.mean_aou_s, tau * self._age_total / slots)
+        self._differ(metrics.communications, self._communications.sum(axis=1))
+        self._differ(metrics.devices_served, (self._communications > 0).sum(axis=1))
         zeta = (2 * self._altitude + self._distance) / self.scenario.speed_m_s  # (N, U) s
-        self._differ("metrics", metrics.flight_time_s.T, zeta.T)
+        self._differ(metrics.flight_time_s.T, zeta.T)
 
-    def _differ(self, name: str, values: NDArray[Any], expected: NDArray[Any]) -> None:
-        """Count values (..., N) that are not as expected."""
+    def _differ(self, values: NDArray[Any], expected: NDArray[Any]) -> None:
+        """Count metrics (..., N) that are not as expected."""
         differs = ~np.isclose(values, expected, rtol=_RELATIVE_SLACK, atol=0.0)
-        self._counts[name] += differs.reshape(-1, self.missions).sum(axis=0)
+        self._counts["metrics"] += differs.reshape(-1, self.missions).sum(axis=0)
 
     def _check_association(self, collecting: NDArray[np.bool_], collected_by: Ints) -> None:
         """(Association): sum_u alpha_iu <= 1, and the two records of who collected agree.

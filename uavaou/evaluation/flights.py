@@ -119,7 +119,7 @@ class Flights:
             InputError: they cannot be written.
         """
         for name, frame in (("curves", self.curves), ("flights", self.flights)):
-            write_table(folder / f"{name}.csv.gz", frame)
+            write_table(folder / f"{name}.csv.gz", frame, ["x"])  # empty in the flights of studies, which always had it
 
     def where(self, **wanted: Any) -> Flights:
         """The rows with these values of columns that both tables have."""

@@ -53,13 +53,11 @@ def name_runs(configs: Mapping[str, RunConfig], suite: Suite, points: Iterable[R
     for name, config in configs.items():
         folder = RunFolder.at(name)
         policy = name if folder.is_released else policy_name(config, alike)
-        flies = frozenset(point.label for point in feasible if _fits(config, point))
+        seen = (None, config.algorithm.observation)
+        fitting = [point for point in feasible if point.stated.observation in seen and config.fits(point.played)]
+        flies = frozenset(point.label for point in fitting)
         runs.append(SuiteRun(name, config, policy, map_folder(config), _trained_slots(folder, config), flies))
     return runs
-
-
-def _fits(config: RunConfig, point: ResolvedPoint) -> bool:
-    return point.stated.observation in (None, config.algorithm.observation) and config.fits(point.played)
 
 
 def _trained_slots(folder: RunFolder, config: RunConfig) -> int:

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import json
-from abc import abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,16 +31,28 @@ def as_text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-class Dimension(BaseModel, frozen=True, extra="forbid"):
-    """The values of one field."""
+class Range(BaseModel, frozen=True, extra="forbid"):
+    """The values of one field between two bounds, both included."""
 
-    @abstractmethod
+    kind: Any
+    low: Any
+    high: Any
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.low >= self.high:
+            raise ValueError(f"low = {self.low}: must be below high = {self.high}")
+        return self
+
     def holds(self, value: Any) -> bool:
         """Whether the value is one of them."""
+        return isinstance(value, int | type(self.low)) and self.low <= value <= self.high
 
-    @abstractmethod
     def distribution(self) -> BaseDistribution:
         """What Optuna draws from: the values, or the places of choices."""
+        from optuna.distributions import IntDistribution
+
+        return IntDistribution(self.low, self.high)
 
     def told(self, value: Any) -> Any:
         """A value as Optuna has it."""
@@ -52,25 +63,18 @@ class Dimension(BaseModel, frozen=True, extra="forbid"):
         return told
 
 
-class _Range(Dimension):
-    kind: Any
-    low: Any
-    high: Any
+class Integer(Range):
+    """A whole number between two bounds."""
 
-    def holds(self, value: Any) -> bool:
-        return isinstance(value, int | type(self.low)) and self.low <= value <= self.high
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.low >= self.high:
-            raise ValueError(f"low = {self.low}: must be below high = {self.high}")
-        return self
+    kind: Literal["integer"]
+    low: Whole
+    high: Whole
 
 
 _DIGITS = 4  # of a drawn number
 
 
-class LogUniform(_Range):
+class LogUniform(Range):
     """A number between two bounds, its logarithm uniform."""
 
     kind: Literal["log-uniform"]
@@ -87,21 +91,8 @@ class LogUniform(_Range):
         return min(max(float(f"{told:.{_DIGITS}g}"), self.low), self.high)
 
 
-class Integer(_Range):
-    """A whole number between two bounds, both included."""
-
-    kind: Literal["integer"]
-    low: Whole
-    high: Whole
-
-    def distribution(self) -> BaseDistribution:  # noqa: D102
-        from optuna.distributions import IntDistribution
-
-        return IntDistribution(self.low, self.high)
-
-
-class Categorical(Dimension):
-    """One of a few values, of any kind that YAML has."""
+class Categorical(BaseModel, frozen=True, extra="forbid"):
+    """One of a few values, of any kind that YAML has; the methods are those of :class:`Range`."""
 
     kind: Literal["categorical"]
     choices: Annotated[list[Any], Field(min_length=2, max_length=100)]
@@ -128,7 +119,12 @@ class Categorical(Dimension):
         return self.choices[told]
 
 
-KINDS: dict[str, type[Dimension]] = {"log-uniform": LogUniform, "integer": Integer, "categorical": Categorical}
+Dimension = Range | Categorical
+KINDS: dict[str, type[Range] | type[Categorical]] = {
+    "log-uniform": LogUniform,
+    "integer": Integer,
+    "categorical": Categorical,
+}
 
 
 @dataclass(frozen=True)

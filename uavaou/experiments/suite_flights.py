@@ -115,9 +115,9 @@ class SuiteFlights:
 def plan_suite(
     suite: Suite,
     configs: Mapping[str, RunConfig],
-    planners: Sequence[str] = (),
-    scenario: str | None = None,
-    base: Scenario | None = None,
+    planners: Sequence[str],
+    scenario: str | None,
+    base: Scenario,
     changes: Mapping[str, str] | None = None,
 ) -> SuiteFlights:
     """List the flights of runs and planners at the points of a suite, and the trainings that are missing.
@@ -131,14 +131,13 @@ def plan_suite(
         configs: of the runs, by released policy or folder.
         planners: names.
         scenario: a preset's name or a path, which the points change; None for the suite's own.
-        base: this scenario with ``changes``; None where there are none.
+        base: this scenario with ``changes``.
         changes: its changed fields with their values as typed, which become part of the suite's name.
 
     Raises:
         InputError: a change is of a field that the points set, or the scenario cannot take a point's change.
     """
     source, changes = scenario or suite.scenario, changes or {}
-    base = Scenario.load(source) if base is None else base
     varied = {field for point in suite.points for field in point.set}
     for key in changes:
         if key.split(".")[0] in varied:
@@ -158,7 +157,7 @@ def plan_suite(
         for name in policies
         if (point.label, name) not in flying
     ]
-    named = name_with(suite.name, ({"scenario": Scenario.load(source).name} if scenario else {}) | dict(changes))
+    named = name_with(suite.name, ({"scenario": base.name} if scenario else {}) | dict(changes))
     return SuiteFlights(suite, named, base, points, runs, planned, unflown)
 
 

@@ -6,10 +6,7 @@ of a single run, are bootstrap intervals over missions. Figures of a study show 
 local information, figures of runs all planners that were evaluated beside them. Ages are in slots.
 """
 
-import os
-import signal
-from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import get_args
 
@@ -69,36 +66,6 @@ def plot_study(folder: Path, out_dir: Path) -> list[Path]:
     for suite in suites_of_study(study):
         paths += plot_suite(suite, Path(out_dir))
     return paths
-
-
-def plot_studies(places: Mapping[Path, Path]) -> Iterator[list[Path] | InputError]:
-    """Draw studies, as many at a time as there are cores.
-
-    Args:
-        places: folder of a study -> where its pictures go.
-
-    Yields:
-        The pictures of each study in order, or why it cannot be drawn.
-    """
-    workers = min(len(places), os.cpu_count() or 1)
-    if workers == 1:
-        yield from map(_plotted, places, places.values())
-        return
-    with ProcessPoolExecutor(workers, initializer=_end_at_once) as pool:
-        yield from pool.map(_plotted, places, places.values())
-
-
-def _end_at_once() -> None:
-    """Signals reach the whole group: a worker ends in silence, and the command's process says so."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_DFL)
-
-
-def _plotted(folder: Path, out_dir: Path) -> list[Path] | InputError:
-    try:
-        return plot_study(folder, out_dir)
-    except InputError as problem:
-        return problem
 
 
 def plot_runs(folders: Iterable[Path], out_dir: Path) -> list[Path]:

@@ -47,9 +47,10 @@ def plot_trajectories(
     Raises:
         InputError: the folder cannot be written.
     """
+    mission = RecordedMission(scenario, "", None, 0, recording)
     with style.house_style():
-        paths = style.save(_map(scenario, recording), out_dir, f"{name}-map", quick)
-        return paths + style.save(_ages(scenario, recording), out_dir, f"{name}-ages", quick)
+        paths = style.save(_map(mission), out_dir, f"{name}-map", quick)
+        return paths + style.save(_ages(mission), out_dir, f"{name}-ages", quick)
 
 
 def plot_rehearsal(ages: Mapping[str, Floats], out_dir: Path, name: str) -> list[Path]:
@@ -81,11 +82,12 @@ def _in_parts(ages: Floats) -> Line:
     return Line(np.array([part.mean() + 1 for part in parts]), band_over_missions(means))
 
 
-def _map(scenario: Scenario, recording: Recording) -> Figure:
+def _map(mission: RecordedMission) -> Figure:
+    scenario, recording = mission.scenario, mission.recording
     figure, axes, visit_bar, age_bar = _map_places(scenario)
-    _draw_map(axes, scenario, recording)
+    _draw_map(axes, mission)
     _shade_visits(figure, axes, visit_bar, scenario, recording)
-    mean_age = _ages_in_slots(scenario, recording).mean(axis=0)  # (I,) slots
+    mean_age = mission.age_slots.mean(axis=0)  # (I,) slots
     counts = recording.communications.sum(axis=0)  # (I,)
     scale = maps.age_scale(scenario, recording.layout, mean_age)
     maps.draw_devices(axes, recording.layout, mean_age, scale, _device_area(counts, int(counts.max())))
@@ -98,12 +100,12 @@ def _map(scenario: Scenario, recording: Recording) -> Figure:
     return figure
 
 
-def _draw_map(axes: Axes, scenario: Scenario, recording: Recording) -> None:
+def _draw_map(axes: Axes, mission: RecordedMission) -> None:
     """The ground and the steps of each UAV."""
     axes.spines[["top", "right"]].set_visible(True)
-    maps.draw_ground(axes, scenario)
-    for u in range(scenario.uavs):
-        _draw_steps(axes, scenario, recording.positions[:, u], u)
+    maps.draw_ground(axes, mission.scenario)
+    for u in range(mission.scenario.uavs):
+        _draw_steps(axes, mission.scenario, mission.recording.positions[:, u], u)
 
 
 def _map_places(scenario: Scenario) -> tuple[Figure, Axes, Axes, Axes]:
@@ -195,8 +197,8 @@ def _count_handles(counts: Ints) -> list[Line2D]:
     ]
 
 
-def _ages(scenario: Scenario, recording: Recording) -> Figure:
-    ages = _ages_in_slots(scenario, recording)  # (K, I) slots
+def _ages(mission: RecordedMission) -> Figure:
+    ages, scenario = mission.age_slots, mission.scenario  # (K, I) slots
     devices = ages.shape[1]
     strip_in = float(np.clip(0.085 * devices, 1.4, 6))
     figure = style.new_figure(height_in=strip_in + 1.73 + _legend_height(scenario))
@@ -210,17 +212,12 @@ def _ages(scenario: Scenario, recording: Recording) -> Figure:
     upper.annotate(note, (1, 1), (0, 1), "axes fraction", "offset points", ha="right", va="bottom", fontsize=7)
     upper.set_ylabel("AoU (slots)")
     upper.set_xlim(0.5, len(slots) + 0.5)
-    scale = maps.age_scale(scenario, recording.layout, ages)
-    _draw_strip(lower, recording, ages, scale)
+    scale = maps.age_scale(scenario, mission.recording.layout, ages)
+    _draw_strip(lower, mission, scale)
     bar = maps.add_age_bar(lower, scale, "age sum (slots)")
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
     _legend_of_communications(figure, scenario)
     return figure
-
-
-def _ages_in_slots(scenario: Scenario, recording: Recording) -> Floats:
-    """The age sum of each device at the end of each slot, (K, I) slots."""
-    return np.asarray(recording.age_sum / scenario.slot_length_s)
 
 
 def _legend_of_communications(figure: Figure, scenario: Scenario) -> None:
@@ -229,11 +226,12 @@ def _legend_of_communications(figure: Figure, scenario: Scenario) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=_LEGEND_COLUMNS, title=title)
 
 
-def _draw_strip(axes: Axes, recording: Recording, ages: Floats, scale: LogNorm) -> None:
+def _draw_strip(axes: Axes, mission: RecordedMission, scale: LogNorm) -> None:
     """The age of each device over the slots, (K, I): devices in rows by update period, a tick a communication.
 
     The ticks of a UAV are one broken line, which is drawn faster than as many lines.
     """
+    recording, ages = mission.recording, mission.age_slots
     slots, devices = ages.shape
     order = np.argsort(recording.layout.update_period, kind="stable")  # (I,)
     extent = (0.5, slots + 0.5, devices - 0.5, -0.5)
@@ -275,7 +273,7 @@ def mission_figures(missions: Sequence[RecordedMission], algorithms: Mapping[str
     if not shown:
         return {}
     labels = {name: look.label for name, look in style.looks([m.policy for m in shown], algorithms).items()}
-    ages = np.concatenate([_ages_in_slots(mission.scenario, mission.recording).ravel() for mission in shown])
+    ages = np.concatenate([mission.age_slots.ravel() for mission in shown])
     scale = maps.age_scale(shown[0].scenario, shown[0].recording.layout, ages)
     return {"missions-side-by-side": _maps(shown, labels), "missions-device-ages": _all_ages(shown, labels, scale)}
 
@@ -303,14 +301,14 @@ def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Fig
     height += _legend_height(scenario)
     figure = style.new_figure(height, width_in=width)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    mean_ages = [_ages_in_slots(mission.scenario, mission.recording).mean(axis=0) for mission in missions]  # (I,) each
+    mean_ages = [mission.age_slots.mean(axis=0) for mission in missions]  # (I,) each
     scale = maps.age_scale(scenario, missions[0].recording.layout, np.concatenate(mean_ages))
     most = max(int(mission.recording.communications.sum(axis=0).max()) for mission in missions)
     for axes in panels.ravel()[len(missions) :]:
         axes.set_visible(False)
     for axes, mission, ages in zip(panels.ravel(), missions, mean_ages, strict=False):
         counts = mission.recording.communications.sum(axis=0)  # (I,)
-        _draw_map(axes, mission.scenario, mission.recording)
+        _draw_map(axes, mission)
         maps.draw_devices(axes, mission.recording.layout, ages, scale, _device_area(counts, most) / 2)
         axes.set_title(_title(mission, labels, "\n"))
     for place, axes in enumerate(panels.ravel()[: len(missions)]):
@@ -336,7 +334,7 @@ def _all_ages(missions: Sequence[RecordedMission], labels: Mapping[str, str], sc
     figure = style.new_figure(height, width_in=style.PAGE_WIDTH_IN)
     strips = figure.subplots(len(missions), 1, sharex=True, squeeze=False)[:, 0]
     for axes, mission in zip(strips, missions, strict=True):
-        _draw_strip(axes, mission.recording, _ages_in_slots(mission.scenario, mission.recording), scale)
+        _draw_strip(axes, mission, scale)
         axes.set_title(_title(mission, labels, ": "), pad=3)
         axes.label_outer()
     figure.suptitle(_flown(missions[0]), fontsize=8)

@@ -13,20 +13,19 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from uavaou.errors import InputError
-from uavaou.evaluation.flights import PartKey
+from uavaou.evaluation.flights import VALIDATION, PartKey
 from uavaou.experiments.marl_eval import to_marl_eval
 from uavaou.experiments.results import StudyFolder, StudyResults, read_study
 from uavaou.experiments.run import gather, read_state, update_results
 from uavaou.experiments.study import Study
 from uavaou.files import read_text, write_json, write_text
 from uavaou.reports.ablations import ablation_table, ablations
-from uavaou.reports.claims import SMOOTHED, WITHIN, Claim, judge
+from uavaou.reports.claims import SMOOTHED, WITHIN, Claim, converged, judge, smooth
 from uavaou.reports.markdown import BLOCK, END, begin, filled, rounded, table, with_interval
 from uavaou.reports.replay.page import STUDY_REPLAY, write_study_replay
 from uavaou.reports.scores import PolicyScores, below_bound, study_scores
 from uavaou.reports.suite_tables import suites_markdown
 from uavaou.reports.suites import suites_of_study
-from uavaou.reports.trainings import trainings_section
 from uavaou.runs.lock import HeldError, one_writer
 
 _NOTE = """\
@@ -64,6 +63,10 @@ evaluation from which on its validation AoU, averaged over {SMOOTHED} evaluation
 best. The level of an algorithm's trainings is {WITHIN:.0%} above the mean of the best such AoU of each of them; a
 training reaches it at its first evaluation at or below it. A training that never converges or never reaches the level
 counts with its whole budget."""
+_TRAININGS_HEAD = ("policy", "seed", "mean AoU (slots)", "level (slots)", "converged at")
+_TRAININGS_NOTE = f"""\
+Level: the lowest validation AoU of the training, averaged over {SMOOTHED} evaluations. Converged at: the training slots
+from which on that average stays within {WITHIN:.0%} of the level."""
 _CLAIMS_HEAD = ("claim", "the paper's words", "measured", "estimate", "95 % interval", "verdict")
 
 
@@ -130,7 +133,7 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
         *(f"**Something is wrong: {line}.**" for line in remarks),
         *(_results(results) if results.scenarios else ()),
         *suites_markdown(suites_of_study(results)),
-        *trainings_section(results),
+        *_trainings(results),
         *_comparison(results),
     ]
     claims = judge(results) if results.settings.get("claims") else None
@@ -205,6 +208,27 @@ def _comparison(results: StudyResults) -> list[str]:
     if not means or reference is None:
         return []
     return [f"## Against `{reference}`", ablation_table(ablations(means, reference))]
+
+
+def _trainings(results: StudyResults) -> list[str]:
+    """The page's part on each training; nothing where no training has validations."""
+    parts = []
+    for scenario in results.scenarios:
+        rows = [row for variant in results.algorithms for row in _trainings_rows(results, variant, scenario)]
+        parts += [f"### {scenario}"] if rows and len(results.scenarios) > 1 else []
+        parts += [table(_TRAININGS_HEAD, rows)] if rows else []
+    return [f"## Trainings\n\n{_TRAININGS_NOTE}", *parts] if parts else []
+
+
+def _trainings_rows(results: StudyResults, variant: str, scenario: str) -> list[tuple[str, ...]]:
+    found: list[tuple[str, ...]] = []
+    trainings = results.trainings(variant, scenario)
+    for run, one in zip(results.curves(VALIDATION, variant, scenario), trainings.itertuples(), strict=False):
+        aou = run["mean_aou_slots"]
+        moment, level = converged(aou), rounded(float(smooth(aou).min()), 4)
+        at = f"{int(run['x'][moment.place]):,} slots" if moment.happened else "never"
+        found.append((f"`{variant}`", str(one.seed), rounded(float(one.mean_aou_slots), 4), level, at))
+    return found
 
 
 def claims_markdown(claims: Sequence[Claim]) -> str:

@@ -114,30 +114,20 @@ class RunConfig:
 
 
 class RunMeta(BaseModel, frozen=True, extra="ignore"):
-    """The content of ``meta.json``; what follows ``checkpoints`` is a training's progress at its last checkpoint."""
+    """What is read of ``meta.json``, which :func:`uavaou.runs.recorder.write_meta` writes."""
 
     versions: dict[str, str | None] = {}
     commit: str | None = None  # of the repository that the package ran from
     python: str | None = None
-    system: str | None = None
     processor: str | None = None
-    cores: Whole | None = None
     threads: Whole | None = None  # of the learner
     slots: Whole
     agent_steps: Whole
     slots_budget: Whole | None = None
     finished: bool
-    device: str | None = None
-    checkpoints: dict[str, Whole | Number] = {}  # written, and the seconds that it took of the wall-clock
-    missions: Whole | None = None
     wall_s: Number
-    updates: Whole | None = None
-    next_evaluation: Whole | None = None
     best_score: Number | None = None  # mean AoU on the validation missions, s
     best_action: str = "greedy"
-    rows: Whole | None = None
-    row_slots: Whole | None = None
-    budget_left: Number | None = None
     cpu_s: Number | None = None
 
 

@@ -3,8 +3,6 @@
 import os
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Self
 
@@ -43,19 +41,6 @@ def exit_code(error: BaseException) -> int:
     """The exit code of a command that an interrupt ended, as shells report it: 143 after SIGTERM, else 130."""
     causes = (error, error.__cause__, error.__context__)
     return 128 + (signal.SIGTERM if any(isinstance(one, Terminated) for one in causes) else signal.SIGINT)
-
-
-@contextmanager
-def children_ignore_ctrl_c() -> Iterator[None]:
-    """Let the processes that the block starts ignore Ctrl-C, which a terminal sends them too: this one passes it on."""
-    if threading.current_thread() is not threading.main_thread():  # Python allows no handlers there
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def was_interrupt(error: SystemError) -> bool:

@@ -20,13 +20,14 @@ from uavaou.files import write_json
 from uavaou.planners.plan import PlanningStatus
 from uavaou.runs.checkpoint import copy_last, save_policy, save_training
 from uavaou.runs.checkpoint_header import ACTIONS, ROWS_AN_EVALUATION, TrainingProgress
-from uavaou.runs.folder import RunConfig, RunFolder, RunMeta
+from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.interrupt import Interrupted, Interrupts
 from uavaou.runs.machine import describe_machine
 from uavaou.runs.records import EpisodesCsv, ProgressCsv, plain
 from uavaou.runs.validation import MEANS, family_score, mission_means
 
 CHECKPOINT_EVERY_S = 30.0
+_NOT_IN_META = {"slots", "agent_steps", "recent", "figures", "episodes_sha256", "progress_sha256"}  # of the progress
 MOST_SHARE = 0.025  # of the wall-clock goes to checkpoints: a large replay is written less often
 
 
@@ -315,17 +316,17 @@ def write_meta(
     checkpoints: dict[str, float],
 ) -> None:
     """Write ``meta.json``: the machine, the budgets, and where the last checkpoint stands."""
-    meta = RunMeta(
+    content = {
         **machine,
-        slots=progress.slots,
-        agent_steps=agent_steps(progress, config),
-        slots_budget=config.slots,
-        finished=progress.slots >= config.slots,
-        device=device,
-        checkpoints=checkpoints,
-        **progress.model_dump(exclude={"slots", "agent_steps", "recent", "figures"}),
-    )
-    write_json(folder.meta, meta.model_dump(mode="json"))
+        "slots": progress.slots,
+        "agent_steps": agent_steps(progress, config),
+        "slots_budget": config.slots,
+        "finished": progress.slots >= config.slots,
+        "device": device,
+        "checkpoints": checkpoints,
+        **progress.model_dump(exclude=_NOT_IN_META),
+    }
+    write_json(folder.meta, content)
 
 
 def agent_steps(progress: TrainingProgress, config: RunConfig) -> int:

@@ -34,12 +34,16 @@ _SCRIPTS = ("mission", "colours", "map", "chart", "table", "player")  # each use
 
 
 def write_replay(path: Path, missions: Mapping[str, RecordedMission]) -> None:
-    """Write the page that replays ``missions``, as :func:`replay_page` makes it.
+    """Write the page that replays one mission as several policies flew it, side by side.
+
+    Args:
+        path: of the page.
+        missions: label -> what the policy of that label did. All have one scenario, seed and layout.
 
     Raises:
-        InputError: as :func:`replay_page`, or the file cannot be written.
+        InputError: they are not one mission, or the file cannot be written.
     """
-    write_text(path, replay_page(missions))
+    write_text(path, fill_page(replay_content(missions)))
 
 
 def by_label(
@@ -76,18 +80,6 @@ def write_study_replay(study: Path, algorithms: Mapping[str, str]) -> None:
     if missions:
         missions.sort(key=lambda mission: mission.mean_aou_slots)
         write_replay(study / STUDY_REPLAY, by_label(missions, algorithms))
-
-
-def replay_page(missions: Mapping[str, RecordedMission]) -> str:
-    """The page that replays one mission as several policies flew it, side by side.
-
-    Args:
-        missions: label -> what the policy of that label did. All have one scenario, seed and layout.
-
-    Raises:
-        InputError: they are not one mission.
-    """
-    return fill_page(replay_content(missions))
 
 
 def replay_content(missions: Mapping[str, RecordedMission]) -> dict[str, Any]:
