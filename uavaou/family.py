@@ -337,6 +337,8 @@ def beyond(family: Family, scenario: Scenario) -> list[str]:
         drawn_to = scenario.grid_step_m / 2 if field == "area_m" else _ROUNDING * max(abs(low), abs(high))
         if min(own) < low - drawn_to or max(own) > high + drawn_to:
             found.append(f"{quantity} {_span(min(own), max(own), unit)} (in training {_span(low, high, unit)})")
+    if (scenario.outline_m or scenario.no_fly) and not (family.base.outline_m or family.base.no_fly):
+        found.append("outline or zones (in training none)")
     return found
 
 
