@@ -184,6 +184,8 @@ def _cost_lines(results: Mapping[str, Evaluation], minutes: float, planned: Mapp
             for name, mean in planned.items()
             if mean < interval_over_missions(routes).low
         ]
+        if not planned and cost.low > 0:
+            texts.append("anneal plans routes for open loop: compare --policy anneal.")
     return [*aligned(rows), *paragraphs(texts or ["The policy flies these routes in every mission."]), ""]
 
 
