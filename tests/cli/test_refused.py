@@ -175,16 +175,28 @@ BAD_INPUTS = [
     ("tune papr --seconds 1", "did you mean 'paper'?"),
     ("tune tiny --scenario tiny --seconds 1", "give one of them"),
     # a map of devices in place of a scenario
-    ("fly map.csv", "map.csv is a table of devices and no scenario"),
-    ("fly ./map.csv", "name it in a YAML file under devices_csv, or write --set scenario.devices_csv=map.csv"),
+    ("audit map.csv", "map.csv is a table of devices and no scenario"),
+    ("audit ./map.csv", "under devices_csv, write --set scenario.devices_csv=map.csv, or make one with uavaou import"),
     ("train --scenario map.csv", "no scenario"),
     ("eval map.csv", "no scenario"),
     ("replay greedy map.csv", "no scenario"),
-    ("audit map.geojson", "map.geojson is GeoJSON and no scenario: a scenario is a YAML file"),
+    ("audit map.geojson", "map.geojson is GeoJSON and no scenario: uavaou import map.geojson makes one of it"),
     ("plan map.yaml", "map.yaml is GeoJSON and no scenario"),
     ("fly none.csv", "'none.csv' does not exist"),
     ("audit tiny --set scenario.devices_csv=map.geojson", "map.geojson: is GeoJSON, expected a CSV table"),
     ("audit tiny --set scenario.devices_csv=map.csv", "map.csv: line 2 = [900, 10]: outside the area"),
+    # import
+    ("import", "missing argument 'FILE'"),
+    ("import none.csv", "none.csv: cannot be read: No such file"),
+    ("import list.yaml", "no positions found"),
+    ("import map.csv --radio zigbe", "unknown --radio 'zigbe'"),
+    ("import map.csv --station 46", "--station 46: expected 2 numbers with commas between, such as 46.1012,7.2210"),
+    ("import map.csv --endurance soon", "--endurance soon: expected a number of min"),
+    ("import map.csv --speed 3kg", "--speed 3kg: expected a speed"),
+    ("import map.csv --uavs 0", "--uavs 0: must be at least 1"),
+    ("import map.csv --out list.yaml", "'list.yaml' is not a folder"),
+    ("fly map.csv --crs EPSG:1 --seconds 1", "'EPSG:1': no coordinate reference system"),
+    ("fly tiny --uavs 4", "--uavs is for a map file, and 'tiny' is a scenario: --set scenario.uavs=4"),
     # audit
     ("audit", "missing argument 'SCENARIO'"),
     ("audit papr", "did you mean 'paper'?"),
@@ -263,12 +275,12 @@ def test_the_process_reports_bad_input_as_main_does(workplace: Path) -> None:
 
 
 def test_all_faults_of_a_scenario_are_lines_of_one_message(shell: Shell, workplace: Path) -> None:
-    (workplace / "mine.yaml").write_text("base: paper\nslots: 1\nuavs: 2\nspeed: 3\n")
+    (workplace / "mine.yaml").write_text("base: paper\nslots: 1\nuavs: 2\naltitudes_m: [80]\ncds_m: []\nspeed: 3\n")
     err = shell.refused("fly mine.yaml")
     assert err == (
         "uavaou: mine.yaml: 4 faults\n"
         "  unknown field 'speed'; did you mean 'speed_m_s'?\n"
         "  slots = 1: must be greater than or equal to 2\n"
-        "  altitudes_m: has 3 entries, needs one for each of the 2 uavs; [80, 90] would fit\n"
-        "  cds_m: has 3 entries, needs one for each of the 2 uavs; [[0, 0], [1000, 0]] would fit\n"
+        "  altitudes_m: has 1 entries, needs one for each of the 2 uavs; [80, 90] would fit\n"
+        "  cds_m: has 0 entries, needs one for each of the 2 uavs; [[0, 0], [0, 0]] would fit\n"
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats
 from uavaou.errors import InputError
-from uavaou.field.features import DEGREES, METRES, UNSTATED, Feature, Reading
+from uavaou.field.features import DEGREES, METRES, UNSTATED, Feature, Reading, extra
 from uavaou.fields import short
 
 NEAR_KM = 10.0
@@ -76,14 +76,10 @@ def _refuse_degrees(reading: Reading, features: Sequence[Feature]) -> None:
 
 def _from_crs(reading: Reading, features: list[Feature], crs: str) -> list[Feature]:
     """The features in degrees."""
+    pyproj = extra("pyproj")
     try:
-        from pyproj import Transformer
-        from pyproj.exceptions import ProjError
-    except ImportError:
-        raise InputError("coordinates need pyproj: pip install 'uavaou[field]'") from None
-    try:
-        transformer = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
-    except ProjError:
+        transformer = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    except pyproj.exceptions.ProjError:
         raise InputError(
             f"--crs {short(crs)}: no coordinate reference system; expected one such as EPSG:32632"
         ) from None
@@ -105,10 +101,9 @@ def on_one_map(
     found = []
     for reading, features in located:
         features = _without_null_island(reading, features, notes)
-        places = all_places(features)
-        if len(places):
+        if features:
             straight, swapped = _fault(features), _fault([_swapped(feature) for feature in features])
-            middle = tuple(np.median(places, axis=0).tolist())
+            middle = np.median(all_places(features), axis=0).tolist()
             far = near is not None and km_between(middle, near) > 500 and km_between(middle[::-1], near) < 100
             if (straight or far) and not swapped:
                 features = [_swapped(feature) for feature in features]
@@ -116,12 +111,11 @@ def on_one_map(
                 notes.append(f"{reading.path.name}: latitude and longitude are swapped back ({why})")
             elif straight:
                 raise InputError(f"{reading.path}: {straight}")
+            first = near or features[0].places[0]
+            features = [_near_longitude(feature, first[0]) for feature in features]
             near = near or np.median(all_places(features), axis=0).tolist()
         found.append((reading, features))
-    if near is None:
-        return found
-    turned = near[0]
-    return [(r, [_near_longitude(feature, turned) for feature in features]) for r, features in found]
+    return found
 
 
 def _without_null_island(reading: Reading, features: list[Feature], notes: list[str]) -> list[Feature]:
@@ -149,7 +143,7 @@ def _fault(features: Sequence[Feature]) -> str:
 
 def _near_longitude(feature: Feature, longitude: float) -> Feature:
     """With longitudes within half a turn of another one, across the antimeridian."""
-    return replace(feature, places=tuple(((x - longitude + 180) % 360 - 180 + longitude, y) for x, y in feature.places))
+    return replace(feature, places=tuple((x + 360 * round((longitude - x) / 360), y) for x, y in feature.places))
 
 
 def km_between(first: Sequence[float], second: Sequence[float]) -> float:
