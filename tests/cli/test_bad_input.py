@@ -54,6 +54,10 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
         "--planner": no_names, "--time-limit": no_numbers | st.sampled_from(["0", "-1", "nan", "inf"]),
         "--episodes": no_counts | st.just("0"), "--seed": no_counts, "--out": st.just("file"),
     },
+    "route tiny --format csv --policy stay": {
+        "--seconds": no_numbers | st.sampled_from(["0", "-1", "nan", "inf"]), "--policy": no_names, "--seed": no_counts,
+        "--episodes": no_counts | st.just("0"), "--format": no_names, "--out": st.just("file"), "--knows": no_names,
+    },
     "gap tiny": {
         "--time-limit": no_numbers | st.sampled_from(["0", "-1", "nan", "inf"]), "--seed": no_counts,
         "--episodes": no_counts,

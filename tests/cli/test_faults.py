@@ -24,6 +24,7 @@ COMMANDS = {  # and how many trials of it CI plays
     "plan tiny --planner tour --episodes 1 --out out --quiet": 1,
     "gap tiny --episodes 1 --certificate out/c.npz --quiet": 1,
     "fly tiny --policy stay --out out --quiet": 0,
+    "route tiny --policy stay --format csv --episodes 1 --out out --quiet": 1,
     "replay stay --scenario tiny --out out/page.html --quiet": 2,
     "export {run} --out out/policy.safetensors": 1,
     "export {run} --format sb3 --out out/policy.zip": 2,
