@@ -45,16 +45,42 @@ def scenarios(draw: st.DrawFn, max_slots: int = 14, max_uavs: int = 3, max_devic
         "rician_factor": draw(st.sampled_from([0.0, 1.0, 10.0])),
         "fading": draw(st.sampled_from(["rician", "none"])),
         "noise_power_dbm": -120.0,
-        "rate_min_bit_s": draw(st.sampled_from([150_000.0, 120_000.0])),
         "layout": draw(st.sampled_from(["fixed", "resample"])),
         "layout_seed": draw(st.integers(0, 1000)),
         "flight_time": draw(st.sampled_from(["enforce", "enforce", "enforce", "ignore"])),
     }
+    fields |= draw(radios())
     fields |= draw(st.sampled_from([{"carrier_frequency_hz": 3.5e9}, {"reference_gain_db": -43.3}]))
     moves = draw(st.integers(0, slots)) + draw(st.sampled_from([0.0, 0.5]))
     fields["flight_time_budget_s"] = (2 * max(altitudes) + moves * step) / speed
     fields |= draw(_device_fields(devices, columns * step, rows * step))
     return Scenario.from_dict(fields)
+
+
+@st.composite
+def radios(draw: st.DrawFn) -> dict[str, Any]:
+    """What a radio needs to be in range, and in half of the draws a channel that is not the paper's.
+
+    The SNR and the sensitivity are about those of the rate at the smallest bandwidth, so that they bind in part.
+    """
+    rates = [{"rate_min_bit_s": 150_000.0}, {"rate_min_bit_s": 120_000.0}]
+    fields: dict[str, Any] = draw(st.sampled_from([*rates, {"snr_min_db": 30}, {"sensitivity_dbm": -91.5}]))
+    if draw(st.booleans()):
+        return fields
+    sight = st.fixed_dictionaries(
+        {
+            "a": st.floats(1, 20),
+            "b": st.floats(0.05, 1),
+            "loss_los_db": st.floats(0, 2),
+            "loss_nlos_db": st.floats(2, 30),
+        }
+    )
+    return fields | {
+        "path_loss_exponent": draw(st.floats(1.7, 2.6)),
+        "excess_loss_db": draw(st.sampled_from([0, 3.0])),
+        "antenna_gain_db": draw(st.sampled_from([0, 5.0, -2])),
+        "line_of_sight": draw(st.one_of(st.none(), st.sampled_from(["suburban", "urban", "dense-urban"]), sight)),
+    }
 
 
 @st.composite

@@ -166,7 +166,7 @@ BAD_CHANGES: list[tuple[dict[str, Any], list[str]]] = [
     ({"slots": "twelve"}, ["slots", "'twelve'", "number"]),
     ({"slots": 1_000_001}, ["slots", "1000001", "less than or equal to 1000000"]),
     ({"slots": "12"}, ["slots", "'12'", "number, not text; write 12"]),
-    ({"speed_m_s": "15 m/s"}, ["speed_m_s", "write 15"]),
+    ({"speed_m_s": "15 dBm"}, ["speed_m_s", "expected a speed: a number of m/s, or text with one of the units m/s"]),
     ({"speed_m_s": "1,5"}, ["speed_m_s", "write 1.5"]),
     ({"slots": 12.5}, ["slots", "12.5", "integer"]),
     ({"slots": True}, ["slots", "True", "number"]),

@@ -39,8 +39,18 @@ class Mission:
         gain_db = fields.get("reference_gain_db")
         wave = 299_792_458 / (4 * np.pi * fields["carrier_frequency_hz"]) if gain_db is None else 0
         gain = wave**2 if gain_db is None else 10 ** (gain_db / 10)
-        snr = file["transmit_power"] * gain / 10 ** (fields["noise_power_dbm"] / 10 - 3) / distance2
-        need = 2.0 ** (fields["rate_min_bit_s"] / file["bandwidth"]) - 1
+        loss_db = fields.get("excess_loss_db", 0) - fields.get("antenna_gain_db", 0)
+        if sight := fields.get("line_of_sight"):
+            sine = heights[:, None, None] / np.sqrt(distance2)
+            seen = 1 / (1 + sight["a"] * np.exp(-sight["b"] * (np.degrees(np.arcsin(sine)) - sight["a"])))
+            loss_db = loss_db + seen * sight["loss_los_db"] + (1 - seen) * sight["loss_nlos_db"]
+        loss = distance2 ** (fields.get("path_loss_exponent", 2) / 2) * 10 ** (loss_db / 10)
+        snr = file["transmit_power"] * gain / 10 ** (fields["noise_power_dbm"] / 10 - 3) / loss
+        need = 2.0 ** (fields.get("rate_min_bit_s", 0) / file["bandwidth"]) - 1
+        if (least_db := fields.get("snr_min_db")) is not None:
+            need = 10 ** (least_db / 10)
+        if (least_dbm := fields.get("sensitivity_dbm")) is not None:
+            need = 10 ** ((least_dbm - fields["noise_power_dbm"]) / 10)
         phi = fields["rician_factor"]
         fades = fields["fading"] != "none"
         self.hit = ncx2.sf(2 * (phi + 1) * need / snr, 2, 2 * phi) if fades else (snr >= need) * 1.0

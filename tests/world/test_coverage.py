@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,8 +43,9 @@ def test_radius_is_nan_where_even_right_below_is_too_far(tiny: Scenario) -> None
     assert np.isnan(radius[1]).all()
 
 
-def test_radius_and_probability_without_fading_agree() -> None:
-    scenario = Scenario.load("paper").replace(fading="none")
+@pytest.mark.parametrize("changes", [{}, {"path_loss_exponent": 2.1}, {"line_of_sight": "urban"}, {"radio": "ble"}])
+def test_radius_and_probability_without_fading_agree(changes: dict[str, Any]) -> None:
+    scenario = Scenario.load("paper").replace(fading="none", **changes)
     layout = scenario.draw_layout()
     away = grid_positions(scenario)[:, :, None] - layout.positions  # (X, Y, I, 2)
     within = np.hypot(away[..., 0], away[..., 1]) <= coverage_radius(scenario, layout)[:, None, None]

@@ -48,10 +48,30 @@ class LiteralMission:
             line = []
             for i, (device_x, device_y) in enumerate(self.spots):
                 d = math.sqrt((x - device_x) ** 2 + (y - device_y) ** 2 + self.scenario.altitudes_m[u] ** 2)
-                h_squared = self.beta_0 / d**2 * gains[u][i]
+                h_squared = self.mean_gain(d, self.scenario.altitudes_m[u]) * gains[u][i]
                 line.append(self.power[i] * h_squared / self.noise)
             table.append(line)
         return table
+
+    def mean_gain(self, d: float, altitude: float) -> float:
+        """beta_0 d^-eta, with the antennas, less the excess loss and the mean loss of line of sight."""
+        scenario, sight = self.scenario, self.scenario.line_of_sight
+        loss_db = scenario.excess_loss_db - scenario.antenna_gain_db
+        if sight is not None:
+            theta = math.degrees(math.asin(altitude / d))
+            p = 1 / (1 + sight.a * math.exp(-sight.b * (theta - sight.a)))
+            loss_db += p * sight.loss_los_db + (1 - p) * sight.loss_nlos_db
+        return self.beta_0 * d**-scenario.path_loss_exponent * 10 ** (-loss_db / 10)
+
+    def in_range(self, u: int, i: int, snr: Any) -> bool:
+        """Whether the rate, the SNR or the received power is enough."""
+        scenario = self.scenario
+        if scenario.rate_min_bit_s is not None:
+            return self.rate(u, i, snr) >= scenario.rate_min_bit_s
+        if scenario.snr_min_db is not None:
+            return bool(snr[u][i] >= 10 ** (scenario.snr_min_db / 10))
+        assert scenario.sensitivity_dbm is not None
+        return bool(10 * math.log10(snr[u][i] * self.noise * 1000) >= scenario.sensitivity_dbm)
 
     def rate(self, u: int, i: int, snr: Any) -> float:
         """R_iu in bit/s."""
@@ -96,7 +116,7 @@ class LiteralMission:
         for i in range(scenario.devices):
             candidates = []
             for u in range(scenario.uavs):
-                fast_enough = self.rate(u, i, snr) >= scenario.rate_min_bit_s
+                fast_enough = self.in_range(u, i, snr)
                 if selections is None or selections[u][i]:
                     if fast_enough:
                         candidates.append(u)

@@ -22,7 +22,10 @@ def area_of(world: World) -> PatrolArea:
     return patrol_area(world.scenario, world.flight.cds, positions, headroom, world.update_period[0])
 
 
-@pytest.mark.parametrize("changes", [{}, {"fading": "none"}, {"rician_factor": 0}, {"rician_factor": 40}])
+CITY = {"radio": "802.15.4", "line_of_sight": "urban", "transmit_power_mw": {"low": 0.2, "high": 1}}
+
+
+@pytest.mark.parametrize("changes", [{}, {"fading": "none"}, {"rician_factor": 0}, {"rician_factor": 40}, CITY])
 def test_a_patrol_meets_the_channel_of_the_world(changes: dict[str, Any]) -> None:
     world = World(Scenario.load("paper").replace(**changes), 1, 0)
     area, exact = area_of(world), cell_coverage(world.scenario, world.layout(0))  # (U, C, I)
@@ -103,7 +106,7 @@ def test_no_single_device_is_better_moved() -> None:
         assert (sums[:6] >= sums[6] - 1e-5).all()
 
 
-@pytest.mark.parametrize("changes", [{}, {"fading": "none"}, {"rician_factor": 0}, {"rate_min_bit_s": 3e6}])
+@pytest.mark.parametrize("changes", [{}, {"fading": "none"}, {"rician_factor": 0}, {"rate_min_bit_s": 3e6}, CITY])
 def test_steps_are_to_cells_with_half_of_the_best_probability(changes: dict[str, Any]) -> None:
     for seed in (6, 7, 8):
         scenario = Scenario.load("paper").replace(layout_seed=seed, altitudes_m=[80, 100, 120], **changes)
