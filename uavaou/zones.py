@@ -207,4 +207,5 @@ def _away(point: Floats, start: Floats, end: Floats) -> Floats:
     way = end - start
     length = np.maximum((way * way).sum(axis=-1), 1e-300)
     along = (((point - start) * way).sum(axis=-1) / length).clip(0.0, 1.0)
-    return np.hypot(*np.moveaxis(point - start - along[..., None] * way, -1, 0))
+    away: Floats = np.hypot(*np.moveaxis(point - start - along[..., None] * way, -1, 0))
+    return away

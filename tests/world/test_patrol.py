@@ -77,11 +77,11 @@ def literal_patrol(area: PatrolArea, uav: int, members: list[int], missions: int
                 total += sum(waiting[i])
             moves = [
                 (sum(sum(waiting[i]) * float(area.pull[uav, to, i]) for i in members), -move)
-                for move, to in enumerate(area.target[cell])
+                for move, to in enumerate(area.target[0][cell])
                 if area.home[uav, to] <= slots - slot - 2
                 and area.home[uav, to] + (to != cell) <= area.budget[uav] - flown
             ]
-            to = area.target[cell, -max(moves)[1] if moves else area.step_home[uav, cell]]
+            to = area.target[0][cell, -max(moves)[1] if moves else area.step_home[uav, cell]]
             flown, cell = flown + (to != cell), to
     return total / (slots * missions)
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaou.scenario import Scenario
+from uavaou.zones import free_legs
 
 if TYPE_CHECKING:  # the checker reads a World's attributes and runs none of its code
     from uavaou.world import MissionMetrics, World
@@ -32,6 +33,8 @@ _BLOCK = 20_000  # pairs whose SNRs are computed together
 # SplitMix64 (Steele, Lea and Flood, OOPSLA 2014), and the numbers in (0, 1] of its words' first 53 bits
 _GOLDEN, _MIX_1, _MIX_2 = (np.uint64(k) for k in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
 _UNIT = 2.0**-53
+_MOST_LEGS = 2_000_000  # coordinates of legs that are checked together
+_OUTSIDE_M = 1e-5  # of the outline, that rounding may put a leg
 
 
 class _Pairs(NamedTuple):
@@ -54,10 +57,11 @@ class ViolationCounter:
     The keys of the counts: ``rate`` (collected pairs with R < R_min, and pairs whose SNR is not the one that the
     channel has there; all collections are compared, and all pairs in one of 64 slots), ``association`` (devices and
     slots without exactly one collecting UAV where a collection is claimed), ``flight_time`` (UAVs over zeta_max),
-    ``bounds`` (UAVs and slots off the area, off the grid, or more than one grid step along one axis from the slot
-    before), ``cds`` (UAVs away from their CDS in slot 1 or in slot K), ``layout`` (values of devices that are not the
-    scenario's), ``ages`` (devices and slots whose age sum is not what eq. (1) gives for the collections) and
-    ``metrics`` (rewards and figures of the mission that do not follow from these).
+    ``bounds`` (UAVs and slots off the area, off the grid, more than one grid step along one axis from the slot before,
+    or on a leg from it that leaves the outline or meets a zone grown by its margin), ``cds`` (UAVs away from their CDS
+    in slot 1 or in slot K), ``layout`` (values of devices that are not the scenario's), ``ages`` (devices and slots
+    whose age sum is not what eq. (1) gives for the collections) and ``metrics`` (rewards and figures of the mission
+    that do not follow from these).
 
     Args:
         scenario: what the world claims to simulate.
@@ -81,6 +85,7 @@ class ViolationCounter:
         self._noise = 10 ** ((scenario.noise_power_dbm - 30) / 10)  # W
         self._gain_per_noise = _reference_gain(scenario) / self._noise  # 1/W
         self._rngs = [np.random.default_rng(seed + mission) for mission in range(missions)]
+        self._zoned = scenario.outline_m is not None or scenario.no_fly is not None
         self._start()
 
     def _start(self) -> None:
@@ -90,6 +95,7 @@ class ViolationCounter:
         self._last_positions: Floats = np.empty(0)  # (N, U, 2) m
         self._distance: Floats = np.zeros((self.missions, scenario.uavs))  # (N, U) m, flown
         self._pairs: list[_Pairs] = []
+        self._legs: list[Floats] = []  # (N, U, 2, 2) m, from the slot before
         # Eq. (1) with two numbers a device: all pending updates age and are delivered together.
         self._pending: Ints = np.ones(shape, dtype=np.int64)  # (N, I) updates; number 0 waits from the beginning
         self._age: Ints = np.zeros(shape, dtype=np.int64)  # (N, I) slots, their sum
@@ -144,6 +150,7 @@ class ViolationCounter:
         if self._last_slot != self.scenario.slots:
             raise RuntimeError(f"the mission has {self.scenario.slots} slots, {self._last_slot} were observed")
         self._check_pairs()
+        self._check_legs()
         self._check_metrics(world.metrics())
         if self.scenario.flight_time == "enforce":
             # zeta_u = (2 H_u + distance flown) / nu (eq. flighttime)
@@ -287,6 +294,22 @@ class ViolationCounter:
             broken |= (moved > step + slack).any(axis=-1) | (moved > slack).all(axis=-1)  # far, or diagonal
             self._distance += np.linalg.norm(moved, axis=-1)
         self._counts["bounds"] += broken.sum(axis=-1)
+        if self._zoned:
+            before = positions if self._last_slot == 1 else self._last_positions
+            self._legs.append(np.stack([before, positions], axis=-2))
+            if len(self._legs) * before.size > _MOST_LEGS:
+                self._check_legs()
+
+    def _check_legs(self) -> None:
+        """Each leg lies in the outline and outside of the zones that apply to the UAV: by shapely's geometry."""
+        if not self._legs:
+            return
+        legs = np.stack(self._legs)  # (slots, N, U, 2, 2) m
+        self._legs.clear()
+        for u, altitude in enumerate(self._altitude):
+            ends, of_leg = np.unique(legs[:, :, u].reshape(-1, 4), axis=0, return_inverse=True)
+            crosses = _crosses(self.scenario, float(altitude), ends.reshape(-1, 2, 2))
+            self._counts["bounds"] += crosses[of_leg].reshape(legs.shape[:2]).sum(axis=0)
 
 
 def total(violations: Sequence[dict[str, int]]) -> dict[str, int]:
@@ -309,3 +332,28 @@ def _reference_gain(scenario: Scenario) -> float:
         return (_LIGHT_M_S / (4 * math.pi * scenario.carrier_frequency_hz)) ** 2
     assert scenario.reference_gain_db is not None
     return float(10 ** (scenario.reference_gain_db / 10))
+
+
+def _crosses(scenario: Scenario, altitude: float, legs: Floats) -> NDArray[np.bool_]:
+    """Return which legs (L, 2, 2) in m a UAV may not fly at an altitude, (L,).
+
+    Without shapely, which is an extra, the geometry is that of the world.
+    """
+    zones = [
+        zone
+        for zone in scenario.no_fly or ()
+        if (zone.floor_m is None or altitude >= zone.floor_m) and (zone.ceiling_m is None or altitude <= zone.ceiling_m)
+    ]
+    try:
+        import shapely
+    except ImportError:
+        return ~free_legs(legs[:, 0], legs[:, 1], scenario.outline_m, zones)
+    lines = shapely.linestrings(legs)
+    crosses = np.zeros(len(legs), dtype=np.bool_)
+    if scenario.outline_m is not None:
+        outline = shapely.Polygon(scenario.outline_m).buffer(_OUTSIDE_M, join_style="mitre")
+        shapely.prepare(outline)
+        crosses |= ~shapely.covers(outline, lines)
+    for zone in zones:
+        crosses |= shapely.distance(shapely.Polygon(zone.polygon_m), lines) <= zone.margin_m
+    return crosses

@@ -25,6 +25,7 @@ _ROLES: dict[Role, str] = {
     "station": "station stations base bases depot depots home cds gcs dock docks hangar launch takeoff",
     "device": "sensor sensors device devices node nodes",
 }
+_BY_FILE = "file's name"
 _HOMES = ({"home"}, {"base"}, {"depot"}, {"cds"}, {"gcs"}, {"base", "station"}, {"ground", "station"}, {"take", "off"})
 _KM = 111.195  # of a degree of latitude
 _LEAST_M = 20.0  # across a field in metres
@@ -44,6 +45,7 @@ class Survey:
     stations: list[Feature] = field(default_factory=list)
     outline: Feature | None = None
     zones: list[Feature] = field(default_factory=list)
+    called: list[tuple[Feature, str]] = field(default_factory=list)  # stations that only a word made such, and where
     facts: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # all that was ignored or guessed
 
@@ -104,6 +106,12 @@ def understand(readings: Sequence[Reading], crs: str = "", stations: Sequence[Po
         survey.facts.append(f"{reading.path.name}: {_count(features)}")
     if within and geographic:
         _keep_within(survey, within)
+    said = [f for f, why in survey.called if not survey.devices or why != _BY_FILE]
+    if len(said) > len(survey.devices):
+        survey.devices += said
+        survey.stations = [feature for feature in survey.stations if feature not in said]
+        survey.notes = [note for note in survey.notes if "is a station, by" not in note]
+        survey.notes.append(f"{len(said)} points are called stations, more than there are devices: they are devices too")
     if stations:
         if survey.stations:
             survey.notes.append(f"{len(survey.stations)} stations of the files are ignored: --station is given")
@@ -289,6 +297,7 @@ def _sort(survey: Survey, reading: Reading, feature: Feature, several: bool) -> 
     elif feature.shape == "point":
         (survey.stations if role == "station" else survey.devices).append(feature)
         if role == "station" and why:
+            survey.called.append((feature, why))
             survey.notes.append(f"{where}: is a station, by its {why}")
     else:
         survey.notes.append(f"{where}: a line is ignored")
@@ -302,7 +311,7 @@ def _role(path: Path, feature: Feature, several: bool) -> tuple[Role, str]:
     name = words(name_of(feature))
     texts = [("property", str(value_of(feature, "role") or "")), ("folder", str(feature.properties.get("folder", "")))]
     texts += [("name", " ".join(name))] if feature.shape != "point" else []
-    texts += [("file's name", path.stem)] if several or feature.shape != "point" else []
+    texts += [(_BY_FILE, path.stem)] if several or feature.shape != "point" else []
     for why, text in texts:
         said = set(words(text))
         for role in allowed:
@@ -318,11 +327,6 @@ def _settle(survey: Survey, path: Path) -> None:
         survey.stations = homes
         survey.devices.remove(homes[0])
         survey.notes.append(f"{homes[0].where}: is a station, by its name")
-    if not survey.devices and len(survey.stations) > 1:
-        survey.devices = [f for f in survey.stations if f.where != "--station"] or survey.devices
-        survey.stations = [f for f in survey.stations if f not in survey.devices]
-        survey.notes = [note for note in survey.notes if "is a station, by" not in note]
-        survey.notes.append("all points are called stations, and are taken for devices")
     _drop_repeated(survey)
     if not survey.devices:
         raise InputError(f"no places of devices ({'; '.join(survey.facts)}): add a file with points for them")

@@ -26,6 +26,7 @@ _WORDS = {
     "height": "elevation altitude height elev alt ele z hohe hoehe altura altitud",
 }
 _AT_THE_END = ("x", "y", "height", "id", "radius")  # meanings whose words also stand for other things inside of a name
+_WHOLE = set("station sensor site stop device node standort".split())  # words that name something on their own alone
 _UNITS = {"m", "meter", "meters", "metre", "metres", "km", "ft", "feet", "s", "sec", "min", "h", "deg", "degrees", "slots"}
 _SECONDS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden", "segundos"), 1.0),
@@ -57,7 +58,7 @@ def meanings(names: Sequence[str]) -> dict[str, str]:
             if meaning == "longitude" and "name" in parts:  # a long name
                 continue
             inside = parts[:1] + parts[-1:] if meaning in _AT_THE_END else parts
-            hits = [order[part] for part in inside if part in order]
+            hits = [order[part] for part in inside if part in order and (len(parts) == 1 or part not in _WHOLE)]
             if hits and name not in found.values():
                 ranks.append((len(parts) > 1, min(hits), place, name))
         if ranks:

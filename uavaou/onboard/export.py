@@ -26,12 +26,13 @@ from uavaou.runs.policy import TrainedPolicy, load_run
 from uavaou.scenario import Scenario
 from uavaou.world import World
 from uavaou.world.entities import told_before_take_off
-from uavaou.world.flight import grid_cells
+from uavaou.world.flight import free_moves, grid_cells
 from uavaou.world.pull import SHARE, Plans, steps_left
 
 SCHEMA = 1
 FILES = ("policy.onnx", "policy.json", "mission.json", "runner.py")
 _MISSIONS, _SLOTS = 8, 60  # of the comparison with torch: the first slots of as many missions
+_MOVE_BITS = 2 ** np.arange(5)  # a cell's free moves as one number
 _LEAST_SAME = 0.99  # of its rows; where two logits are equal but for rounding, either may win
 
 
@@ -148,6 +149,7 @@ def describe_mission(scenario: Scenario, plan: Plans | None = None) -> dict[str,
         "own_devices": own[0].astype(int).tolist(),
         "pull_weight": weight.tolist(),
         "pull_reach_steps": reach.tolist(),
+        **({} if (free := free_moves(scenario)) is None else {"free_moves": (free @ _MOVE_BITS).tolist()}),
     }
 
 

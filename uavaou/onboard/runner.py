@@ -38,6 +38,7 @@ MISSION = {  # name: shape for U UAVs and I devices, least, whole numbers
     "pull_weight": (("U", "I"), 1e-9, False),
     "pull_reach_steps": (("U", "I"), 1e-9, False),
 }  # fmt: skip
+ZONES = {"free_moves": (("U", "C"), 0, True)}  # where some legs are closed: of each cell, bit m for move m
 CHOICES = {
     "schema": (1,),
     "rows": ("flat", "entities"),
@@ -67,7 +68,7 @@ def read(path: Path) -> dict[str, Any]:
 def read_mission(path: Path) -> dict[str, Any]:
     """Read mission.json and check every number that the pilot uses."""
     mission, sizes = read(path), dict[str, int]()
-    for name, (shape, least, whole) in MISSION.items():
+    for name, (shape, least, whole) in (MISSION | (ZONES if "free_moves" in mission else {})).items():
         try:
             array = np.array(mission.get(name))
         except (ValueError, OverflowError):  # lists of several lengths, or an integer beyond all floats
@@ -135,6 +136,10 @@ class Pilot:
         self.devices = np.array(mission["devices_m"])  # (I, 2) m
         self.period = np.array(mission["update_period_slots"])  # (I,) slots, k_i
         self.radius = np.array(mission["coverage_radius_m"]) / self.step  # (U, I) grid steps
+        self.columns, self.rows = (np.floor(self.area / self.step + 0.5) + 1).astype(int).tolist()
+        self.zones = "free_moves" in mission
+        if self.zones:
+            self.read_zones(np.array(mission["free_moves"])[uav], folder)
         self.pulled = "pulls" in self.policy["inputs"]
         if self.pulled:
             of_device = ("collection_radius_m", "pull_weight", "pull_reach_steps")
@@ -144,6 +149,34 @@ class Pilot:
         self.last = self.last_own.copy()  # (I,) the same of any UAV
         self.last_in_range = self.last_own.copy()  # (I,) slot in which this UAV had each device in range, 0: none yet
         self.in_range = self.last_own > 0  # (I,) in this slot
+
+    def read_zones(self, bits: Any, folder: Path) -> None:
+        """Prepare the ways by free legs, from the free moves (C,) of each cell: column * rows + row."""
+        cells = np.stack(np.divmod(np.arange(len(bits)), self.rows), axis=-1)  # (C, 2)
+        if len(bits) != self.columns * self.rows or not (bits[cells @ [self.rows, 1]] < 32).all():
+            raise ValueError(f"{folder / 'mission.json'}: free_moves: expected a number below 32 for each cell")
+        self.free = (bits[:, None] >> np.arange(5)) % 2 == 1  # (C, 5)
+        to = cells[:, None] + STEPS  # (C, 5, 2)
+        self.free &= ((to >= 0) & (to < [self.columns, self.rows])).all(axis=-1)
+        self.to = np.where(self.free, to @ [self.rows, 1], np.arange(len(bits))[:, None])  # (C, 5)
+        self.home = self.spread(np.arange(len(bits)) == self.cds[self.uav] @ [self.rows, 1])  # (C,) moves to the CDS
+
+    def spread(self, there: Any) -> Any:
+        """The moves by free legs from each cell to the nearest of those marked, (C, ...)."""
+        steps = np.where(there, 0.0, np.inf)
+        while not np.array_equal(nearer := np.minimum(steps, steps[self.to].min(axis=1) + 1), steps):
+            steps = nearer
+        return steps
+
+    def number(self, cell: Any) -> Any:
+        """The number of a cell, which lies on the grid."""
+        return np.clip(cell, 0, [self.columns - 1, self.rows - 1]) @ [self.rows, 1]
+
+    def moves_home(self, cell: Any) -> Any:
+        """The moves from a cell, or from cells (..., 2), to the CDS."""
+        if self.zones:
+            return self.home[self.number(cell)]
+        return np.abs(cell - self.cds[self.uav]).sum(axis=-1)
 
     @property
     def done(self) -> bool:
@@ -200,12 +233,16 @@ class Pilot:
     def allowed_moves(self, cell: Any) -> Any:
         """The moves (5,) on the grid after which this UAV still gets home by the last slot and within its budget."""
         left, stays = self.mission["slots"] - self.slot, np.arange(5) == STAY  # slots, (5,)
-        home = np.abs(cell + STEPS - self.cds[self.uav]).sum(axis=1)  # (5,) grid steps
+        home = self.moves_home(cell + STEPS)  # (5,) grid steps
         in_time = (home <= left - 1) & (home + ~stays <= self.mission["budget_steps"][self.uav] - self.flown)
-        return self.on_grid(cell) & in_time if left else stays
+        free = self.free[self.number(cell)] if self.zones else True  # (5,)
+        return self.on_grid(cell) & free & in_time if left else stays
 
     def step_home(self, cell: Any) -> int:
         """The first step to the CDS, along x first: what takes the place of a move that is not allowed."""
+        if self.zones:
+            nearer = self.home[self.to[self.number(cell)]] < self.moves_home(cell)  # (5,)
+            return next((move for move in (RIGHT, LEFT, UP, DOWN) if nearer[move]), STAY)
         x, y = self.cds[self.uav] - cell
         return (RIGHT if x > 0 else LEFT) if x else (UP if y > 0 else DOWN) if y else STAY
 
@@ -230,10 +267,13 @@ class Pilot:
 
     def steps_left(self, radius: Any) -> Any:
         """Grid steps from each cell (X, Y) to the nearest within the ``radius`` (I,) in m of each device, (X, Y, I)."""
-        columns, rows = (np.floor(self.area / self.step + 0.5) + 1).astype(int)
-        cells = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), axis=-1)  # (X, Y, 2)
+        shape = self.columns, self.rows
+        cells = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)  # (X, Y, 2)
         away = np.linalg.norm(cells[:, :, None] * self.step - self.devices, axis=-1)  # (X, Y, I) m
         steps = np.where(away <= radius + 1e-6, 0.0, MOST_STEPS)
+        if self.zones:
+            good = (steps == 0) & (self.home < np.inf).reshape(*shape, 1)
+            return np.minimum(self.spread(good.reshape(len(self.to), -1)), MOST_STEPS).reshape(steps.shape)
         for line in (steps, steps.swapaxes(0, 1)):
             for there in range(1, len(line)):
                 np.minimum(line[there], line[there - 1] + 1, out=line[there])
@@ -270,7 +310,7 @@ class Pilot:
         """The tokens of this UAV (8,), its allowed moves (5,), its teammates (U - 1, 7) and the devices (I, 15)."""
         slots, uav, others, ones = self.mission["slots"], self.uav, self.others, np.ones(len(self.period))
         left, home = slots + 1 - self.slot, self.cds - cell  # slots, (U, 2) grid steps
-        spare = min(slots - self.slot, self.mission["budget_steps"][uav] - self.flown) - np.abs(home[uav]).sum()
+        spare = min(slots - self.slot, self.mission["budget_steps"][uav] - self.flown) - self.moves_home(cell)
         mine = np.array(self.mission["own_devices"])[uav] == 1  # (I,)
         known, uavs = (max(mine.sum(), 1), 1) if self.alone else (len(ones), len(home))
         sizes = np.log(known / 25), np.log(uavs / 3)
@@ -298,7 +338,8 @@ class Pilot:
             mates[:], devices[~mine] = 0, 0
         tokens = [own, allowed, mates, devices]
         if self.pulled:
-            moved = np.where(self.on_grid(cell)[:, None], cell + STEPS, cell)  # (5, 2)
+            open_to = self.free[self.number(cell)] if self.zones else self.on_grid(cell)  # (5,)
+            moved = np.where(open_to[:, None], cell + STEPS, cell)  # (5, 2)
             last = self.last_in_range if self.auto and not self.shared else last
             age = np.where(in_range, 0, self.ages(self.slot + 1, last))
             pulls = np.column_stack([age, self.steps[moved[:, 0], moved[:, 1]].T, ones * self.shared])

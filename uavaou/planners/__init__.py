@@ -69,6 +69,7 @@ def gap_planners(scenario: Scenario) -> list[str]:
     from uavaou.planners.exact import LARGEST, program_size
 
     names = ["local-greedy-tuned", "rolling", "anneal", "best-first", "greedy", "local-greedy-parts", "local-greedy"]
-    names += ["partition-tour", "tour", "random"]
+    tours = scenario.outline_m is None and scenario.no_fly is None  # they do not lead around zones
+    names += ["partition-tour", "tour", "random"] if tours else ["random"]
     solvable = scenario.fading == "none" and program_size(scenario) <= LARGEST
     return ["exact", *names] if solvable else names

@@ -20,7 +20,7 @@ from uavaou.planners.search import anneal, recompute
 from uavaou.planners.tour import PartitionTour, Tour
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
-from uavaou.world.flight import Flight
+from uavaou.world.flight import Flight, free_moves, ways
 
 PROPOSALS_A_SLOT = 4000  # without a time limit; about half a minute on `paper`
 _HOT, _COLD = 0.06, 0.002  # first and last temperature, in slots of age for each slot of the mission
@@ -33,6 +33,8 @@ _FIRST_CHUNK = 5000  # proposals; without a time limit, of every chunk
 class Anneal(RoutePlanner):
     """Annealed routes, started from the best of the two tours and one flight of the best-first greedy planner.
 
+    With zones there are no tours.
+
     Without a time limit, the number of proposals is fixed (4000 a slot), so the plan is the same on every run. With a
     time limit, the temperature follows the clock. Ctrl-C ends the search and keeps the best routes.
     """
@@ -42,7 +44,7 @@ class Anneal(RoutePlanner):
     def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
         """Anneal; see :class:`RoutePlanner`."""
         started, starts = time.monotonic(), []
-        for tour in (Tour(), PartitionTour()):
+        for tour in (Tour(), PartitionTour()) if free_moves(scenario) is None else ():
             tour.give_up_at = started + _TOURS_END * self.most_s
             if time.monotonic() - started < _TOURS_SHARE * self.most_s:
                 starts.append(tour.plan(scenario, layout).routes)
@@ -104,7 +106,7 @@ class _Annealing:
 
     def __init__(self, scenario: Scenario, layout: Layout, start: Ints) -> None:
         self._expected = expected_age(scenario, layout, start)
-        self._grid = (scenario.columns, scenario.rows)
+        self._grid = (scenario.columns, scenario.rows, ways(scenario))
         self.slots = scenario.slots
         self._rng = np.random.default_rng(0)
         self._budget = Flight(scenario).budget  # (U,)

@@ -34,7 +34,7 @@ from uavaou.planners.fleet import FleetDecomposition
 from uavaou.planners.stationary_duals import stationary_duals
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
-from uavaou.world.flight import Flight, neighbours
+from uavaou.world.flight import Flight, neighbours, targets
 
 _LARGEST_PROGRAM = 20_000  # variables; for a larger program the prices are faster and no weaker
 _ROUNDS = 3000  # of the ascent by prices, at most
@@ -180,6 +180,7 @@ class LagrangianRelaxation:
         self._budget = flight.budget  # (U,) grid steps
         self._affordable = affordable_cells(scenario)  # (U, C)
         self._neighbours, _ = neighbours(scenario)  # (C, 5)
+        self._targets = targets(scenario)  # (T, C, 5)
         self.prices = np.zeros((scenario.slots + 1, scenario.devices))  # (K+1, I); row 0 is no slot
 
     def bound(self, prices: Floats, step_prices: Floats | None = None) -> tuple[float, Floats]:
@@ -195,7 +196,7 @@ class LagrangianRelaxation:
         offered = np.zeros_like(prices)
         for u, (probability, home) in enumerate(zip(self._probability, self._homes, strict=True)):
             worth = np.where(self._affordable[u], prices @ probability.T, -FORBIDDEN)  # (K+1, C)
-            earned, walk = best_walk(worth, self._neighbours, home, step_prices[u])
+            earned, walk = best_walk(worth, self._targets[u % len(self._targets)], home, step_prices[u])
             spent = step_prices[u] * self._budget[u]
             total -= earned + spent
             size += abs(earned) + 2 * spent + len(prices) * step_prices[u]

@@ -38,7 +38,7 @@ from uavaou.planners.exact import gap_ages
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
 from uavaou.world.coverage import cell_coverage
-from uavaou.world.flight import STEP_OF_MOVE, Flight, grid_cells, neighbours
+from uavaou.world.flight import STEP_OF_MOVE, Flight, neighbours, open_moves
 
 _LONGEST = 30  # slots of a gap distinguished, at most
 _MORE_GAPS = 2, 3  # of the longest gap that pays at the first charges: so many times its slots, and so many more
@@ -67,6 +67,7 @@ class LagrangianDecomposition:
         self.slots = scenario.slots
         self.probability = coverage_at_most(scenario, layout)  # (U, C, I)
         self.neighbours, self.on_grid = neighbours(scenario)
+        self._open = open_moves(scenario)  # (U, C, 5)
         self._homes = Flight(scenario).homes  # (U,) cells
         self._gap_ages = [gap_ages(int(k), scenario.slots).astype(np.float64) for k in layout.update_period]
         uavs, cells, devices = self.probability.shape
@@ -106,7 +107,7 @@ class LagrangianDecomposition:
             together = tolls.sum(axis=1)  # (K+1, G+1)
             by_tolls = np.zeros_like(tolls)
             for u, home in enumerate(self._homes):
-                allowed = np.where(self.on_grid, prices[:, u, i], FORBIDDEN)
+                allowed = np.where(self._open[u], prices[:, u, i], FORBIDDEN)
                 toll = np.ascontiguousarray(tolls[:, u])
                 cost, moved, own, others = cheapest_copy(
                     np.ascontiguousarray(self.probability[u, :, i]), self.neighbours, allowed, self.tables[i],
@@ -122,7 +123,7 @@ class LagrangianDecomposition:
             most += ages[0, -1] + uavs * together.max(axis=1).sum()
         for u, home in enumerate(self._homes):
             summed = sum(prices[tables, u, i] for i, tables in enumerate(self._together))  # (P, C, 5)
-            allowed = np.where(self.on_grid, summed, -FORBIDDEN)
+            allowed = np.where(self._open[u], summed, -FORBIDDEN)
             earned, moved = best_walk(allowed, self.neighbours, self._when, home)
             for i, tables in enumerate(self._together):
                 np.subtract.at(by_prices[:, u, i], tables, moved)
@@ -187,8 +188,7 @@ def price_tables(scenario: Scenario, layout: Layout) -> Ints:
 def affordable_cells(scenario: Scenario) -> Bools:
     """Return whether the flight-time budget of each UAV is enough for the way to a cell and back, (U, C)."""
     flight = Flight(scenario)
-    away = np.abs(grid_cells(scenario) - flight.cds[:, None]).sum(axis=-1)  # (U, C) grid steps
-    return np.asarray(2 * away <= flight.budget[:, None])
+    return np.asarray(2 * flight.home <= flight.budget[:, None])
 
 
 def coverage_at_most(scenario: Scenario, layout: Layout) -> Floats:

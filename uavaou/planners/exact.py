@@ -27,7 +27,7 @@ from uavaou.planners.highs import LinearProgram, run_interruptibly
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner, expected_mean_aou
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import cell_coverage
-from uavaou.world.flight import STEP_OF_MOVE, Flight, grid_cells, neighbours
+from uavaou.world.flight import STEP_OF_MOVE, Flight, neighbours, open_moves
 
 LARGEST = 120_000  # variables; at that size the gap after four minutes is 72 % (docs/planners.md)
 _INTEGRALITY = 1e-6  # a bound this close below an integer is that integer
@@ -123,13 +123,12 @@ class Flow:
 def flow(scenario: Scenario, uav: int) -> Flow:
     """Return the steps that some route from the CDS back to it contains, within the slots and the budget."""
     flight = Flight(scenario)
-    away = np.abs(grid_cells(scenario) - flight.cds[uav]).sum(axis=1)  # (C,) grid steps
+    away = flight.home[uav]  # (C,) grid steps
     slot, here, move = (axis.ravel() for axis in np.indices((scenario.slots - 1, len(away), len(STEP_OF_MOVE))))
-    targets, on_grid = neighbours(scenario)  # (C, 5)
-    slot, there = slot + 1, targets[here, move]  # (E,)
+    slot, there = slot + 1, neighbours(scenario)[0][here, move]  # (E,)
     in_time = (away[here] < slot) & (away[there] <= scenario.slots - slot - 1)
     affordable = away[here] + (move > 0) + away[there] <= flight.budget[uav]
-    feasible = on_grid[here, move] & in_time & affordable
+    feasible = open_moves(scenario)[uav, here, move] & in_time & affordable
     return Flow(slot[feasible], here[feasible], there[feasible])
 
 

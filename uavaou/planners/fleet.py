@@ -38,7 +38,7 @@ from uavaou.planners.decomposition import (
 from uavaou.planners.exact import gap_ages
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
-from uavaou.world.flight import Flight, neighbours
+from uavaou.world.flight import Flight, neighbours, open_moves
 
 _LONGEST = 20  # slots of a gap distinguished
 _LARGEST = 60_000_000  # choices of a UAV in all slots and states, for all devices; about a second a round
@@ -58,9 +58,9 @@ class FleetDecomposition:
     def __init__(self, scenario: Scenario, layout: Layout) -> None:
         self.slots = scenario.slots
         probability = coverage_at_most(scenario, layout)  # (U, C, I)
-        self._neighbours, on_grid = neighbours(scenario)
-        # (U, C, 5) the move stays on the grid, and its end within the budget
-        self._allowed = on_grid & affordable_cells(scenario)[:, self._neighbours]
+        self._neighbours, _ = neighbours(scenario)
+        # (U, C, 5) the move stays on the grid and is free, and its end within the budget
+        self._allowed = open_moves(scenario) & affordable_cells(scenario)[:, self._neighbours]
         self._homes = Flight(scenario).homes  # (U,) cells
         self._missed = [_all_missed(probability[:, :, i]) for i in range(scenario.devices)]  # (C**U,) each
         self._ages = [_ages(int(k), scenario.slots) for k in layout.update_period]  # (K+1, G+1) each

@@ -5,7 +5,7 @@ import numpy as np
 from uavaou.arrays import Bools, Ints
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
-from uavaou.world.flight import first_step, grid_cells, moves_along_legs, steps_from, first_moves
+from uavaou.world.flight import first_moves, first_step, grid_cells, moves_along_legs, steps_from
 
 
 class Greedy:
@@ -64,13 +64,13 @@ class Greedy:
         if self._legs is None:
             return first_step(targets - world.cells), None
         here, to = world.cells @ [world.scenario.rows, 1], self._steps(world, targets)  # (N, U), (N, U, C)
-        moves = [[first_moves(*pair) for pair in zip(self._legs, each, strict=True)] for each in to]  # (N, U, C)
-        return np.take_along_axis(np.array(moves), here[..., None], axis=-1)[..., 0], None
+        pairs = ([*zip(self._legs, *each, strict=True)] for each in zip(here, to, strict=True))
+        return np.array([[first_moves(legs, steps)[cell] for legs, cell, steps in each] for each in pairs]), None
 
     def _steps(self, world: World, cells: Ints) -> Ints:
         """Return the moves between each of some cells (N, U, 2) and every cell, (N, U, C)."""
         if self._legs is None:
-            return np.abs(self._cells - cells[:, :, None, :]).sum(axis=-1)
+            return np.asarray(np.abs(self._cells - cells[:, :, None, :]).sum(axis=-1))
         number = cells @ [world.scenario.rows, 1]  # (N, U)
         return np.array([[steps_from(*pair) for pair in zip(self._legs, each, strict=True)] for each in number])
 

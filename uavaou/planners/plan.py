@@ -14,11 +14,12 @@ import numpy as np
 from uavaou.arrays import Bools, Ints
 from uavaou.errors import InputError
 from uavaou.files import read_json
-from uavaou.planners.search import ExpectedAge, recompute
+from uavaou.planners.expected import ExpectedAge
+from uavaou.planners.search import recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
-from uavaou.world.flight import Flight, first_step
+from uavaou.world.flight import Flight, first_step, open_moves
 from uavaou.world.knowledge import Knowledge
 
 
@@ -130,6 +131,9 @@ def broken_rule(scenario: Scenario, routes: Ints) -> str | None:
         return "a route leaves the grid"
     if (steps > 1).any():
         return "a route moves by more than one grid step in a slot"
+    cells, moves = routes @ [scenario.rows, 1], first_step(np.diff(routes, axis=0))  # (K, U), (K-1, U)
+    if not open_moves(scenario)[np.arange(scenario.uavs), cells[:-1], moves].all():
+        return "a route leaves outline_m, or crosses a zone of no_fly"
     if (routes[0] != flight.cds).any() or (routes[-1] != flight.cds).any():
         return "a route does not start and end at its CDS (constraint CDS)"
     if (steps.sum(axis=0) > flight.budget).any():

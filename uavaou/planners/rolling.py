@@ -7,11 +7,12 @@ import numpy as np
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.planners.anneal import Anneal, flown_steps
 from uavaou.planners.base import mission_rngs
+from uavaou.planners.expected import ExpectedAge
 from uavaou.planners.plan import RoutePlan, expected_age
-from uavaou.planners.search import ExpectedAge, anneal, change, follow
+from uavaou.planners.search import Grid, anneal, change, follow
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
-from uavaou.world.flight import first_step
+from uavaou.world.flight import first_step, ways
 
 _HORIZON = 35  # slots ahead that may change
 _PROPOSALS = 8000  # in each slot; some 10 ms on `paper`
@@ -44,6 +45,7 @@ class Rolling:
         each = [expected_age(scenario, world.layout(j), plan.routes) for j, plan in enumerate(self._anneal.plans)]
         self._expected = [_copy(each[mission % len(each)]) for mission in range(world.missions)]
         self._rngs = mission_rngs(world, seed)
+        self._grid = scenario.columns, scenario.rows, ways(scenario)
 
     def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Replan the slots ahead and return the first move of each UAV, (N, U)."""
@@ -54,7 +56,7 @@ class Rolling:
                 # The total age then has a constant offset, which does not affect comparisons between routes.
                 expected.pending[slot], expected.age[slot] = pending[mission], age[mission]
                 follow(expected, slot + 1, slot + 1)
-                _replan(expected, world, self._rngs[mission])
+                _replan(expected, world, self._grid, self._rngs[mission])
         next_slot = min(slot + 1, scenario.slots)
         cells = np.stack([expected.routes[:, next_slot] for expected in self._expected])  # (N, U)
         there = np.stack(np.divmod(cells, scenario.rows), axis=-1)  # (N, U, 2)
@@ -77,14 +79,14 @@ def _after_collection(world: World) -> tuple[Floats, Floats]:
     return (left * waiting).astype(np.float64), (left * (world.ages.age_slots + waiting)).astype(np.float64)
 
 
-def _replan(expected: ExpectedAge, world: World, rng: np.random.Generator) -> None:
+def _replan(expected: ExpectedAge, world: World, grid: Grid, rng: np.random.Generator) -> None:
     """Anneal the slots ahead and keep the best routes found."""
     scenario, slot = world.scenario, world.slot
     between = (slot + 1, min(slot + 1 + _HORIZON, scenario.slots))
     best = expected.routes.copy()  # (U, K+1)
     anneal(
-        expected, (scenario.columns, scenario.rows), world.flight.budget, flown_steps(best), between, _TEMPERATURES,
-        _PROPOSALS, best, expected.total_age, rng,
+        expected, grid, world.flight.budget, flown_steps(best), between, _TEMPERATURES, _PROPOSALS, best,
+        expected.total_age, rng,
     )  # fmt: skip
     for uav, route in enumerate(best):
         change(expected, uav, *between, route)

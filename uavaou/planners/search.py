@@ -1,58 +1,28 @@
-"""The compiled kernels of simulated annealing: the exact expected age of fixed routes, and changes to the routes.
+"""The compiled kernels of simulated annealing: the expected age of fixed routes, and changes to the routes.
 
-Fading is independent from slot to slot. So with the routes fixed, each collection succeeds independently of all
-earlier ones. Let f_i[t] be the probability that no UAV has device i in range in slot t. The expected pending count m
-and age sum S (in slots) after slot t obey the recursion of the age ledger,
-
-    m_i[t] = f_i[t] (m_i[t-1] + g_i[t]),    S_i[t] = f_i[t] (S_i[t-1] + m_i[t-1] + g_i[t]),
-
-where g is 1 if an update is generated in slot t. The age still to come after slot t (the cost to go) is linear in
-(m, S), and its coefficients obey a recursion backwards in time. Both are stored for every slot. So the age of changed
-routes costs only the slots that change.
-
-All compiled functions are in this one file: Numba's cache notices a change in the file of the function that Python
-calls, but not in the files of the functions that it calls. They copy arrays in loops: for ``a[:] = b`` Numba also
-compiles the message of unequal shapes, which takes as long as half of this file.
+All compiled functions are in this one file (see :func:`uavaou.world.compiled.compiled`). They copy arrays in loops: for
+``a[:] = b`` Numba also compiles the message of unequal shapes, which takes as long as half of this file.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavaou.arrays import Floats, Ints
+from uavaou.planners.expected import ExpectedAge
 from uavaou.world.compiled import compiled_fast, uninterrupted
+from uavaou.world.flight import UNLIMITED
 
 Rng = Any  # np.random.Generator, the whole numbers of which are plain ones once compiled
 Pair = tuple[int, int]
+Grid = tuple[int, int, NDArray[np.int32]]  # columns, rows, and where UAVs fly around zones, the moves between cells
 
 _LONGEST_DETOUR = 16  # slots that one detour may rewrite
 _LONGEST_COPY = 60  # slots copied at once; about two rounds of a tour
 _FARTHEST_SHIFT = 4  # slots
 _NOTHING = (0, 0)  # slots changed by a proposal that found no change
 _SETTLED = 1e-13  # relative change of a device's state below which the recursion stops
-
-
-class ExpectedAge(NamedTuple):
-    """The routes of a fleet and their expected ages, in slots; row t of each array is slot t, row 0 precedes slot 1.
-
-    It is a NamedTuple because Numba takes one as an argument.
-    """
-
-    miss: Floats  # (U, C, I) 1 - P(R_iu >= R_min) with UAV u in a cell
-    generated: Floats  # (K+1, I) g_i[t]: 1 where t mod k_i = 0
-    routes: Ints  # (U, K+1) cell = column * rows + row
-    fleet_miss: Floats  # (K+1, I) f_i[t]
-    pending: Floats  # (K+1, I) m_i[t]
-    age: Floats  # (K+1, I) S_i[t]
-    cumulative: Floats  # (K+1,) sum over devices and over slots up to t of S_i
-    to_go_per_pending: Floats  # (K+1, I) cost to go after slot t for each pending update
-    to_go_per_age: Floats  # (K+1, I) cost to go after slot t for each slot of age
-    to_go_constant: Floats  # (K+1,) cost to go after slot t from updates generated later
-
-    @property
-    def total_age(self) -> float:
-        """The sum over slots and devices of E[sum_n A_i^n], in slots squared: K times the mean AoU, over tau."""
-        return float(self.cumulative[-1])
 
 
 @compiled_fast
@@ -188,34 +158,55 @@ def _backward(e: ExpectedAge, t: int) -> bool:
 
 
 @compiled_fast
-def steps(one: int, other: int, rows: int) -> int:
+def steps(one: int, other: int, grid: Grid) -> int:
     """Return the grid steps between two cells."""
+    rows, ways = grid[1], grid[2]
+    if len(ways) > 0:
+        return int(ways[one, other])
     return abs(one // rows - other // rows) + abs(one % rows - other % rows)
 
 
 @compiled_fast
-def _walk(trial: Ints, slot: int, here: int, there: int, rows: int, rng: Rng) -> int:
+def _walk(trial: Ints, slot: int, here: int, there: int, grid: Grid, rng: Rng) -> int:
     """Write a shortest path from ``here`` (not written) to ``there``, from ``slot`` on; return the slot after it."""
-    x, y, to_x, to_y = here // rows, here % rows, there // rows, there % rows
     lean = rng.integers(0, 3)  # along x first, along y first, or mixed
-    while x != to_x or y != to_y:
-        if x != to_x and (y == to_y or lean == 0 or (lean == 2 and rng.random() < 0.5)):
-            x += 1 if to_x > x else -1
-        else:
-            y += 1 if to_y > y else -1
-        trial[slot] = x * rows + y
+    while here != there:
+        here = _nearer(here, there, lean, grid, rng)
+        trial[slot] = here
         slot += 1
     return slot
 
 
 @compiled_fast
-def _fill(trial: Ints, slot: int, here: int, there: int, moves: int, grid: Pair, rng: Rng) -> bool:
+def _nearer(here: int, there: int, lean: int, grid: Grid, rng: Rng) -> int:
+    """Return the next cell of a shortest path."""
+    columns, rows, ways = grid
+    if len(ways) == 0:
+        x, y = there // rows - here // rows, there % rows - here % rows
+        if x != 0 and (y == 0 or lean == 0 or (lean == 2 and rng.random() < 0.5)):
+            return here + (rows if x > 0 else -rows)
+        return here + (1 if y > 0 else -1)
+    chosen, found = here, 0
+    for k in range(4):
+        along_x, step = (k < 2) != (lean == 1), 1 - 2 * (k % 2)
+        x, y = here // rows + step * along_x, here % rows + step * (not along_x)
+        cell = x * rows + y
+        inside = 0 <= x < columns and 0 <= y < rows
+        if inside and ways[here, cell] == 1 and ways[cell, there] < ways[here, there]:
+            found += 1
+            if found == 1 or (lean == 2 and rng.random() * found < 1.0):
+                chosen = cell
+    return chosen
+
+
+@compiled_fast
+def _fill(trial: Ints, slot: int, here: int, there: int, moves: int, grid: Grid, rng: Rng) -> bool:
     """Write a random path of exactly ``moves`` moves (a stay is a move) from ``here`` to ``there``, from ``slot`` on.
 
     The cells between are moves - 1; ``there`` is the last cell written. Return False if ``moves`` are too few.
     """
-    columns, rows = grid
-    slack = moves - steps(here, there, rows)
+    columns, rows = grid[0], grid[1]
+    slack = moves - steps(here, there, grid)
     if slack < 0:
         return False
     via = here
@@ -228,35 +219,33 @@ def _fill(trial: Ints, slot: int, here: int, there: int, moves: int, grid: Pair,
             y += there % rows - here % rows
         if 0 <= x < columns and 0 <= y < rows:
             cell = x * rows + y
-            if steps(here, cell, rows) + steps(cell, there, rows) <= moves:
+            if steps(here, cell, grid) + steps(cell, there, grid) <= moves:
                 via = cell
                 break
-    wait = moves - steps(here, via, rows) - steps(via, there, rows)
+    wait = moves - steps(here, via, grid) - steps(via, there, grid)
     early = wait if rng.random() < 0.5 else rng.integers(0, wait + 1)  # stays at that cell
     late = wait - early  # stays at either end
     if rng.random() < 0.5:
         trial[slot : slot + late] = here
         slot, late = slot + late, 0
-    slot = _walk(trial, slot, here, via, rows, rng)
+    slot = _walk(trial, slot, here, via, grid, rng)
     trial[slot : slot + early] = via
-    slot = _walk(trial, slot + early, via, there, rows, rng)
+    slot = _walk(trial, slot + early, via, there, grid, rng)
     trial[slot : slot + late] = there
     return True
 
 
 @compiled_fast
-def detour(route: Ints, trial: Ints, low: int, high: int, grid: Pair, rng: Rng) -> Pair:
+def detour(route: Ints, trial: Ints, low: int, high: int, grid: Grid, rng: Rng) -> Pair:
     """Fly another path in some slots of low <= t < high."""
     length = rng.integers(1, min(_LONGEST_DETOUR, high - low) + 1)
     first = rng.integers(low, high - length + 1)
     end = first + length
-    if not _fill(trial, first, route[first - 1], route[end], length + 1, grid, rng):
-        return _NOTHING
-    return first, end
+    return (first, end) if _fill(trial, first, route[first - 1], route[end], length + 1, grid, rng) else _NOTHING
 
 
 @compiled_fast
-def shift(route: Ints, trial: Ints, low: int, high: int, grid: Pair, rng: Rng) -> Pair:
+def shift(route: Ints, trial: Ints, low: int, high: int, grid: Grid, rng: Rng) -> Pair:
     """Lengthen one stretch by d slots, shorten a later one by d, and delay all between by d slots (or the reverse)."""
     later = rng.integers(1, _FARTHEST_SHIFT + 1) * (1 if rng.random() < 0.5 else -1)
     one, two = rng.integers(0, 9), rng.integers(0, 9)  # slots rewritten at both ends
@@ -277,12 +266,11 @@ def shift(route: Ints, trial: Ints, low: int, high: int, grid: Pair, rng: Rng) -
 
 
 @compiled_fast
-def reverse(route: Ints, trial: Ints, low: int, high: int, grid: Pair, rng: Rng) -> Pair:
+def reverse(route: Ints, trial: Ints, low: int, high: int, grid: Grid, rng: Rng) -> Pair:
     """Fly a stretch in reverse, as 2-opt does."""
     found = first = rng.integers(low, high)
-    rows = grid[1]
     for end in range(first + 3, min(first + _LONGEST_COPY, high) + 1):
-        if steps(route[first - 1], route[end - 1], rows) <= 1 and steps(route[first], route[end], rows) <= 1:
+        if steps(route[first - 1], route[end - 1], grid) <= 1 and steps(route[first], route[end], grid) <= 1:
             found = end
             if rng.random() < 0.5:
                 break
@@ -292,17 +280,17 @@ def reverse(route: Ints, trial: Ints, low: int, high: int, grid: Pair, rng: Rng)
 
 
 @compiled_fast
-def copy(source: Ints, route: Ints, trial: Ints, low: int, high: int, grid: Pair, rng: Rng) -> Pair:
+def copy(source: Ints, route: Ints, trial: Ints, low: int, high: int, grid: Grid, rng: Rng) -> Pair:
     """Repeat a stretch that some UAV flies at another time, so that good rounds spread over the mission."""
-    slots, rows = len(route) - 1, grid[1]
+    slots = len(route) - 1
     length = rng.integers(3, min(_LONGEST_COPY, slots) + 1)
     start = rng.integers(1, slots - length + 2)
     first = rng.integers(low, high)
-    join = steps(route[first - 1], source[start], rows)
+    join = steps(route[first - 1], source[start], grid)
     leave = first - 1 + join + length - 1  # the slot in which the copy ends
     for end in range(leave + 1, high + 1):
         missing = end - leave
-        if steps(source[start + length - 1], route[end], rows) <= missing:
+        if steps(source[start + length - 1], route[end], grid) <= missing:
             _fill(trial, first, route[first - 1], source[start], join, grid, rng)
             for n in range(length):
                 trial[first - 1 + join + n] = source[start + n]
@@ -315,7 +303,7 @@ def copy(source: Ints, route: Ints, trial: Ints, low: int, high: int, grid: Pair
 @compiled_fast
 def anneal(
     e: ExpectedAge,
-    grid: Pair,
+    grid: tuple[int, int, NDArray[np.int32]],
     budget: Ints,
     flown: Ints,
     between: Pair,
@@ -329,13 +317,12 @@ def anneal(
 
     Args:
         e: routes and expected ages; changed in place.
-        grid: columns and rows.
+        grid: columns, rows, and :func:`uavaou.world.flight.ways`, (T, C, C).
         budget: grid steps that each UAV may fly, (U,).
         flown: grid steps of each route, (U,); changed in place.
         between: low and high; slots low <= t < high may change.
         temperatures: the first and the last, in slots of total age.
-        best: the best routes, (U, K+1); changed in place.
-        best_age: their total age, in slots squared.
+        best, best_age: the best routes, (U, K+1), changed in place; their total age, in slots squared.
     """
     uavs, slots = len(e.routes), len(e.cumulative) - 1
     trial = np.empty(2 * slots + 64, dtype=np.int64)  # beyond slot K: space for paths that are too long
@@ -345,7 +332,8 @@ def anneal(
     for _ in range(proposals):
         temperature *= cooling
         uav = rng.integers(0, uavs)
-        first, end = _propose(e.routes, uav, trial, between, grid, rng)
+        own = (grid[0], grid[1], grid[2][min(uav, len(grid[2]) - 1)])
+        first, end = _propose(e.routes, uav, trial, between, own, rng)
         route = e.routes[uav]
         while first < end and trial[first] == route[first]:
             first += 1
@@ -353,7 +341,7 @@ def anneal(
             end -= 1
         if first == end:
             continue
-        more = _extra_steps(route, trial, first, end)
+        more = _extra_steps(route, trial, first, end, own[2])
         if flown[uav] + more > budget[uav]:
             continue
         changed = trial_age(e, uav, first, end, trial, work)
@@ -370,9 +358,8 @@ def anneal(
 
 
 @compiled_fast
-def _propose(routes: Ints, uav: int, trial: Ints, between: Pair, grid: Pair, rng: Rng) -> Pair:
-    low, high = between
-    kind = rng.random()
+def _propose(routes: Ints, uav: int, trial: Ints, between: Pair, grid: Grid, rng: Rng) -> Pair:
+    (low, high), kind = between, rng.random()
     if kind < 0.55:
         return detour(routes[uav], trial, low, high, grid, rng)
     if kind < 0.85:
@@ -384,11 +371,13 @@ def _propose(routes: Ints, uav: int, trial: Ints, between: Pair, grid: Pair, rng
 
 
 @compiled_fast
-def _extra_steps(route: Ints, trial: Ints, first: int, end: int) -> int:
-    """Return the grid steps that ``trial`` adds to the route."""
+def _extra_steps(route: Ints, trial: Ints, first: int, end: int, ways: NDArray[np.int32]) -> int:
+    """Return the grid steps that ``trial`` adds to the route; more than any budget where it crosses a zone."""
     more = 0
     for t in range(first, end + 1):
         before = trial[t - 1] if t > first else route[t - 1]
         there = trial[t] if t < end else route[t]
         more += int(there != before) - int(route[t] != route[t - 1])
+        if len(ways) > 0 and ways[before, there] > 1:
+            return 2 * UNLIMITED
     return more

@@ -23,11 +23,13 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from uavaou.arrays import Bools, Ints
+from uavaou.errors import InputError
+from uavaou.planners.expected import ExpectedAge
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner, expected_age, expected_mean_aou
-from uavaou.planners.search import ExpectedAge, recompute
+from uavaou.planners.search import recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import coverage_probability
-from uavaou.world.flight import Flight
+from uavaou.world.flight import Flight, free_moves
 
 _DISTANCES_A_SECOND = 5_000_000  # between stops, that reach the solver at most
 _SOLVER = Path(__file__).with_name("ortools_process.py")
@@ -42,6 +44,11 @@ class _Tours(RoutePlanner):
 
     def plan(self, scenario: Scenario, layout: Layout, on_progress: OnProgress | None = None) -> RoutePlan:
         """Plan the tours; see :class:`RoutePlanner`. A time limit adds a longer search in the time that is left."""
+        if free_moves(scenario) is not None:
+            raise InputError(
+                f"{self.name}: scenario '{scenario.name}' has an outline or zones, and tours do not lead around them: "
+                "take another planner, such as anneal"
+            )
         started = time.monotonic()
         probability = coverage_probability(scenario, layout).mean(axis=0)  # (X, Y, I)
         best = probability.max(axis=(0, 1))  # (I,)

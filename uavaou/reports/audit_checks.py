@@ -15,7 +15,7 @@ from uavaou.radio import THRESHOLDS
 from uavaou.reports.link_budget import LinkBudget, there_and_back
 from uavaou.scenario import SPEED_OF_LIGHT_M_S, Layout, Scenario
 from uavaou.scenario_fields import ZETA_TOLERANCE_S
-from uavaou.world.flight import Flight
+from uavaou.world.flight import Flight, closed_cells
 
 Level = Literal["error", "warning", "note"]
 
@@ -48,6 +48,7 @@ def findings(scenario: Scenario, layout: Layout, budget: LinkBudget) -> Iterator
     yield from _check_take_off(scenario)
     yield from _check_flight_time(scenario)
     yield from _check_round_trips(scenario, budget)
+    yield from _check_zones(scenario)
     yield from _check_devices(scenario, budget)
     yield from _check_places(scenario, layout)
     if scenario.layout == "resample":
@@ -211,6 +212,8 @@ def _check_flight_time(scenario: Scenario) -> Iterator[Finding]:
 def _check_round_trips(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     """Whether UAVs can fly to every cell, and to within range of every device, and come home."""
     beyond = ~there_and_back(scenario)  # (U, X, Y)
+    if (closed := closed_cells(scenario)) is not None:
+        beyond &= ~closed.reshape(beyond.shape)
     cells = int(beyond.sum(axis=(1, 2)).max())
     if cells:
         message = (
@@ -225,12 +228,31 @@ def _check_round_trips(scenario: Scenario, budget: LinkBudget) -> Iterator[Findi
         yield Finding("warning", "round trip", len(missed), message, change)
 
 
+def _check_zones(scenario: Scenario) -> Iterator[Finding]:
+    """How many cells outline and zones leave."""
+    closed = closed_cells(scenario)
+    if closed is not None:
+        most = int(closed.sum(axis=1).max())
+        message = f"outline and zones close {most} of {closed.shape[1]} cells" + (
+            "." if (closed == closed[0]).all() else f" to UAV {int(closed.sum(axis=1).argmax())}, fewer to others."
+        )
+        yield Finding("note", "zones", most, message)
+
+
 def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     """Devices out of range: of every UAV, for good or but for a lucky fade, or of one UAV."""
     nowhere = ~budget.in_range.any(axis=0)  # (I,)
     best = budget.best.max(axis=0)  # (I,)
     hopeless = nowhere & (best * scenario.slots < 1)  # not one success expected from hovering at the best cell
-    lucky = nowhere & ~hopeless
+    lucky, shut_off = nowhere & ~hopeless, hopeless & budget.shut_off
+    if shut_off.any():
+        message = (
+            f"{_listed('device', np.flatnonzero(shut_off))}: no free cell can serve it: outline and zones close every "
+            "cell within its range, or the way there."
+        )
+        change = "shrink the zones or their margins, widen the outline, or let a UAV fly above or below"
+        yield Finding("error" if shut_off.all() else "warning", "zones", int(shut_off.sum()), message, change)
+    hopeless &= ~shut_off
     places = "choose another layout_seed" if scenario.devices_m is None else "move the devices, or the area"
     change = f"raise {_strength(scenario)}, lower altitudes_m or {_threshold_field(scenario)}, or {places}"
     if hopeless.any():

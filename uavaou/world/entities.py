@@ -157,7 +157,6 @@ class EntityViews(RowViews):
         self._altitudes = scenario.altitudes  # (U,) m
         self._placed: Floats | None = None  # the positions of the devices that the arrays of the map are of
         self._target = targets(scenario)  # (T, C, 5)
-        self._numbering = np.array([scenario.rows, 1])  # of cells: column * rows + row
 
     def local(self, world: World, out: Rows | None = None) -> Rows:
         """Return the local observations, (N, U, local), or write them into the first columns of ``out``."""
@@ -168,9 +167,7 @@ class EntityViews(RowViews):
         at["allowed_moves"][:, :uavs] = world.allowed_moves
         at["allowed_moves"][:, uavs:, STAY] = 1.0
         shared, alone, cds = self.observation == "shared", self.observation == "part", world.flight.cds
-        here = world.cells @ self._numbering  # (N, U)
-        mission = self._altitudes, self._mission(world)
-        _write_own(world.cells, here, cds, world.flight.home, *self._left(world), *mission, at["own"])
+        _write_own(world.cells, cds, self._spare(world), self._altitudes, self._mission(world), at["own"])
         if alone:
             own = at["own"][:, :uavs]  # (N, U, features)
             members = self._own.sum(axis=-1)  # (L, U)
@@ -188,7 +185,8 @@ class EntityViews(RowViews):
         # Where every device in range is collected, by whichever UAV, all that have it in range know.
         last = world.last_in_range if self.collection == "auto" else world.last_collection_by
         write_pulls(
-            self._steps, self._target, here, self._places, world.in_range, world.update_period, world.slot, last, world.pending, world.ages.age_slots, shared, at["pulls"],
+            self._steps, self._target, world.cells @ np.array([self.scenario.rows, 1]), self._places, world.in_range,
+            world.update_period, world.slot, last, world.pending, world.ages.age_slots, shared, at["pulls"],
         )  # fmt: skip
         return out
 
@@ -198,9 +196,7 @@ class EntityViews(RowViews):
         out = self._new(world.missions, self.layout.global_size)
         at = {columns.name: out[:, columns.slice] for columns in self.layout.state}
         at["mission"][...] = self._mission(world)
-        flight, of_map = world.flight, (self._altitudes, self._middle)
-        here = world.cells @ self._numbering  # (N, U)
-        _write_uavs(world.cells, here, flight.cds, flight.home, *self._left(world), *of_map, at["uavs"])
+        _write_uavs(world.cells, world.flight.cds, self._spare(world), self._altitudes, self._middle, at["uavs"])
         _write_state(
             self._devices, self._middle, world.cells, self._radius, world.in_range, world.update_period, world.slot,
             world.last_collection, world.pending, world.ages.age_slots, self._waiting, at["devices"],
@@ -215,9 +211,11 @@ class EntityViews(RowViews):
         left = self.scenario.slots + 1 - world.slot
         return np.array([left / (left + _LEFT_SLOTS), *self._sizes], dtype=np.float32)
 
-    def _left(self, world: World) -> tuple[int, Ints]:
-        """Grid steps that the slots leave, and those that the flight time of each UAV leaves, (N, U)."""
-        return self.scenario.slots - world.slot, world.flight.budget - world.flown
+    def _spare(self, world: World) -> Floats:
+        """Grid steps that each UAV can fly beside its way home, (N, U), scaled."""
+        left = np.minimum(self.scenario.slots - world.slot, world.flight.budget - world.flown)
+        spare: Floats = np.clip(left - world.flight.moves_home(world.cells), 0, 2 * _FAR) / _FAR
+        return spare
 
     def _place(self, world: World) -> None:
         """Compute what depends on the map alone, once for each."""
@@ -234,17 +232,7 @@ class EntityViews(RowViews):
 
 
 @compiled
-def _spare(home: int, slots_left: int, budget_left: int) -> float:
-    """Grid steps that a UAV can fly beside its way home, scaled."""
-    spare: float = min(max(min(slots_left, budget_left) - home, 0), 2 * _FAR) / _FAR
-    return spare
-
-
-@compiled
-def _write_own(
-    cells: Ints, here: Ints, cds: Ints, home: Ints, slots_left: int, budget_left: Ints, altitude: Floats,
-    mission: Rows, own: Rows,
-) -> None:  # fmt: skip
+def _write_own(cells: Ints, cds: Ints, spare: Floats, altitude: Floats, mission: Rows, own: Rows) -> None:
     """Write (N, U, features): what each UAV knows of itself."""
     for n in range(len(cells)):
         for u in range(cells.shape[1]):
@@ -253,7 +241,7 @@ def _write_own(
             token[1] = (cds[u, 0] - cells[n, u, 0]) / _STEPS
             token[2] = (cds[u, 1] - cells[n, u, 1]) / _STEPS
             token[3] = mission[0]
-            token[4] = _spare(home[u, here[n, u]], slots_left, budget_left[n, u])
+            token[4] = spare[n, u]
             token[5] = altitude[u] / 100.0
             token[6] = mission[1]
             token[7] = mission[2]
@@ -346,10 +334,7 @@ def _write_devices(
 
 
 @compiled
-def _write_uavs(
-    cells: Ints, here: Ints, cds: Ints, home: Ints, slots_left: int, budget_left: Ints, altitude: Floats,
-    middle: Floats, tokens: Rows,
-) -> None:  # fmt: skip
+def _write_uavs(cells: Ints, cds: Ints, spare: Floats, altitude: Floats, middle: Floats, tokens: Rows) -> None:
     """Write (N, U * features): a token of the state for each UAV."""
     for n in range(len(cells)):
         layout = min(n, len(middle) - 1)
@@ -360,7 +345,7 @@ def _write_uavs(
             token[2] = (cells[n, u, 1] - middle[layout, 1]) / _STEPS
             token[3] = (cds[u, 0] - cells[n, u, 0]) / _STEPS
             token[4] = (cds[u, 1] - cells[n, u, 1]) / _STEPS
-            token[5] = _spare(home[u, here[n, u]], slots_left, budget_left[n, u])
+            token[5] = spare[n, u]
             token[6] = altitude[u] / 100.0
 
 

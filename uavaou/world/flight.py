@@ -12,8 +12,10 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavaou.arrays import Bools, Floats, Ints
+from uavaou.errors import InputError
 from uavaou.scenario import Scenario
 from uavaou.scenario_fields import ZETA_TOLERANCE_S
 from uavaou.world.compiled import compiled
@@ -22,6 +24,8 @@ from uavaou.zones import Zone, free_legs
 STAY, UP, DOWN, RIGHT, LEFT = range(5)
 STEP_OF_MOVE: Ints = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]])  # (5, 2) cells: stay, +y, -y, +x, -x
 _ALONG_X_FIRST = (RIGHT, LEFT, UP, DOWN)
+NO_WAY = 10**6  # moves between cells in a table of ways
+_MOST_WAYS = 100_000_000
 UNLIMITED = 10**12  # moves; more than any mission has, without overflow; also to a cell that no way leads to
 
 
@@ -33,12 +37,13 @@ class Flight:
         self._scenario = scenario
         self._vertical = 2 * scenario.altitudes  # (U,) m, take-off and landing
         self.cds: Ints = scenario.cds_cells  # (U, 2)
-        self.homes: Ints = self.cds @ np.array([scenario.rows, 1])  # (U,) the same as numbers of cells
+        self._numbering: Ints = np.array([scenario.rows, 1])  # of cells
+        self.homes: Ints = self.cds @ self._numbering  # (U,) the same as numbers of cells
         self._legs = moves_along_legs(scenario)  # (U, C, 5) or None
         # What masks read, if anything is closed: whether each move is free, (U, C, 5), and the moves home, (U, C).
-        zones = self._legs is not None
-        self._free = free_moves(scenario) if zones else np.empty((0, 0, 5), dtype=np.bool_)
-        self._home = self.home if zones else np.empty((0, 0), dtype=np.int64)
+        free = free_moves(scenario)
+        self._free: Bools = np.empty((0, 0, 5), dtype=np.bool_) if free is None else free
+        self._home: Ints = np.empty((0, 0), dtype=np.int64) if free is None else self.home
         affordable = (scenario.flight_time_budget_s + ZETA_TOLERANCE_S) * scenario.speed_m_s - self._vertical
         moves = np.minimum(np.floor(affordable / scenario.grid_step_m), UNLIMITED).astype(np.int64)
         # Without (Time), the budget is the number of slots, so it never binds.
@@ -48,8 +53,14 @@ class Flight:
     def home(self) -> Ints:
         """Moves from each cell to the CDS, (U, C); ``UNLIMITED`` where no way leads to it."""
         if self._legs is None:
-            return np.abs(grid_cells(self._scenario) - self.cds[:, None]).sum(axis=-1)
+            return np.asarray(np.abs(grid_cells(self._scenario) - self.cds[:, None]).sum(axis=-1))
         return np.stack([steps_from(*pair) for pair in zip(self._legs, self.homes, strict=True)])
+
+    def moves_home(self, cells: Ints) -> Ints:
+        """Return the moves from the cell (column, row) of each UAV, (N, U, 2), to its CDS, (N, U)."""
+        if self._legs is None:
+            return np.asarray(np.abs(cells - self.cds).sum(axis=-1))
+        return np.asarray(self.home[np.arange(len(self.cds)), cells @ self._numbering])
 
     @cached_property
     def step_home(self) -> Ints:
@@ -74,10 +85,8 @@ class Flight:
             Two (N, U, 5) arrays: allowed (on the grid, and by (CDS) and (Time)); on the grid.
         """
         allowed, on_grid = np.empty((2, *cells.shape[:2], len(STEP_OF_MOVE)), dtype=np.bool_)  # (N, U, 5) each
-        _allowed(
-            cells, flown, slot, self._scenario.slots, self._last_cell, self.cds, self.budget, self._free, self._home,
-            allowed, on_grid,
-        )  # fmt: skip
+        rules = self._last_cell, self.cds, self.budget, self._free, self._home
+        _allowed(cells, flown, slot, self._scenario.slots, *rules, allowed, on_grid)
         return allowed, on_grid
 
     def resolve(self, moves: Ints, cells: Ints, allowed: Bools, on_grid: Bools) -> Ints:
@@ -85,7 +94,7 @@ class Flight:
         if self._legs is None:
             made = first_step(self.cds - cells)  # (N, U) towards the CDS
         else:
-            made = self.step_home[np.arange(len(self.cds)), cells @ np.array([self._last_cell[1] + 1, 1])]  # (N, U)
+            made = self.step_home[np.arange(len(self.cds)), cells @ self._numbering]  # (N, U)
         _keep_allowed(moves, allowed, on_grid, made)
         return made
 
@@ -120,11 +129,12 @@ def free_moves(scenario: Scenario) -> Bools | None:
 @lru_cache(maxsize=64)
 def _free_moves(outline: Any, zones: tuple[Zone, ...], grid: tuple[int, int, float]) -> Bools:
     columns, rows, step = grid
-    cells, free = np.indices((columns, rows)).reshape(2, -1).T, np.zeros((columns, rows, 5), dtype=np.bool_)
+    grid_of, free = np.moveaxis(np.indices((columns, rows)), 0, -1), np.zeros((columns, rows, 5), dtype=np.bool_)
     for move, back, inner in ((STAY, STAY, np.s_[:, :]), (RIGHT, LEFT, np.s_[:-1, :]), (UP, DOWN, np.s_[:, :-1])):
-        start = cells.reshape(columns, rows, 2)[inner]
-        legs = (start.reshape(-1, 2) * step, (start + STEP_OF_MOVE[move]).reshape(-1, 2) * step)
-        free[..., move][inner] = free_legs(*legs, outline, zones).reshape(start.shape[:2])
+        start = grid_of[inner]
+        ends = start, start + STEP_OF_MOVE[move]
+        one, other = (np.multiply(cells.reshape(-1, 2), step, dtype=np.float64) for cells in ends)  # (L, 2) m each
+        free[..., move][inner] = free_legs(one, other, outline, zones).reshape(start.shape[:2])
         opposite = {STAY: inner, RIGHT: np.s_[1:, :], UP: np.s_[:, 1:]}[move]
         free[..., back][opposite] = free[..., move][inner]
     return free.reshape(-1, 5)
@@ -134,6 +144,12 @@ def moves_along_legs(scenario: Scenario) -> Ints | None:
     """Return the cell that each move leads to, (U, C, 5), or the cell itself along no free leg; None as above."""
     free = free_moves(scenario)
     return None if free is None else np.where(free, neighbours(scenario)[0], np.arange(free.shape[1])[:, None])
+
+
+def open_moves(scenario: Scenario) -> Bools:
+    """Return which moves of each UAV stay on the grid and follow a free leg, (U, C, 5)."""
+    free, (_, on_grid) = free_moves(scenario), neighbours(scenario)
+    return np.broadcast_to(on_grid, (scenario.uavs, *on_grid.shape)) if free is None else free
 
 
 def closed_cells(scenario: Scenario) -> Bools | None:
@@ -147,7 +163,27 @@ def targets(scenario: Scenario) -> Ints:
     return neighbours(scenario)[0][None] if legs is None else legs
 
 
-def steps_from(target: Ints, sources: Ints) -> Ints:
+def ways(scenario: Scenario) -> NDArray[np.int32]:
+    """Return the moves from each cell to each other one along free legs, (T, C, C); (1, 0, 0) if nothing is closed.
+
+    Raises:
+        InputError: the grid has too many cells for such a table.
+    """
+    legs = moves_along_legs(scenario)
+    if legs is None:
+        return np.empty((1, 0, 0), dtype=np.int32)
+    legs = legs[:1] if (legs == legs[0]).all() else legs
+    size = legs.shape[0] * legs.shape[1] ** 2
+    if size > _MOST_WAYS:
+        raise InputError(
+            f"scenario '{scenario.name}': has zones and {legs.shape[1]:,} cells, too many for a planner that looks up "
+            "the ways between all of them: a larger grid_step_m, or a planner such as best-first"
+        )
+    steps = np.array([[steps_from(target, cell) for cell in range(len(target))] for target in legs])
+    return np.asarray(np.minimum(steps, NO_WAY), dtype=np.int32)
+
+
+def steps_from(target: Ints, sources: Ints | int) -> Ints:
     """Return the least moves from the nearest of some cells to every cell, (C,); ``UNLIMITED`` without a way.
 
     Args:

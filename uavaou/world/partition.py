@@ -14,7 +14,7 @@ from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
 from uavaou.threads import Tasks
 from uavaou.world.compiled import compiled
-from uavaou.world.flight import free_moves, moves_along_legs, steps_from
+from uavaou.world.flight import moves_along_legs, open_moves, steps_from
 from uavaou.world.path_loss import ratio_at
 from uavaou.world.patrol import improve_in_flight, patrol_area, plans_age_sums, without_return
 from uavaou.world.pull import gain_needed
@@ -69,11 +69,9 @@ def parts_in_flight(world: World) -> tuple[Ints, Floats]:
 
 def _known_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, scenario: Scenario) -> tuple[Ints, float]:
     """Return :func:`_best_plan`, once found: the same map is in the scenario that is flown and in those of planners."""
-    arrays = positions, headroom, period, cds, scenario.altitudes / scenario.grid_step_m
+    arrays = positions, headroom, period, cds, scenario.altitudes / scenario.grid_step_m, open_moves(scenario)
     of_channel = scenario.fading, scenario.rician_factor, scenario.path_loss_exponent, scenario.line_of_sight
     numbers = scenario.columns, scenario.rows, scenario.slots, *of_channel
-    if free_moves(scenario) is not None:
-        arrays = *arrays, free_moves(scenario)
     key = sha256(b"".join(array.tobytes() for array in arrays) + repr(numbers).encode()).digest()
     if key not in _PLANS:
         if len(_PLANS) == _MOST_PLANS:
