@@ -56,14 +56,16 @@ def refuse_map(path: Path, content: dict[str, Any] | None = None) -> None:
     ending = path.suffix.lower()
     if ending in (".csv", ".tsv"):
         change = command_line([f"scenario.devices_csv={path}"])
-        remedy = f"name it in a YAML file under devices_csv, or write --set {change}"
+        remedy = f"name it in a YAML file under devices_csv, write --set {change}, or make one with {_import(path)}"
         raise InputError(f"{path} is a table of devices and no scenario: {remedy}")
     of_shapes = content is not None and ("features" in content or "coordinates" in content)
     if of_shapes or (ending in _FORMATS and ending != ".json"):
         found = _FORMATS.get(ending, "GeoJSON")
-        raise InputError(
-            f"{path} is {found} and no scenario: a scenario is a YAML file, and devices_csv names {_EXPECTED}"
-        )
+        raise InputError(f"{path} is {found} and no scenario: {_import(path)} makes one of it")
+
+
+def _import(path: Path) -> str:
+    return command_line(["uavaou", "import", path])
 
 
 def read_devices_csv(
@@ -149,7 +151,7 @@ def _read_table(csv: Path) -> CsvTable:
     ending = csv.suffix.lower()
     text = "" if ending in _FORMATS else read_text(csv, _MOST_BYTES)
     if found := _FORMATS.get(ending) or _FIRST_LETTERS.get(text.lstrip("\ufeff \r\n\t")[:1]):
-        raise InputError(f"{csv}: is {found}, expected {_EXPECTED}")
+        raise InputError(f"{csv}: is {found}, expected {_EXPECTED}; {_import(csv)} makes a scenario of it")
     return parse_csv(csv, text)
 
 
@@ -198,5 +200,5 @@ def _refuse_degrees(table: CsvTable) -> None:
     spans = [f"{math.ceil(np.ptp(degrees) * m)} m" for degrees, m in zip((longitude, latitude), metres, strict=True)]
     raise InputError(
         f"{table.path}: columns {short(found[0])} and {short(found[1])}: positions are read in metres; "
-        f"write {' and '.join(formulas)} (an area of {' x '.join(spans)})"
+        f"{_import(table.path)} converts them, or write {' and '.join(formulas)} (an area of {' x '.join(spans)})"
     )

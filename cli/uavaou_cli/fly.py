@@ -21,6 +21,7 @@ from uavaou_cli.import_ import (
     Uavs,
     Within,
     is_map,
+    read_map_field,
     write_map_field,
 )
 from uavaou_cli.options import (
@@ -92,11 +93,10 @@ def fly(
     overrides = parse_overrides(set_ or [])
     overrides.only_of_scenario("a policy flies as it is")
     source = needed_scenario(scenario, scenario_option)
+    field = None
     options = MapOptions(uavs, station, radio, crs, speed, endurance, interval, within)
     if is_map(source):
-        field = (out or Path("results") / Path(source).stem) / "field"
-        base = write_map_field([Path(source)], options, field)
-        show([""])
+        field, base = read_map_field([Path(source)], options)
     else:
         options.refuse(source)
         base = Scenario.load(source)
@@ -104,6 +104,9 @@ def fly(
     place = Path("results") / scenario_folder(base, overrides.scenario) / "fly"
     folder = out or place / flight_folder([policy])
     writable_folder(folder)
+    if field is not None:
+        write_map_field(field, base, (out or place.parent) / "field")
+        show([""])
     if json is not None:
         writable_file(json)
     notes: list[Path] = []
@@ -120,7 +123,9 @@ def fly(
     else:
         if json is not None:
             raise InputError(f"--json {json}: holds what a rehearsal has found, and --policy {policy} needs none")
-        reference = next(name for name in _REFERENCES if name != policy and knows_enough(planner_knowledge(name), knows))
+        reference = next(
+            name for name in _REFERENCES if name != policy and knows_enough(planner_knowledge(name), knows)
+        )
         policies = {name: make_policy(name, flown, knows=knows) for name in (policy, reference)}
     _fly(flown, policies, seed, folder, overrides.scenario, quiet)
     if ages:

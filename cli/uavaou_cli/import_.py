@@ -81,17 +81,16 @@ def import_(
 ) -> None:
     """Make a scenario of maps, missions and tables of sensors, and say all that was ignored or guessed.
 
-    Reads GeoJSON, KML, KMZ, GPX, QGroundControl's .plan, waypoint lists, CSV and XLSX. Writes scenario.yaml, devices.csv,
-    zones.geojson and a map.
+    Reads GeoJSON, KML, KMZ, GPX, QGroundControl's .plan, waypoint lists, CSV and XLSX. Writes scenario.yaml,
+    devices.csv, zones.geojson and a map.
     """
     from uavaou.field.folder import SCENARIO
 
     if (out / SCENARIO).exists() and not replace_:
         raise InputError(f"'{out}' already holds a scenario: add --replace to write it anew, or choose another --out")
-    options = MapOptions(
-        uavs, station, radio, crs, speed, endurance, interval, within, altitude, grid_step, slots
-    )
-    write_map_field(files, options, out)
+    options = MapOptions(uavs, station, radio, crs, speed, endurance, interval, within, altitude, grid_step, slots)
+    writable_folder(out)
+    write_map_field(*read_map_field(files, options), out)
     show(["", f"Next: {command_line(['uavaou', 'fly', out / SCENARIO])}"])
 
 
@@ -102,25 +101,36 @@ def is_map(path: str) -> bool:
     return Path(path).suffix.lower() in ENDINGS
 
 
-def write_map_field(files: Sequence[Path], options: MapOptions, out: Path) -> Scenario:
-    """Import files, show what was understood, and write the folder; return its scenario."""
-    from uavaou.field.folder import write_field
+def read_map_field(files: Sequence[Path], options: MapOptions) -> tuple[Field, Scenario]:
+    """Read files as a field with its scenario, and show what was understood."""
+    from uavaou.field.folder import scenario_of
     from uavaou.field.mission import lay_out
     from uavaou.field.read import read_file
     from uavaou.field.survey import understand
-    from uavaou.reports.field_map import plot_field
     from uavaou.world.coverage import coverage_radius
 
-    writable_folder(out)
     wishes = _wishes(options)
     pairs = [_numbers("--station", text, 2) for text in options.station or ()]
     within = _numbers("--within", options.within, 3) if options.within is not None else ()
     survey = understand([read_file(path) for path in files], options.crs or "", pairs, within)
     found = lay_out(survey, wishes, lambda scenario: coverage_radius(scenario, scenario.draw_layout()))
-    scenario = write_field(found, files, out)
-    show(_understood(found))
-    show(["", *sorted(out / name for name in ("scenario.yaml", "devices.csv")), *plot_field(scenario, found.radius_m, out)])
-    return scenario
+    scenario = scenario_of(found, files)
+    show([*_understood(found), ""])
+    return found, scenario
+
+
+def write_map_field(found: Field, scenario: Scenario, out: Path) -> None:
+    """Write the folder of a field with its map, and show the paths."""
+    from uavaou.field.folder import write_field
+    from uavaou.reports.field_map import plot_field
+
+    write_field(found, scenario, out)
+    plot_field(scenario, found.radius_m, out)
+    show(
+        sorted(
+            out / name for name in ("scenario.yaml", "devices.csv", "zones.geojson", "map.png") if (out / name).exists()
+        )
+    )
 
 
 def _understood(found: Field) -> list[str]:

@@ -51,7 +51,7 @@ class Reading:
         self.corners += sum(len(feature.places) for feature in features)
         if len(self.features) > MOST_FEATURES or self.corners > MOST_CORNERS:
             raise InputError(
-                f"{self.path}: more than {MOST_FEATURES:,} places or {MOST_CORNERS:,} corners; cut the file to the field"
+                f"{self.path}: more than {MOST_FEATURES:,} places or {MOST_CORNERS:,} corners: cut it to the field"
             )
 
     def error(self, where: str, problem: str) -> InputError:
@@ -119,7 +119,7 @@ def _list(reading: Reading, where: str, value: Any) -> list[Any] | tuple[Any, ..
 
 
 def circle(centre: Position, radius_m: float, inside: bool = False, corners: int = 36) -> tuple[Position, ...]:
-    """A polygon around a circle on the earth, in degrees; or one ``inside`` of it, where the circle is not to be left."""
+    """A polygon around a circle on the earth, in degrees, or ``inside`` of one that is not to be left."""
     longitude, latitude = centre
     reach = radius_m / 111_195  # degrees of latitude
     reach /= 1 if inside else math.cos(math.pi / corners)

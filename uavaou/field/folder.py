@@ -24,23 +24,35 @@ _PARTS = {  # of the file: its first field -> a comment above
     "no_fly": "UAVs stay out of these. A zone may have floor_m, ceiling_m and margin_m.",
     "uavs": "The fleet. A CDS is the station of a UAV, on the grid; altitudes must differ.",
     "speed_m_s": "A slot is the time for one grid step. The budget is the time in the air with one battery.",
-    "radio": "uavaou's presets: lora-sf7 to lora-sf12, 802.15.4, ble, nb-iot, wifi, paper. Their fields may stand here.",
+    "radio": "A preset: lora-sf7 to lora-sf12, 802.15.4, ble, nb-iot, wifi, paper. Fields beside it change it.",
 }
 
 
-def write_field(found: Field, sources: Sequence[Path], out: Path) -> Scenario:
-    """Write the folder, and return its scenario as it is read back.
+def scenario_of(found: Field, sources: Sequence[Path]) -> Scenario:
+    """The scenario of a field, named after the first of its files.
 
     Raises:
-        InputError: a file cannot be written, or the scenario is not valid.
+        InputError: it is not valid.
     """
-    fields = {"name": _name(sources[0]), "description": f"Imported from {', '.join(path.name for path in sources)}"[:200], **found.fields}
+    name = re.sub(r"[^\w.-]+", "-", sources[0].stem).strip("-.")[:60] or "field"
+    description = f"Imported from {', '.join(path.name for path in sources)}"[:200]
+    columns = dict(found.devices)
+    places = list(zip(map(float, columns.pop("x_m")), map(float, columns.pop("y_m")), strict=True))
+    devices = {"devices": len(places), "devices_m": places, "device_names": columns.pop("name", None), **columns}
+    return Scenario.from_dict({"name": name, "description": description, **found.fields, **devices}, "the field")
+
+
+def write_field(found: Field, scenario: Scenario, out: Path) -> None:
+    """Write the folder of a field and its scenario.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    fields = {"name": scenario.name, "description": scenario.description, **found.fields}
     write_csv(out / DEVICES, list(found.devices), zip(*found.devices.values(), strict=True))
     write_text(out / SCENARIO, "\n".join(_lines(found, fields)) + "\n")
-    scenario = Scenario.load(out / SCENARIO)
     if found.projection is not None:
         write_json(out / ZONES, {"type": "FeatureCollection", "features": list(_features(found.projection, scenario))})
-    return scenario
 
 
 def _lines(found: Field, fields: dict[str, Any]) -> Iterator[str]:
@@ -55,11 +67,6 @@ def _lines(found: Field, fields: dict[str, Any]) -> Iterator[str]:
         yield to_yaml({name: value}, default_flow_style=True, width=110, allow_unicode=True).strip()[1:-1]
     yield from ("", "# x_m, y_m, name and update_period_slots of each device; also bandwidth_hz, transmit_power_mw.")
     yield f"devices_csv: {DEVICES}"
-
-
-def _name(path: Path) -> str:
-    """The name of the scenario: that of its first file, in letters that any folder may have."""
-    return re.sub(r"[^\w.-]+", "-", path.stem).strip("-.")[:60] or "field"
 
 
 def _comment(text: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,23 +13,12 @@ from uavaou.arrays import Bools, Floats
 from uavaou.errors import InputError
 from uavaou.field.features import Feature
 from uavaou.field.geodesy import Projection
-from uavaou.field.survey import Survey, name_of, value_of
+from uavaou.field.ground import Ground, choose_grid_step, draw_borders
+from uavaou.field.survey import Survey, name_of
 from uavaou.field.words import SLOTS, duration, meanings, number, unit_seconds
-from uavaou.fields import DEVICE_COLUMNS, short
+from uavaou.fields import DEVICE_COLUMNS
 from uavaou.scenario import Scenario
-from uavaou.zones import Georeference
 
-if TYPE_CHECKING:
-    from shapely import Polygon
-
-_RADII_A_STEP = 0.4  # as in the paper: 100 m with a median radius of 250 m
-_STEPS_A_SIDE = 5  # at least, of the longer side
-_FINEST_M = 10.0  # otherwise: what satellites can tell apart in flight
-_ROUND = (1.0, 2.0, 2.5, 5.0)  # times a power of ten
-_MOST_CELLS = 10_000
-_MOST_REACHES = 40_000_000  # UAVs x cells x devices: a table of 0.3 GB
-_MOST_CORNERS = 400  # of a border; longer ones are drawn coarser
-_COARSE_M = 1.0
 _MOST_SLOTS = 1_000_000
 _LISTED = 5
 
@@ -92,18 +81,20 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
     notes.append("guessed: fading with a Rician factor of 10, as in the paper (rician_factor)")
     channel = {"radio": said["radio"], "rician_factor": 10.0, "fading": "rician"}
     radius = _radius(channel, said["altitude_m"], coverage)
-    ground = _Ground.of(survey)
-    step, why = _grid_step(wishes.grid_step_m, radius, ground.extent, uavs * len(survey.devices))
+    ground = Ground.of(survey)
+    step, why = choose_grid_step(wishes.grid_step_m, radius, ground.extent, uavs * len(survey.devices))
     if "coarser" in why:
         notes.append(f"the grid step of {step:g} m is {why}")
     ground.align(step, bool(survey.stations))
-    free, borders = _borders(survey, ground, step, notes)
+    free, borders = draw_borders(survey, ground, step, notes)
     stations, snapped = _stations(survey, ground, step, free, notes)
     speed, tau = said["speed_m_s"], step / said["speed_m_s"]
     budget = said["endurance_s"] or wishes.slots * tau
     slots = wishes.slots or min(math.floor(budget / tau + 1e-9), _MOST_SLOTS)
     if slots < 2:
-        raise InputError(f"a battery for {budget:g} s lasts for less than 2 slots of {tau:g} s (a step of {step:g} m at {speed:g} m/s): give a shorter --grid-step, or --endurance")
+        raise InputError(
+            f"a battery for {budget:g} s lasts for less than 2 slots of {tau:g} s: --grid-step, --endurance, --speed"
+        )
     periods, updates = _periods(survey.devices, wishes.interval_s, tau, notes)
     fields: dict[str, Any] = {
         **({} if ground.projection is None else {"georeference": ground.projection.georeference.model_dump()}),
@@ -124,11 +115,15 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
     _note_reach(fields, ground.devices, radius, notes)
     width, height = ground.extent
     names = [name for name in columns.get("name", []) if name]
-    named = f": {', '.join(name[:30] for name in names[:3])}{', ...' if len(names) > 3 else ''}" if names else ", without names"
+    named = (
+        f": {', '.join(name[:30] for name in names[:3])}{', ...' if len(names) > 3 else ''}"
+        if names
+        else ", without names"
+    )
     understood = [
         ("devices", f"{len(survey.devices):,}{named}"),
         ("extent", f"{width:,.0f} m x {height:,.0f} m"),
-        ("origin", _origin(ground)),
+        ("origin", ground.origin),
         ("grid step", f"{step:g} m, {ground.cells[0] + 1} x {ground.cells[1] + 1} cells; {why}"),
         ("radio", f"{said['radio']}: a radius of {radius:,.0f} m on the ground from {said['altitude_m']:g} m"),
         ("outline", "none" if survey.outline is None else survey.outline.where),
@@ -167,175 +162,8 @@ def _radius(channel: dict[str, Any], altitude: float, coverage: Callable[[Scenar
     return radius
 
 
-# -- origin and grid --------------------------------------------------------------------------------------------------
-
-
-@dataclass
-class _Ground:
-    """Everything in local metres, and where they begin."""
-
-    sources: list[Floats]  # devices, stations, outline, zones: in degrees (longitude, latitude), or in metres
-    places: list[Floats]  # the same in local metres
-    fixed: int  # the number of those that the area must hold: devices, stations, outline
-    projection: Projection | None
-    shift: Floats  # of the origin, where there is no projection
-    cells: tuple[int, int] = (1, 1)  # grid steps along x and y
-
-    @classmethod
-    def of(cls, survey: Survey) -> _Ground:
-        groups = [[f.places[0] for f in survey.devices], [f.places[0] for f in survey.stations]]
-        groups += [list(survey.outline.places if survey.outline else ()), *(list(zone.places) for zone in survey.zones)]
-        sources = [np.array(group, dtype=np.float64).reshape(-1, 2) for group in groups]
-        ground = cls(sources, sources, 3, None, np.zeros(2))
-        low, _ = ground._ends()
-        if survey.geographic:
-            ground.move_to(low)
-        else:
-            ground.move_by(low)
-        return ground
-
-    @property
-    def devices(self) -> Floats:
-        return self.places[0]
-
-    @property
-    def extent(self) -> Floats:
-        low, high = self._ends()
-        return high - low
-
-    def _ends(self) -> tuple[Floats, Floats]:
-        places = np.concatenate(self.places[: self.fixed])
-        return places.min(axis=0), places.max(axis=0)
-
-    def move_to(self, origin: Floats) -> None:
-        """Take a place in degrees (longitude, latitude) for the origin."""
-        longitude, latitude = (float(value) for value in origin.round(8))
-        self.projection = Projection(Georeference(latitude=latitude, longitude=round((longitude + 180) % 360 - 180, 8)))
-        self.places = [self.projection.to_metres(source[:, ::-1]) for source in self.sources]
-
-    def move_by(self, metres: Floats) -> None:
-        """Take a place in local metres for the origin."""
-        if self.projection is not None:
-            self.move_to(self.projection.to_degrees(metres)[::-1])
-        else:
-            self.shift = self.shift + metres
-            self.places = [source - self.shift for source in self.sources]
-
-    def align(self, step: float, to_station: bool) -> None:
-        """Put the origin into the south-west corner, such that the first station lies on the grid."""
-        for _ in range(4):  # north turns a little with the origin
-            low, _ = self._ends()
-            if to_station:
-                station = self.places[1][0]
-                low = station - np.ceil((station - low) / step - 1e-4) * step
-            self.move_by(low)
-        _, high = self._ends()
-        columns, rows = (max(math.ceil(length / step - 1e-4), 1) for length in high)
-        self.cells = columns, rows
-
-
-def _origin(ground: _Ground) -> str:
-    if ground.projection is None:
-        x, y = ground.shift
-        return f"x = y = 0 is ({x:.10g}, {y:.10g}) of the file; nothing says where that is on the earth"
-    where = ground.projection.georeference
-    return f"{where.latitude:.6f}, {where.longitude:.6f}: the south-west corner; +y is north"
-
-
-def _grid_step(given: float | None, radius: float, extent: Floats, pairs: int) -> tuple[float, str]:
-    """The grid step in m, and why."""
-
-    def fits(step: float) -> bool:
-        cells = math.prod(math.ceil(length / step) + 1 for length in extent)
-        return cells <= _MOST_CELLS and cells * pairs <= _MOST_REACHES
-
-    if given is not None:
-        if not fits(given):
-            raise InputError(f"--grid-step {given:g}: gives more than {_MOST_CELLS:,} cells, or a table that is too large; leave it out")
-        return given, "as given"
-    ladder = [factor * 10.0**power for power in range(-2, 7) for factor in _ROUND]
-    side = max(float(extent.max()) / _STEPS_A_SIDE, _FINEST_M)
-    finest = max((step for step in ladder if step <= min(_RADII_A_STEP * radius, side)), default=ladder[0])
-    step = next((step for step in ladder if step >= finest and fits(step)), ladder[-1])
-    if step > _RADII_A_STEP * radius:
-        return step, f"coarser than {_RADII_A_STEP:g} radii, so that there are at most {_MOST_CELLS:,} cells"
-    if side < _RADII_A_STEP * radius:
-        return step, f"round, and at most {side:.3g} m, for a field of this size"
-    return step, f"round, and at most {_RADII_A_STEP:g} radii ({_RADII_A_STEP * radius:.3g} m), as in the paper"
-
-
-# -- outline, zones and stations --------------------------------------------------------------------------------------
-
-
-def _borders(survey: Survey, ground: _Ground, step: float, notes: list[str]) -> tuple[Bools, dict[str, Any]]:
-    """The cells that no zone closes, (columns, rows), and the fields of the outline and the zones."""
-    columns, rows = ground.cells
-    free = np.ones((columns + 1, rows + 1), dtype=np.bool_)
-    if survey.outline is None and not survey.zones:
-        return free, {}
-    try:
-        import shapely
-    except ImportError:
-        raise InputError("polygons need shapely: pip install 'uavaou[field]'") from None
-    x, y = np.indices(free.shape) * step
-    area = shapely.box(0, 0, columns * step, rows * step)
-    fields: dict[str, Any] = {}
-    if survey.outline is not None:
-        parts = _polygons(survey.outline, ground.places[2], -_COARSE_M, notes)
-        outline = max(parts, key=lambda part: part.area)
-        free &= shapely.intersects_xy(outline, x, y)
-        fields["outline_m"] = _corners(outline)
-        outside = int((~shapely.intersects_xy(outline, *ground.devices.T)).sum())
-        if outside:
-            notes.append(f"{outside} devices lie outside of the outline: UAVs serve them from within")
-    zones = []
-    for feature, places in zip(survey.zones, ground.places[3:], strict=True):
-        about = _band(feature)
-        for part in _polygons(feature, places, _COARSE_M, notes):
-            grown = part.buffer(about.get("margin_m", 0.0))
-            if not grown.intersects(area):
-                notes.append(f"{feature.where}: a zone outside of the area is ignored")
-                continue
-            free &= ~shapely.intersects_xy(grown, x, y)
-            zones.append({"polygon_m": _corners(part), **about})
-    return free, fields | ({"no_fly": zones} if zones else {})
-
-
-def _band(feature: Feature) -> dict[str, Any]:
-    """What a zone says beside its border: name, floor, ceiling and margin."""
-    about: dict[str, Any] = {"name": name} if (name := name_of(feature)) else {}
-    for meaning in ("floor", "ceiling", "margin"):
-        value = number(value_of(feature, meaning) if value_of(feature, meaning) is not None else "")
-        if math.isfinite(value) and (meaning != "margin" or value > 0):
-            about[f"{meaning}_m"] = value
-    return about
-
-
-def _polygons(feature: Feature, places: Floats, coarse_m: float, notes: list[str]) -> list[Polygon]:
-    """The border as polygons that do not cross themselves, on whole centimetres."""
-    import shapely
-
-    polygon: Any = shapely.Polygon(places)
-    if not polygon.is_valid:
-        notes.append(f"{feature.where}: its border crosses itself, and was mended")
-        polygon = shapely.make_valid(polygon)
-    if shapely.get_num_coordinates(polygon) > _MOST_CORNERS:
-        polygon = polygon.buffer(coarse_m, quad_segs=1).simplify(abs(coarse_m))
-        kind = "larger" if coarse_m > 0 else "smaller"
-        notes.append(f"{feature.where}: its border is drawn with fewer corners, up to {2 * abs(coarse_m):g} m {kind}")
-    parts = [part for part in shapely.get_parts(shapely.set_precision(polygon, 0.01)) if part.area > 0]
-    parts = [shapely.Polygon(part.exterior) for part in parts if part.geom_type == "Polygon"]
-    if not parts:
-        raise InputError(f"{feature.where}: a polygon without an area")
-    return parts
-
-
-def _corners(polygon: Polygon) -> list[list[float]]:
-    return [[round(x, 2), round(y, 2)] for x, y in polygon.exterior.coords[:-1]]
-
-
 def _stations(
-    survey: Survey, ground: _Ground, step: float, free: Bools, notes: list[str]
+    survey: Survey, ground: Ground, step: float, free: Bools, notes: list[str]
 ) -> tuple[list[list[float]], str]:
     """The stations on free cells in m, and how far they were moved."""
     cells = np.argwhere(free) * step  # (C, 2) m
@@ -351,9 +179,15 @@ def _stations(
         away = np.linalg.norm(cells - place, axis=1)
         found.append(cells[away.argmin()].tolist())
         moved.append(float(away.min()))
-    far = [f"{feature.where} by {metres:.0f} m" for feature, metres in zip(survey.stations, moved, strict=False) if metres > 0.5]
+    far = [
+        f"{feature.where} by {metres:.0f} m"
+        for feature, metres in zip(survey.stations, moved, strict=False)
+        if metres > 0.5
+    ]
     if far:
-        notes.append(f"stations moved to a free cell: {', '.join(far[:_LISTED])}{', ...' if len(far) > _LISTED else ''}")
+        notes.append(
+            f"stations moved to a free cell: {', '.join(far[:_LISTED])}{', ...' if len(far) > _LISTED else ''}"
+        )
     shown = ", ".join(f"({x:g}, {y:g}) m" for x, y in found[:_LISTED]) + (", ..." if len(found) > _LISTED else "")
     return found, f"{len(found)}: {shown}" + (f"; moved by up to {max(moved):.0f} m" if far else "")
 
@@ -363,21 +197,25 @@ def _note_reach(fields: dict[str, Any], devices: Floats, radius: float, notes: l
     step = fields["grid_step_m"]
     unheard = int((np.linalg.norm(devices - np.rint(devices / step) * step, axis=1) > radius).sum())
     if unheard:
-        notes.append(f"{unheard} of {len(devices)} devices are out of range of every cell: --radio, --grid-step, --within")
+        notes.append(
+            f"{unheard} of {len(devices)} devices are out of range of every cell: --radio, --grid-step, --within"
+        )
     stations = np.array(fields["cds_m"])  # (U, 2) m
     away = abs(devices[:, None] - stations).sum(axis=2).min(axis=1) - math.sqrt(2) * radius  # (I,) m
     beyond = int((2 * away > (fields["slots"] - 1) * step).sum())
     if beyond:
-        notes.append(f"{beyond} of {len(devices)} devices lie beyond what a battery reaches: --endurance, --speed, --station")
+        notes.append(
+            f"{beyond} of {len(devices)} devices lie beyond what a battery reaches: --endurance, --speed, --station"
+        )
 
 
-# -- devices ----------------------------------------------------------------------------------------------------------
-
-
-def _columns(devices: Sequence[Feature], ground: _Ground, periods: list[int], notes: list[str]) -> dict[str, list[Any]]:
+def _columns(devices: Sequence[Feature], ground: Ground, periods: list[int], notes: list[str]) -> dict[str, list[Any]]:
     """The columns of devices.csv."""
     places = ground.devices.clip(0, None)
-    columns: dict[str, list[Any]] = {"x_m": [f"{x:.2f}" for x in places[:, 0]], "y_m": [f"{y:.2f}" for y in places[:, 1]]}
+    columns: dict[str, list[Any]] = {
+        "x_m": [f"{x:.2f}" for x in places[:, 0]],
+        "y_m": [f"{y:.2f}" for y in places[:, 1]],
+    }
     names = [name_of(device) for device in devices]
     if any(names):
         columns["name"] = _distinct(names, notes)
@@ -405,7 +243,8 @@ def _distinct(names: list[str], notes: list[str]) -> list[str]:
         changed += chosen != name
         found.append(chosen)
     if changed:
-        notes.append(f"{changed} devices without a name of their own got one, such as {next(f for f, n in zip(found, names, strict=True) if f != n)}")
+        first = next(new for new, old in zip(found, names, strict=True) if new != old)
+        notes.append(f"{changed} devices without a name of their own got one, such as {first}")
     return found
 
 

@@ -87,11 +87,14 @@ def _add_fence(reading: Reading, fence: Mapping[str, Any]) -> None:
             role: Role = "outline" if shape.get("inclusion", True) else "zone"
             if kind == "polygons":
                 corners = shape.get("polygon")
-                border = tuple(_position(reading, where, each) for each in (corners if isinstance(corners, list) else ()))
+                border = tuple(
+                    _position(reading, where, each) for each in (corners if isinstance(corners, list) else ())
+                )
             else:
                 inner = shape.get("circle")
                 inner = inner if isinstance(inner, dict) else {}
-                if not is_number(radius := inner.get("radius")):
+                radius = inner.get("radius")
+                if not isinstance(radius, int | float) or not is_number(radius):
                     raise reading.error(where, f"radius = {short(radius)}: expected a number of metres")
                 centre = _position(reading, where, inner.get("center"))
                 border = circle(centre, radius, inside=role == "outline") if radius > 0 else ()
@@ -118,7 +121,9 @@ def read_waypoints(reading: Reading, text: str) -> None:
             sequence, command, size = int(cells[0]), int(cells[3]), float(cells[4])
             place = [float(cells[8]), float(cells[9])]
         except (IndexError, ValueError):
-            raise reading.error(where, f"{short(line)}: expected 12 columns: a number, ..., latitude, longitude") from None
+            raise reading.error(
+                where, f"{short(line)}: expected 12 columns: a number, ..., latitude, longitude"
+            ) from None
         if not any(place):
             others += command not in _HOMES and sequence > 0
         elif sequence == 0 or command == _RALLY:

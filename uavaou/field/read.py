@@ -45,7 +45,9 @@ def read_file(path: Path) -> Reading:
             raise InputError(f"{path}: is {what}")
     if data.startswith(b"PK\x03\x04"):
         _read_packed(reading, data)
-    elif data.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") or data[:6].replace(b"\0", b"").lstrip(b"\xff\xfe\xef\xbb\xbf").startswith(b"<"):
+    elif data.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") or data[:6].replace(b"\0", b"").lstrip(
+        b"\xff\xfe\xef\xbb\xbf"
+    ).startswith(b"<"):
         _read_xml(reading, data)
     else:
         _read_text(reading, _decoded(reading, data))
@@ -60,7 +62,9 @@ def _read_packed(reading: Reading, data: bytes) -> None:
                 raise InputError(f"{reading.path}: more than {_MOST_UNPACKED:,} bytes when unpacked")
             if "xl/workbook.xml" in names:
                 parts = (archive.read(name) for name in names if name.endswith((".xml", ".rels")))
-                if any(b"<!" in part.replace(b"\0", b"").replace(b"<!--", b"").replace(b"<![CDATA", b"") for part in parts):
+                if any(
+                    b"<!" in part.replace(b"\0", b"").replace(b"<!--", b"").replace(b"<![CDATA", b"") for part in parts
+                ):
                     raise InputError(f"{reading.path}: a workbook with a DOCTYPE is not read")
                 return read_workbook(reading, data)
             maps = [name for name in names if name.lower().endswith(".kml")]
@@ -72,7 +76,15 @@ def _read_packed(reading: Reading, data: bytes) -> None:
             return _read_xml(reading, archive.read(chosen))
     except InputError:
         raise
-    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError, OSError, ValueError, EOFError) as error:
+    except (
+        zipfile.BadZipFile,
+        zipfile.LargeZipFile,
+        NotImplementedError,
+        RuntimeError,
+        OSError,
+        ValueError,
+        EOFError,
+    ) as error:
         raise InputError(f"{reading.path}: a damaged archive: {error}") from None
 
 
@@ -119,7 +131,11 @@ def _read_text(reading: Reading, text: str) -> None:
         return read_plan(reading, content)
     if isinstance(content, dict) and content.get("type") in ("FeatureCollection", "Feature", *GEOMETRIES):
         return read_geojson(reading, content)
-    if isinstance(content, list) and content and all(isinstance(x, dict) and x.get("type") == "Feature" for x in content):
+    if (
+        isinstance(content, list)
+        and content
+        and all(isinstance(x, dict) and x.get("type") == "Feature" for x in content)
+    ):
         return read_geojson(reading, {"type": "FeatureCollection", "features": content})
     if isinstance(content, dict) and content.get("type") == "Topology":
         raise InputError(f"{reading.path}: is TopoJSON: save it as GeoJSON")

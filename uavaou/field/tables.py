@@ -66,9 +66,9 @@ def _header(rows: Iterator[Row] | Sequence[Row]) -> tuple[int, dict[str, str]] |
         found = meanings([cell for cell in cells if isinstance(cell, str) and cell])
         if place >= _HEAD:
             break
-        if {"latitude", "longitude"} <= found.keys() or {"x", "y"} <= found.keys() or "place" in found:
-            if sum(math.isfinite(number(cell)) for cell in cells if cell not in ("", None)) < 2:
-                return place, found
+        has_place = {"latitude", "longitude"} <= found.keys() or {"x", "y"} <= found.keys() or "place" in found
+        if has_place and sum(math.isfinite(number(cell)) for cell in cells if cell not in ("", None)) < 2:
+            return place, found
     return None
 
 
@@ -94,7 +94,9 @@ def _bare_rows(text: str) -> list[Row]:
     _, marked, after = text.partition("NODE_COORD_SECTION")
     before = text[: len(text) - len(after)].count("\n") if marked else 0
     lines = enumerate((after if marked else text).split("\nEOF")[0].splitlines(), before + 1)
-    rows = ((f"line {line}", [cell.strip('" ') for cell in re.split(_MARKS, content.strip())]) for line, content in lines)
+    rows = (
+        (f"line {line}", [cell.strip('" ') for cell in re.split(_MARKS, content.strip())]) for line, content in lines
+    )
     return [(where, cells) for where, cells in rows if any(cells)]
 
 
@@ -127,12 +129,12 @@ def read_workbook(reading: Reading, data: bytes) -> None:
 
 def _sheet_rows(sheet: Any) -> list[Row]:
     found: list[Row] = []
-    for number, row in enumerate(sheet.iter_rows(values_only=True, max_row=2 * MOST_FEATURES, max_col=200), 1):
+    for line, row in enumerate(sheet.iter_rows(values_only=True, max_row=2 * MOST_FEATURES, max_col=200), 1):
         cells = [cell.strip() if isinstance(cell, str) else "" if cell is None else cell for cell in row]
         while cells and cells[-1] == "":
             cells.pop()
         if cells:
-            found.append((f"row {number}", cells))
+            found.append((f"row {line}", cells))
     return found
 
 
@@ -191,11 +193,16 @@ def read_rows(reading: Reading, names: Sequence[str], rows: Sequence[Row]) -> No
             place = (numbers[0] * scale, numbers[1] * scale)
             reading.add(Feature("point", (place,), where, data, frame))
         else:
-            unread.append((where, *next((c, v) for c, v in zip(columns, values, strict=True) if not math.isfinite(number(v)))))
+            unread.append(
+                (where, *next((c, v) for c, v in zip(columns, values, strict=True) if not math.isfinite(number(v))))
+            )
     if unread and len(unread) > len(rows) // 10 + 1:
         where, column, value = unread[0]
         raise reading.error(where, f"column {short(column)}: {short(value)} is not a finite number")
-    for which, problem in ((without, "without a position"), ([where for where, *_ in unread], "whose position is no number")):
+    for which, problem in (
+        (without, "without a position"),
+        ([where for where, *_ in unread], "whose position is no number"),
+    ):
         if which:
             more = ", ..." if len(which) > _LISTED else ""
             reading.notes.append(f"{len(which)} rows {problem} are ignored ({', '.join(which[:_LISTED])}{more})")
@@ -219,14 +226,18 @@ def _of_cell(reading: Reading, where: str, column: str, value: Any, data: dict[s
             return features_of(reading, json.loads(text.replace("'", '"')), where, rest)
         except (ValueError, RecursionError) as error:
             raise reading.error(where, f"column {short(column)}: {short(text)}: {error}") from None
-    if found := re.fullmatch(r"(?:SRID=\d+;\s*)?(POINT\s*Z?\s*)\(?\s*([-\d.eE]+)[\s,]+([-\d.eE]+)[\s\d.eE-]*\)", text, re.IGNORECASE):
+    if found := re.fullmatch(
+        r"(?:SRID=\d+;\s*)?(POINT\s*Z?\s*)\(?\s*([-\d.eE]+)[\s,]+([-\d.eE]+)[\s\d.eE-]*\)", text, re.IGNORECASE
+    ):
         return iter((Feature("point", ((number(found[2]), number(found[3])),), where, rest),))
     if re.match(r"(SRID=\d+;\s*)?(MULTI|POLYGON|LINESTRING|GEOMETRYCOLLECTION)", text, re.IGNORECASE):
         return features_of(reading, _well_known(reading, where, text), where, rest)
     parts = [part for part in re.split(r"[,;\s]+", text.strip("()[] ")) if part]
     if len(parts) >= 2 and all(math.isfinite(number(part)) for part in parts[:2]):
         return iter((Feature("point", ((number(parts[1]), number(parts[0])),), where, rest),))
-    raise reading.error(where, f"column {short(column)}: {short(text)}: expected (latitude, longitude) or POINT (lon lat)")
+    raise reading.error(
+        where, f"column {short(column)}: {short(text)}: expected (latitude, longitude) or POINT (lon lat)"
+    )
 
 
 def _well_known(reading: Reading, where: str, text: str) -> Any:
@@ -238,4 +249,3 @@ def _well_known(reading: Reading, where: str, text: str) -> Any:
         return json.loads(shapely.to_geojson(shapely.from_wkt(text.partition(";")[2] or text)))
     except (shapely.GEOSException, ValueError) as error:
         raise reading.error(where, f"{short(text)}: {error}") from None
-

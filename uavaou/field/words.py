@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 # Of each meaning, the words of a name, the surest first.
 _WORDS = {
     "latitude": "latitude lat latitud latitudine breite breitengrad 纬度 緯度 위도 широта",
-    "longitude": "longitude lon lng long longitud longitudine lange laenge langengrad laengengrad 经度 經度 経度 경도 долгота",
+    "longitude": "longitude lon lng long longitud longitudine lange laenge langengrad laengengrad 经度 經度 経度 경도 "
+    "долгота",
     "x": "x easting east rechtswert ostwert este",
     "y": "y northing north hochwert nordwert norte",
     "place": "geometry geom wkt geolocation coordinates coordinate coords latlng latlon location position point "
@@ -26,8 +27,9 @@ _WORDS = {
     "height": "elevation altitude height elev alt ele z hohe hoehe altura altitud",
 }
 _AT_THE_END = ("x", "y", "height", "id", "radius")  # meanings whose words also stand for other things inside of a name
-_WHOLE = set("station sensor site stop device node standort".split())  # words that name something on their own alone
-_UNITS = {"m", "meter", "meters", "metre", "metres", "km", "ft", "feet", "s", "sec", "min", "h", "deg", "degrees", "slots"}
+_WHOLE = {"station", "sensor", "site", "stop", "device", "node", "standort"}  # that are names where they stand alone
+_LENGTHS = {**dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0), "km": 1e3, "ft": 0.3048, "feet": 0.3048}
+_UNITS = {*_LENGTHS, "s", "sec", "min", "h", "deg", "degrees", "slots"}
 _SECONDS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden", "segundos"), 1.0),
     **dict.fromkeys(("m", "min", "mins", "minute", "minutes", "minuten", "minutos"), 60.0),
@@ -36,7 +38,6 @@ _SECONDS = {
     "ms": 1e-3,
 }
 SLOTS = -1.0  # in place of a unit's seconds
-_METRES = {"km": 1000.0, "ft": 0.3048, "feet": 0.3048}
 
 
 def words(name: str) -> list[str]:
@@ -106,8 +107,7 @@ def unit_seconds(name: str) -> float:
 
 def unit_metres(name: str) -> float:
     """The metres of the unit of length in a name; nan without one."""
-    parts = words(name)
-    return next((_METRES.get(part, 1.0) for part in parts[::-1] if part in _METRES or part in ("m", "meter", "metre", "meters", "metres")), math.nan)
+    return next((_LENGTHS[part] for part in words(name)[::-1] if part in _LENGTHS), math.nan)
 
 
 def duration(text: object, default: float = math.nan) -> tuple[float, float]:
@@ -118,8 +118,3 @@ def duration(text: object, default: float = math.nan) -> tuple[float, float]:
     unit = found[2].lower()
     seconds = default if not unit else SLOTS if unit in ("slot", "slots") else _SECONDS.get(unit, math.nan)
     return (_plain_number(found[1]) if "e" not in found[1].lower() else number(found[1])), seconds
-
-
-def has_word(text: str, known: Iterable[str]) -> bool:
-    """Whether one of the words of a text is known."""
-    return not set(words(text)).isdisjoint(known)

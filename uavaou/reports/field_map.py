@@ -61,7 +61,9 @@ def _draw(figure: Figure, axes: Axes, scenario: Scenario, radius_m: float) -> No
     axes.plot(*np.array(scenario.cds_m).T, "s", ms=9, mfc="none", mec=BLUE, mew=1.6, zorder=4)
     handles.append(Line2D([], [], ls="", marker="s", mfc="none", mec=BLUE, ms=7, label="station"))
     turns = np.linspace(0, 2 * np.pi, 90)
-    axes.plot(places[0, 0] + radius_m * np.cos(turns), places[0, 1] + radius_m * np.sin(turns), "--", color=BLACK, lw=0.6)
+    axes.plot(
+        places[0, 0] + radius_m * np.cos(turns), places[0, 1] + radius_m * np.sin(turns), "--", color=BLACK, lw=0.6
+    )
     handles.append(Line2D([], [], ls="--", color=BLACK, lw=0.6, label=f"coverage, {radius_m:,.0f} m"))
     _draw_scale(axes, scenario, margin)
     _draw_north(axes, scenario)
