@@ -48,6 +48,7 @@ PAGES = (
     "docs/figures",
     "docs/model",
     "docs/on-board",
+    "docs/own-field",
     "docs/replay",
     "docs/speed",
     "docs/studies",
@@ -99,6 +100,7 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     (tmp_path / "valley.csv").write_text(blocks(model, "csv")[0], encoding="utf-8")
     (tmp_path / "docs" / "gallery").mkdir(parents=True)
     shutil.copy(ROOT / "docs" / "gallery" / "hundred-devices.yaml", tmp_path / "docs" / "gallery")
+    shutil.copytree(ROOT / "examples" / "field", tmp_path / "examples" / "field")
     shutil.copytree(trained, "results")
     for name in ("studies/paper", "suites"):
         shutil.copytree(ROOT / "results" / name, tmp_path / "results" / name)

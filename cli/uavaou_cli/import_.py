@@ -95,10 +95,10 @@ def import_(
 
 
 def is_map(path: str) -> bool:
-    """Whether a scenario's name is that of a map file."""
+    """Whether a scenario's name is that of a map file that is there."""
     from uavaou.field.read import ENDINGS
 
-    return Path(path).suffix.lower() in ENDINGS
+    return Path(path).suffix.lower() in ENDINGS and Path(path).exists()
 
 
 def read_map_field(files: Sequence[Path], options: MapOptions) -> tuple[Field, Scenario]:

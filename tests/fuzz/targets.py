@@ -5,10 +5,12 @@ A reader may answer with what it read, or with an InputError of one line; anythi
 
 from __future__ import annotations
 
+import io
 import json
 import marshal
 import random
 import tempfile
+import zipfile
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
@@ -17,6 +19,8 @@ from unittest.mock import patch
 
 import numpy as np
 
+from tests.field.look_alikes import TEXTS as FIELD_TEXTS
+from tests.field.look_alikes import packed_kml, workbook
 from uavaou import Family, InputError, RunConfig, Scenario, zoo
 from uavaou.algorithms.io.save_load import LearnerHeader
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
@@ -28,6 +32,11 @@ from uavaou.experiments.search import Arm, Search, SearchFolder, Stage
 from uavaou.experiments.search_space import SearchSpace
 from uavaou.experiments.study import Study
 from uavaou.experiments.suite import Suite
+from uavaou.field.features import Feature, Reading
+from uavaou.field.folder import scenario_of
+from uavaou.field.mission import Wishes, lay_out
+from uavaou.field.read import read_file
+from uavaou.field.survey import understand
 from uavaou.onboard import runner
 from uavaou.plain_yaml import parse_yaml
 from uavaou.planners.plan import RoutePlan
@@ -158,6 +167,13 @@ def _onboard(path: Path) -> None:
             pilot.end_slot(np.zeros(devices, int))
 
 
+def _field(path: Path) -> None:
+    """Lay out a field from a file of the outside world; where it holds a border alone, beside devices of a known one."""
+    beside = Reading(path, [Feature("point", ((7.22 + k / 500, 46.1),), f"line {k}") for k in range(3)])
+    found = lay_out(understand([read_file(path), beside]), Wishes(), lambda scenario: np.full((1, 3), 250.0))
+    scenario_of(found, [path])
+
+
 READERS: dict[str, Callable[[Path], Any]] = {
     "checkpoint.safetensors": _checkpoint,
     "learner.safetensors": lambda path: LearnerHeader.read(ArrayFile(path)),
@@ -178,6 +194,10 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "onboard/policy.json": _onboard,
     "onboard/mission.json": _onboard,
     "any.yaml": lambda path: parse_yaml(path.read_bytes().decode("utf-8", "replace"), "f"),
+    **dict.fromkeys(
+        ("field/map.geojson", "field/map.kml", "field/map.gpx", "field/map.kmz", "field/mission.plan", "field/list.wpl"), _field
+    ),
+    **dict.fromkeys(("field/table.csv", "field/book.xlsx", "field/records.json"), _field),
 }
 
 
@@ -230,6 +250,10 @@ def seeds() -> dict[str, bytes]:
         "set.txt": "scenario.bandwidth_hz.low=14e3\nscenario.slots=9\nalgorithm.hidden=[8, 8]",
         "any.yaml": "a: {b: [1, 2.5, x], 'c': true}\nd:\n  - e: null\n",
     }
+    texts |= {f"field/{name}": text for name, text in FIELD_TEXTS.items()}
+    for name, write in (("kmz", packed_kml), ("xlsx", workbook)):
+        kind = next(reader for reader in READERS if reader.endswith(name))
+        files[kind].write_bytes(write())
     for name, text in texts.items():
         files[name].write_text(text, encoding="utf-8")
     for name, kept in (("policy", "flat"), ("mission", "quickstart")):
@@ -255,6 +279,8 @@ def read(name: str, content: bytes) -> None:
 def mutated(name: str, content: bytes, rng: random.Random) -> bytes:
     """A file like ``content``, with one to three changes where its format has parts."""
     header = 0
+    if content.startswith(b"PK") and rng.random() < 0.8:
+        return _repacked(content, rng)
     if name.endswith(".safetensors") and rng.random() < 0.7:  # inside of the header, whose length then fits
         header = int.from_bytes(content[:8], "little")
         changed = content[8 : 8 + header]
@@ -264,6 +290,18 @@ def mutated(name: str, content: bytes, rng: random.Random) -> bytes:
     for _ in range(rng.randint(1, 3)):
         content = _change(content, rng)
     return content
+
+
+def _repacked(content: bytes, rng: random.Random) -> bytes:
+    """An archive with another content of one of its files."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        parts = {part: archive.read(part) for part in archive.namelist()}
+    chosen = rng.choice(list(parts))
+    parts[chosen] = _change(parts[chosen], rng)
+    with zipfile.ZipFile(file := io.BytesIO(), "w") as archive:
+        for part, inner in parts.items():
+            archive.writestr(part, inner)
+    return file.getvalue()
 
 
 def _change(content: bytes, rng: random.Random) -> bytes:

@@ -105,10 +105,9 @@ def on_one_map(
     found = []
     for reading, features in located:
         features = _without_null_island(reading, features, notes)
-        places = all_places(features)
-        if len(places):
+        if features:
             straight, swapped = _fault(features), _fault([_swapped(feature) for feature in features])
-            middle = tuple(np.median(places, axis=0).tolist())
+            middle = np.median(all_places(features), axis=0).tolist()
             far = near is not None and km_between(middle, near) > 500 and km_between(middle[::-1], near) < 100
             if (straight or far) and not swapped:
                 features = [_swapped(feature) for feature in features]
@@ -116,12 +115,11 @@ def on_one_map(
                 notes.append(f"{reading.path.name}: latitude and longitude are swapped back ({why})")
             elif straight:
                 raise InputError(f"{reading.path}: {straight}")
+            first = near or features[0].places[0]
+            features = [_near_longitude(feature, first[0]) for feature in features]
             near = near or np.median(all_places(features), axis=0).tolist()
         found.append((reading, features))
-    if near is None:
-        return found
-    turned = near[0]
-    return [(r, [_near_longitude(feature, turned) for feature in features]) for r, features in found]
+    return found
 
 
 def _without_null_island(reading: Reading, features: list[Feature], notes: list[str]) -> list[Feature]:
@@ -149,7 +147,7 @@ def _fault(features: Sequence[Feature]) -> str:
 
 def _near_longitude(feature: Feature, longitude: float) -> Feature:
     """With longitudes within half a turn of another one, across the antimeridian."""
-    return replace(feature, places=tuple(((x - longitude + 180) % 360 - 180 + longitude, y) for x, y in feature.places))
+    return replace(feature, places=tuple((x + 360 * round((longitude - x) / 360), y) for x, y in feature.places))
 
 
 def km_between(first: Sequence[float], second: Sequence[float]) -> float:

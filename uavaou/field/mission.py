@@ -259,7 +259,7 @@ def _periods(
         notes.append(f"guessed: intervals without a unit are {'seconds' if guess == 1 else 'minutes'}")
         found = [(value, guess if math.isnan(unit) else unit) for value, unit in found]
     slots = np.array([value * (1 if unit == SLOTS else unit / slot_s) for value, unit in found])  # (I,)
-    missing = ~(slots > 0)
+    missing = ~((slots > 1e-9) & (slots < 1e9))
     if missing.any():
         seconds = default_s or _INTERVAL_S
         if default_s is None:

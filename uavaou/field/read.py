@@ -7,6 +7,7 @@ import io
 import json
 import math
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from uavaou.files import read_bytes
 ENDINGS = (".geojson", ".json", ".kml", ".kmz", ".gpx", ".plan", ".waypoints", ".csv", ".tsv", ".txt", ".xlsx")
 _MOST_BYTES = 64_000_000
 _MOST_UNPACKED = 256_000_000
+_DAMAGES = (zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError)
 _OTHERS = {  # the first bytes of formats that are not read
     b"\xd0\xcf\x11\xe0": "an old workbook: save it as .xlsx or .csv",
     b"\x00\x00'\n": "a shapefile: save it as GeoJSON",
@@ -76,15 +78,7 @@ def _read_packed(reading: Reading, data: bytes) -> None:
             return _read_xml(reading, archive.read(chosen))
     except InputError:
         raise
-    except (
-        zipfile.BadZipFile,
-        zipfile.LargeZipFile,
-        NotImplementedError,
-        RuntimeError,
-        OSError,
-        ValueError,
-        EOFError,
-    ) as error:
+    except (*_DAMAGES, OSError, ValueError) as error:
         raise InputError(f"{reading.path}: a damaged archive: {error}") from None
 
 

@@ -262,6 +262,12 @@ def _refuse_too_wide(survey: Survey, path: Path) -> None:
         survey.notes.append(
             f"{len(off)} devices far from all others are ignored ({which}{', ...' if len(off) > _LISTED else ''})"
         )
+    kept = [zone for zone in survey.zones if _reach_km(zone, middle) <= _WIDEST_KM]
+    if len(kept) < len(survey.zones):
+        survey.notes.append(f"{len(survey.zones) - len(kept)} zones that reach more than {_WIDEST_KM:g} km away are ignored")
+        survey.zones = kept
+    if survey.outline is not None and _reach_km(survey.outline, middle) > _WIDEST_KM:
+        raise InputError(f"{survey.outline.where}: an outline that reaches more than {_WIDEST_KM:g} km from the devices")
     far = max(survey.devices + survey.stations, key=lambda f: km_between(f.places[0], middle))
     if (km := km_between(far.places[0], middle)) > _WIDEST_KM / 2:
         tried = places[:: len(places) // 200 + 1]
@@ -271,6 +277,10 @@ def _refuse_too_wide(survey: Survey, path: Path) -> None:
             f"{len(places):,} devices; a field is at most {_WIDEST_KM:g} km wide: "
             f"--within {near[1]:.4f},{near[0]:.4f},{NEAR_KM:g} would read {count} of them, all within {NEAR_KM:g} km"
         )
+
+
+def _reach_km(polygon: Feature, middle: Sequence[float]) -> float:
+    return max(km_between(place, middle) for place in polygon.places)
 
 
 def _note_properties(survey: Survey) -> None:

@@ -19,6 +19,8 @@ from uavaou.fields import short
 Row = tuple[str, list[Any]]  # where it stands ("line 4"), and its cells
 _SEPARATORS = (",", ";", "\t", "|")
 _MARKS = re.compile(r"\s*[;,|\t]\s*|\s+")
+_POINT = re.compile(r"(?:SRID=\d+;\s*)?POINT\s*Z?\s*\(\s*([-\d.eE]+)[\s,]+([-\d.eE]+)[\s\d.eE-]*\)", re.IGNORECASE)
+_LONGEST_POINT = 200  # letters
 _HEAD = 60  # rows among which the header is looked for
 _NOTHING = {"", "-", "--", "?", "n/a", "na", "nan", "null", "none", "#n/a", "nil", "unknown"}
 _LISTED = 5  # rows that a note names
@@ -226,10 +228,8 @@ def _of_cell(reading: Reading, where: str, column: str, value: Any, data: dict[s
             return features_of(reading, json.loads(text.replace("'", '"')), where, rest)
         except (ValueError, RecursionError) as error:
             raise reading.error(where, f"column {short(column)}: {short(text)}: {error}") from None
-    if found := re.fullmatch(
-        r"(?:SRID=\d+;\s*)?(POINT\s*Z?\s*)\(?\s*([-\d.eE]+)[\s,]+([-\d.eE]+)[\s\d.eE-]*\)", text, re.IGNORECASE
-    ):
-        return iter((Feature("point", ((number(found[2]), number(found[3])),), where, rest),))
+    if len(text) < _LONGEST_POINT and (found := _POINT.fullmatch(text)):
+        return iter((Feature("point", ((number(found[1]), number(found[2])),), where, rest),))
     if re.match(r"(SRID=\d+;\s*)?(MULTI|POLYGON|LINESTRING|GEOMETRYCOLLECTION)", text, re.IGNORECASE):
         return features_of(reading, _well_known(reading, where, text), where, rest)
     parts = [part for part in re.split(r"[,;\s]+", text.strip("()[] ")) if part]

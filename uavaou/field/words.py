@@ -37,6 +37,12 @@ _SECONDS = {
     **dict.fromkeys(("d", "day", "days", "tag", "tage"), 86400.0),
     "ms": 1e-3,
 }
+_ANGLE = re.compile(
+    r"([NSEWO])?\s*(-?[\d.,]+)\s*[°ºd]?(?:\s*(\d+(?:[.,]\d+)?)\s*['′’m]?(?:\s*(\d+(?:[.,]\d+)?)\s*(?:\"|″|”|''|s)?)?)?"
+    r"\s*([NSEWO])?",
+    re.IGNORECASE,
+)
+_LONGEST = 40  # letters of a number
 SLOTS = -1.0  # in place of a unit's seconds
 
 
@@ -70,17 +76,13 @@ def meanings(names: Sequence[str]) -> dict[str, str]:
 def number(text: object) -> float:
     """A number as people write it, in degrees if it is an angle; nan if it is none: ``1.234,5``, ``46° 6' N``."""
     if isinstance(text, int | float):
-        return float(text)
+        return float(text) if abs(text) < 1e300 else math.nan
     plain = str(text).strip().replace("−", "-").replace("\u00a0", "")
     try:
         return float(plain)
     except ValueError:
         pass
-    if angle := re.fullmatch(
-        r"([NSEWO])?\s*(-?[\d.,]+)\s*[°ºd]?\s*(?:(\d+[.,]?\d*)\s*['′’m]\s*)?(?:(\d+[.,]?\d*)\s*(?:\"|″|”|''|s)?\s*)?([NSEWO])?",
-        plain,
-        re.IGNORECASE,
-    ):
+    if len(plain) < _LONGEST and (angle := _ANGLE.fullmatch(plain)):
         before, degrees, minutes, seconds, after = angle.groups()
         value = _plain_number(degrees)
         size = abs(value) + _plain_number(minutes or "0") / 60 + _plain_number(seconds or "0") / 3600
@@ -112,7 +114,7 @@ def unit_metres(name: str) -> float:
 
 def duration(text: object, default: float = math.nan) -> tuple[float, float]:
     """A length of time as its number and the seconds of its unit, or ``default`` without one: ``5 min``, ``PT5M``."""
-    found = re.fullmatch(r"(?:PT)?\s*([\d.,]+(?:e[-+]?\d+)?)\s*([^\W\d_]*)\.?", str(text).strip(), re.IGNORECASE)
+    found = re.fullmatch(r"(?:PT)?\s*([\d.,]+(?:e[-+]?\d+)?)\s*([^\W\d_]*)\.?", str(text).strip()[:_LONGEST], re.IGNORECASE)
     if found is None:
         return math.nan, default
     unit = found[2].lower()
