@@ -84,7 +84,7 @@ def test_everything_wrong_is_said_at_once(tmp_path: Path) -> None:
     path = write(
         tmp_path,
         "base: tinny\ndevices_csv: map.csv\nslot: 5\nno_fly_zone: []\nuavs: 3\naltitudes_m: [80, 80, 90]\n"
-        "speed_m_s: 15 m/s\ncds_m: [[0, 0], [60, 0]]\nfading: rice\nflight_time_budget_s: 1\narea_y_m: 250\n",
+        "speed_m_s: 15 Hz\ncds_m: [[0, 0], [60, 0]]\nfading: rice\nflight_time_budget_s: 1\narea_y_m: 250\n",
     )
     with pytest.raises(InputError) as caught:
         Scenario.load(path)
@@ -96,7 +96,7 @@ def test_everything_wrong_is_said_at_once(tmp_path: Path) -> None:
         "map.csv: line 3, column 'bandwidth_hz': 'x' is not a finite number",
         "unknown field 'slot'; did you mean 'slots'?",
         "unknown field 'no_fly_zone': no_fly lists zones, each with polygon_m",
-        "speed_m_s = '15 m/s': expected a number, not text; write 15",
+        "speed_m_s = '15 Hz': expected a speed: a number of m/s",
         "fading = 'rice': must be 'rician' or 'none'",
         "grid_step_m = 100: does not divide area_y_m = 250 into whole steps; area_y_m = 300 would fit",
         "altitudes_m = [80, 80, 90]: must all differ, so that UAVs cannot collide; [80, 100, 90] would fit",

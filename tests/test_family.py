@@ -210,6 +210,13 @@ def test_what_is_beyond_all_families_is_named_with_both_ends() -> None:
         "transmit powers 25 mW",
         "reference gains -31.22 dB",
     ]
+    city = paper.replace(snr_min_db=30, path_loss_exponent=2.4, line_of_sight="urban")
+    assert beyond(any_, city) == [
+        "in range by the minimum SNR of 30 dB (in training by minimum rates)",
+        "path-loss exponents 2.4 (in training 2)",
+        "losses by the line of sight (in training others)",
+    ]
+    assert Family(base=city, devices={"among": [5]}).draw(3).snr_min_db == 30
 
 
 def test_a_base_that_is_never_drawn_is_beyond() -> None:

@@ -338,11 +338,14 @@ def beyond(family: Family, scenario: Scenario) -> list[str]:
             [v for name in names.split() for v in _range(getattr(of, name))] for of in (family.base, scenario)
         )
         if not own or not of_base:  # a radio of another kind
+            found += [f"in range by {scenario.threshold} (in training by {quantity})"] if of_base else []
             continue
         low, high = family.ends(field, of_base)
         drawn_to = scenario.grid_step_m / 2 if field == "area_m" else _ROUNDING * max(abs(low), abs(high))
         if min(own) < low - drawn_to or max(own) > high + drawn_to:
             found.append(f"{quantity} {_span(min(own), max(own), unit)} (in training {_span(low, high, unit)})")
+    if scenario.line_of_sight != family.base.line_of_sight:
+        found.append("losses by the line of sight (in training others)")
     return found
 
 

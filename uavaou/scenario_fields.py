@@ -236,7 +236,7 @@ class ScenarioFields(Strict):
                     yield f"cds_m[{u}] = {_full_list(place)}: lies {where}, {_BREAKS} (CDS); move the one or the other"
 
     def _misfits_of_time(self) -> Iterator[str]:
-        needed = 2 * max(self.altitudes_m, default=0.0) / self.speed_m_s
+        needed = min(2 * max(self.altitudes_m, default=0.0) / self.speed_m_s, 1e300)
         if self.flight_time == "enforce" and needed > self.flight_time_budget_s + ZETA_TOLERANCE_S:
             yield (
                 f"flight_time_budget_s = {_full(self.flight_time_budget_s)}: take-off and landing alone need "

@@ -2,11 +2,13 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any
 
 _TEXT = re.compile(r"\s*([-+]?(?:\d+(?:[.,]\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\W\d_][^\s\d]*)\s*")
 _SLOT_ROUNDING = 1e-6  # slots by which a duration may miss a whole number of them
+_DEEPEST = 8  # lists and mappings inside each other
 _DIGITS = 14  # what a factor adds beyond is rounding noise
 
 _TIMES = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0}
@@ -43,17 +45,31 @@ def in_own_units(fields: Mapping[str, Any]) -> dict[str, Any]:
     return {name: _converted(name, value, "", slot) for name, value in fields.items()}
 
 
-def _converted(name: Any, value: Any, unit: str, slot_s: float | None) -> Any:
-    unit = next((own for own in _UNITS if name == own == "slots" or str(name).endswith(f"_{own}")), unit)
+def _converted(name: Any, value: Any, unit: str, slot_s: float | None, depth: int = 0) -> Any:
+    unit = (isinstance(name, str) and _unit_of(name)) or unit
     if isinstance(value, str):
         return _quantity(value, unit, slot_s) if unit else value
+    if depth == _DEEPEST:
+        return value
     if isinstance(value, Mapping):
-        return {key: _converted(key, part, unit, slot_s) for key, part in value.items()}
-    if unit and isinstance(value, list | tuple) and any(isinstance(part, str | list | tuple) for part in value):
-        return [part if isinstance(part, int | float) else _converted("", part, unit, slot_s) for part in value]
-    if isinstance(value, list) and any(isinstance(part, Mapping) for part in value):
-        return [_converted("", part, unit, slot_s) for part in value]
+        return {key: _converted(key, part, unit, slot_s, depth + 1) for key, part in value.items()}
+    if isinstance(value, list | tuple) and _holds_text(value):
+        return [_converted("", part, unit, slot_s, depth + 1) for part in value]
     return value
+
+
+@cache
+def _unit_of(name: str) -> str:
+    return next((unit for unit in _UNITS if name == unit == "slots" or name.endswith(f"_{unit}")), "")
+
+
+def _holds_text(values: Sequence[Any]) -> bool:
+    """Whether there is text, or a mapping, in a list or in the lists in it: most hold many numbers alone."""
+    for _ in range(_DEEPEST):
+        if any(isinstance(part, str | dict) for part in values):
+            return True
+        values = [inner for part in values if isinstance(part, list | tuple) for inner in part]
+    return False
 
 
 def _quantity(text: str, unit: str, slot_s: float | None) -> Any:

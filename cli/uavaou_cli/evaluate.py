@@ -133,7 +133,7 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
     missions = "missions" if episodes > 1 else "mission"
     lines = wrapped(f"{scenario.name}{changed}: {episodes:,} {missions}, {seeds}")
     lines += paragraphs(comparison.remarks())
-    heads = [("action", "knows"), ("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("communi-", "cations")]
+    heads = [("action", "knows"), ("mean AoU", "(slots)"), ("mean AoU", "(min)"), ("communi-", "cations")]
     heads += [("devices", f"of {scenario.devices}"), ("viola-", "tions")]
     rows = [(name, _cells(result, comparison.policies[name])) for name, result in comparison.results.items()]
     lines += ["", *two_line_table(heads, rows)]
@@ -151,7 +151,7 @@ def _cells(result: Evaluation, policy: Planner) -> list[tuple[str, str]]:
     from uavaou.world.knowledge import knowledge
 
     aou = result.values("mean_aou_s")  # (N,) s
-    columns = aou / result.slot_length_s, aou, result.values("communications"), result.values("devices_served")
+    columns = aou / result.slot_length_s, aou / 60, result.values("communications"), result.values("devices_served")
     figures = [interval_figures(interval_over_missions(values)) for values in columns]
     action = ACTIONS.get(getattr(policy, "action", ""), "-")
     return [(action, knowledge(policy)), *figures, (f"{sum(result.violations.values()):,}", "")]

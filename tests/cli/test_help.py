@@ -33,7 +33,7 @@ COMMANDS = {
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --knows --set --quiet",
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
     "gap": "SCENARIO RUN --scenario --time-limit --bound-limit --certificate --episodes --seed --set --quiet",
-    "audit": "SCENARIO --scenario --set",
+    "audit": "SCENARIO --scenario --out --set",
     "export": "RUN --out --format --scenario",
     "runs": "--out",
     "scenarios": "",

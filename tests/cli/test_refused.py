@@ -275,12 +275,12 @@ def test_the_process_reports_bad_input_as_main_does(workplace: Path) -> None:
 
 
 def test_all_faults_of_a_scenario_are_lines_of_one_message(shell: Shell, workplace: Path) -> None:
-    (workplace / "mine.yaml").write_text("base: paper\nslots: 1\nuavs: 2\nspeed: 3\n")
+    (workplace / "mine.yaml").write_text("base: paper\nslots: 1\nuavs: 2\naltitudes_m: [80]\ncds_m: []\nspeed: 3\n")
     err = shell.refused("fly mine.yaml")
     assert err == (
         "uavaou: mine.yaml: 4 faults\n"
         "  unknown field 'speed'; did you mean 'speed_m_s'?\n"
         "  slots = 1: must be greater than or equal to 2\n"
-        "  altitudes_m: has 3 entries, needs one for each of the 2 uavs; [80, 90] would fit\n"
-        "  cds_m: has 3 entries, needs one for each of the 2 uavs; [[0, 0], [1000, 0]] would fit\n"
+        "  altitudes_m: has 1 entries, needs one for each of the 2 uavs; [80, 90] would fit\n"
+        "  cds_m: has 0 entries, needs one for each of the 2 uavs; [[0, 0], [0, 0]] would fit\n"
     )

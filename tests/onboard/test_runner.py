@@ -121,6 +121,16 @@ def test_it_is_drawn_to_devices_by_the_policy_s_plan(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_it_flies_by_another_radio(tmp_path: Path) -> None:
+    city = SCENARIO.replace(radio="ble", line_of_sight="urban")
+    trained = lively(scenario=city, network="set", pull=12.0)
+    fly(trained, pilots_of(trained, tmp_path))
+    told = json.loads((tmp_path / "mission.json").read_text())
+    assert told["sensitivity_dbm"] == -95
+    assert "rate_min_bit_s" not in told
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["mappo-paper", "vdn"])
 def test_it_samples_as_the_policy(algorithm: str, tmp_path: Path) -> None:
     trained = lively(algorithm, SCENARIO, "sample")

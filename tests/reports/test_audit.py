@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from tests.strategies import scenarios
 from uavaou.reports.audit import Audit, audit, audit_lines
 from uavaou.reports.audit_checks import Finding
+from uavaou.reports.coverage_map import plot_coverage
 from uavaou.scenario import Scenario
 from uavaou.zoo import zoo_names
 
@@ -123,6 +125,26 @@ def test_a_radio_that_reaches_everything_from_everywhere_is_an_error(changes: di
     assert result.budget.radius.min() > 500_000  # m, in free space
     assert finding(result, "rate").level == "error"
     assert "from every cell to every device" in finding(result, "rate").message
+
+
+@pytest.mark.parametrize("radio", ["lora-sf12", "nb-iot"])
+def test_a_radio_of_another_kind_that_reaches_everything_is_an_error(radio: str) -> None:
+    found = finding(audit(Scenario.load("paper").replace(radio=radio)), "rate")
+    assert found.level == "error"
+    assert "reaches everything from everywhere" in found.message
+    assert "line_of_sight" in found.change
+    assert "rate_min_bit_s" not in found.change
+
+
+def test_devices_that_a_sensitivity_leaves_out_are_named_and_drawn(tmp_path: Path) -> None:
+    result = audit(BASE.replace(radio="ble", transmit_power_mw=["-60 dBm", 1, "-60 dBm"]))
+    found = finding(result, "never served")
+    assert "cannot reach these: devices 0, 2 can never be served" in found.message
+    assert "the sensitivity of -95 dBm is met" in found.message
+    assert any("within which the sensitivity of -95 dBm is met without fading" in line for line in audit_lines(result))
+    paths = plot_coverage(result, tmp_path)
+    assert [path.suffix for path in paths] == [".png", ".pdf"]
+    assert all(path.stat().st_size > 5000 for path in paths)
 
 
 def test_a_radio_that_fades_alone_limit_is_a_warning() -> None:

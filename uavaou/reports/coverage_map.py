@@ -40,5 +40,10 @@ def plot_coverage(audit: Audit, out_dir: Path) -> list[Path]:
             figure.legend(loc="outside lower center")
         for i, at in enumerate(place) if len(place) <= _MOST_NUMBERED else ():
             axes.annotate(str(i), at, (4, 3), textcoords="offset points", fontsize=5, zorder=7)
-        figure.colorbar(ScalarMappable(scale, "viridis"), ax=axes, fraction=0.046, label="in range from a cell at random (probability)")
+        figure.colorbar(
+            ScalarMappable(scale, "viridis"),
+            ax=axes,
+            fraction=0.046,
+            label="in range from a cell at random (probability)",
+        )
         return style.save(figure, out_dir, f"{scenario.name}-coverage")

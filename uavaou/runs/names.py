@@ -14,6 +14,7 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config, published_as
 from uavaou.family import Family
 from uavaou.plain_yaml import to_yaml
+from uavaou.radio import PAPER_CHANNEL
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.released import released_names
 from uavaou.runs.start import OF_THE_WEIGHTS, Start
@@ -111,7 +112,7 @@ def train_command(
     name, published = published_settings(algorithm)
     command += ["--scenario", source, "--algorithm", name]
     changes = {
-        "scenario": _differences(Scenario.load(source).to_dict(), scenario.to_dict()),
+        "scenario": _differences(*(PAPER_CHANNEL | one.to_dict() for one in (Scenario.load(source), scenario))),
         "algorithm": _differences(published, algorithm.model_dump(mode="json")),
     }
     for part, fields in changes.items():
