@@ -17,7 +17,8 @@ from uavaou.reports.scores import study_scores
 
 README = ROOT / "README.md"
 COMMANDS = {
-    *["fly", "replay", "train", "eval", "gap", "plan", "plot", "study", "tune", "audit", "export", "scenarios", "runs"]
+    *["fly", "replay", "train", "eval", "gap", "plan", "plot", "study", "tune", "audit", "export", "scenarios", "runs"],
+    "import",
 }
 
 

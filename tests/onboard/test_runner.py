@@ -111,6 +111,21 @@ def test_it_flies_as_the_policy(settings: dict[str, Any], tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("network", [{"network": "mlp"}, {"network": "set", "pull": 12.0, "collection": "auto"}])
+def test_it_flies_around_zones(network: dict[str, Any], tmp_path: Path) -> None:
+    zone = {"polygon_m": [(150, -20), (250, -20), (250, 320), (150, 320)]}
+    trained = lively(scenario=SCENARIO.replace(no_fly=[zone]), observation="local", views=1, **network)
+    pilots = pilots_of(trained, tmp_path)
+    made = fly(trained, pilots)
+    assert len({move for moves in made for move in moves}) >= 3
+    mission = json.loads((tmp_path / "mission.json").read_text())
+    mission["free_moves"][0][0] = 32
+    (tmp_path / "mission.json").write_text(json.dumps(mission))
+    with pytest.raises(ValueError, match="free_moves: expected a number below 32 for each cell"):
+        Pilot(tmp_path, 0)
+
+
+@pytest.mark.slow
 def test_it_is_drawn_to_devices_by_the_policy_s_plan(tmp_path: Path) -> None:
     layout, rng = SCENARIO.draw_layout(), np.random.default_rng(0)
     pairs, cds = (SCENARIO.uavs, SCENARIO.devices), SCENARIO.cds_cells

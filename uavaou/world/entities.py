@@ -213,8 +213,7 @@ class EntityViews(RowViews):
 
     def _spare(self, world: World) -> Floats:
         """Grid steps that each UAV can fly beside its way home, (N, U), scaled."""
-        left = np.minimum(self.scenario.slots - world.slot, world.flight.budget - world.flown)
-        spare: Floats = np.clip(left - world.flight.moves_home(world.cells), 0, 2 * _FAR) / _FAR
+        spare: Floats = np.minimum(world.flight.spare(world.cells, world.flown, world.slot), 2 * _FAR) / _FAR
         return spare
 
     def _place(self, world: World) -> None:

@@ -40,10 +40,8 @@ class Flight:
         self._numbering: Ints = np.array([scenario.rows, 1])  # of cells
         self.homes: Ints = self.cds @ self._numbering  # (U,) the same as numbers of cells
         self._legs = moves_along_legs(scenario)  # (U, C, 5) or None
-        # What masks read, if anything is closed: whether each move is free, (U, C, 5), and the moves home, (U, C).
-        free = free_moves(scenario)
-        self._free: Bools = np.empty((0, 0, 5), dtype=np.bool_) if free is None else free
-        self._home: Ints = np.empty((0, 0), dtype=np.int64) if free is None else self.home
+        self._free = free_moves(scenario)  # (U, C, 5) or None
+        self._home: Ints = np.empty((0, 0), dtype=np.int64) if self._free is None else self.home  # (U, C) for masks
         affordable = (scenario.flight_time_budget_s + ZETA_TOLERANCE_S) * scenario.speed_m_s - self._vertical
         moves = np.minimum(np.floor(affordable / scenario.grid_step_m), UNLIMITED).astype(np.int64)
         # Without (Time), the budget is the number of slots, so it never binds.
@@ -56,11 +54,11 @@ class Flight:
             return np.asarray(np.abs(grid_cells(self._scenario) - self.cds[:, None]).sum(axis=-1))
         return np.stack([steps_from(*pair) for pair in zip(self._legs, self.homes, strict=True)])
 
-    def moves_home(self, cells: Ints) -> Ints:
-        """Return the moves from the cell (column, row) of each UAV, (N, U, 2), to its CDS, (N, U)."""
-        if self._legs is None:
-            return np.asarray(np.abs(cells - self.cds).sum(axis=-1))
-        return np.asarray(self.home[np.arange(len(self.cds)), cells @ self._numbering])
+    def spare(self, cells: Ints, flown: Ints, slot: int) -> Ints:
+        """Return the moves that each UAV can make beside its way home, (N, U); arguments as of :meth:`allowed`."""
+        spare = np.empty(flown.shape, dtype=np.int64)
+        _spare(cells, flown, self._scenario.slots - slot, self._last_cell, self.cds, self.budget, self._home, spare)
+        return spare
 
     @cached_property
     def step_home(self) -> Ints:
@@ -85,8 +83,11 @@ class Flight:
             Two (N, U, 5) arrays: allowed (on the grid, and by (CDS) and (Time)); on the grid.
         """
         allowed, on_grid = np.empty((2, *cells.shape[:2], len(STEP_OF_MOVE)), dtype=np.bool_)  # (N, U, 5) each
-        rules = self._last_cell, self.cds, self.budget, self._free, self._home
-        _allowed(cells, flown, slot, self._scenario.slots, *rules, allowed, on_grid)
+        slots, last = self._scenario.slots, self._last_cell
+        if self._free is None:
+            _allowed(cells, flown, slot, slots, last, self.cds, self.budget, allowed, on_grid)
+        else:
+            _allowed_on_legs(cells, flown, slots - slot, last, self._free, self._home, self.budget, allowed, on_grid)
         return allowed, on_grid
 
     def resolve(self, moves: Ints, cells: Ints, allowed: Bools, on_grid: Bools) -> Ints:
@@ -231,14 +232,12 @@ def _spread(target: Ints, sources: Ints, steps: Ints) -> None:
 
 @compiled
 def _allowed(
-    cells: Ints, flown: Ints, slot: int, slots: int, last_cell: Ints, cds: Ints, budget: Ints, free: Bools, way: Ints,
+    cells: Ints, flown: Ints, slot: int, slots: int, last_cell: Ints, cds: Ints, budget: Ints,
     allowed: Bools, on_grid: Bools,
 ) -> None:  # fmt: skip
     missions, uavs, moves = allowed.shape
-    zones = len(free) > 0
     for n in range(missions):
         for u in range(uavs):
-            here = cells[n, u, 0] * (last_cell[1] + 1) + cells[n, u, 1]
             for move in range(moves):
                 x = cells[n, u, 0] + STEP_OF_MOVE[move, 0]
                 y = cells[n, u, 1] + STEP_OF_MOVE[move, 1]
@@ -247,13 +246,41 @@ def _allowed(
                 if slot >= slots:
                     allowed[n, u, move] = move == STAY
                     continue
-                if zones and not (inside and free[u, here, move]):
-                    allowed[n, u, move] = False
-                    continue
-                home = way[u, x * (last_cell[1] + 1) + y] if zones else abs(x - cds[u, 0]) + abs(y - cds[u, 1])
+                home = abs(x - cds[u, 0]) + abs(y - cds[u, 1])  # grid steps
                 in_time = home <= slots - (slot + 1)
                 affordable = home + (move != STAY) <= budget[u] - flown[n, u]
                 allowed[n, u, move] = inside and in_time and affordable
+
+
+@compiled
+def _allowed_on_legs(
+    cells: Ints, flown: Ints, left: int, last_cell: Ints, free: Bools, home: Ints, budget: Ints, allowed: Bools,
+    on_grid: Bools,
+) -> None:  # fmt: skip
+    """Do the same by free moves (U, C, 5) and moves home (U, C), with so many moves left before slot K."""
+    for n in range(len(cells)):
+        for u in range(cells.shape[1]):
+            here = cells[n, u, 0] * (last_cell[1] + 1) + cells[n, u, 1]
+            for move in range(free.shape[2]):
+                x = cells[n, u, 0] + STEP_OF_MOVE[move, 0]
+                y = cells[n, u, 1] + STEP_OF_MOVE[move, 1]
+                on_grid[n, u, move] = 0 <= x <= last_cell[0] and 0 <= y <= last_cell[1]
+                allowed[n, u, move] = False
+                if free[u, here, move] and (left > 0 or move == STAY):
+                    way = home[u, x * (last_cell[1] + 1) + y]
+                    in_time = way <= max(left - 1, 0)
+                    allowed[n, u, move] = in_time and way + (move != STAY) <= budget[u] - flown[n, u]
+
+
+@compiled
+def _spare(
+    cells: Ints, flown: Ints, left: int, last_cell: Ints, cds: Ints, budget: Ints, way: Ints, spare: Ints
+) -> None:
+    for n in range(spare.shape[0]):
+        for u in range(spare.shape[1]):
+            x, y = cells[n, u]
+            home = way[u, x * (last_cell[1] + 1) + y] if len(way) > 0 else abs(x - cds[u, 0]) + abs(y - cds[u, 1])
+            spare[n, u] = max(min(left, budget[u] - flown[n, u]) - home, 0)
 
 
 @compiled

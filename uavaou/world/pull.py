@@ -236,7 +236,7 @@ def write_pulls(
     for n in range(missions):
         layout = min(n, len(steps) - 1)
         for u in range(uavs):
-            ways = target[min(u, len(target) - 1)]
+            table = min(u, len(target) - 1)
             for i in range(steps.shape[3]):
                 place = places[layout, u, i]
                 if place < 0:
@@ -250,5 +250,5 @@ def write_pulls(
                 else:
                     pull[0] = estimated_age(slot, last_by[n, u, i], k)
                 for move in range(moves):
-                    pull[1 + move] = steps[layout, u, ways[cells[n, u], move], i]
+                    pull[1 + move] = steps[layout, u, target[table, cells[n, u], move], i]
                 pull[1 + moves] = shared
