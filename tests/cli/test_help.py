@@ -26,8 +26,8 @@ COMMANDS = {
     "tune": "SCENARIO --scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out "
     "--set --search --quiet",
     "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --knows --out --set --quiet",
-    "import": "FILE --out --uavs --station --radio --crs --speed --endurance --interval --within --altitude --grid-step "
-    "--slots --replace",
+    "import": "FILE --out --uavs --station --radio --crs --speed --endurance --interval --within --altitude "
+    "--grid-step --slots --replace",
     "fly": "SCENARIO --scenario --policy --seconds --knows --seed --json --out --uavs --station --radio --crs --speed "
     "--endurance --interval --within --set --quiet",
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --knows --set --quiet",

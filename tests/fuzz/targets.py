@@ -168,7 +168,7 @@ def _onboard(path: Path) -> None:
 
 
 def _field(path: Path) -> None:
-    """Lay out a field from a file of the outside world; where it holds a border alone, beside devices of a known one."""
+    """Lay out a field from a file of the outside world beside three devices, as it may hold a border alone."""
     beside = Reading(path, [Feature("point", ((7.22 + k / 500, 46.1),), f"line {k}") for k in range(3)])
     found = lay_out(understand([read_file(path), beside]), Wishes(), lambda scenario: np.full((1, 3), 250.0))
     scenario_of(found, [path])
@@ -195,7 +195,15 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "onboard/mission.json": _onboard,
     "any.yaml": lambda path: parse_yaml(path.read_bytes().decode("utf-8", "replace"), "f"),
     **dict.fromkeys(
-        ("field/map.geojson", "field/map.kml", "field/map.gpx", "field/map.kmz", "field/mission.plan", "field/list.wpl"), _field
+        (
+            "field/map.geojson",
+            "field/map.kml",
+            "field/map.gpx",
+            "field/map.kmz",
+            "field/mission.plan",
+            "field/list.wpl",
+        ),
+        _field,
     ),
     **dict.fromkeys(("field/table.csv", "field/book.xlsx", "field/records.json"), _field),
 }

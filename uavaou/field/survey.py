@@ -264,10 +264,10 @@ def _refuse_too_wide(survey: Survey, path: Path) -> None:
         )
     kept = [zone for zone in survey.zones if _reach_km(zone, middle) <= _WIDEST_KM]
     if len(kept) < len(survey.zones):
-        survey.notes.append(f"{len(survey.zones) - len(kept)} zones that reach more than {_WIDEST_KM:g} km away are ignored")
+        survey.notes.append(f"{len(survey.zones) - len(kept)} zones that reach beyond {_WIDEST_KM:g} km are ignored")
         survey.zones = kept
     if survey.outline is not None and _reach_km(survey.outline, middle) > _WIDEST_KM:
-        raise InputError(f"{survey.outline.where}: an outline that reaches more than {_WIDEST_KM:g} km from the devices")
+        raise InputError(f"{survey.outline.where}: an outline that reaches beyond {_WIDEST_KM:g} km")
     far = max(survey.devices + survey.stations, key=lambda f: km_between(f.places[0], middle))
     if (km := km_between(far.places[0], middle)) > _WIDEST_KM / 2:
         tried = places[:: len(places) // 200 + 1]
