@@ -30,7 +30,7 @@ def read_plan(reading: Reading, content: Mapping[str, Any]) -> None:
         _add(reading, "plannedHomePosition", home, "station")
     others: dict[str, int] = {}
     for number, item in enumerate(_flat(reading, mission.get("items", []), 0), 1):
-        params = item.get("params")
+        params: Any = item.get("params")
         command = item.get("command")
         command = command if is_number(command) else short(command)
         simple = item.get("type") == "SimpleItem" and isinstance(params, list) and len(params) >= 6
