@@ -66,6 +66,17 @@ def test_a_certificate_is_verified_and_resumed(
     assert BoundSearch(FADING, LAYOUT, start=again).run().mean_aou_s >= bound.mean_aou_s * (1 - 1e-9)
 
 
+@pytest.mark.parametrize("radio", ["ble", "lora-sf7"])
+def test_a_certificate_of_another_radio_is_verified(radio: str, tmp_path: Path) -> None:
+    power = "-9 dBm" if radio == "ble" else "-50 dBm"
+    city = FADING.replace(radio=radio, line_of_sight="urban", transmit_power_mw=power, antenna_gain_db=1)
+    bound, path = BoundSearch(city, city.draw_layout()).run(), tmp_path / "bound.npz"
+    write_certificate(path, city, city.draw_layout(), bound)
+    claimed, proven = verify(path)
+    assert 0 < claimed <= proven * (1 + 1e-9)
+    assert claimed == pytest.approx(proven, rel=1e-6)
+
+
 def test_a_certificate_is_of_one_scenario(tmp_path: Path) -> None:
     path = tmp_path / "made" / "bound.npz"
     write_certificate(path, FADING, LAYOUT, Bound(1.0, "prices"))
