@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from uavaou.csv_tables import write_table
 from uavaou.field.geodesy import Projection
