@@ -19,6 +19,7 @@ from uavaou.field.read import read_file
 from uavaou.field.survey import Survey, understand
 
 GEOD = Geod(ellps="WGS84")
+PLACE_OF_A_ZONE = [(46.1030, 7.2260), (46.1030, 7.2290), (46.1050, 7.2290)]
 FILES = {name: text.encode() for name, text in TEXTS.items()} | {"map.kmz": packed_kml(), "book.xlsx": workbook()}
 
 
@@ -173,6 +174,15 @@ def test_a_polygon_around_the_devices_is_the_outline_and_its_holes_are_zones(tmp
     assert survey.outline.where == "a.geojson, feature 4"
     assert len(survey.zones) == 2
     assert "holds 100% of the devices" in " ".join(survey.notes)
+
+
+def test_a_zone_keeps_its_band_and_says_what_it_does_not_keep(tmp_path: Path) -> None:
+    zone = feature("Polygon", ring(PLACE_OF_A_ZONE), kind="NFZ", lower_limit_m=50, ceiling=120, margin=5, colour="red")
+    text = json.dumps({"type": "FeatureCollection", "features": [*FEATURES[:3], zone]})
+    found = field_of(survey_of(tmp_path, text, "a.geojson"))
+    (written,) = found.fields["no_fly"]
+    assert (written["floor_m"], written["ceiling_m"], written["margin_m"]) == (50, 120, 5)
+    assert "properties of the zones that are ignored: colour" in found.notes
 
 
 def test_the_grid_fits_radio_stations_and_zones(tmp_path: Path) -> None:

@@ -275,14 +275,18 @@ def _reach_km(polygon: Feature, middle: Sequence[float]) -> float:
     return max(km_between(place, middle) for place in polygon.places)
 
 
+_OF_DEVICES = {"latitude", "longitude", "x", "y", "place", "id", "name", "interval", "role"}
+_OF_ZONES = {"id", "name", "role", "radius", "floor", "ceiling", "margin"}
+
+
 def _note_properties(survey: Survey) -> None:
-    """Note what the devices say that the model has no place for."""
-    read = {"latitude", "longitude", "x", "y", "place", "id", "name", "interval", "role"}
-    names = dict.fromkeys(name for feature in survey.devices for name in feature.properties)
-    used = {feature_name for f in survey.devices for meaning, feature_name in meanings_of(f).items() if meaning in read}
-    ignored = [name for name in names if name not in used and name not in DEVICE_COLUMNS and name != "folder"]
-    if ignored:
-        survey.notes.append(f"properties of the devices that are ignored: {', '.join(map(_plain, ignored))}")
+    """Note what devices and zones say that the model has no place for."""
+    for kind, features, read in (("devices", survey.devices, _OF_DEVICES), ("zones", survey.zones, _OF_ZONES)):
+        used = {"folder", *DEVICE_COLUMNS}
+        used |= {name for f in features for meaning, name in meanings_of(f).items() if meaning in read}
+        ignored = [name for name in dict.fromkeys(name for f in features for name in f.properties) if name not in used]
+        if ignored:
+            survey.notes.append(f"properties of the {kind} that are ignored: {', '.join(map(_plain, ignored))}")
     heights = [number(value_of(f, "height")) for f in survey.devices if value_of(f, "height") is not None]
     heights = [height for height in heights if math.isfinite(height)]
     if heights and max(heights) - min(heights) > 0:
