@@ -2,7 +2,8 @@
 
 All fly the same missions, and none of them is one that results are measured on. Policies that need no time come first;
 then those that plan before take-off have a share of the time each; then, where there is enough of it, a training that
-begins with the best numbers found. What is left goes to more missions of those that may still be the best.
+begins with the best numbers found, and ``rolling``, which improves the annealed routes in flight. What is left goes to
+more missions of those that may still be the best.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ from uavaou.errors import InputError
 from uavaou.evaluation.evaluate import Evaluation, play
 from uavaou.evaluation.seeds import REHEARSAL_SEEDS
 from uavaou.planners import make_planner
+from uavaou.planners.anneal import Anneal
 from uavaou.planners.base import Planner
+from uavaou.planners.plan import RoutePlan
+from uavaou.planners.rolling import Rolling
 from uavaou.planners.tuned import LocalGreedyTuned, load_kernels
 from uavaou.runs.comparison import known_by, make_policy
 from uavaou.runs.folder import RunConfig, RunFolder
@@ -159,6 +163,7 @@ class _Rehearsal:
         self._began = time.monotonic()
         self._candidates: list[Candidate] = []
         self._late: list[str] = []
+        self._annealed: RoutePlan | None = None
         self._work = scenario.slots * scenario.uavs * scenario.devices  # of a mission
         self._quick_s = max(_QUICK * seconds, _QUICK_S)
         self._missions = int(np.clip(_WORK // self._work, 1, _FIRST))
@@ -173,6 +178,7 @@ class _Rehearsal:
             self._enter_by_name(name)
         if folder is not None and fixed and self.seconds >= _TRAINS_FROM_S:
             self._train(folder)
+        self._roll()
         self._fly_the_best()
         finalists = self._finalists()
         ordered = sorted(self._candidates, key=lambda one: (one not in finalists, float(one.ages.mean())))
@@ -235,7 +241,17 @@ class _Rehearsal:
             if plan.interrupted:
                 raise KeyboardInterrupt
             planner.keep(plan, self.scenario, layout)
+            if isinstance(planner, Anneal):
+                self._annealed = plan
             self._enter(Candidate(name, planner), max(self._left_s, self._quick_s))
+
+    def _roll(self) -> None:
+        """Let the annealed routes be improved in flight, if that may be known and fits into the time that is left."""
+        if self._annealed is None or self._left_s <= 0 or self.knows != "everything":
+            return
+        rolling = Rolling()
+        rolling.keep(self._annealed, self.scenario, self.scenario.draw_layout())
+        self._enter(Candidate(rolling.name, rolling), self._left_s)
 
     def _least_s(self, name: str) -> float:
         """About how long a candidate takes whatever its limit, s; 0 for one that can be given up at any time."""
