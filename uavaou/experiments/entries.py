@@ -13,10 +13,10 @@ from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import load_config
 from uavaou.errors import InputError, unknown
 from uavaou.evaluation.flights import BOUND
-from uavaou.evaluation.seeds import LARGEST_SEED
+from uavaou.evaluation.seeds import LARGEST_SEED, MOST_EPISODES
 from uavaou.experiments.suite import Suite, resolve_points
 from uavaou.family import Family
-from uavaou.fields import Whole, short, validated
+from uavaou.fields import PositiveWhole, Whole, short, validated
 from uavaou.planners import PLANNERS
 from uavaou.runs.names import name_with
 from uavaou.runs.released import released_names
@@ -68,6 +68,7 @@ class ScenarioEntry(BaseModel, frozen=True, extra="forbid"):
     set: Annotated[dict[StrictStr, Any], expecting(dict, "{uavs: 3, layout_seed: 1}")] = {}
     name: StrictStr | None = None
     seeds: Seeds | None = None  # None: the study's
+    episodes: Annotated[PositiveWhole, Field(le=MOST_EPISODES)] | None = None  # None: the study's
 
     @model_validator(mode="after")
     def _one_of_three(self) -> ScenarioEntry:
@@ -105,6 +106,7 @@ class Place(NamedTuple):
     name: str
     scenario: Scenario
     seeds: tuple[int, ...] | None = None  # of the trainings there; None: the study's
+    episodes: int | None = None  # of the final evaluation there; None: the study's
     point: Mapping[str, Any] = MappingProxyType({})  # its columns of the table, as a point of a suite or a draw
 
 
@@ -115,19 +117,22 @@ def resolve_scenarios(entry: Any, source: str, path: Path) -> list[Place]:
     if "name" in stated.set:
         raise InputError(f"{source}: set.name: write name beside set")
     try:
-        if stated.suite is not None:
-            places = _points(Suite.load(_beside(path, stated.suite)), stated.set)
-            return [place._replace(seeds=stated.seeds) for place in places]
-        if stated.family is not None and stated.draws is not None:
-            return _draws(Family.load(_beside(path, stated.family)), *stated.draws, stated.seeds)
-        assert stated.scenario is not None
-        scenario = Scenario.load(_beside(path, stated.scenario))
-        changed = ",".join(f"{key}={value}" for key, value in sorted(stated.set.items()))
-        name = stated.name or (f"{scenario.name}+{changed}" if changed else scenario.name)
-        changed_scenario = scenario.replace(**stated.set) if stated.set else scenario
-        return [Place(_usable_name(name, "name"), changed_scenario, stated.seeds)]
+        places = _places(stated, path)
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
+    return [place._replace(seeds=stated.seeds, episodes=stated.episodes) for place in places]
+
+
+def _places(stated: ScenarioEntry, path: Path) -> list[Place]:
+    if stated.suite is not None:
+        return _points(Suite.load(_beside(path, stated.suite)), stated.set)
+    if stated.family is not None and stated.draws is not None:
+        return _draws(Family.load(_beside(path, stated.family)), *stated.draws)
+    assert stated.scenario is not None
+    scenario = Scenario.load(_beside(path, stated.scenario))
+    changed = ",".join(f"{key}={value}" for key, value in sorted(stated.set.items()))
+    name = stated.name or (f"{scenario.name}+{changed}" if changed else scenario.name)
+    return [Place(_usable_name(name, "name"), scenario.replace(**stated.set) if stated.set else scenario)]
 
 
 def _beside(path: Path, named: str) -> str:
@@ -154,11 +159,11 @@ def _points(suite: Suite, changes: dict[str, Any]) -> list[Place]:
     return places
 
 
-def _draws(family: Family, first: int, last: int, seeds: tuple[int, ...] | None) -> list[Place]:
+def _draws(family: Family, first: int, last: int) -> list[Place]:
     """The draws of a family by their numbers."""
     same = {"suite": f"draws of {family.name}", "axis": "draw", "scale": "category", "joined": "no"}
     return [
-        Place(f"{family.name} draw {n}", family.draw(n), seeds, same | {"point": str(n), "x": n})
+        Place(f"{family.name} draw {n}", family.draw(n), point=same | {"point": str(n), "x": n})
         for n in range(first, last + 1)
     ]
 

@@ -81,6 +81,7 @@ class Study(StudySettings):
     variants: dict[str, AlgorithmConfig]  # the settings of each variant
     starts: dict[str, str]  # variant -> digest of the weights that its trainings begin with
     own_seeds: dict[str, tuple[int, ...]]  # scenario -> those of its trainings, where they are not the study's
+    own_episodes: dict[str, int]  # scenario -> missions of the final evaluation, where they are not the study's
     points: dict[str, Mapping[str, Any]]  # scenario -> its columns of the table, as a point of a suite
 
     @classmethod
@@ -115,6 +116,7 @@ class Study(StudySettings):
             "variants": {name: one.algorithm for name, one in resolved.items()},
             "starts": {name: one.start for name, one in resolved.items() if one.start is not None},
             "own_seeds": {name: place.seeds for name, place in places.items() if place.seeds is not None},
+            "own_episodes": {name: place.episodes for name, place in places.items() if place.episodes is not None},
             "points": {name: place.point for name, place in places.items() if place.point and not resolved},
         }
         study = cls.model_construct(**values)  # validated above
@@ -134,6 +136,10 @@ class Study(StudySettings):
         """The seeds of the trainings on a scenario."""
         return self.own_seeds.get(scenario, self.seeds)
 
+    def episodes_on(self, scenario: str) -> int:
+        """The missions of the final evaluation on a scenario."""
+        return self.own_episodes.get(scenario, self.episodes)
+
     def jobs(self, out: Path, checkpoint_every_s: float | None = None) -> list[StudyJob]:
         """Everything that the study measures, as it is worked on: the trainings with the first seed come first.
 
@@ -144,7 +150,7 @@ class Study(StudySettings):
         trainings: list[StudyJob] = []
         for key, config in self.runs():
             folder = config_folder(out, config).path
-            trainings.append(((key,), Training(config, folder, self.episodes, checkpoint_every_s)))
+            trainings.append(((key,), Training(config, folder, self.episodes_on(key.scenario), checkpoint_every_s)))
         first = len(self.scenarios) * len(self.variants)
         return [*trainings[:first], *self._untrained(), *trainings[first:]]
 
@@ -163,7 +169,7 @@ class Study(StudySettings):
         for place, scenario in self.scenarios.items():
             for names in [*alone, together] if together else alone:
                 keys = tuple(PartKey(name, place) for name in names)
-                yield keys, Fly(names, scenario, self.episodes, self.planning_seconds)
+                yield keys, Fly(names, scenario, self.episodes_on(place), self.planning_seconds)
         for place, scenario in self.scenarios.items() if self.bound else ():
             yield (PartKey(BOUND, place),), Bound(scenario)
 
@@ -191,6 +197,7 @@ class Study(StudySettings):
             "planning_seconds": self.planning_seconds,
             "reference": self.reference,
             "claims": self.claims,
+            **({"own_episodes": self.own_episodes} if self.own_episodes else {}),
             **({"own_seeds": {name: list(seeds) for name, seeds in self.own_seeds.items()}} if self.own_seeds else {}),
             **({"starts": self.starts} if self.starts else {}),
             **({"drawn": self.drawn} if self.drawn else {}),

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 AT_ONCE = ("local-greedy-parts", "best-first")  # planners that need no time before take-off
 _AHEAD = {"local-greedy-tuned": 0.35, "anneal": 0.15}  # shares of the time
+_ROLLING = 0.3  # share of the time that `rolling` may take for its first missions
 _TRAINS_FROM_S, _TRAINING = 30.0, 0.4  # with so much time there is a training, which has this share of it
 _RATE = 150_000.0  # devices that a learner's UAVs look at in a second, at least
 _TORCH_S, _FLIGHT_RATE = 3.0, 600_000.0  # to import torch; devices that a learner's UAVs look at in a second, in flight
@@ -174,11 +175,11 @@ class _Rehearsal:
             self._enter_by_name(name)
         for name, share in _AHEAD.items() if fixed else ():
             self._plan_ahead(name, share)
+        self._roll()
         for name in released_names():  # last: to import torch takes longer than most missions
             self._enter_by_name(name)
         if folder is not None and fixed and self.seconds >= _TRAINS_FROM_S:
             self._train(folder)
-        self._roll()
         self._fly_the_best()
         finalists = self._finalists()
         ordered = sorted(self._candidates, key=lambda one: (one not in finalists, float(one.ages.mean())))
@@ -251,7 +252,7 @@ class _Rehearsal:
             return
         rolling = Rolling()
         rolling.keep(self._annealed, self.scenario, self.scenario.draw_layout())
-        self._enter(Candidate(rolling.name, rolling), self._left_s)
+        self._enter(Candidate(rolling.name, rolling), min(self._left_s, _ROLLING * self.seconds))
 
     def _least_s(self, name: str) -> float:
         """About how long a candidate takes whatever its limit, s; 0 for one that can be given up at any time."""
