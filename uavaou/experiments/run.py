@@ -225,7 +225,7 @@ class _Work:
             self.state.running.pop(key, None)
         try:
             kept = self._results.table.of_jobs(job.digests.values(), kept=False)
-            self._results.table = _named(Flights.joined([kept, future.result()]), self._study, self._names)
+            self._results.table = Flights.joined([kept, _named(future.result(), self._study, self._names)])
             if isinstance(job, Training) or time.monotonic() > self._write_from:
                 self.write()
             if isinstance(job, Training):
@@ -244,7 +244,8 @@ class _Work:
     def write(self) -> None:
         """Write the tables; those of short jobs that end in the next while, ten times as long as it took, wait."""
         began = time.monotonic()
-        _write(self._results, self._study)
+        self._results.table = _named(self._results.table, self._study, self._names)  # in their order
+        self._results.table.write(self._results.folder.path)
         self._write_from = time.monotonic() + 10 * (time.monotonic() - began)
 
     def _fail(self, keys: tuple[PartKey, ...], reason: str) -> None:
