@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from tests.documents import ROOT
 from tests.experiments.small_search import SMALL, a_search, interrupted_after, read_trials, states, work
 from uavaou import InputError
 from uavaou.experiments.search import Search, SearchFolder, part, ranked
@@ -97,8 +96,6 @@ def test_a_file_that_cannot_be_used_is_refused(tmp_path: Path, changes: dict[str
 
 def test_the_shipped_search_fits_four_hours_of_two_cores_and_chooses_on_layouts_for_choosing() -> None:
     shipped = Search.load(zoo_path("searches", "local"))
-    page = (ROOT / "docs/tuning.md").read_text(encoding="utf-8")
-    assert f"It has {shipped.trainings} trainings of {shipped.stages[-1].seconds:g} CPU seconds" in page
     assert shipped.cpu_s / 2 < 4 * 3600
     first, last = shipped.stages
     assert sorted(first.layouts + last.layouts) == [6, 7, 8, 9]  # the last stage ranks on layouts that chose nothing
