@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
-from tests.synthetic_study import MAPPO, VDN, Variant, set_to, without, write_study
+from tests.synthetic_study import DEFAULT, MAPPO, VDN, Variant, set_to, without, write_study
 from uavaou import InputError
 from uavaou.experiments.results import read_study
 from uavaou.experiments.study import Study
+from uavaou.reports.claims import Claim, judge
 from uavaou.reports.scores import study_scores
-from uavaou.reports.study_report import begin_marker, write_report
+from uavaou.reports.study_report import END, begin_marker, claims_markdown, write_claims, write_report
 from uavaou.statistics import interval_over_missions
 
 
@@ -34,9 +36,8 @@ def test_every_policy_stands_in_the_table_with_its_mean_the_best_first(tmp_path:
     folder = study_with(tmp_path / "paper")
     scores = page(folder).partition("## Trainings")[0]
     rows = [line.split(" | ") for line in scores.splitlines() if line.startswith(("| `", "| lower"))]
-    assert [row[0].strip("| `") for row in rows] == [
-        "lower bound", "mappo", "best-first", "greedy", "vdn", "qmix", "random",
-    ]  # fmt: skip
+    names = [row[0].strip("| `") for row in rows]
+    assert names == ["lower bound", *["mappo", "best-first", "greedy", "vdn", "qmix", "random"]]
     results = read_study(folder)
     for row in rows[1:]:
         mean = results.stack(row[0].strip("| `"), "paper").mean()
@@ -85,8 +86,8 @@ def test_verdicts_of_another_study_are_left_alone_and_that_is_said(tmp_path: Pat
 def test_a_page_says_what_is_not_done_and_what_failed(tmp_path: Path) -> None:
     folder = study_with(tmp_path / "paper")
     assert "Not finished" not in page(folder)
-    failed = [["vdn", "paper", 3, "out\n of memory"], ["rolling", "paper", None, "no plan"],
-              ["mappo", "paper", 0, "an old one"]]  # fmt: skip
+    failed = [["vdn", "paper", 3, "out\n of memory"], ["rolling", "paper", None, "no plan"]]
+    failed.append(["mappo", "paper", 0, "an old one"])
     (folder / ".state.json").write_text(json.dumps({"running": [], "failed": failed}))
     assert page(folder).count("Failed when last tried") == 1  # of a planner
     without(folder, policy="vdn")
@@ -165,3 +166,53 @@ def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
     (folder / "README.md").mkdir()
     with pytest.raises(InputError, match="cannot write"):
         write_report(folder, tmp_path / "README.md")
+
+
+ANY = "<!-- claims:begin -->"  # of no study by name
+BEGIN = begin_marker("paper")
+FLIES = Claim("it flies", "", "not measured", "nothing")
+
+
+def test_verdicts_are_written_between_the_markers_and_nothing_else_changes(tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    variants = {name: variant for name, variant in DEFAULT.items() if name != "vdn"}
+    claims = judge(read_study(write_study(tmp_path / "study", variants, seeds=1)))
+    table = claims_markdown(claims)
+    rows = [line for line in table.splitlines() if line.startswith("|")]
+    assert ({row.count("|") for row in rows}, len(rows)) == ({7}, 2 + len(claims))
+    assert ("none: one training" in table, "nan" in table) == (True, False)
+    for before, begins, ends in (
+        (f"# Mine\n\n{BEGIN}\nthe last table\n{END}\n\nThe end.\n", f"# Mine\n\n{BEGIN}\n", f"{END}\n\nThe end.\n"),
+        ("", BEGIN, f"{END}\n"),
+    ):
+        readme.write_text(before, encoding="utf-8")
+        for _ in range(2):
+            write_claims(readme, "paper", claims)
+            text = readme.read_text(encoding="utf-8")
+            assert text.lstrip().startswith(begins)
+            assert text.endswith(ends)
+            assert (text.count(BEGIN), text.count(END), text.count(table), "last table" in text) == (1, 1, 1, False)
+
+
+def test_another_studys_verdicts_are_left_alone(tmp_path: Path) -> None:
+    readme, name = tmp_path / "README.md", "a --> b é"  # of a file, too
+    readme.write_text(f"{ANY}\nof no study by name\n{END}\n", encoding="utf-8")
+    assert write_claims(readme, name, [FLIES]) == name
+    text = readme.read_text(encoding="utf-8")
+    assert ("of no study" in text, text.count("-->")) == (False, 2)
+    assert write_claims(readme, "paper", [FLIES]) == name
+    assert readme.read_text(encoding="utf-8") == text
+    assert write_claims(readme, name, [replace(FLIES, claim="it lands")]) == name
+    assert "it lands" in readme.read_text(encoding="utf-8")
+
+
+UNPAIRED = [f"{END} {BEGIN}", f"{BEGIN} {BEGIN} {END}", f"{ANY} {BEGIN} {END}", f"{BEGIN} {END} {END}"]
+
+
+@pytest.mark.parametrize("text", [BEGIN, ANY, END, f"<!-- claims:begin of mine --> {END}", *UNPAIRED])
+def test_markers_without_a_pair_lose_nothing(tmp_path: Path, text: str) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"README\.md"):
+        write_claims(readme, "paper", [FLIES])
+    assert readme.read_text(encoding="utf-8") == text
