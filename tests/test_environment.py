@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from tests.cli.commands import TINY
-from tests.experiments.tiny_study import SET, Inline, run_inline
+from tests.experiments.small import SET, Inline, run_inline
 from tests.faults import fail, fault
 from tests.scenario_files import refusal
 from tests.test_architecture import MODULES, ROOT

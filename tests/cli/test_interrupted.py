@@ -33,6 +33,7 @@ def killed(number: signal.Signals) -> Any:
     [
         ("train --scenario tiny", "uavaou.runs.train.train", "interrupted; to go on: uavaou train --scenario tiny\n"),
         ("study run smoke", "uavaou.experiments.run.run_study", "interrupted; to go on: uavaou study run smoke\n"),
+        ("tune tiny --slots 5", "uavaou.experiments.tune.run_search", "to go on: uavaou tune tiny --slots 5\n"),
         ("audit tiny", "uavaou.reports.audit.audit", "uavaou: interrupted\n"),
         ("audit tiny", "typer.core.TyperGroup.parse_args", "uavaou: interrupted\n"),
         ("train --scenario tiny", "uavaou.scenario.Scenario.load", "uavaou: interrupted\n"),

@@ -84,7 +84,7 @@ def test_a_table_of_the_zero_shot_page_is_measured(released: Path, monkeypatch: 
 
 @pytest.mark.slow
 def test_a_study_evaluates_a_released_policy(shell: Shell, released: Path) -> None:
-    from tests.experiments.tiny_study import Inline, run_inline
+    from tests.experiments.small import Inline, run_inline
     from uavaou.experiments.study import Study
 
     (released / "mine.yaml").write_text(STUDY)

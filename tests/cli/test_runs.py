@@ -41,12 +41,6 @@ def test_they_are_listed_with_what_each_changed_and_reached(place: Path, shell: 
     assert "vdn/seed-0/config.yaml" in out
 
 
-def test_a_folder_without_runs_is_told(tmp_path: Path, shell: Shell) -> None:
-    err = shell.refused(f"runs --out {tmp_path}")
-    assert "holds no training" in err
-    assert err.count("\n") == 1
-
-
 def test_their_names_are_completed(place: Path) -> None:
     assert "any-map" in trained("")
     found = trained("results/tiny/ippo")

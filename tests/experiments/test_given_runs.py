@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from tests.experiments.small_suites import GOOD
+from tests.experiments.small import GOOD
 from uavaou.algorithms.registry import load_config
 from uavaou.experiments.given_runs import name_runs
 from uavaou.experiments.suite import Suite

@@ -27,7 +27,7 @@ episodes: 2
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("plugin", "engine"), [("own_ppo.py", "local"), ("own_ppo", "local"), ("own_ppo.py", "ray")])
+@pytest.mark.parametrize(("plugin", "engine"), [("own_ppo", "local"), ("own_ppo.py", "ray")])
 def test_a_study_trains_what_a_plugin_registers(plugin: str, engine: str, tmp_path: Path) -> None:
     if importlib.util.find_spec("ray") is None and engine == "ray":
         pytest.skip("ray is not installed")

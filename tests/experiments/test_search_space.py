@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.experiments.small_search import PUBLISHED, SPACE, a_folder, a_search, work
+from tests.experiments.small import PUBLISHED, SPACE, a_folder, a_search, work
 from uavaou import InputError
 from uavaou.algorithms.registry import algorithm_names, load_config
 from uavaou.experiments.search_space import SearchSpace

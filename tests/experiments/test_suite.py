@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.experiments.small_suites import GOOD, POINT
+from tests.experiments.small import GOOD, POINT
 from uavaou.errors import InfeasibleError, InputError
 from uavaou.experiments.suite import Suite, resolve_points
 from uavaou.runs.names import name_with

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.experiments.small_suites import GOOD, call
+from tests.cli.commands import Shell
+from tests.experiments.small import GOOD
 from uavaou.errors import InputError
 from uavaou.evaluation.flights import Flights, write_table
 from uavaou.experiments.suite import Suite
@@ -38,9 +39,9 @@ def read(path: Path) -> SuiteTable:
     return table
 
 
-def test_a_table_is_drawn(capsys: pytest.CaptureFixture[str], place: Path) -> None:
-    call(capsys, "eval run --policy greedy --suite own.yaml --episodes 3 --quiet --out results/suites/own.csv.gz")
-    code, out, _ = call(capsys, "plot suite")
+def test_a_table_is_drawn(shell: Shell, place: Path) -> None:
+    shell("eval run --policy greedy --suite own.yaml --episodes 3 --quiet --out results/suites/own.csv.gz")
+    code, out, _ = shell("plot suite")
     assert code == 0
     assert out.split() == ["results/suites/suite-own.png", "results/suites/suite-own.pdf"]
     assert (place / "results" / "suites" / "suite-own.pdf").read_bytes().startswith(b"%PDF")
@@ -140,9 +141,7 @@ def test_malformed_tables_name_the_place(tmp_path: Path, old: str, new: str, wor
         read_suites([tmp_path / "s.csv"])
 
 
-def test_tables_of_one_suite_are_drawn_together(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tables_of_one_suite_are_drawn_together(shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     suites = Path("results/suites")
     first = written(
@@ -154,9 +153,9 @@ def test_tables_of_one_suite_are_drawn_together(
     found = joined.rows[["point", "policy", "mean_aou_slots"]].to_numpy().tolist()
     assert found == [["1", "mappo", 7], ["1", "greedy", 9], ["2", "any-map", 3]]  # of a row twice, the first counts
     assert joined.path == first
-    code, out, _ = call(capsys, "plot suite")
+    code, out, _ = shell("plot suite")
     assert (code, out.split()) == (0, ["results/suites/suite-s.png", "results/suites/suite-s.pdf"])
     written(second, *(part.with_values(axis="y") for part in other))
-    code, out, err = call(capsys, "plot suite")
+    code, out, err = shell("plot suite")
     assert (code, out) == (2, "")
     assert "mine/s.csv.gz: its axis is not that of results/suites/s.csv" in err

@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 import yaml
 
-from tests.experiments.small_suites import GOOD, OWN, call
+from tests.cli.commands import Shell
+from tests.experiments.small import GOOD, OWN
 from uavaou.evaluation.flights import FLIGHTS, Flights, read_table
 from uavaou.experiments.suite_flights import summary
 from uavaou.statistics import interval_over_missions
@@ -20,9 +21,9 @@ def flights(path: Path) -> pd.DataFrame:
     return read_table(path, FLIGHTS)
 
 
-def test_a_suite_is_played_printed_and_written(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+def test_a_suite_is_played_printed_and_written(shell: Shell, place: Path) -> None:
     command = "eval run --policy greedy --suite own.yaml --episodes 3 --quiet --out out/own.csv.gz"
-    code, out, err = call(capsys, command)
+    code, out, err = shell(command)
     assert (code, err) == (0, "")
     for words in (
         "off the grid - infeasible -",
@@ -61,11 +62,9 @@ def test_a_suite_is_played_printed_and_written(capsys: pytest.CaptureFixture[str
     assert not list((place / "run").glob("flights*"))  # what the suite flew is not of the run's own scenario
 
 
-def test_policies_are_compared_with_best_first_mission_by_mission(
-    capsys: pytest.CaptureFixture[str], place: Path
-) -> None:
+def test_policies_are_compared_with_best_first_mission_by_mission(shell: Shell, place: Path) -> None:
     command = "eval run --policy best-first --suite own.yaml --episodes 3 --quiet --out own.csv"
-    code, out, _ = call(capsys, command)
+    code, out, _ = shell(command)
     assert code == 0
     flown = flights(place / "own.csv")
     rows = summary(flown).set_index(["point", "policy"])
@@ -93,33 +92,31 @@ def test_a_copy_of_a_run_says_nothing_new_and_ratios_are_of_large_ages(tmp_path:
     assert summary(Flights.joined([]).flights).empty
 
 
-def test_a_point_equals_eval_on_its_scenario(capsys: pytest.CaptureFixture[str], place: Path) -> None:
-    assert call(capsys, "eval run --suite own.yaml --episodes 3 --quiet --out own.csv")[0] == 0
-    call(capsys, "eval run --set scenario.rate_min_bit_s=100000 --episodes 3 --quiet --out plain.csv")
+def test_a_point_equals_eval_on_its_scenario(shell: Shell, place: Path) -> None:
+    assert shell("eval run --suite own.yaml --episodes 3 --quiet --out own.csv")[0] == 0
+    shell("eval run --set scenario.rate_min_bit_s=100000 --episodes 3 --quiet --out plain.csv")
     plain, point = flights(place / "plain.csv"), flights(place / "own.csv")
     point = point[point["point"] == "100"].reset_index(drop=True)
     measured = ["mission_seed", "mean_aou_slots", "communications", "devices_served", "flight_time_s", "digest"]
     assert plain[measured].equals(point[measured])
 
 
-def test_without_runs_the_missing_trainings_are_printed_and_nothing_is_written(
-    capsys: pytest.CaptureFixture[str], place: Path
-) -> None:
+def test_without_runs_the_missing_trainings_are_printed_and_nothing_is_written(shell: Shell, place: Path) -> None:
     before = sorted(place.rglob("*"))
-    code, out, _ = call(capsys, "eval --suite devices")
+    code, out, _ = shell("eval --suite devices")
     assert code == 0
     assert "no run of mappo fits 100; this trains one:\n  uavaou train --scenario paper --algorithm mappo" in out
     assert sorted(place.rglob("*")) == before
-    assert max(map(len, call(capsys, "eval --suite own.yaml")[1].splitlines())) < 120
+    assert max(map(len, shell("eval --suite own.yaml")[1].splitlines())) < 120
 
 
-def test_a_planner_that_refuses_a_point_gives_its_reason(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+def test_a_planner_that_refuses_a_point_gives_its_reason(shell: Shell, place: Path) -> None:
     points = [{"label": "none", "x": 0}] + [
         {"label": label, "x": x, "set": {"fading": "rician", "rician_factor": x}}
         for x, label in enumerate(("Rice", "K = 2"), 1)
     ]
     (place / "faded.yaml").write_text(yaml.safe_dump(GOOD | {"scenario": "tiny", "points": points}))
-    code, out, _ = call(capsys, "eval --policy exact --policy stay --suite faded.yaml --episodes 2 --quiet --out o.csv")
+    code, out, _ = shell("eval --policy exact --policy stay --suite faded.yaml --episodes 2 --quiet --out o.csv")
     assert code == 0
     (reason,) = (part for part in " ".join(out.split()).split("exact does not fly ")[1:])  # once
     assert reason.startswith("Rice, K = 2: fading = rician: needs a deterministic channel, fading: none")
@@ -128,20 +125,20 @@ def test_a_planner_that_refuses_a_point_gives_its_reason(capsys: pytest.CaptureF
     assert played["none", "exact"] == pytest.approx(4 / 3, abs=1e-3)  # the proven optimum
 
 
-def test_changes_of_the_scenario_are_part_of_every_name(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+def test_changes_of_the_scenario_are_part_of_every_name(shell: Shell, place: Path) -> None:
     command = "eval run --suite own.yaml --set scenario.layout_seed=3 --episodes 2 --quiet --out own.csv"
-    code, out, _ = call(capsys, command)
+    code, out, _ = shell(command)
     assert code == 0
     assert set(flights(place / "own.csv")["suite"]) == {"own+layout_seed=3"}
     assert "mappo: trained on tiny" in out
 
 
-def test_all_runs_fly_and_names_and_lines_tell_them_apart(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+def test_all_runs_fly_and_names_and_lines_tell_them_apart(shell: Shell, place: Path) -> None:
     shutil.copytree(place / "run", place / "other")
     config = yaml.safe_load((place / "other" / "config.yaml").read_text())
     config["algorithm"]["slots"], config["scenario"]["rate_min_bit_s"] = 48, 100000.0
     (place / "other" / "config.yaml").write_text(yaml.safe_dump(config))
-    code, out, _ = call(capsys, "eval run other --suite own.yaml --episodes 2 --quiet --out own.csv")
+    code, out, _ = shell("eval run other --suite own.yaml --episodes 2 --quiet --out own.csv")
     assert code == 0
     for words in (
         "mappo+slots=96: trained with slots = 96",
@@ -161,13 +158,13 @@ def test_all_runs_fly_and_names_and_lines_tell_them_apart(capsys: pytest.Capture
         ("new layouts", "mappo+slots=96", "zero-shot", *long),
         ("new layouts", "mappo+slots=48", "zero-shot", *short),
     ]
-    assert call(capsys, "plot suite own.csv --out .")[0] == 0
+    assert shell("plot suite own.csv --out .")[0] == 0
 
 
-def test_a_damaged_run_is_found_before_anything_is_played(capsys: pytest.CaptureFixture[str], place: Path) -> None:
+def test_a_damaged_run_is_found_before_anything_is_played(shell: Shell, place: Path) -> None:
     best = place / "run" / "checkpoints" / "best.safetensors"
     best.write_bytes(best.read_bytes()[:-40])
-    code, out, err = call(capsys, "eval run --policy greedy --suite own.yaml --out own.csv --episodes 2")
+    code, out, err = shell("eval run --policy greedy --suite own.yaml --out own.csv --episodes 2")
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert not (place / "own.csv").exists()
 
@@ -196,15 +193,13 @@ def test_a_damaged_run_is_found_before_anything_is_played(capsys: pytest.Capture
         ("plot suite other.csv", "column 'suite' is missing"),
     ],
 )
-def test_bad_input_is_refused_in_one_line(
-    capsys: pytest.CaptureFixture[str], place: Path, command: str, words: str
-) -> None:
+def test_bad_input_is_refused_in_one_line(shell: Shell, place: Path, command: str, words: str) -> None:
     (place / "empty.yaml").touch()
     (place / "other.csv").write_text("x,y\n1,2\n")
     (place / "misspelt.yaml").write_text(OWN.replace("points", "ponits"))
     shutil.copytree(place / "run", place / "begun", ignore=shutil.ignore_patterns("*.safetensors"))
     before = sorted(place.rglob("*"))
-    code, out, err = call(capsys, command)
+    code, out, err = shell(command)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert words in err
     assert sorted(place.rglob("*")) == before

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.experiments.small_search import SMALL, a_search, interrupted_after, read_trials, states, work
+from tests.experiments.small import SMALL, a_search, interrupted_after, read_trials, states, work
 from uavaou import InputError
 from uavaou.experiments.search import Search, SearchFolder, part, ranked
 from uavaou.runs.folder import RunConfig

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.experiments.small_search import SMALL, SPACE, a_search
+from tests.experiments.small import SMALL, SPACE, a_search
 from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import load_config
 from uavaou.experiments import trials

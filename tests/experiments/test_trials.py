@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.experiments.small_search import (
+from tests.experiments.small import (
     SMALL,
     SPACE,
     a_folder,

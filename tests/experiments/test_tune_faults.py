@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.experiments.small_search import a_folder, read_trials, work
+from tests.experiments.small import a_folder, read_trials, work
 from tests.faults import Trial, assert_ended_well, ended, play, sites_of
 from uavaou.errors import InputError
 from uavaou.experiments import trials

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import gzip
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from uavaou.errors import InputError
 from uavaou.evaluation.flights import DEVICES, PERIODS, SLOTS, Flights
 from uavaou.evaluation.flown import flown
 from uavaou.evaluation.seeds import EVALUATION_SEED
@@ -72,24 +70,3 @@ def test_a_runs_own_flights_are_of_its_best_policy_and_action(stopped: RunFolder
     assert own_flights(stopped, config, 2) is None
     stopped.flights.write_bytes(b"{")
     assert own_flights(stopped, config, 2) is None
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ("mean_aou_slots", "mean_aou", "column 'mean_aou_slots' is missing"),
-        (",17,", ",many,", "line 2, column 'communications': 'many' is not a finite number"),
-        (",5,", ",5.5,", "line 2, column 'mission_seed': '5.5' is not a whole number"),
-    ],
-)
-def test_a_damaged_table_is_one_line_that_names_file_and_column(tmp_path: Path, old: str, new: str, says: str) -> None:
-    scenario, policy = Scenario.load("tiny"), make_planner("greedy")
-    flown(evaluate(policy, scenario, 2, 5), scenario, policy, 5, policy="greedy", scenario="tiny").write(tmp_path)
-    path = tmp_path / "flights.csv.gz"
-    text = gzip.decompress(path.read_bytes()).decode()
-    assert old in text
-    path.write_bytes(gzip.compress(text.replace(old, new, 1).encode()))
-    with pytest.raises(InputError) as raised:
-        Flights.read(tmp_path)
-    assert str(raised.value).startswith(f"{path}: {says}")
-    assert "\n" not in str(raised.value)
