@@ -9,15 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch as th
-import yaml
 from stable_baselines3.common.vec_env import VecCheckNan, VecFrameStack, VecNormalize
 
 from uavaou import IPPO, MAPPO, QMIX, VDN, InputError, LocalRows, Scenario, World, flatten
 from uavaou.algorithms.registry import load_config, make_model
-from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.world import Views
-from uavaou.zoo import zoo_path
 
 SMALL = {
     "mappo-paper": {"missions": 4, "rollout_slots": 12, "batch_rows": 96, "hidden": [8]},
@@ -97,20 +94,6 @@ def test_a_learner_saved_without_masks_is_loaded_without(tmp_path: Path) -> None
     model, _ = learned("mappo-paper", masks=False)
     model.save(tmp_path / "model")
     assert type(model).load(tmp_path / "model").policy.masks is False
-
-
-def test_published_settings_state_it_and_old_runs_load() -> None:
-    for name in ("mappo-paper", "vdn", "qmix"):
-        assert yaml.safe_load(zoo_path("algorithms", name).read_text())["masks"] is True
-    old = Path(__file__).parents[1] / "data" / "schema-1"
-    assert "masks" not in (old / "config.yaml").read_text()
-    config: Any = RunFolder(old).read_config().algorithm
-    assert config.masks is True
-
-
-def test_masks_are_true_or_false() -> None:
-    with pytest.raises(InputError, match="masks = 'no'"):
-        load_config("mappo-paper", {"masks": "no"})
 
 
 @pytest.mark.parametrize("learner", [MAPPO, IPPO, VDN, QMIX])

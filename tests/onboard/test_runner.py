@@ -160,17 +160,6 @@ def test_it_needs_neither_torch_nor_uavaou(tmp_path: Path) -> None:
     assert (int(move) in range(5), absent) == (True, "[]")
 
 
-def test_its_file_imports_two_packages() -> None:
-    import ast
-
-    from uavaou.onboard import runner
-
-    tree = ast.parse(Path(runner.__file__).read_text(encoding="utf-8"))
-    modules = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    modules |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-    assert modules == {"json", "pathlib", "typing", "numpy", "onnxruntime"}
-
-
 @pytest.mark.parametrize(
     ("rows", "observation"),
     [("flat", "local"), ("flat", "shared"), ("entities", "part"), ("entities", "local"), ("entities", "shared")],
