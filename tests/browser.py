@@ -1,7 +1,5 @@
 """A headless Chromium, driven over its debugging pipe: no driver, no server, no network."""
 
-from __future__ import annotations
-
 import base64
 import fcntl
 import itertools

@@ -1,7 +1,5 @@
 """Writes the results of a study that never ran, with properties that are known beforehand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +8,12 @@ from typing import Any
 import numpy as np
 import yaml
 
+from uavaou import Scenario
 from uavaou.evaluation.flights import BOUND, SAMPLED, SLOTS, TRAINING, VALIDATION, Flights
 from uavaou.evaluation.flights import DEVICES as OF_DEVICES
 from uavaou.evaluation.flights import PERIODS as BY_PERIOD
 from uavaou.evaluation.recorded_mission import RecordedMission, record_mission, write_mission
 from uavaou.planners import make_planner, planner_knowledge
-from uavaou.scenario import Scenario
 
 DEVICES = 10
 PERIODS = 1 + np.arange(DEVICES) % 5  # k_i

@@ -1,7 +1,5 @@
 """Imports point one way and never in a circle, files stay short, and importing the package is quick."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

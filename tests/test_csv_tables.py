@@ -1,7 +1,5 @@
 """Tables of CSV files: what is read and written, and where an error points to."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the pages name exists, their examples run, and their numbers are those of the committed tables."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from importlib import import_module

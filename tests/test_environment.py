@@ -1,7 +1,5 @@
 """Odd surroundings: no network, no home, no locale, python -O, another hash seed, a clock that is set back."""
 
-from __future__ import annotations
-
 import ast
 import csv
 import errno

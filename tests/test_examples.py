@@ -1,7 +1,5 @@
 """The examples, the notebook and the programs for other libraries run, and do what is said of them."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

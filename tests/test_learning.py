@@ -4,8 +4,6 @@ A mutation breaks learning in a way that no exception tells of. Each turns some 
 ``pytest tests/test_learning.py --exhaustive``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The one reader of YAML: what is plain has its plain value, everything else is one line."""
 
-from __future__ import annotations
-
 import math
 import time
 from contextlib import suppress

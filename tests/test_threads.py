@@ -1,7 +1,5 @@
 """Threads of a learner: which are used, and tasks that they share."""
 
-from __future__ import annotations
-
 import multiprocessing
 import subprocess
 import sys

@@ -1,14 +1,12 @@
 """The committed page, model card and numbers of released policies come out of the committed tables."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
 import pytest
 
 from benchmarks.zero_shot import CARD, TABLES, told, write_pages
-from tests.experiments.test_suite_figures import rows, written
+from tests.experiments.test_suite import rows, written
 from uavaou.evaluation.flights import FLIGHTS, Flights, read_table
 from uavaou.experiments.suite import Suite
 from uavaou.reports.suites import read_suites

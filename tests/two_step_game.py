@@ -4,8 +4,6 @@ In the first step agent 0 chooses the second step's payoffs: 7 whatever both do 
 ((0, 1), (1, 8)) (after action 1). Only a value that is not additive in the agents sees the 8.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Composite actions by branches: the greedy joint action against enumeration, masks, exploration."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """VDN, QMIX and IQL: mixers, the joint replay, targets by hand, exploration, what is read, and the two-step game."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

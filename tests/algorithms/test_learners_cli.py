@@ -1,7 +1,5 @@
 """VDN, QMIX and IQL through the commands: trained, evaluated and drawn by name."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """MAPPO and IPPO: who reads what, SB3's policy methods, save and load, seeds, arguments."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

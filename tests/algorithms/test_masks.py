@@ -1,7 +1,5 @@
 """Masks on: nothing infeasible is ever chosen. Masks off: it is, and the World rejects it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

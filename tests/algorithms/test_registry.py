@@ -1,7 +1,5 @@
 """Algorithms by name: how one's own is registered, what is refused, and that every command then takes it."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint, EntryPoints

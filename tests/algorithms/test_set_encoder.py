@@ -1,7 +1,5 @@
 """The set encoder: order does not matter, absent tokens do not count, and the compiled form is its definition."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

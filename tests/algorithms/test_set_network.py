@@ -1,7 +1,5 @@
 """``network: set``: no size in the weights, no order in the answers, and no padding in losses and statistics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

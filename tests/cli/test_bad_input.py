@@ -3,8 +3,6 @@
 What stands in a file is bent by tests/fuzz, reader by reader.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import pickle

@@ -3,8 +3,6 @@
 CI plays some of the trials; ``make faults`` plays all.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 import shutil

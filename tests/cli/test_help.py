@@ -1,7 +1,5 @@
 """The commands and their options, and how quickly they answer."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import subprocess

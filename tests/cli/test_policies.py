@@ -1,7 +1,5 @@
 """Released policies by name in every command, ``uavaou fly``, and trainings that follow on another."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

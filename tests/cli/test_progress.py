@@ -1,7 +1,5 @@
 """What long jobs show: plain lines where there is no terminal, a bar on one, and nothing with ``--quiet``."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Bad input: one line that names it, exit code 2, and nothing written; a bug keeps its traceback."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

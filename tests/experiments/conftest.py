@@ -1,7 +1,5 @@
 """A small study, a run on tiny with a suite, and trainings that take no time."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 from collections.abc import Callable

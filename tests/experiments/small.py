@@ -1,7 +1,5 @@
 """What is small: a study of two trainings, a search and a suite on ``tiny``, and engines that work in this process."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -12,12 +10,11 @@ from typing import Any
 
 import pytest
 
-from uavaou import InputError, Scenario
+from uavaou import InputError, Scenario, read_study
 from uavaou.algorithms.registry import load_config
 from uavaou.experiments import trials
 from uavaou.experiments.executor import Executor, StoppedEarlyError, Tell, outcome
 from uavaou.experiments.jobs import Training
-from uavaou.experiments.results import read_study
 from uavaou.experiments.run import StudyState, run_study
 from uavaou.experiments.search import Arm, Search, SearchFolder, Stage, Trial
 from uavaou.experiments.search_space import SearchSpace

@@ -1,7 +1,5 @@
 """Study files: what they may say, and how what they must not say is refused."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Parts of a study that fail, are interrupted, or in progress; damaged tables."""
 
-from __future__ import annotations
-
 import gzip
 import pickle
 from collections.abc import Callable
@@ -14,11 +12,10 @@ import pytest
 from tests.cli.commands import Shell
 from tests.experiments.small import TINY, Inline, Write, assert_same_tables, refusing, run_inline
 from tests.synthetic_study import without
-from uavaou import InputError, Scenario
+from uavaou import InputError, Scenario, read_study
 from uavaou.evaluation.flights import Flights, PartKey
 from uavaou.experiments.executor import StoppedEarlyError, outcome
 from uavaou.experiments.jobs import Fly, Training, TrainingReport
-from uavaou.experiments.results import read_study
 from uavaou.experiments.run import StudyState, seconds_left, study_status
 from uavaou.experiments.study import Study
 from uavaou.runs.folder import RunFolder

@@ -1,12 +1,12 @@
 """Studies on processes and on a Ray cluster: interrupted, killed, and gone on with, they end as the untouched one."""
 
-from __future__ import annotations
-
+import importlib.util
 import json
 import multiprocessing
 import os
 import pickle
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -26,6 +26,7 @@ from filelock import FileLock
 from tests.command_line import start_command
 from tests.experiments.small import assert_same_tables
 from tests.runs.stopped_runs import without_wall
+from uavaou import read_study
 from uavaou.experiments.executor import Executor, Processes, _work
 from uavaou.experiments.jobs import Bound, Training, TrainingReport
 from uavaou.experiments.run import StudyState, run_study
@@ -343,3 +344,33 @@ def test_a_cluster_without_ray_is_refused_in_one_line(
     assert main(shlex.split(f"study run smoke --engine ray --out {tmp_path / 'out'}")) == 2
     assert "pip install 'uavaou[ray]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "plain_ppo.py"
+STUDY = """
+description: A plain PPO
+slots: 96
+seeds: 1
+scenarios: [tiny]
+variants:
+  plain: {algorithm: plain-ppo, set: {missions: 4, rollout_slots: 24, minibatches: 2, evaluation_missions: 2}}
+planners: [stay]
+episodes: 2
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("plugin", "engine"), [("own_ppo", "local"), ("own_ppo.py", "ray")])
+def test_a_study_trains_what_a_plugin_registers(plugin: str, engine: str, tmp_path: Path) -> None:
+    if importlib.util.find_spec("ray") is None and engine == "ray":
+        pytest.skip("ray is not installed")
+    shutil.copy(EXAMPLE, tmp_path / "own_ppo.py")
+    (tmp_path / "mine.yaml").write_text(STUDY)
+    command = ["--plugin", plugin, "study", "run", "mine.yaml", "--jobs", "1", "--engine", engine, "--quiet"]
+    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    ran = subprocess.run(
+        [sys.executable, "-m", "uavaou", *command], cwd=tmp_path, env=surroundings, capture_output=True, text=True
+    )
+    assert (ran.returncode, ran.stderr) == (0, "")
+    results = read_study(tmp_path / "results" / "studies" / "mine")
+    assert len(results.trainings("plain", "tiny")) == 1

@@ -1,7 +1,5 @@
 """A study as it runs: the order, what is skipped, resumed, refused and failed, its tables and its status."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil
@@ -14,10 +12,9 @@ from tests.cli.commands import Shell
 from tests.experiments.small import SET, TINY, Inline, Write, rewritten, run_inline, tables
 from tests.runs.stopped_runs import without_wall
 from tests.synthetic_study import edit, set_to, without
-from uavaou import Scenario
+from uavaou import Scenario, read_study
 from uavaou.evaluation.flights import DEVICES, SAMPLED, SLOTS, TRAINING, VALIDATION, Flights, PartKey
 from uavaou.experiments.jobs import Training
-from uavaou.experiments.results import read_study
 from uavaou.experiments.run import expected_cpu_s, gather, study_status, update_results
 from uavaou.experiments.study import Study
 from uavaou.runs.flights import training_curves

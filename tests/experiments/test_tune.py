@@ -1,7 +1,5 @@
 """The command ``uavaou tune``."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`uavaou export --format onnx`: what it writes and refuses, and the worked example of its page."""
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The ONNX graph decides as torch does, on ten thousand rows for each kind of row, observation and collection."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

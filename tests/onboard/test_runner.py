@@ -1,7 +1,5 @@
 """The runner makes of what a UAV measures the rows that uavaou makes, and flies as `uavaou eval` does."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The audit finds what is wrong from the numbers, and keeps quiet where nothing is."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 
 from tests.strategies import scenarios
+from uavaou import Scenario
 from uavaou.reports.audit import Audit, audit, audit_lines
 from uavaou.reports.audit_checks import Finding
-from uavaou.scenario import Scenario
 from uavaou.zoo import zoo_names
 
 PAPER = Scenario.load("paper")
@@ -68,10 +66,7 @@ def test_the_paper_preset_says_what_binds() -> None:
 
 # Without fading and at 15 kHz these powers reach 213, 95 and 48 m: every UAV, the lower one alone, neither.
 BASE = Scenario.load("tiny").replace(
-    altitudes_m=[80, 100],
-    devices=3,
-    devices_m=[[0, 0], [100, 100], [200, 0]],
-    transmit_power_mw=[1.0, 0.2, 0.05],
+    altitudes_m=[80, 100], devices=3, devices_m=[[0, 0], [100, 100], [200, 0]], transmit_power_mw=[1.0, 0.2, 0.05]
 )
 
 

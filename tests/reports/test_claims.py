@@ -1,7 +1,5 @@
 """Verdicts come out each way on studies whose truth is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +22,8 @@ from tests.synthetic_study import (
     without,
     write_study,
 )
-from uavaou.errors import InputError
+from uavaou import InputError, read_study
 from uavaou.evaluation.flights import DEVICES, TRAINING, VALIDATION, Flights
-from uavaou.experiments.results import read_study
 from uavaou.reports.claims import Claim, Decide, converged, higher, judge, lower, reached, reduced_to, smooth
 from uavaou.statistics import Interval, ratio_of_trainings
 

@@ -1,7 +1,5 @@
 """The committed pages of the studies come out of the committed tables unchanged."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

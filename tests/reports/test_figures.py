@@ -1,7 +1,5 @@
 """A study's figures come from its tables alone and show what they say."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,8 +12,8 @@ import yaml
 from matplotlib.image import imread
 
 from tests.synthetic_study import MAPPO, SLOT_S, K, Variant, record, set_to, without, write_study
+from uavaou import read_study
 from uavaou.evaluation.flights import SLOTS, TRAINING, VALIDATION
-from uavaou.experiments.results import read_study
 from uavaou.reports.figures import _line, _over_time, plot_study
 from uavaou.reports.scores import best_planner, comparable, in_all_scenarios
 from uavaou_cli.main import main

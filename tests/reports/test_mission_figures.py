@@ -1,7 +1,5 @@
 """Pictures of one mission, and frames."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.text import Text
 
+from uavaou import Scenario, World
 from uavaou.envs.map import FRAME_SHAPE, draw_ground, render_frame, uav_colour, uav_dash
 from uavaou.evaluation.recorded_mission import RecordedMission, Recording
 from uavaou.reports import style
 from uavaou.reports.mission_figures import mission_figures, plot_trajectories
-from uavaou.scenario import Scenario
-from uavaou.world import World
 
 
 def is_drawn(path: Path) -> bool:

@@ -1,7 +1,5 @@
 """The page that replays missions: what stands in it, what it refuses, and the committed ones."""
 
-from __future__ import annotations
-
 import base64
 import re
 import zlib
@@ -14,12 +12,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tests.documents import ROOT
-from uavaou.errors import InputError
+from uavaou import InputError, Scenario
 from uavaou.evaluation.recorded_mission import RecordedMission, record_mission
 from uavaou.planners import make_planner
 from uavaou.reports.replay.film import film_frame, write_film
 from uavaou.reports.replay.page import by_label, fill_page, read_content, write_replay
-from uavaou.scenario import Scenario
 
 COMMITTED = sorted([*ROOT.glob("docs/gallery/*.html"), *ROOT.glob("results/studies/*/replay.html")])
 WEB = ROOT / "uavaou" / "reports" / "replay" / "web"

@@ -1,7 +1,5 @@
 """The replay page in a headless Chromium: it plays, scrubs, sorts, and shows the numbers of the recorded mission."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.browser import LEFT_OUT, Browser, find_browser
+from uavaou import Scenario
 from uavaou.evaluation.recorded_mission import RecordedMission, record_mission
 from uavaou.planners import make_planner
 from uavaou.reports.replay.page import write_replay
-from uavaou.scenario import Scenario
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(find_browser() is None, reason=LEFT_OUT)]
 POLICIES = ("greedy", "best-first")

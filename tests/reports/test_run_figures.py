@@ -1,7 +1,5 @@
 """Figures from run folders: the runs become the tables of a study, in slots, and are drawn as a study is."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from pathlib import Path
@@ -10,14 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import load_config
-from uavaou.errors import InputError
 from uavaou.evaluation import flights
 from uavaou.evaluation.flights import Flights
 from uavaou.reports.figures import plot_runs, read_runs
 from uavaou.runs.flights import training_curves
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.scenario import Scenario
 from uavaou.statistics import band_over_missions
 
 HEADER = ["mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served"]

@@ -1,7 +1,5 @@
 """The look of every figure: a dozen variants are told apart, in grey too, by their colours, markers and tags."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations, pairwise
 from pathlib import Path

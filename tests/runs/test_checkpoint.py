@@ -1,7 +1,5 @@
 """Checkpoints: whole or absent, damaged ones recognised, what a disk or a number does to a training."""
 
-from __future__ import annotations
-
 import resource
 import shutil
 import signal
@@ -176,8 +174,7 @@ def test_a_replay_is_part_of_the_checkpoint(algorithm: str, update: int, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("before", "after"),
-    [("batched", "batched"), pytest.param("supersuit", "batched", marks=pytest.mark.slow)],
+    ("before", "after"), [("batched", "batched"), pytest.param("supersuit", "batched", marks=pytest.mark.slow)]
 )
 def test_missions_in_other_processes_are_part_of_it_too(before: str, after: str, runs: Runs, tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")

@@ -1,7 +1,5 @@
 """Trainings on a family of scenarios: their folder, what they count, how they are judged, and their resume."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Trainings that are killed, at any moment and again and again, end as the one that was never touched."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

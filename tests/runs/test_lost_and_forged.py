@@ -1,7 +1,5 @@
 """Checkpoints that are lost, or lack a part although their checksum fits, and records that were changed."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

@@ -1,7 +1,5 @@
 """A rehearsal: common missions, none of them for results; what candidates may know; the best is served."""
 
-from __future__ import annotations
-
 import signal
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A training run on disk: what it writes, what it refuses, and that a resumed run is the run never stopped."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Trainings that follow on another: from its weights, or to a larger budget, resumed as exactly as any other."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from dataclasses import replace
