@@ -26,12 +26,18 @@ from uavaou.files import read_text, write_text
 from uavaou_cli.main import main
 
 RUN = "results/tiny/mappo*/seed-0"  # of the first command
-COMMANDS = [
-    TINY, "scenarios", "audit tiny", f"eval {RUN} --policy greedy --episodes 2 --out e.csv",
-    f"fly tiny --policy {RUN} --out f", "plan tiny --planner tour --episodes 1 --out plan",
-    f"plot trajectories {RUN} --out p", f"plot figures {RUN} --out p", f"export {RUN} --out policy.safetensors",
-    f"replay {RUN} --out r.html",
-]  # fmt: skip
+COMMANDS = f"""
+{TINY}
+scenarios
+audit tiny
+eval {RUN} --policy greedy --episodes 2 --out e.csv
+fly tiny --policy {RUN} --out f
+plan tiny --planner tour --episodes 1 --out plan
+plot trajectories {RUN} --out p
+plot figures {RUN} --out p
+export {RUN} --out policy.safetensors
+replay {RUN} --out r.html
+"""
 STUDY = f"""
 slots: 96
 seeds: 1
@@ -43,7 +49,7 @@ bound: false
 
 def play() -> None:
     """Give all commands in the working folder, and run a study; ends the process at the first that fails."""
-    for command in COMMANDS:
+    for command in COMMANDS.strip().splitlines():
         run = next(glob.iglob(RUN), "")
         if main(shlex.split(command.replace(RUN, shlex.quote(run)))):
             raise SystemExit(f"uavaou {command}")

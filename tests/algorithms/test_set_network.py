@@ -46,10 +46,9 @@ def padded(array: np.ndarray, own: tuple[Any, ...], wide: tuple[Any, ...]) -> np
 def with_padding(buffer: SlotRolloutBuffer, layout: RowLayout) -> SlotRolloutBuffer:
     """The same rollout in rows of another layout."""
     own, missions = buffer.row_layout, buffer.state.shape[1]
-    other = SlotRolloutBuffer(
-        buffer.buffer_size, buffer.observation_space, buffer.action_space, n_envs=missions * layout.uavs,
-        row_layout=layout, critic_input=buffer.critic_input,
-    )  # fmt: skip
+    spaces = buffer.observation_space, buffer.action_space
+    of_rows = {"n_envs": missions * layout.uavs, "row_layout": layout, "critic_input": buffer.critic_input}
+    other = SlotRolloutBuffer(buffer.buffer_size, *spaces, **of_rows)
     for name in ARRAYS:
         array = getattr(buffer, name)
         if name in ("local", "state"):

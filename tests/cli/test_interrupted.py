@@ -37,10 +37,10 @@ def killed(number: signal.Signals) -> Any:
         ("train --scenario tiny", "uavaou.scenario.Scenario.load", "uavaou: interrupted\n"),
     ],
 )
+@pytest.mark.usefixtures("workplace")
 def test_a_signal_at_any_moment_is_answered(
-    number: signal.Signals, code: int, command: str, part: str, says: str, workplace: Path,
-    monkeypatch: pytest.MonkeyPatch, shell: Shell,
-) -> None:  # fmt: skip
+    number: Any, code: int, command: str, part: str, says: str, monkeypatch: pytest.MonkeyPatch, shell: Shell
+) -> None:
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(part, killed(number))
     ctrl_c = signal.signal(signal.SIGINT, signal.default_int_handler)  # which background jobs ignore
@@ -69,10 +69,8 @@ from uavaou_cli import start
 sys.exit(start())
 """
     path = os.pathsep.join(sys.path)
-    done = subprocess.run(
-        [sys.executable, "-c", program, "scenarios"], env=os.environ | {"PYTHONPATH": path}, capture_output=True,
-        text=True, check=False,
-    )  # fmt: skip
+    words, surroundings = [sys.executable, "-c", program, "scenarios"], os.environ | {"PYTHONPATH": path}
+    done = subprocess.run(words, env=surroundings, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (code, "", "uavaou: interrupted\n")
 
 

@@ -19,7 +19,7 @@ from tests.experiments.small import (
     score,
     states,
     work,
-)  # fmt: skip
+)
 from uavaou import InputError, Scenario, train
 from uavaou.algorithms.registry import load_config
 from uavaou.experiments import trials

@@ -46,8 +46,8 @@ def test_the_page_holds_the_recorded_mission(tmp_path: Path) -> None:
     ages = unpacked(policy["age_bends"], slots, devices).cumsum(axis=0).cumsum(axis=0)
     np.testing.assert_allclose(ages * content["slot_length_s"], recording.age_sum)
     assert (content["scenario"], content["mission_seed"], content["slots"]) == ("quickstart", 5, slots)
-    np.testing.assert_allclose(np.transpose([content["devices"]["x_m"], content["devices"]["y_m"]]),
-                               recording.layout.positions, atol=1e-3)  # fmt: skip
+    places = np.transpose([content["devices"]["x_m"], content["devices"]["y_m"]])
+    np.testing.assert_allclose(places, recording.layout.positions, atol=1e-3)
 
 
 def test_labels_name_the_training_and_are_never_equal() -> None:

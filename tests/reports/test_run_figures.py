@@ -40,13 +40,11 @@ def evaluated(policy: str, level_s: float, missions: int = 6, seed: int | None =
         "communications": rng.integers(20, 30, missions),
         "devices_served": DEVICES,
     }
-    curves = [
-        {"curve": flights.SLOTS, "x": np.arange(1, SLOTS + 1), "mean_aou_slots": ages, "low": 0.9 * ages,
-         "high": 1.2 * ages},
-        {"curve": flights.DEVICES, "x": np.arange(DEVICES), "communications": counts.mean(axis=0)},
-        {"curve": flights.PERIODS, "x": np.unique(period), "communications": alike.value, "low": alike.low,
-         "high": alike.high},
-    ]  # fmt: skip
+    slots = {"curve": flights.SLOTS, "x": np.arange(1, SLOTS + 1), "mean_aou_slots": ages}
+    devices = {"curve": flights.DEVICES, "x": np.arange(DEVICES), "communications": counts.mean(axis=0)}
+    periods = {"curve": flights.PERIODS, "x": np.unique(period), "communications": alike.value}
+    bands = {"low": 0.9 * ages, "high": 1.2 * ages}, {"low": alike.low, "high": alike.high}
+    curves = [slots | bands[0], devices, periods | bands[1]]
     return Flights.of(rows, curves, policy=policy, scenario="tiny", seed=seed)
 
 
