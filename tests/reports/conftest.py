@@ -6,6 +6,13 @@ from typing import Any
 import pytest
 
 from uavaou.reports import style
+from uavaou.statistics import aggregates
+
+
+@pytest.fixture(autouse=True)
+def _few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether bootstrap intervals are right is seen in tests/statistics."""
+    monkeypatch.setattr(aggregates, "RESAMPLES", 100)
 
 
 @pytest.fixture
