@@ -49,6 +49,9 @@ OPTIONS = {
     "gap tiny": "time-limit:seconds seed:seed episodes:count",
     "export nowhere --out x": "format:name",
     "replay greedy": "scenario:name seed:seed format:name time-limit:seconds out:place",
+    "fly tiny": "policy:name seed:seed seconds:seconds knows:name out:blocked",
+    "tune --slots 5": "trials:count jobs:count seed:seed algorithm:name space:name out:blocked",
+    "tune": "seconds:seconds slots:count",
     "study run smoke": "jobs:count engine:name address:name out:blocked checkpoint-every:pause",
     "study status smoke": "out:blocked",
     "study report smoke": "out:blocked",
@@ -89,10 +92,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def refused(place: Path) -> Iterator[Callable[..., None]]:
-    """Check that a command is refused in one line and changes nothing."""
+def refused(place: Path) -> Iterator[Callable[..., str]]:
+    """Check that a command is refused in one line and changes nothing; returns the line."""
 
-    def check(*arguments: str) -> None:
+    def check(*arguments: str) -> str:
         before = files(place)
         out, err = io.StringIO(), io.StringIO()
         with redirect_stdout(out), redirect_stderr(err):
@@ -106,6 +109,7 @@ def refused(place: Path) -> Iterator[Callable[..., None]]:
         assert max(map(len, (first, *faults))) < 2100
         assert files(place) == before
         assert not list(place.rglob("hacked"))
+        return said
 
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
@@ -114,13 +118,14 @@ def refused(place: Path) -> Iterator[Callable[..., None]]:
 
 @settings(max_examples=400)
 @given(data=st.data())
-def test_flags(refused: Callable[..., None], data: st.DataObject) -> None:
+def test_flags(refused: Callable[..., str], data: st.DataObject) -> None:
     command = data.draw(st.sampled_from(list(OPTIONS)))
     option, _, kind = data.draw(st.sampled_from(OPTIONS[command].split())).partition(":")
     value = data.draw(KINDS[kind])
     assume((option, value) != ("device", "auto"))  # a good one: it would train
     form = [f"--{option}={value}"] if data.draw(st.booleans()) else [f"--{option}", value]
-    refused(*command.split(), *form)
+    said = refused(*command.split(), *form)
+    assert kind not in ("seed", "count", "seconds", "pause") or f"--{option}" in said
 
 
 @settings(max_examples=150)

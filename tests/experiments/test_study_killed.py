@@ -86,45 +86,38 @@ def untouched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Study]:
 
 
 @pytest.mark.slow
-def test_sigterm_makes_every_run_save_and_the_same_command_goes_on(
-    untouched: tuple[Path, Study], tmp_path: Path
+@pytest.mark.parametrize(
+    ("number", "to", "code", "engine"),
+    [
+        (signal.SIGTERM, os.killpg, 143, ""),  # to the children too
+        (signal.SIGKILL, os.kill, -signal.SIGKILL, ""),
+        (signal.SIGINT, os.killpg, 130, " --engine ray"),
+    ],
+)
+def test_every_run_saves_when_its_study_is_stopped_and_the_same_command_goes_on(
+    number: signal.Signals, to: Any, code: int, engine: str, untouched: tuple[Path, Study], tmp_path: Path
 ) -> None:
+    if engine:
+        pytest.importorskip("ray")
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
-    process = start_command(line, tmp_path / "stderr")
+    process = start_command(line + engine, tmp_path / "stderr")
     folders = wait_for_missions(process, tmp_path / "out", 2, 20)
-    os.killpg(process.pid, signal.SIGTERM)  # to the children too
+    to(process.pid, number)
     process.join(120)
-    assert process.exitcode == 143
-    said = (tmp_path / "stderr").read_text()
-    assert said.count("\n") == 1, said
-    assert said.split("to go on: uavaou ")[1] == f"{line}\n"
-    metas = [json.loads((folder / "meta.json").read_text()) for folder in folders]
-    assert all(0 < meta["slots"] < 16_000 for meta in metas)
-    assert all(holder(folder / ".lock") is None for folder in folders)
-    process = start_command(line, tmp_path / "again")
-    process.join(300)
-    assert process.exitcode == 0
-    assert_the_same(tmp_path / "out", place / "out", study)
-    for folder, meta in zip(folders, metas, strict=True):
-        assert json.loads((folder / "meta.json").read_text())["cpu_s"] > meta["cpu_s"] > 0
-
-
-@pytest.mark.slow
-def test_trainings_save_and_end_when_the_study_process_is_killed(untouched: tuple[Path, Study], tmp_path: Path) -> None:
-    place, study = untouched
-    line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
-    process = start_command(line, tmp_path / "stderr")
-    folders = wait_for_missions(process, tmp_path / "out", 2, 20)
-    os.kill(process.pid, signal.SIGKILL)
-    process.join()
+    assert process.exitcode == code
     deadline = time.monotonic() + 60
     while any(holder(folder / ".lock") for folder in folders) and time.monotonic() < deadline:
         time.sleep(0.1)
-    assert all(json.loads((folder / "meta.json").read_text())["slots"] > 0 for folder in folders)
-    assert (tmp_path / "stderr").read_text() == ""  # the runs end without a word: nobody is there to hear it
-    assert main(shlex.split(line)) == 0
+    said = (tmp_path / "stderr").read_text()
+    assert said.count("\n") == (code > 0), said  # of one that is killed, nobody is there to hear the runs
+    assert code < 0 or said.split("to go on: uavaou ")[1] == f"{line}{engine}\n"
+    metas = [json.loads((folder / "meta.json").read_text()) for folder in folders]
+    assert all(0 < meta["slots"] < 16_000 for meta in metas)
+    assert main(shlex.split(line)) == 0  # without the cluster
     assert_the_same(tmp_path / "out", place / "out", study)
+    for folder, meta in zip(folders, metas, strict=True):
+        assert json.loads((folder / "meta.json").read_text())["cpu_s"] > meta["cpu_s"] > 0
 
 
 @pytest.mark.slow
@@ -316,24 +309,6 @@ def test_a_cluster_is_started_beside_one_that_is_there(monkeypatch: pytest.Monke
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # as of a cluster that `ray start` began
     with Cluster(jobs=1):
         assert ray.cluster_resources()["CPU"] == 1
-
-
-@pytest.mark.slow
-def test_a_study_stopped_on_a_cluster_resumes_without_it(untouched: tuple[Path, Study], tmp_path: Path) -> None:
-    pytest.importorskip("ray")
-    place, study = untouched
-    line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'} --engine ray"
-    process = start_command(f"{line} --checkpoint-every 0", tmp_path / "stderr")
-    folders = wait_for_missions(process, tmp_path / "out", 2, 5)
-    assert all(str(holder(folder / ".lock")).startswith("process ") for folder in folders)
-    os.killpg(process.pid, signal.SIGINT)
-    process.join(120)
-    assert process.exitcode == 130
-    said = (tmp_path / "stderr").read_text()
-    assert said.count("\n") == 1, said
-    assert all(0 < json.loads((folder / "meta.json").read_text())["slots"] < 16_000 for folder in folders)
-    assert main(shlex.split(line.replace(" --engine ray", ""))) == 0
-    assert_the_same(tmp_path / "out", place / "out", study)
 
 
 def test_a_cluster_without_ray_is_refused_in_one_line(
