@@ -192,9 +192,11 @@ def test_a_learner_on_an_environment_of_your_own() -> None:
     np.testing.assert_array_equal(model.predict(local, deterministic=True)[0], actions)
 
 
-def test_entry_points_of_a_package() -> None:
+def test_own_algorithms_are_the_example_and_have_an_entry_point() -> None:
     (table,) = blocks(DOCS / "own-algorithm.md", "toml")
     assert list(tomllib.loads(table)["project"]["entry-points"]) == [ENTRY_POINTS]
+    code, *_ = blocks(DOCS / "own-algorithm.md", "python")
+    assert code in (ROOT / "examples" / "plain_ppo.py").read_text(encoding="utf-8")
 
 
 def test_frames_from_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -204,11 +206,6 @@ def test_frames_from_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     exec(code.replace("60", "2").replace("slot-2", "slot"), {})
     assert Image.open("slot.png").size == (640, 576)
     assert Image.open("mission.gif").n_frames == 3
-
-
-def test_the_example_of_an_own_algorithm_is_the_file() -> None:
-    code, *_ = blocks(DOCS / "own-algorithm.md", "python")
-    assert code in (ROOT / "examples" / "plain_ppo.py").read_text(encoding="utf-8")
 
 
 RUNNING = {"README.md": "## Results", "results/README.md": "# Results"}  # pages whose text has no numbers from there on

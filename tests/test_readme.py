@@ -29,10 +29,12 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_it_is_short() -> None:
+def test_it_is_short_and_one_page_shows_every_command() -> None:
     text = README.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 120
     assert len(text.split()) <= 900
+    shown = {arguments[0] for arguments in commands(ROOT / "docs" / "commands.md")}
+    assert shown - {"COMMAND", "--install-completion"} == COMMANDS
 
 
 def test_a_training_and_an_evaluation_from_python(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -64,11 +66,6 @@ def test_the_environment_and_a_learner_from_python() -> None:
     assert env.state().shape == (layout.global_size,)
     assert model.observation_space.shape == (layout.local_size + layout.global_size,)
     assert model.num_timesteps == model.n_steps * 2 * env.world.scenario.uavs >= 100  # agent steps of one rollout
-
-
-def test_every_command_is_shown_on_one_page() -> None:
-    shown = {arguments[0] for arguments in commands(ROOT / "docs" / "commands.md")}
-    assert shown - {"COMMAND", "--install-completion"} == COMMANDS
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -106,15 +103,12 @@ def test_every_name_of_a_policy_is_evaluated(tmp_path: Path, monkeypatch: pytest
         evaluate("runs/seed-0", "tiny")
 
 
-def test_published_settings_can_be_changed_by_name() -> None:
+def test_settings_are_changed_by_name_and_a_folder_is_a_path_or_text(tmp_path: Path) -> None:
     config = RunConfig.load("vdn", "tiny", seed=3, slots=500)
     assert (config.algorithm.name, config.algorithm.slots, config.seed) == ("vdn", 500, 3)
     assert config.scenario == Scenario.load("tiny")
     with pytest.raises(InputError, match="did you mean 'slots'"):
         RunConfig.load(slts=500)
-
-
-def test_a_folder_is_a_path_or_text(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="does not exist"):
         load_run(str(tmp_path / "none"))
     (tmp_path / "config.yaml").write_text("schema: 1")

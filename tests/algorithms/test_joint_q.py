@@ -26,10 +26,17 @@ def small_model(
     return learner("JointQPolicy", env, **quick | arguments)
 
 
-def test_vdn_sums_and_iql_does_not_mix() -> None:
+def test_vdn_sums_with_a_value_of_the_state_where_asked_and_iql_does_not_mix() -> None:
     utilities, states = th.randn(8, 3), th.randn(8, 4)
     th.testing.assert_close(SumMixer(3)(utilities, states)[:, 0], utilities[:, 0] + utilities[:, 1] + utilities[:, 2])
     th.testing.assert_close(Mixer(3)(utilities, states), utilities)
+    policy = small_model(policy_kwargs={"state_value_width": 8}).policy
+    utilities, states = th.randn(8, 2), th.randn(8, policy.row_layout.global_size)
+    mixer = policy.mixer
+    assert isinstance(mixer, StateValueMixer)
+    value = mixer(utilities, states)[:, 0] - utilities.sum(dim=1)  # (8,) of the state alone
+    th.testing.assert_close(mixer(utilities + 1, states)[:, 0], value + utilities.sum(dim=1) + 2)
+    assert len(value.detach().unique()) == 8
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -53,16 +60,6 @@ def test_qmix_is_monotone_in_every_utility_everywhere(seed: int) -> None:
 def test_wrong_arguments_are_refused(make: Any, says: str) -> None:
     with pytest.raises(InputError, match=says):
         make()
-
-
-def test_vdn_may_add_a_value_of_the_state() -> None:
-    policy = small_model(policy_kwargs={"state_value_width": 8}).policy
-    utilities, states = th.randn(8, 2), th.randn(8, policy.row_layout.global_size)
-    mixer = policy.mixer
-    assert isinstance(mixer, StateValueMixer)
-    value = mixer(utilities, states)[:, 0] - utilities.sum(dim=1)  # (8,) of the state alone
-    th.testing.assert_close(mixer(utilities + 1, states)[:, 0], value + utilities.sum(dim=1) + 2)
-    assert len(value.detach().unique()) == 8
 
 
 @pytest.mark.parametrize("network", [{}, {"network": "set"}, {"network": "set", "pull": 12.0}], ids=str)

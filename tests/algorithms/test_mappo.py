@@ -31,7 +31,7 @@ def test_the_actor_reads_the_local_part_alone(learner: type[MAPPO], collection: 
     assert (rows.grad[:, :local_size] != 0).any()
 
 
-def test_the_critic_reads_the_global_part_alone_and_ippos_the_local() -> None:
+def test_the_critic_reads_the_global_part_once_a_slot_and_ippos_the_local() -> None:
     for learner, reads_global in ((MAPPO, True), (IPPO, False)):
         model = small_model(learner)
         rows = th.from_numpy(model.env.reset()).requires_grad_(True)
@@ -39,9 +39,6 @@ def test_the_critic_reads_the_global_part_alone_and_ippos_the_local() -> None:
         local, state = rows.grad[:, : model.env.local_size], rows.grad[:, model.env.local_size :]
         assert bool((state != 0).any()) == reads_global
         assert bool((local != 0).any()) != reads_global
-
-
-def test_one_value_a_slot_equals_one_a_row() -> None:
     model = small_model()
     rows = th.from_numpy(model.env.reset())
     shared = model.policy.predict_values(rows)

@@ -180,11 +180,17 @@ def test_log_probability_entropy_and_their_gradients_are_torchs(devices: int, sc
         th.testing.assert_close(own, expected, rtol=1e-9, atol=1e-9)
 
 
-def test_extreme_logits_have_finite_gradients() -> None:
+def test_extremes_are_safe() -> None:
     logits = th.tensor([[900.0, -900, 0, 0, 0, 900, -900, 200]], requires_grad=True)
     distribution = MoveSelectionDistribution(3).proba_distribution(logits, *head()[1:])
     total = distribution.log_prob(th.tensor([[1, 0, 1, 0]])) + distribution.entropy()
     assert th.isfinite(th.autograd.grad(total.sum(), logits)[0]).all()
+    logits, allowed, in_range = head(2)
+    distribution = MoveSelectionDistribution(3).proba_distribution(logits, allowed, in_range)
+    for value in (0.0, 0.5, 1 - 2**-24):
+        actions = distribution.sample(th.full((2, 8), value))
+        assert all(allowed[0, move] > 0 for move in actions[:, 0])
+        assert not actions[:, 2].any()
 
 
 def test_samples_have_the_distributions_frequencies_and_respect_masks() -> None:
@@ -209,15 +215,6 @@ def test_the_mode_is_the_likeliest_of_all_actions() -> None:
     likelihood = th.stack([distribution.log_prob(th.tensor([action] * 20)) for action in every], dim=1)
     best = likelihood.max(dim=1).values
     th.testing.assert_close(distribution.log_prob(distribution.mode()), best)
-
-
-def test_the_same_uniforms_give_the_same_actions_and_extremes_are_safe() -> None:
-    logits, allowed, in_range = head(2)
-    distribution = MoveSelectionDistribution(3).proba_distribution(logits, allowed, in_range)
-    for value in (0.0, 0.5, 1 - 2**-24):
-        actions = distribution.sample(th.full((2, 8), value))
-        assert all(allowed[0, move] > 0 for move in actions[:, 0])
-        assert not actions[:, 2].any()
 
 
 FUNCTION: Any = vars(th.optim.Optimizer)["add_param_group"].__wrapped__

@@ -50,15 +50,12 @@ def test_progress_goes_to_stderr_unless_quiet(shell: Shell, monkeypatch: pytest.
     assert shell(f"{command} --quiet") == (0, out, "")
 
 
-def test_the_table_of_the_default_scenario_fits_a_terminal(shell: Shell) -> None:
+def test_an_evaluation_fits_a_terminal_and_says_first_what_one_should_know(shell: Shell) -> None:
     out = shell.done("eval --policy stay --policy random --episodes 3 --quiet")
     assert out.startswith("paper: 3 missions, seeds 10000 to 10002")
     assert all(len(line) <= WIDTH for line in out.splitlines())
     assert "violations" not in out
     assert "broke" not in out
-
-
-def test_what_one_should_know_first_stands_above_the_table(shell: Shell) -> None:
     command = "eval --scenario tiny --policy stay --episodes 1 --quiet --set scenario.transmit_power_mw=0.001"
     out = shell.done(command)
     title, remark, table, _ = out.split("\n\n")

@@ -84,11 +84,20 @@ def test_the_rate_of_a_resumed_training_leaves_out_what_was_trained_before(
     assert "100 slots/s, 300 agent steps/s, mean AoU -, 2 h 46 min left" in capsys.readouterr().err
 
 
-def test_a_quiet_display_shows_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_displays_show_gaps_and_wide_numbers_and_nothing_if_quiet(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     with Display(True, 10) as display:
         display.advance(5, "figure")
         display.message("news")
     assert capsys.readouterr().err == ""
+    with PlanningDisplay(False, slot_length_s=2.0) as display:
+        display.bound_s = 18.0
+        display.show(SimpleNamespace(share=1.0, incumbent_s=20.0, bound_s=None))  # type: ignore[arg-type]
+    assert "mean AoU 10.00 slots, bound 9.00, gap 10.0%" in capsys.readouterr().err
+    with BoundDisplay(False, slot_length_s=2.0) as display:
+        display.show(SimpleNamespace(mean_aou_s=2 * 17_188.4, method="dual"), 1.0)  # type: ignore[arg-type]
+    assert "17,188 slots (dual)" in capsys.readouterr().err
 
 
 def test_a_bar_fits_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,19 +114,6 @@ def test_a_bar_fits_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: 
         for line in shown.replace("\r", "\n").splitlines()
     )
     assert all(len(line) <= 80 for line in shown.replace("\r", "\n").splitlines())
-
-
-def test_planning_shows_the_gap_to_the_bound(capsys: pytest.CaptureFixture[str]) -> None:
-    with PlanningDisplay(False, slot_length_s=2.0) as display:
-        display.bound_s = 18.0
-        display.show(SimpleNamespace(share=1.0, incumbent_s=20.0, bound_s=None))  # type: ignore[arg-type]
-    assert "mean AoU 10.00 slots, bound 9.00, gap 10.0%" in capsys.readouterr().err
-
-
-def test_wide_numbers_have_no_exponent(capsys: pytest.CaptureFixture[str]) -> None:
-    with BoundDisplay(False, slot_length_s=2.0) as display:
-        display.show(SimpleNamespace(mean_aou_s=2 * 17_188.4, method="dual"), 1.0)  # type: ignore[arg-type]
-    assert "17,188 slots (dual)" in capsys.readouterr().err
 
 
 def test_the_time_left_of_missions_leaves_out_the_planning_and_other_policies(

@@ -38,15 +38,12 @@ def test_shipped_suites_are_those_of_the_docs() -> None:
     assert all(f"| `{name}` |" in page for name in names)
 
 
-def test_fading_is_in_decibels() -> None:
+def test_shipped_suites_contain_the_papers_scenario_new_layouts_and_fading_in_decibels() -> None:
     suite = Suite.load("fading")
     for point in suite.points:
         if point.label != "none":
             assert 10 * np.log10(point.set["rician_factor"]) == pytest.approx(point.x, abs=1e-9)
     assert suite.points[-1].set == {"fading": "none"}
-
-
-def test_suites_contain_the_papers_scenario_and_new_layouts() -> None:
     paper = Scenario.load("paper")
     for name, label in (("uavs", "3"), ("devices", "25"), ("fading", "10"), ("rate", "150")):
         scenarios = {point.label: point.scenario for point in resolve_points(Suite.load(name), paper)}
@@ -54,6 +51,7 @@ def test_suites_contain_the_papers_scenario_and_new_layouts() -> None:
     seeds = {place.scenario.layout_seed for place in resolve_points(Suite.load("layouts"), paper) if place.scenario}
     assert len(seeds) == 10
     assert min(seeds) > 9
+    assert [point.label for point in Suite.load("fading").points if not point.joined] == ["none"]
 
 
 @pytest.mark.parametrize(
@@ -92,13 +90,10 @@ def test_schema_errors_name_the_field(changes: dict[str, Any], words: str) -> No
         Suite.from_dict(GOOD | changes, "own", "own.yaml")
 
 
-def test_an_invalid_change_is_an_error_and_not_an_infeasible_point() -> None:
+def test_an_invalid_change_is_an_error_and_an_infeasible_one_has_a_class() -> None:
     suite = Suite.from_dict(GOOD | {"points": [POINT | {"set": {"slots": "many"}}]}, "own", "own.yaml")
     with pytest.raises(InputError, match="suite 'own', point 'a': scenario 'tiny': slots = 'many'"):
         resolve_points(suite, Scenario.load("tiny"))
-
-
-def test_infeasible_scenarios_have_an_error_class() -> None:
     tiny = Scenario.load("tiny")
     for changes in ({"cds_m": [[50, 0], [0, 0]]}, {"flight_time_budget_s": 1}):
         with pytest.raises(InfeasibleError, match="breaks constraint"):
@@ -124,13 +119,10 @@ def test_points_without_a_link_name_the_constraint() -> None:
     assert place.remark.startswith("1 of 4 devices can never be served")
 
 
-def test_changes_are_part_of_the_name() -> None:
+def test_a_suite_is_named_with_its_changes_and_a_folder_is_none(tmp_path: Path) -> None:
     assert name_with("fading", {}) == "fading"
     assert name_with("fading", {"scenario": "tiny", "area_x_m": "1/2"}) == "fading+area_x_m=1%2F2,scenario=tiny"
     assert len(name_with("fading", {"cds_m": "[" * 300})) < 200
-
-
-def test_a_folder_is_no_suite_and_the_names_are_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"unknown suite .*suites: areas, devices, fading"):
         Suite.load(str(tmp_path))
 
@@ -214,10 +206,6 @@ def test_labels_along_the_axis_stand_apart(monkeypatch: pytest.MonkeyPatch, tmp_
     boxes = sorted(label.get_window_extent().extents.tolist() for x, label in ticks if low <= x <= high)
     assert len(boxes) > 5
     assert all(one[2] + 0.03 * figure.dpi < other[0] for one, other in pairwise(boxes))
-
-
-def test_no_line_leads_to_an_infinite_rician_factor() -> None:
-    assert [point.label for point in Suite.load("fading").points if not point.joined] == ["none"]
 
 
 def test_budgets_that_differ_stand_below_the_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

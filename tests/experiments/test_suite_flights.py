@@ -252,7 +252,7 @@ def by_devices() -> Suite:
     return Suite.from_dict(GOOD | {"points": points}, "own", "own.yaml")
 
 
-def test_every_run_flies_each_point_that_it_fits(by_devices: Suite) -> None:
+def test_every_run_flies_each_point_that_it_fits_whatever_its_name(by_devices: Suite) -> None:
     found = flown(by_devices, configs({}, {"seed": 1}, {"algorithm": "vdn", "devices": 3}))
     assert found == {
         ("3", "mappo"): [],
@@ -262,6 +262,8 @@ def test_every_run_flies_each_point_that_it_fits(by_devices: Suite) -> None:
         ("4", "vdn"): [],
         ("4 fast", "vdn"): [],
     }
+    found = flown(by_devices, configs({"name": "mine", "description": "!"}))
+    assert found["4", "mappo"] == [("run-0", "trained")]
 
 
 def test_zero_shot_runs_are_named_by_their_training_where_several_fly_a_point(by_devices: Suite) -> None:
@@ -275,11 +277,6 @@ def test_zero_shot_runs_are_named_by_their_training_where_several_fly_a_point(by
     found = flown(by_devices, configs({"gamma": 0.9}, {"gamma": 0.9, "layout": "resample"}, {}))
     assert found["4", "mappo+gamma=0.9,on=tiny+layout=resample"] == [("run-1", "zero-shot")]
     assert found["4 fast", "mappo+gamma=0.995"] == [("run-2", "zero-shot")]
-
-
-def test_scenarios_are_compared_without_their_names(by_devices: Suite) -> None:
-    found = flown(by_devices, configs({"name": "mine", "description": "!"}))
-    assert found["4", "mappo"] == [("run-0", "trained")]
 
 
 def test_an_unfinished_training_counts_with_its_trained_slots(by_devices: Suite, tmp_path: Path) -> None:
@@ -333,7 +330,7 @@ def test_a_point_with_an_observation_is_flown_by_runs_that_have_it() -> None:
     }
 
 
-def test_a_missing_training_comes_with_its_command(by_devices: Suite) -> None:
+def test_a_missing_training_comes_with_its_command_and_the_budget_of_its_policy(by_devices: Suite) -> None:
     found = missing(planned(by_devices, configs({"algorithm": "vdn", "devices": 3, "gamma": 0.9})))
     assert found == {"uavaou train --scenario tiny --algorithm vdn --set algorithm.gamma=0.9": ["4", "4 fast"]}
     (command,) = missing(planned(by_devices, configs({}), layout_seed=4))
@@ -341,9 +338,6 @@ def test_a_missing_training_comes_with_its_command(by_devices: Suite) -> None:
         "uavaou train --scenario tiny --algorithm mappo-paper --set scenario.devices=3 --set scenario.layout_seed=4"
     )
     assert sorted(command.split(" --")) == sorted(expected.split(" --"))
-
-
-def test_a_missing_training_takes_the_budget_of_its_policy(by_devices: Suite) -> None:
     one, other = missing(planned(by_devices, configs({"slots": 3000}, {"slots": 1000}))).items()
     assert ("algorithm.slots=3000" in one[0], "algorithm.slots=1000" in other[0]) == (True, True)
     assert one[1] == other[1] == ["3"]

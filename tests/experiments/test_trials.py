@@ -143,20 +143,11 @@ def test_an_interrupted_search_goes_on_as_if_it_had_not_been(
     assert parted.table.read_text() == whole.table.read_text()
 
 
-def test_a_search_has_one_writer(tmp_path: Path, played: list[RunConfig]) -> None:
+def test_a_search_has_one_writer_and_no_other_joins(tmp_path: Path, played: list[RunConfig]) -> None:
     folder = a_folder(tmp_path)
     with one_writer(tmp_path), pytest.raises(InputError, match="is being written by process"):
         work(folder, 2)
     assert not played
-
-
-def test_other_seeds_draw_other_settings(tmp_path: Path, played: list[RunConfig]) -> None:
-    for seed in (0, 1):
-        work(a_folder(tmp_path / str(seed), seed=seed), 3)
-    assert values(SearchFolder(tmp_path / "0"))[1:] != values(SearchFolder(tmp_path / "1"))[1:]
-
-
-def test_another_search_does_not_join(tmp_path: Path) -> None:
     folder = a_folder(tmp_path)
     folder.claim(a_search())
     for other in (a_search(seed=1), a_search(slots=999), a_search(seconds=3.0), a_search({"gamma": SPACE["gamma"]})):
@@ -165,6 +156,12 @@ def test_another_search_does_not_join(tmp_path: Path) -> None:
     folder.claim(a_search(trials=9))  # more of the same
     with pytest.raises(InputError, match="holds no search"):
         SearchFolder(tmp_path / "none").read()
+
+
+def test_other_seeds_draw_other_settings(tmp_path: Path, played: list[RunConfig]) -> None:
+    for seed in (0, 1):
+        work(a_folder(tmp_path / str(seed), seed=seed), 3)
+    assert values(SearchFolder(tmp_path / "0"))[1:] != values(SearchFolder(tmp_path / "1"))[1:]
 
 
 def statuses(rollout: int, warm_up: int, slow: float, quick: float) -> list[TrainingStatus]:

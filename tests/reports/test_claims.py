@@ -242,12 +242,9 @@ def test_convergence_is_the_first_evaluation_after_which_nothing_leaves(seed: in
     assert converged(aou) == slow_converged(aou.tolist())
 
 
-def test_a_training_that_gets_worse_has_not_converged() -> None:
+def test_levels_are_reached_and_trainings_converge_or_not() -> None:
     assert converged(np.array([9.0, 3.0, 3.0, 3.0, 9.0])) == (4, False)
     assert converged(np.array([5.0])) == (0, True)
-
-
-def test_levels_are_reached_or_not() -> None:
     aou = np.array([9.0, 6.0, 3.0, 3.0, 3.0])
     assert reached(aou, 4.5) == (3, True)
     assert reached(aou, 2.9) == (4, False)

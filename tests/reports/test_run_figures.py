@@ -226,12 +226,9 @@ def test_malformed_run_is_an_input_error(tmp_path: Path, break_it: Callable[[Pat
     assert "\n" not in str(raised.value)
 
 
-def test_no_runs_is_an_input_error(tmp_path: Path) -> None:
+def test_figures_need_runs_and_a_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no run folders"):
         plot_runs([], tmp_path)
-
-
-def test_figures_into_a_file_is_an_input_error(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     run = write_run(tmp_path / "results", missions=4, evaluation=False)
     with pytest.raises(InputError, match="cannot write"):

@@ -144,16 +144,13 @@ def test_one_seed_and_planners_have_intervals_over_missions(tmp_path: Path) -> N
     assert found["lower bound"].scores.tolist() == [[25.0]]
 
 
-def test_a_reference_must_be_a_variant(tmp_path: Path) -> None:
+def test_a_reference_and_claims_need_their_variants(tmp_path: Path) -> None:
     path = tmp_path / "own.yaml"
     path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}}\nreference: mapo\n")
     with pytest.raises(InputError, match=r"reference: no variant 'mapo'.*mappo.*\(variants: mappo, vdn\)"):
         Study.load(path)
     path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}}\nreference: vdn\n")
     assert Study.load(path).reference == "vdn"
-
-
-def test_the_claims_are_about_three_variants(tmp_path: Path) -> None:
     path = tmp_path / "own.yaml"
     path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}, qmix: {}}\nclaims: true\n")
     assert Study.load(path).claims
@@ -256,14 +253,11 @@ def test_the_table_is_markdown_by_scenario() -> None:
     assert sum(line.startswith("| a\\|b | 3 | 81.0 | 2.03 (") for line in lines) == 1
 
 
-def test_one_seed_and_no_age_are_said() -> None:
+def test_what_has_no_interval_or_no_reference_is_said() -> None:
     one = ablations(study({"published": [40.0], "x": [80.0]}), "published")[1]
     assert one.finding == "×2.00; one seed has no interval"
     still = ablations(study({"published": PUBLISHED, "x": [0.0, 0.0]}), "published")[1]
     assert still.finding == "no ratio: an AoU of 0"
-
-
-def test_a_reference_that_is_not_there_is_told() -> None:
     with pytest.raises(InputError, match="did you mean 'published'"):
         ablations(study({"published": PUBLISHED}), "publishd")
 

@@ -38,12 +38,9 @@ def write_run(folder: Path, scenario: str) -> str:
     return str(folder)
 
 
-def test_a_folder_counts_once_by_its_first_spelling(tmp_path: Path) -> None:
+def test_a_folder_counts_once_and_runs_of_two_scenarios_have_no_common_one(tmp_path: Path) -> None:
     one, two = write_run(tmp_path / "one", "tiny"), write_run(tmp_path / "two", "tiny")
     assert list(read_runs([one, two, f"{two}/../one"])) == [one, two]
-
-
-def test_runs_of_two_scenarios_have_no_common_one(tmp_path: Path) -> None:
     runs = read_runs([write_run(tmp_path / "one", "tiny"), write_run(tmp_path / "two", "quickstart")])
     with pytest.raises(InputError, match="different scenarios: say with --scenario"):
         common_scenario(runs)

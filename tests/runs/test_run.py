@@ -142,15 +142,12 @@ def test_a_run_that_cannot_be_built_leaves_nothing_behind(tmp_path: Path) -> Non
     assert not folder.path.exists()
 
 
-def test_names_of_folders_need_no_quotes() -> None:
+def test_different_runs_have_different_folders_with_names_for_people_that_need_no_quotes() -> None:
     own = Scenario.load("paper").replace(name="my valley's (2) map", devices_m=[[0, 0]], devices=1)
     run = config_folder(Path("r"), RunConfig(own, load_config("mappo-paper", {"hidden": [8, 8]}))).path
     for path in (run, Path(flight_folder([str(run), "any-map"]))):
         assert command_line([path]) == str(path)
     assert run.parts[1].startswith("my%20valley%27s%20%282%29%20map~")
-
-
-def test_different_runs_have_different_folders_with_names_for_people() -> None:
     paper = Scenario.load("paper")
     fields = ({}, {"slots": 5}, {"slots": 50}, {"slots": 5, "devices": 5}, {"description": "a/b,c=1"})
     names = {

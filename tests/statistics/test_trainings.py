@@ -30,14 +30,11 @@ def ratio(values: object, reference: object) -> Interval:
     return ratio_of_trainings({"": values}, {"": reference})  # type: ignore[dict-item]
 
 
-def test_the_ratio_of_two_groups_is_welchs_on_logarithms() -> None:
+def test_ratios_are_welchs_and_students_on_logarithms() -> None:
     found = ratio(VALUES, REFERENCE)
     literal = stats.ttest_ind(np.log(VALUES), np.log(REFERENCE), equal_var=False).confidence_interval(0.95)
     assert found.value == pytest.approx(stats.gmean(VALUES) / stats.gmean(REFERENCE))
     assert found[1:] == pytest.approx((math.exp(literal.low), math.exp(literal.high)))
-
-
-def test_the_ratio_to_one_number_is_students_of_one_sample() -> None:
     found = ratio(VALUES, 50.0)
     literal = stats.ttest_1samp(np.log(VALUES), math.log(50)).confidence_interval(0.95)
     assert found.value == pytest.approx(stats.gmean(VALUES) / 50)
@@ -88,23 +85,17 @@ def test_ratios_that_cannot_be_made() -> None:
     assert ratio([1e-300, 1e300], [1.0, 1.0]).high == math.inf
 
 
-def test_the_mean_is_students() -> None:
+def test_means_and_bands_are_students_and_are_cut_at_possible_values() -> None:
     values = [-0.6, -0.5, -0.7]
     literal = stats.ttest_1samp(values, 0).confidence_interval(0.95)
     assert mean_of_tasks({"": values}) == pytest.approx((-0.6, literal.low, literal.high))
     assert interval_over_trainings(values) == pytest.approx((-0.6, literal.low, literal.high))
-
-
-def test_a_band_has_an_interval_at_each_point() -> None:
     table = np.array([[1.0, 0.1, 5.0], [2.0, 0.1, 3.0], [4.0, 0.1, 4.0]])  # (n, M)
     band = band_over_trainings(table)
     for point, found in enumerate(zip(*band, strict=True)):
         assert found == pytest.approx(interval_over_trainings(table[:, point]))
     assert (band.low[1], band.high[1]) == (0.1, 0.1)
     assert np.isnan(band_over_trainings(table[:1]).low).all()
-
-
-def test_an_interval_is_cut_at_possible_values() -> None:
     assert Interval(1.0, -3.0, 5.0).within(0) == (1.0, 0.0, 5.0)
     assert Interval(0.5, -3.0, 5.0).within(-1, 1) == (0.5, -1.0, 1.0)
     assert math.isnan(Interval(0.5, math.nan, math.nan).within(0).low)
@@ -155,16 +146,10 @@ def test_the_interval_holds_the_mean_as_often_as_it_says(rows: int) -> None:
     assert 0.92 < np.mean((low <= 3.0) & (high >= 3.0)) < 0.975
 
 
-def test_the_interval_of_three_missions_is_their_range() -> None:
+def test_intervals_of_missions_are_the_same_on_every_call_and_points_for_equal_ones() -> None:
     assert interval_over_missions([1.0, 2.0, 6.0]) == (3.0, 1.0, 6.0)
-
-
-def test_the_interval_is_the_same_on_every_call() -> None:
     values = np.random.default_rng(0).exponential(size=40)
     assert interval_over_missions(values) == interval_over_missions(values)
-
-
-def test_equal_missions_have_a_point_and_one_mission_has_no_interval() -> None:
     assert interval_over_missions([5.0] * 7) == (5.0, 5.0, 5.0)
     alone = interval_over_missions([5.0])
     assert alone.value == 5.0
@@ -251,12 +236,9 @@ def test_weighted_figures_are_those_of_the_drawn_scores(monkeypatch: pytest.Monk
     assert probability_of_improvement(X, X).high != 0.5  # the seeds of the two sides are drawn apart
 
 
-def test_iqm_leaves_out_a_quarter_at_each_end() -> None:
+def test_iqm_leaves_out_a_quarter_at_each_end_and_lower_is_better() -> None:
     assert interquartile_mean({"a": [[0.0, 10.0, 20.0, 1e9]]}).value == 15.0
     assert interquartile_mean({"a": [[1.0, 2.0, 6.0]]}).value == 3.0  # a quarter of three is none
-
-
-def test_lower_is_better() -> None:
     low, high = scores(10), scores(1000)
     assert probability_of_improvement(low, high).value == 1.0
     assert probability_of_improvement(high, low).value == 0.0
