@@ -83,17 +83,11 @@ def pilots_of(trained: TrainedPolicy, folder: Path, **options: Any) -> list[Pilo
 @pytest.mark.parametrize(
     "settings",
     [
-        *(
-            {"network": network, "observation": seen, "collection": collection, "views": 1 if seen == "local" else 8}
-            for network, seen in (
-                ("mlp", "local"),
-                ("mlp", "shared"),
-                ("set", "part"),
-                ("set", "local"),
-                ("set", "shared"),
-            )
-            for collection in ("auto", "select")
-        ),
+        {"network": "mlp", "observation": "local", "collection": "auto", "views": 1},
+        {"network": "mlp", "observation": "shared", "collection": "select"},
+        {"network": "set", "observation": "part", "collection": "auto"},
+        {"network": "set", "observation": "local", "collection": "select", "views": 1},
+        {"network": "set", "observation": "shared", "collection": "auto"},
         {"observation": "location", "collection": "auto"},  # without masks in the row
         {"masks": False},
         {"algorithm": "vdn", "network": "set", "observation": "shared"},
