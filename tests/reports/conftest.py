@@ -9,8 +9,8 @@ from uavaou.reports import style
 from uavaou.statistics import aggregates
 
 
-@pytest.fixture(autouse=True)
-def _few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether bootstrap intervals are right is seen in tests/statistics."""
     monkeypatch.setattr(aggregates, "RESAMPLES", 100)
 

@@ -18,6 +18,7 @@ from uavaou.reports.figures import _line, _over_time, plot_study
 from uavaou.reports.scores import best_planner, comparable, in_all_scenarios
 from uavaou_cli.main import main
 
+pytestmark = pytest.mark.usefixtures("few_resamples")
 ROOT = Path(__file__).resolve().parents[2]
 OF_A_SCENARIO = {
     "figure-3-reward",

@@ -22,6 +22,8 @@ from uavaou.reports.scores import study_scores
 from uavaou.reports.study_report import END, begin_marker, claims_markdown, write_claims, write_report
 from uavaou.statistics import interval_over_missions
 
+pytestmark = pytest.mark.usefixtures("few_resamples")
+
 
 def study_with(folder: Path, **fields: Any) -> Path:
     write_study(folder)
