@@ -234,11 +234,11 @@ def test_the_target_networks_move_at_their_period_alone() -> None:
 @pytest.mark.parametrize(("learner", "best"), [(QMIX, 8.0), (VDN, 7.0)])
 def test_qmix_sees_the_8_of_the_two_step_game_and_vdn_the_7(learner: type[JointQLearning], best: float) -> None:
     returns = []
-    for seed in range(4):
+    for seed in range(2):
         settings: dict[str, Any] = {"learning_rate": 5e-3, "n_steps": 1, "buffer_size": 6_400, "learning_starts": 64}
         settings |= {"batch_size": 128, "train_freq": 1, "tau": 1.0, "target_update_interval": 20, "seed": seed}
         settings |= {"exploration_final_eps": 1.0, "policy_kwargs": {"net_arch": [64]}, "device": "cpu"}
         model = learner("JointQPolicy", TwoStepGame(32), **settings)
         model.learn(2 * 32 * 120)
         returns.append(play_greedily(model))
-    assert returns == [best] * 4
+    assert returns == [best] * 2

@@ -15,11 +15,11 @@ SMALL = " ".join(
 )
 
 
-@pytest.mark.parametrize("collection", ["select", pytest.param("auto", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("collection", [pytest.param("select", marks=pytest.mark.slow), "auto"])
 def test_learners_are_trained_evaluated_and_drawn_together(collection: str, tmp_path: Path, shell: Shell) -> None:
     runs = []
     for algorithm in ("vdn", "qmix", "iql"):
-        settings = f"{SMALL} --set algorithm.evaluation_missions=2 --set algorithm.collection={collection}"
+        settings = " ".join(f"--set algorithm.{change}" for change in f"{CHANGES}{collection}".split())
         shell.done(f"train quickstart --algorithm {algorithm} --slots 600 --quiet {settings} --out {tmp_path}")
         (run,) = tmp_path.glob(f"quickstart/{algorithm}+*/seed-0")
         meta = json.loads((run / "meta.json").read_text())
@@ -28,5 +28,6 @@ def test_learners_are_trained_evaluated_and_drawn_together(collection: str, tmp_
         assert "random" in shell.out(f"eval '{run}' --policy random --episodes 4 --quiet")
         assert set(Flights.read(run).flights["violations"]) == {0}
         runs.append(shlex.quote(str(run)))
-    shell.done(f"plot figures {' '.join(runs)} --out {tmp_path}")
-    assert list(tmp_path.glob("*.png"))
+    if collection == "select":
+        shell.done(f"plot figures {' '.join(runs)} --out {tmp_path}")
+        assert list(tmp_path.glob("*.png"))

@@ -135,8 +135,8 @@ def test_one_command_at_a_time_runs_a_study(copied: tuple[Study, Path], shell: S
         assert {part.state for part in parts if part.key == PartKey("mappo", "tiny", 1)} == {"trained"}
         assert seconds_left(parts) == 0
     with one_writer(out / "studies/mine"):
-        err = shell.refused(f"study run {out.parent / 'mine.yaml'} --out {out}")
-    assert "is being written by process" in err
+        code, _, err = shell(f"study run {out.parent / 'mine.yaml'} --out {out}")
+    assert (code, "is being written by process" in err) == (2, True)
 
 
 # -- damage --------------------------------------------------------------------------------------------
