@@ -9,9 +9,9 @@ import pytest
 from tests.cli.commands import Shell
 from uavaou.evaluation.flights import Flights
 
-SMALL = " ".join(
-    f"--set algorithm.{setting}"
-    for setting in ["missions=4", "slots_per_update=16", "learning_starts=100", "replay_slots=400", "batch_slots=32"]
+CHANGES = (
+    "missions=4 slots_per_update=16 learning_starts=100 replay_slots=400 batch_slots=32 hidden=[16] "
+    "evaluation_missions=2 evaluate_every_slots=300 collection="
 )
 
 
