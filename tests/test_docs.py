@@ -106,13 +106,10 @@ def test_the_site_has_every_page_and_every_public_name() -> None:
     assert sorted(described) == sorted(uavaou.__all__)
 
 
-def test_the_citation_states_this_version() -> None:
+def test_the_citation_states_this_version_and_architecture_every_room() -> None:
     import uavaou
 
     assert f"version: {uavaou.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-
-
-def test_architecture_names_every_room() -> None:
     text = (DOCS / "architecture.md").read_text(encoding="utf-8")
     for room in (ROOT / "uavaou").iterdir():
         if (room / "__init__.py").is_file():

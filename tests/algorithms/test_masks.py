@@ -65,9 +65,12 @@ def test_without_masks_the_world_rejects_it(name: str) -> None:
     assert rejected == devices
 
 
-def test_without_masks_moves_are_free_in_auto_collection_too() -> None:
+def test_without_masks_moves_are_free_in_auto_collection_and_after_loading(tmp_path: Path) -> None:
     model, _ = learned("mappo-paper", masks=False, collection="auto")
     assert infeasible_choices(model, "auto")[0] > 0
+    model, _ = learned("mappo-paper", masks=False)
+    model.save(tmp_path / "model")
+    assert type(model).load(tmp_path / "model").policy.masks is False
 
 
 def test_without_masks_every_bit_counts_in_the_probability() -> None:
@@ -86,12 +89,6 @@ def test_without_masks_every_bit_counts_in_the_probability() -> None:
         probability = model.policy.action_distribution(local).log_prob(actions).exp().numpy(force=True)
         np.testing.assert_allclose(probability, expected, rtol=1e-5)
         assert (options < 5).all()
-
-
-def test_a_learner_saved_without_masks_is_loaded_without(tmp_path: Path) -> None:
-    model, _ = learned("mappo-paper", masks=False)
-    model.save(tmp_path / "model")
-    assert type(model).load(tmp_path / "model").policy.masks is False
 
 
 @pytest.mark.parametrize("learner", [MAPPO, IPPO, VDN, QMIX])

@@ -237,14 +237,12 @@ def test_bad_input_about_runs_is_one_line_and_nothing_happens(
     assert_refused(shell, command.format(**runs(trained)), says, trained)
 
 
-def test_cuda_is_refused_where_there_is_none(shell: Shell, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_or_folder_that_cannot_be_used_is_found_first(
+    shell: Shell, workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     assert_refused(shell, "train --device cuda", "--device cuda", workplace)
 
-
-def test_a_folder_that_cannot_be_written_is_found_first(
-    shell: Shell, workplace: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
@@ -253,16 +251,15 @@ def test_a_folder_that_cannot_be_written_is_found_first(
         assert_refused(shell, command, "Permission denied", workplace)
 
 
-def test_other_errors_keep_their_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_process_reports_bad_input_as_main_does_and_other_errors_keep_their_traceback(
+    monkeypatch: pytest.MonkeyPatch, workplace: Path
+) -> None:
     def fail(*_: object) -> None:
         raise ZeroDivisionError
 
     monkeypatch.setattr("uavaou.reports.audit.audit", fail)
     with pytest.raises(ZeroDivisionError):
         main(["audit", "tiny"])
-
-
-def test_the_process_reports_bad_input_as_main_does(workplace: Path) -> None:
     done = run_process("train", "--scenario", "quikstart")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
 

@@ -70,11 +70,16 @@ def test_bad_spaces_are_said_in_words(space: dict[str, Any], says: str) -> None:
     assert "\n" not in str(refused.value)
 
 
-def test_lists_are_chosen_from_too(tmp_path: Path, played: list[RunConfig]) -> None:
+def test_lists_are_chosen_from_too_and_drawn_numbers_have_few_digits(tmp_path: Path, played: list[RunConfig]) -> None:
     space = {"hidden": {"kind": "categorical", "choices": [[8], [16, 16]]}}
     folder = a_folder(tmp_path, space=space)
     work(folder, 6)
     assert {config.algorithm.model_dump()["hidden"] for config in played} == {(8,), (16, 16)}
+    space = SearchSpace.from_dict(
+        {"learning_rate": {"kind": "log-uniform", "low": 0.00012344321, "high": 0.01}}, "mine"
+    )
+    assert space.drawn({"learning_rate": 0.00098765432101}) == {"learning_rate": 0.0009877}
+    assert space.drawn({"learning_rate": 0.00012344321}) == {"learning_rate": 0.00012344321}
 
 
 @pytest.mark.parametrize(
@@ -101,14 +106,6 @@ def test_a_damaged_search_yaml_is_one_line_that_names_the_field(
         folder.read()
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-def test_drawn_numbers_have_few_digits_and_stay_in_their_range() -> None:
-    space = SearchSpace.from_dict(
-        {"learning_rate": {"kind": "log-uniform", "low": 0.00012344321, "high": 0.01}}, "mine"
-    )
-    assert space.drawn({"learning_rate": 0.00098765432101}) == {"learning_rate": 0.0009877}
-    assert space.drawn({"learning_rate": 0.00012344321}) == {"learning_rate": 0.00012344321}
 
 
 def test_a_damaged_table_is_one_line(tmp_path: Path, played: list[RunConfig]) -> None:

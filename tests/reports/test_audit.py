@@ -119,16 +119,13 @@ def test_a_round_trip_that_the_budget_does_not_allow_is_a_warning() -> None:
     assert "devices 1, 2" in finding(result, "round trip").message
 
 
-def test_a_resampled_layout_is_audited_on_the_layout_seed_and_says_so() -> None:
+def test_a_resampled_layout_is_that_of_its_seed_and_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = Scenario.load("quickstart").replace(layout_seed=5)
     resampled = audit(scenario.replace(layout="resample"))
     fixed = audit(scenario)
     np.testing.assert_equal(vars(resampled.budget), vars(fixed.budget))
     np.testing.assert_equal(vars(resampled.layout), vars(fixed.layout))
     assert "layout_seed = 5" in finding(resampled, "layout").message
-
-
-def test_blocks_of_devices_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = Scenario.load("quickstart")
     whole = audit(scenario)
     monkeypatch.setattr("uavaou.reports.link_budget._BLOCK", 3 * 2 * 25)

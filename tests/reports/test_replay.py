@@ -93,13 +93,10 @@ def test_a_committed_page_is_what_is_written_now(page: Path) -> None:
     assert len(text.encode()) < 400_000
 
 
-def test_another_file_is_no_page(tmp_path: Path) -> None:
+def test_the_gallery_is_committed_and_another_file_is_no_page(tmp_path: Path) -> None:
     (tmp_path / "x.html").write_text("<p>")
     with pytest.raises(InputError, match=r"x\.html.: holds no mission"):
         read_content(tmp_path / "x.html")
-
-
-def test_the_gallery_is_committed() -> None:
     assert {page.name for page in COMMITTED} >= {"paper.html", "hundred-devices.html", "replay.html"}
 
 

@@ -247,12 +247,15 @@ def test_findings_say_what_the_numbers_say() -> None:
     assert found["shared"].finding.endswith(": better with shared")
 
 
-def test_the_table_is_markdown_by_scenario() -> None:
+def test_the_table_is_markdown_by_scenario_with_three_digits() -> None:
     means = study({"published": PUBLISHED, "a|b": [80.0, 82.0, 81.0]}) | study({"published": PUBLISHED}, "quickstart")
     lines = ablation_table(ablations(means, "published")).splitlines()
     assert [line for line in lines if line.startswith("###")] == ["### paper", "### quickstart"]
     assert "| published | 3 | 40.0 | 1 | the reference |" in lines
     assert sum(line.startswith("| a\\|b | 3 | 81.0 | 2.03 (") for line in lines) == 1
+    values = (0.0, 0.8739, 38.149, 999.9, 12_449.0, 0.00012345)
+    assert [rounded(value) for value in values] == ["0", "0.874", "38.1", "1,000", "12,400", "0.000123"]
+    assert rounded(14_539.2, 4) == "14,540"
 
 
 def test_what_has_no_interval_or_no_reference_is_said() -> None:
@@ -262,9 +265,3 @@ def test_what_has_no_interval_or_no_reference_is_said() -> None:
     assert still.finding == "no ratio: an AoU of 0"
     with pytest.raises(InputError, match="did you mean 'published'"):
         ablations(study({"published": PUBLISHED}), "publishd")
-
-
-def test_figures_have_three_digits_and_no_exponent() -> None:
-    values = (0.0, 0.8739, 38.149, 999.9, 12_449.0, 0.00012345)
-    assert [rounded(value) for value in values] == ["0", "0.874", "38.1", "1,000", "12,400", "0.000123"]
-    assert rounded(14_539.2, 4) == "14,540"

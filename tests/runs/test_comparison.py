@@ -77,16 +77,13 @@ def remarks(scenario: Scenario, *names: str, policy: str = "stay") -> str:
     return " ".join(compare(planners, scenario, 1, 5, Told()).remarks())
 
 
-def test_a_policy_that_flies_beyond_its_draws_is_told_with_the_fresher_one() -> None:
+def test_a_policy_beyond_the_draws_of_its_family_is_told_with_the_fresher_one() -> None:
     big = Scenario.load("paper").replace(area_x_m=9000, area_y_m=9000, slots=150, flight_time_budget_s=1000)
     told = remarks(big, "any-map", "best-first")
     assert "'any-map' flies beyond what it was trained on: paper has sides 9,000 m (in training 500 to 3,000 m)" in told
     assert "fresher here: --policy best-first." in told
     assert "compare it with --policy local-greedy-parts" in remarks(big, "any-map")
     assert remarks(Scenario.load("paper"), "any-map", "best-first") == ""
-
-
-def test_a_released_policy_was_trained_on_the_family_that_its_card_names() -> None:
     for name in released_names():
         family = RunFolder.at(name).read_config().family
         assert Family.load(family.name) == family

@@ -98,12 +98,14 @@ def test_a_run_keeps_its_plan_and_flies_it(run: RunFolder) -> None:
     run.plan.write_text(json.dumps(kept))
 
 
-def test_a_training_from_a_run_keeps_the_sharpness_of_its_weights(run: RunFolder) -> None:
+def test_a_run_keeps_its_sharpness_and_does_not_plan_other_maps(run: RunFolder) -> None:
     start = Start.at(run)
     with pytest.raises(
         InputError, match=r"algorithm\.pull = 12\.0 does not fit its weights, which were trained with 60"
     ):
         start.training(Scenario.load("quickstart"), {"pull": 12.0}, seed=0)
+    assert load_run("any-map").plans_maps
+    assert not load_run(run).plans_maps
 
 
 def test_a_plan_in_a_folder_without_a_run_is_left_aside(run: RunFolder, tmp_path: Path) -> None:
@@ -194,11 +196,6 @@ def test_hearing_the_others_takes_no_uav_off_its_plan(name: str) -> None:
         policy = TrainedPolicy(make_model(config, env, seed=0, device="cpu"), env.views)
         aou.append(evaluate(policy, scenario, 8).mean_aou_slots)
     assert aou[1] == pytest.approx(aou[0], rel=0.03)
-
-
-def test_a_policy_of_varied_maps_says_that_it_plans_and_one_of_one_map_does_not(run: RunFolder) -> None:
-    assert load_run("any-map").plans_maps
-    assert not load_run(run).plans_maps
 
 
 QUICK = Scenario.load("quickstart").replace(slots=40)
