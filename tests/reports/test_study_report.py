@@ -185,7 +185,7 @@ def test_verdicts_are_written_between_the_markers_and_nothing_else_changes(tmp_p
     assert ("none: one training" in table, "nan" in table) == (True, False)
     for before, begins, ends in (
         (f"# Mine\n\n{BEGIN}\nthe last table\n{END}\n\nThe end.\n", f"# Mine\n\n{BEGIN}\n", f"{END}\n\nThe end.\n"),
-        ("", BEGIN, f"{END}\n"),
+        ("", f"## The paper's claims\n\n{BEGIN}\n", f"{END}\n"),
     ):
         readme.write_text(before, encoding="utf-8")
         for _ in range(2):
