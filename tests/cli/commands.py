@@ -1,7 +1,5 @@
 """The command line in this process and in one of its own, and what it leaves on the disk."""
 
-from __future__ import annotations
-
 import shlex
 import subprocess
 import sys

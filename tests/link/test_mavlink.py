@@ -21,7 +21,7 @@ import pytest
 
 from tests.link.conftest import FIELD
 from tests.link.fake_autopilot import FakeAutopilot, link
-from uavaou.csv_tables import read_csv
+from uavaou.csv_tables import TEXT, read_table
 from uavaou.field.geodesy import Projection
 from uavaou.link.flight import OVER, LinkedFlight
 from uavaou.link.mavsdk_autopilot import connect
@@ -106,7 +106,7 @@ def test_without_arm_nothing_is_commanded(
     assert "the devices are simulated" in printed
     assert "dry run: nothing is armed and nothing commanded" in printed
     assert "m from the station (200, 100) m of UAV 1" in printed
-    assert len(read_csv(Path("log/uav-1.csv"))) == 32
+    assert len(read_table(Path("log/uav-1.csv"), {"slot": TEXT})) == 32
 
 
 @pytest.mark.slow
@@ -125,10 +125,10 @@ def test_an_interrupt_brings_it_home(
     assert fake.landed
     assert np.hypot(fake.x, fake.y) < 10
     assert link.MAV_CMD_NAV_LAND in fake.commands
-    log = read_csv(Path("log/uav-1.csv"))
-    assert log.text("event")[-1] == "the motors are off"
-    assert "coming home: interrupted" in log.text("event")
-    assert len(set(log.text("slot"))) < 32
+    log = read_table(Path("log/uav-1.csv"), {"slot": TEXT, "event": TEXT}).fillna("")
+    assert log["event"].iloc[-1] == "the motors are off"
+    assert "coming home: interrupted" in set(log["event"])
+    assert len(set(log["slot"])) < 32
     assert "coming home: interrupted" in capsys.readouterr().out
 
 
