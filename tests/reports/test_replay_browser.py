@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from tests.browser import LEFT_OUT, Browser, find_browser
+from tests.reports.screenshots import take
 from uavaou import Scenario
 from uavaou.evaluation.recorded_mission import RecordedMission, record_mission
+from uavaou.field.geodesy import Projection
 from uavaou.planners import make_planner
 from uavaou.reports.replay.page import write_replay
 
@@ -71,9 +73,11 @@ def test_the_numbers_are_those_of_the_recorded_mission(still: Replay) -> None:
             ages, carried = mission.age_slots[:slot], mission.recording.communications[:slot]  # (t, I)
             shown = numbers(browser.texts(".aou strong")[k])
             assert shown == [ages[-1].sum()]
-            mean, whole, served, devices, communications = numbers(browser.texts(".more")[k])
+            mean, whole, time, served, devices, communications = numbers(browser.texts(".more")[k])
             assert mean == pytest.approx(ages.sum(axis=1).mean(), rel=5e-3, abs=0.051)
             assert whole == pytest.approx(mission.mean_aou_slots, rel=5e-3, abs=0.051)
+            seconds = whole * mission.scenario.slot_length_s
+            assert time == pytest.approx(seconds if seconds < 90 else seconds / 60, rel=5e-3, abs=0.1 * 7)
             assert [served, devices] == [carried.any(axis=0).sum(), mission.scenario.devices]
             assert communications == carried.sum()
             words = browser.value(f"document.querySelectorAll('canvas')[{k}].getAttribute('aria-label')")
@@ -215,3 +219,40 @@ def test_it_fits_the_screen_and_every_control_has_a_name(replayed: Replay, width
     sizes = browser.value("[...document.querySelectorAll('.player button')].map((one) => one.clientWidth)")
     assert min(sizes) >= 24
     assert browser.errors == []
+
+
+def test_a_real_field_shows_its_zones_names_and_coordinates(replayed: Replay, tmp_path: Path) -> None:
+    names = ["barn", "well", "mast", "pond"]
+    scenario = Scenario.load("tiny").replace(
+        georeference={"latitude": 46.1, "longitude": 7.22, "bearing_deg": 0},
+        no_fly=[{"polygon_m": [[120, 120], [180, 120], [180, 180]], "name": "school"}],
+        outline_m=[[0, 0], [200, 0], [200, 200], [0, 200]],
+        device_names=names[: Scenario.load("tiny").devices],
+        uav_names=["red", "blue"],
+    )
+    mission = RecordedMission(scenario, "greedy", None, 3, record_mission(scenario, make_planner("greedy"), 3))
+    write_replay(tmp_path / "field.html", {"greedy": mission})
+    browser = replayed.browser
+    take(browser, tmp_path / "field.html", 5, (390, 844, False, True), tmp_path / "field.png")
+    assert (tmp_path / "field.png").stat().st_size > 10_000
+    assert set(names) >= set(browser.texts("#devices button span:last-child")) >= {"barn"}
+    where = browser.value("replay.maps[0].where(replay.maps[0].x(0), replay.maps[0].y(200))")
+    x, y, latitude, longitude = map(float, re.findall(r"[\d.]+", where))
+    expected = Projection.of(scenario).to_degrees(np.array([0.0, 200.0]))
+    assert (round(x), round(y)) == (0, 200)
+    assert (latitude, longitude) == pytest.approx(tuple(expected), abs=2e-6)
+    assert "slots (" in browser.text(".more")
+    assert "red at" in browser.value("replay.maps[0].words(1)")
+    assert browser.errors == []
+
+
+def test_no_policy_has_the_colour_of_a_uav(replayed: Replay) -> None:
+    for dark in (False, True):
+        replayed.browser.open(replayed.page, still=True, dark=dark)
+        script = (
+            "[...Array(8).keys()].map((k) => getComputedStyle(document.documentElement).getPropertyValue(`--{}-${k}`))"
+        )
+        uavs, policies = (set(replayed.browser.value(script.replace("{}", kind))) for kind in ("uav", "policy"))
+        assert len(uavs) == 8
+        assert len(policies - {""}) == 6
+        assert not uavs & policies
