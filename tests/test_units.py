@@ -1,7 +1,5 @@
 """Quantities with units, in scenarios of files, of Python and of the command line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -178,8 +178,10 @@ def test_a_study_of_suites_and_draws_has_a_row_for_each_point_and_a_page_for_eac
     assert results.scenarios == {}  # each is a point, and none has a table of its own
     suites = {found.suite: found for found in suites_of_study(results)}
     assert {name: list(found.points) for name, found in suites.items()} == {
-        "own": ["12", "20"], "own+speed_m_s=20": ["12", "20"], "draws of few": ["7", "8"],
-    }  # fmt: skip
+        "own": ["12", "20"],
+        "own+speed_m_s=20": ["12", "20"],
+        "draws of few": ["7", "8"],
+    }
     assert main(["study", "report", str(file), "--out", str(tmp_path / "out")]) == 0
     page = (results.folder.path / "README.md").read_text()
     assert page.count("## `") == 3

@@ -1,7 +1,5 @@
 """Over MAVSDK and UDP, an autopilot that fails in many ways ends at home, landed; the log says why."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -31,9 +29,13 @@ from uavaou_cli.main import main
 
 STATION = tuple(map(float, Projection.of(FIELD).to_degrees(np.array([200.0, 100.0]))))
 COMMANDING = {  # what moves an aircraft
-    link.MAV_CMD_COMPONENT_ARM_DISARM, link.MAV_CMD_NAV_TAKEOFF, link.MAV_CMD_DO_SET_MODE,
-    link.MAV_CMD_DO_REPOSITION, link.MAV_CMD_NAV_LAND, link.MAV_CMD_NAV_RETURN_TO_LAUNCH,
-}  # fmt: skip
+    link.MAV_CMD_COMPONENT_ARM_DISARM,
+    link.MAV_CMD_NAV_TAKEOFF,
+    link.MAV_CMD_DO_SET_MODE,
+    link.MAV_CMD_DO_REPOSITION,
+    link.MAV_CMD_NAV_LAND,
+    link.MAV_CMD_NAV_RETURN_TO_LAUNCH,
+}
 GOTO, LAND, ARM = 192, 21, 400
 
 
@@ -144,9 +146,14 @@ def test_an_interrupt_brings_it_home(
     ],
 )
 def test_what_cannot_be_flown_is_one_line(
-    options: list[str], message: str, place: Path, exported: Path, port: int, capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    message: str,
+    place: Path,
+    exported: Path,
+    port: int,
+    capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.setattr("uavaou.link.mavsdk_autopilot.connect.__wrapped__.__defaults__", (0.2,))
     assert command(exported, port, *options) == 2
     printed = capsys.readouterr().err

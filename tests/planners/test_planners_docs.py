@@ -1,7 +1,5 @@
 """What docs/planners.md shows runs as it stands there, and it names every planner."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
