@@ -42,7 +42,7 @@ def write_run(folder: Path, scenario: str) -> str:
 def test_a_folder_counts_once_and_runs_of_two_scenarios_have_no_common_one(tmp_path: Path) -> None:
     one, two = write_run(tmp_path / "one", "tiny"), write_run(tmp_path / "two", "tiny")
     assert list(read_runs([one, two, f"{two}/../one"])) == [one, two]
-    runs = read_runs([write_run(tmp_path / "one", "tiny"), write_run(tmp_path / "two", "quickstart")])
+    runs = read_runs([one, write_run(tmp_path / "three", "quickstart")])
     with pytest.raises(InputError, match="different scenarios: say with --scenario"):
         common_scenario(runs)
     assert common_scenario(dict(list(runs.items())[:1])) == Scenario.load("tiny")
