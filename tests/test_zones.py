@@ -82,7 +82,7 @@ def test_polygons_are_refused_where_shapely_finds_them_invalid(points: list[tupl
         shapely.intersection(a, b).geom_type == "Point" or a.disjoint(b) for a, b in combinations(edges, 2)
     )  # is_simple takes rings that run through a corner twice the same way for closed lines
     try:
-        TINY.replace(outline_m=[tuple(map(float, point)) for point in points])
+        TINY.replace(no_fly=[{"polygon_m": [tuple(map(float, point)) for point in points], "floor_m": 1e3}])
     except InputError:
         assert not (ring.is_simple and shapely.Polygon(points).is_valid)
     else:

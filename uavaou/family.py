@@ -346,6 +346,8 @@ def beyond(family: Family, scenario: Scenario) -> list[str]:
             found.append(f"{quantity} {_span(min(own), max(own), unit)} (in training {_span(low, high, unit)})")
     if scenario.line_of_sight != family.base.line_of_sight:
         found.append("losses by the line of sight (in training others)")
+    if (scenario.outline_m or scenario.no_fly) and not (family.base.outline_m or family.base.no_fly):
+        found.append("outline or zones (in training none)")
     return found
 
 

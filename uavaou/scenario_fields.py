@@ -151,7 +151,7 @@ class ScenarioFields(Strict):
             ("uavs altitudes_m", self._misfits_of_altitudes),
             ("uavs cds_m", self._misfits_of_stations),
             (f"cds_m {area}", self._misfits_of_places),
-            (f"uavs altitudes_m cds_m outline_m no_fly {area}", self._misfits_of_zones),
+            (f"altitudes_m cds_m outline_m no_fly {area}", self._misfits_of_zones),
             ("altitudes_m speed_m_s flight_time flight_time_budget_s", self._misfits_of_time),
             *((f"devices {field}", partial(self._misfits_of_list, field)) for field in (*_BY_DEVICE, "devices_m")),
             ("uavs uav_names", partial(self._misfits_of_list, "uav_names", "uavs")),
@@ -226,14 +226,14 @@ class ScenarioFields(Strict):
                     break
 
     def _misfits_of_zones(self) -> Iterator[str]:
-        for u, (place, altitude) in enumerate(zip(self.cds_m, self.altitudes_m, strict=False)):
-            cds = np.rint(np.array([place]) / self.grid_step_m) * self.grid_step_m  # (1, 2) m
-            limits: dict[str, Any] = {"outside of outline_m": (self.outline_m, ())}
-            zones = enumerate(self.no_fly or ())
-            limits |= {f"in no_fly[{z}]": (None, (zone,)) for z, zone in zones if zone.applies(altitude)}
-            for where, limit in limits.items():
-                if not free_legs(cds, cds, *limit).all():
-                    yield f"cds_m[{u}] = {_full_list(place)}: lies {where}, {_BREAKS} (CDS); move the one or the other"
+        cds = np.rint(np.reshape(self.cds_m, (-1, 2)) / self.grid_step_m) * self.grid_step_m  # (U, 2) m
+        limits: list[tuple[str, Any, Any]] = [("outside of outline_m", self.outline_m, ())]
+        limits += [(f"in no_fly[{z}]", None, (zone,)) for z, zone in enumerate(self.no_fly or ())]
+        for where, outline, zones in limits:
+            for u in np.flatnonzero(~free_legs(cds, cds, outline, zones)).tolist():
+                if all(zone.applies(altitude) for zone in zones for altitude in self.altitudes_m[u : u + 1]):
+                    place = _full_list(self.cds_m[u])
+                    yield f"cds_m[{u}] = {place}: lies {where}, {_BREAKS} (CDS); move the one or the other"
 
     def _misfits_of_time(self) -> Iterator[str]:
         needed = min(2 * max(self.altitudes_m, default=0.0) / self.speed_m_s, 1e300)

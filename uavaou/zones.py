@@ -147,38 +147,31 @@ def free_legs(start: Floats, end: Floats, outline: tuple[Point, ...] | None, zon
         free &= _within(start, end, np.array(outline))
     for zone in zones:
         border = np.array(zone.polygon_m)
-        near = np.flatnonzero(free & _boxes_meet(start, end, border, zone.margin_m + _ROUNDING_M))
-        apart = _gap(start[near], end[near], border) > zone.margin_m + _ROUNDING_M
-        free[near] = apart & ~_inside(start[near], border)
+        free &= ~(_near(start, end, border, zone.margin_m + _ROUNDING_M) | _inside(start, border))
     return free
-
-
-def _boxes_meet(start: Floats, end: Floats, border: Floats, margin: float) -> Bools:
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    meet: Bools = ((low <= border.max(axis=0) + margin) & (high >= border.min(axis=0) - margin)).all(axis=-1)
-    return meet
 
 
 def _within(start: Floats, end: Floats, border: Floats) -> Bools:
     """Whether all of each leg lies in the polygon, (L,): its pieces between the lines of the edges do."""
     free = np.asarray(_in_or_on(start, border) & _in_or_on(end, border))
-    touching = np.flatnonzero(free & (_gap(start, end, border) <= _ROUNDING_M) & (start != end).any(axis=-1))
     edge = np.roll(border, -1, axis=0) - border  # (E, 2)
-    for leg in touching:
-        way = end[leg] - start[leg]
+    legs, middles = [np.empty(0, dtype=np.int64)], [np.empty((0, 2))]
+    for leg in np.flatnonzero(free & _near(start, end, border, _ROUNDING_M) & (start != end).any(axis=-1)):
+        way, from_start = end[leg] - start[leg], border - start[leg]  # (2,), (E, 2)
         across = way[0] * edge[:, 1] - way[1] * edge[:, 0]  # (E,)
-        from_start = border - start[leg]  # (E, 2)
         with np.errstate(divide="ignore", invalid="ignore"):
             cut = (from_start[:, 0] * edge[:, 1] - from_start[:, 1] * edge[:, 0]) / across
         along = from_start @ way / (way @ way)  # the corners, for edges along the leg
-        ends = np.sort(np.concatenate([[0.0, 1.0], np.where(across == 0.0, along, cut), along]).clip(0.0, 1.0))
-        middle = (ends[1:] + ends[:-1]) / 2
-        free[leg] = _in_or_on(start[leg] + middle[:, None] * way, border).all()
+        cuts = np.unique(np.concatenate([[0.0, 1.0], np.where(across == 0.0, along, cut), along]).clip(0.0, 1.0))
+        middles.append(start[leg] + (cuts[1:, None] + cuts[:-1, None]) / 2 * way)
+        legs.append(np.full(len(middles[-1]), leg))
+    outside = ~_in_or_on(np.concatenate(middles), border)
+    free[np.concatenate(legs)[outside]] = False
     return free
 
 
 def _in_or_on(points: Floats, border: Floats) -> Bools:
-    return np.asarray(_inside(points, border) | (_gap(points, points, border) <= _ROUNDING_M))
+    return np.asarray(_inside(points, border) | _near(points, points, border, _ROUNDING_M))
 
 
 def _inside(points: Floats, border: Floats) -> Bools:
@@ -191,15 +184,21 @@ def _inside(points: Floats, border: Floats) -> Bools:
     return inside
 
 
-def _gap(start: Floats, end: Floats, border: Floats) -> Floats:
-    """The distance in m from each leg to the border of a polygon (E, 2), (L,)."""
-    least = np.full(len(start), np.inf)
+def _near(start: Floats, end: Floats, border: Floats, reach: float) -> Bools:
+    """Whether legs come as near to the border of a polygon (E, 2) as ``reach`` in m, (L,)."""
+    (low_x, low_y), (high_x, high_y) = np.minimum(start, end).T - reach, np.maximum(start, end).T + reach  # (L,) each
+    near = np.zeros(len(start), dtype=np.bool_)
     for a, b in zip(border, np.roll(border, -1, axis=0), strict=True):
-        crosses = (_side(a, b, start) * _side(a, b, end) < 0) & (_side(start, end, a) * _side(start, end, b) < 0)
-        for gap in (_away(start, a, b), _away(end, a, b), _away(a, start, end), _away(b, start, end)):
-            np.minimum(least, gap, out=least)
-        least[crosses] = 0.0
-    return least
+        (x, y), (to_x, to_y) = np.minimum(a, b), np.maximum(a, b)
+        boxes_meet = (low_x <= to_x) & (high_x >= x) & (low_y <= to_y) & (high_y >= y)
+        left = np.flatnonzero(boxes_meet & ~near)
+        if not len(left):
+            continue
+        one, other = start[left], end[left]
+        crosses = (_side(a, b, one) * _side(a, b, other) < 0) & (_side(one, other, a) * _side(one, other, b) < 0)
+        gaps = _away(one, a, b), _away(other, a, b), _away(a, one, other), _away(b, one, other)
+        near[left] = crosses | (np.minimum.reduce(gaps) <= reach)
+    return near
 
 
 def _away(point: Floats, start: Floats, end: Floats) -> Floats:

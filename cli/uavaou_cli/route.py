@@ -127,7 +127,21 @@ def write_routes(
         seed: of the first of them.
         quiet: show no progress.
     """
-    plan = _measured(scenario, name, policy, planned, folder / _PLAN, episodes, seed, quiet)
+    from uavaou.evaluation.open_loop import MISSIONS, best_routes
+    from uavaou.planners.plan import RoutePlanner
+    from uavaou.planners.saved import SavedRoutes
+    from uavaou.runs.comparison import compare
+
+    with EvaluationDisplay(quiet, [name], MISSIONS * scenario.slots) as display:
+        display.start(name)
+        plan = best_routes(policy, name, scenario, display.after_slot)
+    policies: dict[str, Planner] = {name: policy}
+    if not isinstance(policy, RoutePlanner):
+        policies[_OPEN_LOOP] = SavedRoutes(plan, scenario, folder / _PLAN)
+    with EvaluationDisplay(quiet, list(policies), episodes * scenario.slots) as display:
+        results = compare(policies, scenario, episodes, seed, display).results
+    show([f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}", ""])
+    show(_cost_lines(results, scenario.slot_length_s / 60, planned))
     _write(scenario, plan, forms, folder)
 
 
@@ -145,35 +159,6 @@ def _policy(
     rehearsal = rehearse_in(scenario, seconds, knows, folder, quiet)
     show(rehearsal_lines(rehearsal))
     return rehearsal.served.name, rehearsal.served.policy, rehearsal.open_loop
-
-
-def _measured(
-    scenario: Scenario,
-    name: str,
-    policy: Planner,
-    planned: Mapping[str, float],
-    path: Path,
-    episodes: int,
-    seed: int,
-    quiet: bool,
-) -> RoutePlan:
-    """The routes of a policy, after a table of what they cost against the policy itself."""
-    from uavaou.evaluation.open_loop import MISSIONS, best_routes
-    from uavaou.planners.plan import RoutePlanner
-    from uavaou.planners.saved import SavedRoutes
-    from uavaou.runs.comparison import compare
-
-    with EvaluationDisplay(quiet, [name], MISSIONS * scenario.slots) as display:
-        display.start(name)
-        plan = best_routes(policy, name, scenario, display.after_slot)
-    policies: dict[str, Planner] = {name: policy}
-    if not isinstance(policy, RoutePlanner):
-        policies[_OPEN_LOOP] = SavedRoutes(plan, scenario, path)
-    with EvaluationDisplay(quiet, list(policies), episodes * scenario.slots) as display:
-        results = compare(policies, scenario, episodes, seed, display).results
-    show([f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}", ""])
-    show(_cost_lines(results, scenario.slot_length_s / 60, planned))
-    return plan
 
 
 def _cost_lines(results: Mapping[str, Evaluation], minutes: float, planned: Mapping[str, float]) -> list[str]:
@@ -199,6 +184,8 @@ def _cost_lines(results: Mapping[str, Evaluation], minutes: float, planned: Mapp
             for name, mean in planned.items()
             if mean < interval_over_missions(routes).low
         ]
+        if not planned and cost.low > 0:
+            texts.append("anneal plans routes for open loop: compare --policy anneal.")
     return [*aligned(rows), *paragraphs(texts or ["The policy flies these routes in every mission."]), ""]
 
 

@@ -46,6 +46,8 @@ OPTIONS = {
     "time-limit:seconds",
     "eval --policy random --suite fading": "scenario:name episodes:count seed:seed action:name set:setting out:place",
     "plan tiny": "planner:name time-limit:seconds episodes:count seed:seed out:blocked",
+    "route tiny --format csv --policy stay": "seconds:seconds policy:name seed:seed episodes:count format:name "
+    "out:blocked knows:name",
     "gap tiny": "time-limit:seconds seed:seed episodes:count",
     "export nowhere --out x": "format:name",
     "replay greedy": "scenario:name seed:seed format:name time-limit:seconds out:place",

@@ -21,7 +21,9 @@ COMMANDS = {  # and how many trials of it CI plays
     "eval --policy stay --scenario tiny --suite suite.yaml --episodes 1 --out out/s.csv.gz --quiet": 2,
     "plan tiny --planner tour --episodes 1 --out out --quiet": 1,
     "gap tiny --episodes 1 --certificate out/c.npz --quiet": 1,
+    "import map.csv --out out": 2,
     "fly tiny --policy stay --out out --quiet": 0,
+    "route tiny --policy stay --format csv --episodes 1 --out out --quiet": 1,
     "replay stay --scenario tiny --out out/page.html --quiet": 2,
     "export {run} --out out/policy.safetensors": 1,
     "export {run} --format sb3 --out out/policy.zip": 2,
@@ -50,6 +52,7 @@ def fresh(trained: Path, place: Path, patch: pytest.MonkeyPatch) -> Path:
     """A working folder with runs, which commands run in."""
     own = Path(shutil.copytree(trained, place / "place"))
     (own / "suite.yaml").write_text(SUITE)
+    (own / "map.csv").write_text("name,lat,lon\nweir,46.1012,7.2210\nbarn,46.1052,7.2330\n")
     patch.chdir(own)
     return own
 
@@ -71,7 +74,7 @@ def test_wherever_it_is_stopped_a_command_goes_on_without_loss(
     assert (codes, bool(sites)) == ([0], True)
     untouched = files(place)
     keeps = command.startswith("eval {run}")  # what it measured is printed; the copy in the run's folder is a service
-    again = {"plan": ["--replace"]}.get(words[0], [])
+    again = {"plan": ["--replace"], "import": ["--replace"]}.get(words[0], [])
 
     def one(trial: Trial, own: Path) -> None:
         place = fresh(trained, own, monkeypatch)

@@ -34,6 +34,7 @@ COMMANDS = {
     "gap": "SCENARIO RUN --scenario --time-limit --bound-limit --certificate --episodes --seed --set --quiet",
     "audit": "SCENARIO --scenario --out --set",
     "export": "RUN --out --format --scenario",
+    "size": "SCENARIO --scenario --uavs --target --station --speed --endurance --seconds --knows --out --set --quiet",
     "link": "URL --scenario --uav --policy --arm --devices --silence --seed --out",
     "runs": "--out",
     "scenarios": "",

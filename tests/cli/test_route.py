@@ -28,6 +28,8 @@ def test_a_policy_becomes_files_and_its_routes_are_compared_with_it(shell: Shell
     assert "field: 20 missions, seeds 10000 to 10019" in out
     assert "its routes, open loop" in out
     assert "Open loop, without what the policy hears, the mean AoU is 0." in out
+    rule = shell.done("route field.yaml --policy local-greedy-parts --format csv --episodes 20 --quiet --out rule")
+    assert "anneal plans routes for open loop: compare --policy anneal." in rule
     again = shell.done("route --policy there/plan.json --format csv --episodes 20 --quiet --out again")
     assert "The policy flies these routes in every mission." in again
     assert Path("again/süd.csv").read_bytes() == Path("there/süd.csv").read_bytes()

@@ -60,7 +60,7 @@ def fields(draw: Any) -> Scenario:
     step = draw(st.sampled_from([50.0, 100.0, 0.1 * 3]))
     band = st.one_of(st.none(), st.floats(60, 100))
     zones = []
-    for _ in range(draw(st.integers(0, 3))):
+    for _ in range(draw(st.integers(1, 3))):
         floor, ceiling = draw(band), draw(band)
         if floor is not None and ceiling is not None:
             floor, ceiling = sorted((floor, ceiling))

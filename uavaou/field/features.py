@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -75,6 +76,24 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e15  # false for nan
 
 
+def extra(name: str) -> Any:
+    """A package of the extra ``field``.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        return import_module(name)
+    except ImportError:
+        raise InputError(f"'{name}' is not installed: pip install 'uavaou[field]'") from None
+
+
+def listed(texts: Sequence[str], mark: str = ", ") -> str:
+    """The first of some texts."""
+    return mark.join([*texts[:_LISTED], "..."] if len(texts) > _LISTED else texts)
+
+
+_LISTED = 6
 _PARTS = {"MultiPoint": "Point", "MultiLineString": "LineString", "MultiPolygon": "Polygon"}
 _DEEPEST = 20  # collections inside each other
 

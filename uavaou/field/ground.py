@@ -10,7 +10,7 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats
 from uavaou.errors import InputError
-from uavaou.field.features import Feature
+from uavaou.field.features import Feature, extra
 from uavaou.field.geodesy import Projection
 from uavaou.field.survey import Survey, name_of, value_of
 from uavaou.field.words import number
@@ -135,10 +135,7 @@ def draw_borders(survey: Survey, ground: Ground, step: float, notes: list[str]) 
     free = np.ones((columns + 1, rows + 1), dtype=np.bool_)
     if survey.outline is None and not survey.zones:
         return free, {}
-    try:
-        import shapely
-    except ImportError:
-        raise InputError("polygons need shapely: pip install 'uavaou[field]'") from None
+    shapely = extra("shapely")
     x, y = np.indices(free.shape) * step
     area = shapely.box(0, 0, columns * step, rows * step)
     fields: dict[str, Any] = {}
@@ -175,8 +172,7 @@ def _band(feature: Feature) -> dict[str, Any]:
 
 def _polygons(feature: Feature, places: Floats, coarse_m: float, notes: list[str]) -> list[Polygon]:
     """The border as polygons that do not cross themselves, on whole centimetres."""
-    import shapely
-
+    shapely = extra("shapely")
     polygon: Any = shapely.Polygon(places)
     if not polygon.is_valid:
         notes.append(f"{feature.where}: its border crosses itself, and was mended")

@@ -10,7 +10,7 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats
 from uavaou.errors import InputError
-from uavaou.field.features import DEGREES, METRES, UNSTATED, Feature, Reading
+from uavaou.field.features import DEGREES, METRES, UNSTATED, Feature, Reading, extra
 from uavaou.fields import short
 
 NEAR_KM = 10.0
@@ -76,14 +76,10 @@ def _refuse_degrees(reading: Reading, features: Sequence[Feature]) -> None:
 
 def _from_crs(reading: Reading, features: list[Feature], crs: str) -> list[Feature]:
     """The features in degrees."""
+    pyproj = extra("pyproj")
     try:
-        from pyproj import Transformer
-        from pyproj.exceptions import ProjError
-    except ImportError:
-        raise InputError("coordinates need pyproj: pip install 'uavaou[field]'") from None
-    try:
-        transformer = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
-    except ProjError:
+        transformer = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    except pyproj.exceptions.ProjError:
         raise InputError(
             f"--crs {short(crs)}: no coordinate reference system; expected one such as EPSG:32632"
         ) from None

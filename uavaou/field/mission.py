@@ -9,18 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from uavaou.arrays import Bools, Floats
+from uavaou.arrays import Floats
 from uavaou.errors import InputError
-from uavaou.field.features import Feature
+from uavaou.field.features import Feature, listed
 from uavaou.field.geodesy import Projection
 from uavaou.field.ground import Ground, choose_grid_step, draw_borders
-from uavaou.field.survey import Survey, name_of
-from uavaou.field.words import SLOTS, duration, meanings, number, unit_seconds
+from uavaou.field.survey import Survey, meanings_of, name_of
+from uavaou.field.words import SLOTS, duration, number, unit_seconds
 from uavaou.fields import DEVICE_COLUMNS
 from uavaou.scenario import Scenario
 
 _MOST_SLOTS = 1_000_000
-_LISTED = 5
+_MOST_UAVS = 10  # that are guessed
+_REPEATED = 5  # notes of one kind
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
         if said[name] is None and not (name == "endurance_s" and wishes.slots):
             said[name] = value
             notes.append(f"guessed: {text.format(value)} ({flag})")
-    uavs = wishes.uavs or max(len(survey.stations), 1)
+    uavs = wishes.uavs or min(max(len(survey.stations), 1), _MOST_UAVS)
     if wishes.uavs is None:
         notes.append(f"guessed: {uavs} UAV{'s' if uavs > 1 else ''}, one a station (--uavs)")
     notes.append("guessed: fading with a Rician factor of 10, as in the paper (rician_factor)")
@@ -87,7 +88,11 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
         notes.append(f"the grid step of {step:g} m is {why}")
     ground.align(step, bool(survey.stations))
     free, borders = draw_borders(survey, ground, step, notes)
-    stations, snapped = _stations(survey, ground, step, free, notes)
+    if unused := len(survey.stations[uavs:]):
+        notes.append(f"{unused} stations are not used: there are {uavs} UAVs")
+    stations, snapped = _stations(
+        survey, ground.places[1][:uavs], ground.devices, np.asarray(np.argwhere(free) * step, dtype=np.float64), notes
+    )
     speed, tau = said["speed_m_s"], step / said["speed_m_s"]
     budget = said["endurance_s"] or wishes.slots * tau
     slots = wishes.slots or min(math.floor(budget / tau + 1e-9), _MOST_SLOTS)
@@ -114,12 +119,8 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
     columns = _columns(survey.devices, ground, periods, notes)
     _note_reach(fields, ground.devices, radius, notes)
     width, height = ground.extent
-    names = [name for name in columns.get("name", []) if name]
-    named = (
-        f": {', '.join(name[:30] for name in names[:3])}{', ...' if len(names) > 3 else ''}"
-        if names
-        else ", without names"
-    )
+    names = [name[:30] for name in columns.get("name", [])]
+    named = f": {', '.join(names[:3] + ['...'] * (len(names) > 3))}" if names else ", without names"
     understood = [
         ("devices", f"{len(survey.devices):,}{named}"),
         ("extent", f"{width:,.0f} m x {height:,.0f} m"),
@@ -144,7 +145,7 @@ def _grouped(notes: list[str]) -> list[str]:
         groups.setdefault(text, []).append(where)
     grouped = []
     for text, places in groups.items():
-        if len(places) > _LISTED:
+        if len(places) > _REPEATED:
             grouped.append(f"{len(places)} times, the first at {places[0]}: {text}")
         else:
             grouped += [f"{where}: {text}" if where else text for where in places]
@@ -163,33 +164,21 @@ def _radius(channel: dict[str, Any], altitude: float, coverage: Callable[[Scenar
 
 
 def _stations(
-    survey: Survey, ground: Ground, step: float, free: Bools, notes: list[str]
+    survey: Survey, wanted: Floats, devices: Floats, cells: Floats, notes: list[str]
 ) -> tuple[list[list[float]], str]:
-    """The stations on free cells in m, and how far they were moved."""
-    cells = np.argwhere(free) * step  # (C, 2) m
+    """The stations on the free cells, (C, 2) m, and how far they were moved from where they are wanted."""
     if not len(cells):
         raise InputError("no cell of the grid is free: the zones and the outline close the whole area")
-    if survey.stations:
-        wanted = ground.places[1]
-    else:
-        wanted = ground.devices.mean(axis=0, keepdims=True)
+    if not len(wanted):
+        wanted = devices.mean(axis=0, keepdims=True)
         notes.append("guessed: a station in the middle of the devices (--station)")
-    found, moved = [], []
-    for place in wanted:
-        away = np.linalg.norm(cells - place, axis=1)
-        found.append(cells[away.argmin()].tolist())
-        moved.append(float(away.min()))
-    far = [
-        f"{feature.where} by {metres:.0f} m"
-        for feature, metres in zip(survey.stations, moved, strict=False)
-        if metres > 0.5
-    ]
-    if far:
-        notes.append(
-            f"stations moved to a free cell: {', '.join(far[:_LISTED])}{', ...' if len(far) > _LISTED else ''}"
-        )
-    shown = ", ".join(f"({x:g}, {y:g}) m" for x, y in found[:_LISTED]) + (", ..." if len(found) > _LISTED else "")
-    return found, f"{len(found)}: {shown}" + (f"; moved by up to {max(moved):.0f} m" if far else "")
+    away = [np.linalg.norm(cells - place, axis=1) for place in wanted]
+    found = [cells[metres.argmin()].tolist() for metres in away]
+    moved = [(f.where, float(metres.min())) for f, metres in zip(survey.stations, away, strict=False)]
+    if far := [f"{where} by {metres:.0f} m" for where, metres in moved if metres > 0.5]:
+        notes.append(f"stations moved to a free cell: {listed(far)}")
+    shown = f"{len(found)}: {listed([f'({x:g}, {y:g}) m' for x, y in found])}"
+    return found, shown + (f"; moved by up to {max(metres for _, metres in moved):.0f} m" if far else "")
 
 
 def _note_reach(fields: dict[str, Any], devices: Floats, radius: float, notes: list[str]) -> None:
@@ -277,5 +266,5 @@ def _periods(
 
 def _interval(device: Feature) -> tuple[float, float]:
     """An interval's number and the seconds of its unit; nan without one."""
-    name = meanings(list(device.properties)).get("interval")
+    name = meanings_of(device).get("interval")
     return (math.nan, math.nan) if name is None else duration(device.properties[name], unit_seconds(name))

@@ -30,19 +30,15 @@ def read_plan(reading: Reading, content: Mapping[str, Any]) -> None:
         _add(reading, "plannedHomePosition", home, "station")
     others: dict[str, int] = {}
     for number, item in enumerate(_flat(reading, mission.get("items", []), 0), 1):
-        params = item.get("params")
+        params: Any = item.get("params")
         command = item.get("command")
-        if (
-            item.get("type") == "SimpleItem"
-            and is_number(command)
-            and command in _VISITS
-            and isinstance(params, list)
-            and len(params) >= 6
-        ):
+        command = command if is_number(command) else short(command)
+        simple = item.get("type") == "SimpleItem" and isinstance(params, list) and len(params) >= 6
+        if simple and command in _VISITS:
             if any(params[4:6]):  # 0, 0: where the aircraft is
                 _add(reading, f"item {number}", params[4:6], "")
-        elif not is_number(command) or command not in _HOMES:
-            kind = str(item.get("complexItemType") or f"command {short(command)}")
+        elif command not in _HOMES:
+            kind = str(item.get("complexItemType") or f"command {command}")
             others[kind] = others.get(kind, 0) + 1
     if others:
         counts = ", ".join(f"{count} x {kind}" for kind, count in others.items())

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from uavaou.arrays import Bools, Floats
 from uavaou.errors import InputError
-from uavaou.field.features import DEGREES, METRES, Feature, Reading, Role, circle
+from uavaou.field.features import DEGREES, METRES, Feature, Reading, Role, circle, extra, listed
 from uavaou.field.locate import NEAR_KM, all_places, in_one_frame, km_between, near_places, on_one_map
 from uavaou.field.words import meanings, number, words
 from uavaou.fields import DEVICE_COLUMNS, short
@@ -31,7 +30,6 @@ _HOMES = ({"home"}, {"base"}, {"depot"}, {"cds"}, {"gcs"}, {"base", "station"}, 
 _WIDEST_KM = 200.0  # beyond, distances on a plane are wrong by more than 0.02 %
 _STRAY = 0.05  # the share of devices that may lie far off by mistake
 _POLE = 88.0  # degrees of latitude, beyond which longitudes say little
-_LISTED = 6
 
 
 @dataclass
@@ -53,9 +51,14 @@ def _meanings(names: tuple[str, ...]) -> dict[str, str]:
     return meanings(names)
 
 
+def meanings_of(feature: Feature) -> dict[str, str]:
+    """The property of a feature that stands for each meaning, as far as there is one."""
+    return _meanings(tuple(feature.properties))
+
+
 def value_of(feature: Feature, meaning: str) -> Any:
     """The property of a feature that stands for something; None without one."""
-    name = _meanings(tuple(feature.properties)).get(meaning)
+    name = meanings_of(feature).get(meaning)
     return None if name is None else feature.properties[name]
 
 
@@ -63,7 +66,8 @@ def name_of(feature: Feature) -> str:
     """The name of a feature, else its id, in printable letters; empty without both."""
     for meaning in ("name", "id"):
         value = value_of(feature, meaning)
-        text = str(int(value)) if isinstance(value, float) and value.is_integer() else str(value or "")
+        text = str(value or "") if isinstance(value, str | int | float) else ""
+        text = text.removesuffix(".0") if isinstance(value, float) else text
         if text := " ".join("".join(c if c.isprintable() else " " for c in text).split())[:90]:
             return text
     return ""
@@ -110,8 +114,9 @@ def understand(
         _keep_within(survey, within)
     said = [f for f, why in survey.called if not survey.devices or why != _BY_FILE]
     if len(said) > len(survey.devices):
+        called = set(map(id, said))
         survey.devices += said
-        survey.stations = [feature for feature in survey.stations if feature not in said]
+        survey.stations = [feature for feature in survey.stations if id(feature) not in called]
         survey.notes = [note for note in survey.notes if "is a station, by" not in note]
         survey.notes.append(
             f"{len(said)} points are called stations, more than there are devices: they are devices too"
@@ -214,39 +219,27 @@ def _choose_outline(survey: Survey) -> None:
         return
     called = [zone for zone in survey.zones if zone.role == "outline"]
     unsaid = [zone for zone in survey.zones if not zone.role]
-    places = all_places(survey.devices)
+    shapely, places = extra("shapely"), all_places(survey.devices)
     if not called and unsaid:
-        shares = [_inside(zone, places).mean() for zone in unsaid]
-        best = max(range(len(unsaid)), key=lambda k: (shares[k], _size(unsaid[k])))
+        shares = [shapely.intersects_xy(_polygon(zone), *places.T).mean() for zone in unsaid]
+        best = max(range(len(unsaid)), key=lambda k: (shares[k], _polygon(unsaid[k]).area))
         if shares[best] > 0.5:
             called = [unsaid[best]]
             survey.notes.append(
                 f"{called[0].where}: is taken for the outline: it holds {shares[best]:.0%} of the devices"
             )
-    survey.outline = max(called, key=_size, default=None)
+    survey.outline = max(called, key=lambda zone: float(_polygon(zone).area), default=None)
     if len(called) > 1:
         survey.notes.append(f"of {len(called)} outlines, the largest alone is used ({called[0].where} ...)")
     survey.zones = [zone for zone in survey.zones if zone not in called]
     guessed = [zone.where for zone in survey.zones if not zone.role]
     if guessed:
-        more = ", ..." if len(guessed) > _LISTED else ""
-        survey.notes.append(f"polygons taken for no-fly zones: {'; '.join(guessed[:_LISTED])}{more}")
+        survey.notes.append(f"polygons taken for no-fly zones: {listed(guessed, '; ')}")
 
 
-def _inside(polygon: Feature, places: Floats) -> Bools:
-    """Whether places lie in a polygon, (P,): by the edges that a ray to the east crosses."""
-    start = np.array(polygon.places)
-    end = np.roll(start, -1, axis=0)
-    x, y = places.T[:, :, None]  # (P, 1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = start[:, 0] + (y - start[:, 1]) / (end[:, 1] - start[:, 1]) * (end[:, 0] - start[:, 0])
-    crossed = ((start[:, 1] > y) != (end[:, 1] > y)) & (x < at)
-    return np.asarray(crossed.sum(axis=1) % 2 == 1)
-
-
-def _size(polygon: Feature) -> float:
-    x, y = np.array(polygon.places).T
-    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+def _polygon(zone: Feature) -> Any:
+    shapely = extra("shapely")
+    return shapely.make_valid(shapely.Polygon(zone.places))
 
 
 def _refuse_too_wide(survey: Survey, path: Path) -> None:
@@ -257,21 +250,16 @@ def _refuse_too_wide(survey: Survey, path: Path) -> None:
     middle = np.median(places, axis=0).tolist()
     off = [feature for feature in survey.devices if km_between(feature.places[0], middle) > _WIDEST_KM / 2]
     if 0 < len(off) <= _STRAY * len(survey.devices):
-        survey.devices = [feature for feature in survey.devices if feature not in off]
-        which = ", ".join(feature.where for feature in off[:_LISTED])
-        survey.notes.append(
-            f"{len(off)} devices far from all others are ignored ({which}{', ...' if len(off) > _LISTED else ''})"
-        )
+        strays = set(map(id, off))
+        survey.devices = [feature for feature in survey.devices if id(feature) not in strays]
+        which = listed([feature.where for feature in off])
+        survey.notes.append(f"{len(off)} devices far from all others are ignored ({which})")
     kept = [zone for zone in survey.zones if _reach_km(zone, middle) <= _WIDEST_KM]
     if len(kept) < len(survey.zones):
-        survey.notes.append(
-            f"{len(survey.zones) - len(kept)} zones that reach more than {_WIDEST_KM:g} km away are ignored"
-        )
+        survey.notes.append(f"{len(survey.zones) - len(kept)} zones that reach beyond {_WIDEST_KM:g} km are ignored")
         survey.zones = kept
     if survey.outline is not None and _reach_km(survey.outline, middle) > _WIDEST_KM:
-        raise InputError(
-            f"{survey.outline.where}: an outline that reaches more than {_WIDEST_KM:g} km from the devices"
-        )
+        raise InputError(f"{survey.outline.where}: an outline that reaches beyond {_WIDEST_KM:g} km")
     far = max(survey.devices + survey.stations, key=lambda f: km_between(f.places[0], middle))
     if (km := km_between(far.places[0], middle)) > _WIDEST_KM / 2:
         tried = places[:: len(places) // 200 + 1]
@@ -287,20 +275,18 @@ def _reach_km(polygon: Feature, middle: Sequence[float]) -> float:
     return max(km_between(place, middle) for place in polygon.places)
 
 
+_OF_DEVICES = {"latitude", "longitude", "x", "y", "place", "id", "name", "interval", "role"}
+_OF_ZONES = {"id", "name", "role", "radius", "floor", "ceiling", "margin"}
+
+
 def _note_properties(survey: Survey) -> None:
-    """Note what the devices say that the model has no place for."""
-    read = {"latitude", "longitude", "x", "y", "place", "id", "name", "interval", "role"}
-    names = dict.fromkeys(name for feature in survey.devices for name in feature.properties)
-    used = {
-        feature_name
-        for f in survey.devices
-        for meaning, feature_name in _meanings(tuple(f.properties)).items()
-        if meaning in read
-    }
-    ignored = [name for name in names if name not in used and name not in DEVICE_COLUMNS and name != "folder"]
-    if ignored:
-        more = f" and {len(ignored) - 12} more" if len(ignored) > 12 else ""
-        survey.notes.append(f"properties of the devices that are ignored: {', '.join(map(_plain, ignored[:12]))}{more}")
+    """Note what devices and zones say that the model has no place for."""
+    for kind, features, read in (("devices", survey.devices, _OF_DEVICES), ("zones", survey.zones, _OF_ZONES)):
+        used = {"folder", *DEVICE_COLUMNS}
+        used |= {name for f in features for meaning, name in meanings_of(f).items() if meaning in read}
+        ignored = [name for name in dict.fromkeys(name for f in features for name in f.properties) if name not in used]
+        if ignored:
+            survey.notes.append(f"properties of the {kind} that are ignored: {', '.join(map(_plain, ignored))}")
     heights = [number(value_of(f, "height")) for f in survey.devices if value_of(f, "height") is not None]
     heights = [height for height in heights if math.isfinite(height)]
     if heights and max(heights) - min(heights) > 0:

@@ -8,11 +8,12 @@ import json
 import math
 import re
 import warnings
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from uavaou.errors import InputError
-from uavaou.field.features import DEGREES, METRES, MOST_FEATURES, UNSTATED, Feature, Reading, features_of
+from uavaou.field.features import DEGREES, METRES, MOST_FEATURES, UNSTATED, Feature, Reading, extra, features_of, listed
 from uavaou.field.words import meanings, number, unit_metres
 from uavaou.fields import short
 
@@ -23,7 +24,6 @@ _POINT = re.compile(r"(?:SRID=\d+;\s*)?POINT\s*Z?\s*\(\s*([-\d.eE]+)[\s,]+([-\d.
 _LONGEST_POINT = 200  # letters
 _HEAD = 60  # rows among which the header is looked for
 _NOTHING = {"", "-", "--", "?", "n/a", "na", "nan", "null", "none", "#n/a", "nil", "unknown"}
-_LISTED = 5  # rows that a note names
 
 
 def read_text_table(reading: Reading, text: str) -> None:
@@ -108,10 +108,7 @@ def read_workbook(reading: Reading, data: bytes) -> None:
     Raises:
         InputError: there is none, or openpyxl is not installed.
     """
-    try:
-        import openpyxl
-    except ImportError:
-        raise InputError(f"{reading.path}: 'openpyxl' is not installed: pip install 'uavaou[field]'") from None
+    openpyxl = extra("openpyxl")
     try:
         with warnings.catch_warnings(action="ignore"):  # of styles and extensions
             book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
@@ -146,9 +143,9 @@ def read_records(reading: Reading, content: Any) -> None:
     Raises:
         InputError: there is none.
     """
-    waiting, most = [content], 10 * MOST_FEATURES
+    waiting, most = deque([content]), 10 * MOST_FEATURES
     while waiting and most:
-        value, most = waiting.pop(0), most - 1
+        value, most = waiting.popleft(), most - 1
         if isinstance(value, dict) and len(value) > 1 and all(isinstance(each, dict) for each in value.values()):
             value = [{"id": key, **each} for key, each in value.items()]
         if isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
@@ -183,7 +180,8 @@ def read_rows(reading: Reading, names: Sequence[str], rows: Sequence[Row]) -> No
     places = [list(names).index(column) for column in columns]
     frame = DEGREES if pair is None or pair[0] == "longitude" else _frame(columns)
     scale = unit_metres(columns[0]) if frame == METRES else 1.0
-    without, unread = [], []
+    without: list[str] = []
+    unread: dict[str, str] = {}
     for where, cells in rows:
         values = [cells[place] if place < len(cells) else "" for place in places]
         data = {name: cell for name, cell in zip(names, cells, strict=False) if name and cell not in ("", None)}
@@ -195,19 +193,13 @@ def read_rows(reading: Reading, names: Sequence[str], rows: Sequence[Row]) -> No
             place = (numbers[0] * scale, numbers[1] * scale)
             reading.add(Feature("point", (place,), where, data, frame))
         else:
-            unread.append(
-                (where, *next((c, v) for c, v in zip(columns, values, strict=True) if not math.isfinite(number(v))))
-            )
-    if unread and len(unread) > len(rows) // 10 + 1:
-        where, column, value = unread[0]
-        raise reading.error(where, f"column {short(column)}: {short(value)} is not a finite number")
-    for which, problem in (
-        (without, "without a position"),
-        ([where for where, *_ in unread], "whose position is no number"),
-    ):
+            wrong = next(k for k, value in enumerate(numbers) if not math.isfinite(value))
+            unread[where] = f"column {short(columns[wrong])}: {short(values[wrong])} is not a finite number"
+    if len(unread) > len(rows) // 10 + 1:
+        raise reading.error(*next(iter(unread.items())))
+    for which, problem in ((without, "without a position"), (list(unread), "whose position is no number")):
         if which:
-            more = ", ..." if len(which) > _LISTED else ""
-            reading.notes.append(f"{len(which)} rows {problem} are ignored ({', '.join(which[:_LISTED])}{more})")
+            reading.notes.append(f"{len(which)} rows {problem} are ignored ({listed(which)})")
 
 
 def _frame(columns: Sequence[str]) -> str:
@@ -241,10 +233,7 @@ def _of_cell(reading: Reading, where: str, column: str, value: Any, data: dict[s
 
 
 def _well_known(reading: Reading, where: str, text: str) -> Any:
-    try:
-        import shapely
-    except ImportError:
-        raise InputError(f"{reading.path}: 'shapely' is not installed: pip install 'uavaou[field]'") from None
+    shapely = extra("shapely")
     try:
         return json.loads(shapely.to_geojson(shapely.from_wkt(text.partition(";")[2] or text)))
     except (shapely.GEOSException, ValueError) as error:

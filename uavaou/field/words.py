@@ -43,6 +43,7 @@ _ANGLE = re.compile(
     re.IGNORECASE,
 )
 _LONGEST = 40  # letters of a number
+_DURATION = re.compile(r"(?:PT)?\s*([\d.,]+(?:e[-+]?\d+)?)\s*([^\W\d_]*)\.?", re.IGNORECASE)
 SLOTS = -1.0  # in place of a unit's seconds
 
 
@@ -114,9 +115,7 @@ def unit_metres(name: str) -> float:
 
 def duration(text: object, default: float = math.nan) -> tuple[float, float]:
     """A length of time as its number and the seconds of its unit, or ``default`` without one: ``5 min``, ``PT5M``."""
-    found = re.fullmatch(
-        r"(?:PT)?\s*([\d.,]+(?:e[-+]?\d+)?)\s*([^\W\d_]*)\.?", str(text).strip()[:_LONGEST], re.IGNORECASE
-    )
+    found = _DURATION.fullmatch(str(text).strip()[:_LONGEST])
     if found is None:
         return math.nan, default
     unit = found[2].lower()

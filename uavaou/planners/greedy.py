@@ -63,9 +63,8 @@ class Greedy:
             candidate[mission, uav] = False  # this UAV has chosen
         if self._legs is None:
             return first_step(targets - world.cells), None
-        here, to = world.cells @ [world.scenario.rows, 1], self._steps(world, targets)  # (N, U), (N, U, C)
-        pairs = ([*zip(self._legs, *each, strict=True)] for each in zip(here, to, strict=True))
-        return np.array([[first_moves(legs, steps)[cell] for legs, cell, steps in each] for each in pairs]), None
+        after = self._legs[np.arange(uavs), world.cells @ [world.scenario.rows, 1]]  # (N, U, 5) cells
+        return first_moves(np.take_along_axis(self._steps(world, targets), after, axis=-1)), None
 
     def _steps(self, world: World, cells: Ints) -> Ints:
         """Return the moves between each of some cells (N, U, 2) and every cell, (N, U, C)."""

@@ -65,7 +65,7 @@ class Flight:
         """The first move from each cell on the way to the CDS, (U, C): along x before y; stay at it."""
         if self._legs is None:
             return first_step(self.cds[:, None] - grid_cells(self._scenario))
-        return np.stack([first_moves(*pair) for pair in zip(self._legs, self.home, strict=True)])
+        return np.stack([first_moves(home[legs]) for legs, home in zip(self._legs, self.home, strict=True)])
 
     def flight_time(self, flown: Ints) -> Floats:
         """Return zeta_u in s after ``flown`` grid steps (..., U), with take-off and landing (eq. flighttime)."""
@@ -196,9 +196,9 @@ def steps_from(target: Ints, sources: Ints | int) -> Ints:
     return steps
 
 
-def first_moves(target: Ints, steps: Ints) -> Ints:
-    """Return the first move from each cell that leaves one of its ``steps`` (C,) less, (C,): along x before y."""
-    nearer = steps[target[:, _ALONG_X_FIRST]] < steps[:, None]  # (C, 4)
+def first_moves(left: Ints) -> Ints:
+    """Return the first move, along x before y, that leaves one move less, (...); ``left`` after each move, (..., 5)."""
+    nearer = left[..., _ALONG_X_FIRST] < left[..., :1]  # (..., 4)
     return np.where(nearer.any(axis=-1), np.array(_ALONG_X_FIRST)[nearer.argmax(axis=-1)], STAY)
 
 
