@@ -92,8 +92,10 @@ def evaluate(
             raise InputError(f"--knows {knows}: a suite says itself what policies know; leave out --suite or --knows")
         _evaluate_suite(suite, scenario, overrides, configs, made, episodes, seed, action, out, quiet)
         return
-    own = planned_scenario(planners) or (common_scenario(configs) if configs else None)
-    base = own if own is not None and scenario is None else Scenario.load(scenario or "paper")
+    own = None
+    if scenario is None:
+        own = planned_scenario(planners) or (common_scenario(configs) if configs else None)
+    base = own or Scenario.load(scenario or "paper")
     played = overrides.of_scenario(base)
     if out is not None:
         writable_file(out)

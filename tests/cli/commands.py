@@ -38,7 +38,7 @@ class Shell:
     def done(self, command: str) -> str:
         """The same, of a command that complains of nothing."""
         code, out, err = self(command)
-        assert (code, err) == (0, ""), command
+        assert (code, err) == (0, ""), (command, err)
         return out
 
     def refused(self, command: str) -> str:
