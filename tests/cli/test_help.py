@@ -28,7 +28,6 @@ COMMANDS = {
     "--grid-step --slots --replace",
     "fly": "SCENARIO --scenario --policy --seconds --knows --seed --json --out --route --uavs --station --radio --crs "
     "--speed --endurance --interval --within --set --quiet",
-    "size": "SCENARIO --scenario --uavs --target --station --speed --endurance --seconds --knows --out --set --quiet",
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --knows --set --quiet",
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
     "route": "SCENARIO --scenario --policy --seconds --knows --format --episodes --seed --out --set --quiet",
