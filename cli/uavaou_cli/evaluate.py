@@ -92,10 +92,8 @@ def evaluate(
             raise InputError(f"--knows {knows}: a suite says itself what policies know; leave out --suite or --knows")
         _evaluate_suite(suite, scenario, overrides, configs, made, episodes, seed, action, out, quiet)
         return
-    own = None
-    if scenario is None:
-        own = planned_scenario(planners) or (common_scenario(configs) if configs else None)
-    base = own or Scenario.load(scenario or "paper")
+    base = Scenario.load(scenario) if scenario is not None else planned_scenario(planners)
+    base = base or (common_scenario(configs) if configs else Scenario.load("paper"))
     played = overrides.of_scenario(base)
     if out is not None:
         writable_file(out)

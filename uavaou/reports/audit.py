@@ -78,7 +78,7 @@ def _table(result: Audit) -> list[str]:
         radius = budget.radius[:, i] if each else [np.fmax.reduce(budget.radius[:, i])]  # m
         rows.append(
             [
-                str(i),
+                str(i) if result.scenario.device_names is None else result.scenario.device_name(i),
                 *(f"{place:.0f}" for place in layout.positions[i]),
                 f"{bandwidth_khz:.4g}" if bandwidth_khz < 1e4 else f"{bandwidth_khz:.0f}",
                 f"{layout.transmit_power[i] * 1e3:.3g}",

@@ -4,7 +4,7 @@ Every finding follows from the scenario's numbers; no check knows a preset.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -204,7 +204,7 @@ def _check_flight_time(scenario: Scenario) -> Iterator[Finding]:
         yield Finding("note", "flight time", limit - mission, message)
     moves, last = Flight(scenario).budget, scenario.slots - 1  # (U,)
     if (moves < last).any():
-        fewest, short = int(moves.min()), _listed("UAV", np.flatnonzero(moves < last))
+        fewest, short = int(moves.min()), _uavs(scenario, np.flatnonzero(moves < last))
         message = f"zeta_max binds: it affords {short} as few as {fewest} of the {last} moves of a mission."
         yield Finding("note", "flight time", fewest, message)
 
@@ -217,13 +217,13 @@ def _check_round_trips(scenario: Scenario, budget: LinkBudget) -> Iterator[Findi
     cells = int(beyond.sum(axis=(1, 2)).max())
     if cells:
         message = (
-            f"{_listed('UAV', np.flatnonzero(beyond.any(axis=(1, 2))))} cannot fly to the farthest cells and come home "
-            f"in one mission, up to {cells} of {scenario.columns * scenario.rows}."
+            f"{_uavs(scenario, np.flatnonzero(beyond.any(axis=(1, 2))))} cannot fly to the farthest cells and come "
+            f"home in one mission, up to {cells} of {scenario.columns * scenario.rows}."
         )
         yield Finding("note", "round trip", cells, message)
     missed = np.flatnonzero(budget.in_range.any(axis=0) & ~budget.in_range_and_back)
     if len(missed):
-        message = f"{_listed('device', missed)}: no UAV can come within range and fly home in one mission."
+        message = f"{_devices(scenario, missed)}: no UAV can come within range and fly home in one mission."
         change = "raise slots and flight_time_budget_s, or move a CDS nearer"
         yield Finding("warning", "round trip", len(missed), message, change)
 
@@ -247,7 +247,7 @@ def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     lucky, shut_off = nowhere & ~hopeless, hopeless & budget.shut_off
     if shut_off.any():
         message = (
-            f"{_listed('device', np.flatnonzero(shut_off))}: no free cell can serve it: outline and zones close every "
+            f"{_devices(scenario, np.flatnonzero(shut_off))}: no free cell can serve it: outline and zones close every "
             "cell within its range, or the way there."
         )
         change = "shrink the zones or their margins, widen the outline, or let a UAV fly above or below"
@@ -257,7 +257,7 @@ def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     change = f"raise {_strength(scenario)}, lower altitudes_m or {_threshold_field(scenario)}, or {places}"
     if hopeless.any():
         message = (
-            f"cannot reach these: {_listed('device', np.flatnonzero(hopeless))} can never be served. From every cell "
+            f"cannot reach these: {_devices(scenario, np.flatnonzero(hopeless))} can never be served. From every cell "
             f"out of every UAV's range without fading, and with it {_threshold_name(scenario)} is met with probability "
             f"{best[hopeless].max():.2g} a slot at best."
         )
@@ -265,7 +265,7 @@ def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
         yield Finding(level, "never served", int(hopeless.sum()), message, change)
     if lucky.any():
         message = (
-            f"{_listed('device', np.flatnonzero(lucky))}: from every cell out of every UAV's range without fading; a "
+            f"{_devices(scenario, np.flatnonzero(lucky))}: from every cell out of every UAV's range without fading; a "
             f"lucky fade alone serves them, with probability {_span(best[lucky])} a slot at the best cell."
         )
         yield Finding("warning", "out of range", int(lucky.sum()), message, change)
@@ -273,7 +273,7 @@ def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
         partly = np.flatnonzero(~budget.in_range[u] & ~nowhere)
         if len(partly):
             message = (
-                f"{_listed('device', partly)}: from every cell out of range of UAV {u} ({plain(altitude)} m) without "
+                f"{_devices(scenario, partly)}: from every cell out of range of UAV {u} ({plain(altitude)} m) without "
                 "fading, in range of another UAV."
             )
             yield Finding("note", "out of range", len(partly), message)
@@ -283,7 +283,7 @@ def _check_places(scenario: Scenario, layout: Layout) -> Iterator[Finding]:
     """Devices that stand at one place, and devices so near to each other that their positions may not be in metres."""
     _, place, devices_at = np.unique(layout.positions, axis=0, return_inverse=True, return_counts=True)
     for shared in np.flatnonzero(devices_at > 1)[:_PLACES_SHOWN]:
-        message = f"{_listed('device', np.flatnonzero(place.ravel() == shared))} stand at one place."
+        message = f"{_devices(scenario, np.flatnonzero(place.ravel() == shared))} stand at one place."
         yield Finding("note", "places", int(devices_at[shared]), message)
     span = float(np.ptp(layout.positions, axis=0).max())
     if len(devices_at) > 1 and span < scenario.grid_step_m / 10:
@@ -339,8 +339,17 @@ def _probability(value: float) -> str:
     return f"{value:.4f} (1 - {missing:.1g})" if 0 < missing < 5e-5 else f"{value:.4f}"
 
 
-def _listed(noun: str, indices: Ints) -> str:
-    """E.g. ``device 3``, ``devices 1, 2``; long lists are cut."""
-    shown = ", ".join(str(index) for index in indices[:10])
+def _devices(scenario: Scenario, indices: Ints) -> str:
+    """E.g. ``device 3``, ``devices 1, 2``, or their names; long lists are cut."""
+    return _listed("device", indices, scenario.device_names)
+
+
+def _uavs(scenario: Scenario, indices: Ints) -> str:
+    """The same of UAVs."""
+    return _listed("UAV", indices, scenario.uav_names)
+
+
+def _listed(noun: str, indices: Ints, names: Sequence[str] | None) -> str:
+    shown = ", ".join(str(index) if names is None else names[index] for index in indices[:10])
     more = f" and {len(indices) - 10} more" if len(indices) > 10 else ""
     return f"{noun}{'s' if len(indices) > 1 else ''} {shown}{more}"

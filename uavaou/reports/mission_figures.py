@@ -177,8 +177,9 @@ def _device_area(counts: NDArray[Any], most: int) -> Floats:
 def _fleet_handles(scenario: Scenario, **marks: Any) -> list[Line2D]:
     """The legend's entry of each UAV; a square unless ``marks`` say otherwise."""
     drawn = marks or {"marker": "s", "mfc": "none", "ms": 5, "mew": 1.2}
+    named = "UAV {}".format if scenario.uav_names is None else scenario.uav_name
     looks = [(u, {"color": maps.uav_colour(u), "linestyle": maps.uav_dash(u)}) for u in range(scenario.uavs)]
-    return [Line2D([], [], label=f"UAV {u}", **look, **drawn) for u, look in looks]
+    return [Line2D([], [], label=maps.short_name(named(u)), **look, **drawn) for u, look in looks]
 
 
 def _legend_height(scenario: Scenario) -> float:
