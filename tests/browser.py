@@ -1,8 +1,5 @@
 """A headless Chromium, driven over its debugging pipe: no driver, no server, no network."""
 
-from __future__ import annotations
-
-import base64
 import fcntl
 import itertools
 import json
@@ -17,10 +14,9 @@ from typing import Any
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 LEFT_OUT = "left out: the tests in a browser (no Chromium here: install Debian's chromium, or set CHROMIUM to its path)"
 _OPTIONS = (
-    "--headless", "--no-sandbox", "--remote-debugging-pipe", "--no-first-run", "--disable-gpu", "--hide-scrollbars",
-    "--disable-extensions", "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--disable-dev-shm-usage", "--mute-audio", "--host-resolver-rules=MAP * ~NOTFOUND",
-)  # fmt: skip
+    "headless no-sandbox remote-debugging-pipe no-first-run disable-gpu hide-scrollbars disable-extensions "
+    "disable-background-networking disable-component-update disable-sync disable-dev-shm-usage mute-audio"
+)
 _PATIENCE_S = 30.0
 
 
@@ -38,7 +34,8 @@ class Browser:
     def __init__(self, executable: str, profile: Path) -> None:
         commands, self._commands = self._pipe()
         self._answers, answers = self._pipe()
-        call = [executable, *_OPTIONS, f"--user-data-dir={profile}", "about:blank"]
+        call = [executable, *(f"--{name}" for name in _OPTIONS.split()), "--host-resolver-rules=MAP * ~NOTFOUND"]
+        call += [f"--user-data-dir={profile}", "about:blank"]
         shell = ["bash", "-c", f'exec "$@" 3<&{commands} 4>&{answers}', "bash", *call]
         quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         self._process = subprocess.Popen(shell, pass_fds=(commands, answers), **quiet)  # type: ignore[call-overload]
@@ -109,9 +106,8 @@ class Browser:
             self.errors.append(f"asked for {found['request']['url']}")
 
     def open(
-        self, page: Path, width: int = 1000, height: int = 760, dark: bool = False, still: bool = False,
-        fragment: str = "", phone: bool = False, dense: int = 1,
-    ) -> None:  # fmt: skip
+        self, page: Path, width: int = 1000, height: int = 760, *, dark: bool = False, still: bool, phone: bool = False
+    ) -> None:
         """Open a file and wait until its mission is shown."""
         if self._session is None:
             target = self.command("Target.createTarget", url="about:blank")["targetId"]
@@ -121,12 +117,12 @@ class Browser:
         self.command("Page.navigate", url="about:blank")
         self.errors = []
         self.command(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=dense, mobile=phone
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=phone
         )
         features = {"prefers-color-scheme": "dark" if dark else "light"}
         features["prefers-reduced-motion"] = "reduce" if still else "no-preference"
         self.command("Emulation.setEmulatedMedia", features=[{"name": k, "value": v} for k, v in features.items()])
-        self.command("Page.navigate", url=page.resolve().as_uri() + fragment)
+        self.command("Page.navigate", url=page.resolve().as_uri())
         self.wait("!!window.replay || document.querySelector('#problem')?.hidden === false")
 
     def value(self, script: str) -> Any:
@@ -164,16 +160,11 @@ class Browser:
         """Click into an element, at shares of its width and height."""
         named = json.dumps(selector)
         self.value(f"document.querySelector({named}).scrollIntoView({{block: 'center'}})")
-        box = self.value(f"(({{x, y, width, height}}) => [x, y, width, height])"
-                         f"(document.querySelector({named}).getBoundingClientRect())")  # fmt: skip
+        corners = f"document.querySelector({named}).getBoundingClientRect()"
+        box = self.value(f"(({{x, y, width, height}}) => [x, y, width, height])({corners})")
         at = {"x": box[0] + across * box[2], "y": box[1] + down * box[3], "button": "left", "clickCount": 1}
         for kind in ("mousePressed", "mouseReleased"):
             self.command("Input.dispatchMouseEvent", type=kind, buttons=int(kind == "mousePressed"), **at)
-
-    def screenshot(self, path: Path, whole: bool = False) -> None:
-        """Write what the window shows, or the whole page, as PNG."""
-        shot = self.command("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        path.write_bytes(base64.b64decode(shot["data"]))
 
 
 if __name__ == "__main__" and find_browser() is None:

@@ -1,7 +1,5 @@
 """The command line in processes that a test can send signals to."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import shlex

@@ -1,7 +1,5 @@
 """Markdown pages of the repository and what they contain."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ of it, and what happens there. ``--exhaustive`` asks for all trials (``make faul
 FILE`` lets a later command go on with those that are left.
 """
 
-from __future__ import annotations
-
 import builtins
 import errno
 import io

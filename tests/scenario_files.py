@@ -1,7 +1,5 @@
 """Scenario files that tests write, and the message of an InputError."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

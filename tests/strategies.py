@@ -1,7 +1,5 @@
 """Hypothesis strategies: small valid scenarios, odd ones included, and arbitrary actions."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Writes the results of a study that never ran, with properties that are known beforehand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +8,12 @@ from typing import Any
 import numpy as np
 import yaml
 
+from uavaou import Scenario
 from uavaou.evaluation.flights import BOUND, SAMPLED, SLOTS, TRAINING, VALIDATION, Flights
 from uavaou.evaluation.flights import DEVICES as OF_DEVICES
 from uavaou.evaluation.flights import PERIODS as BY_PERIOD
 from uavaou.evaluation.recorded_mission import RecordedMission, record_mission, write_mission
 from uavaou.planners import make_planner, planner_knowledge
-from uavaou.scenario import Scenario
 
 DEVICES = 10
 PERIODS = 1 + np.arange(DEVICES) % 5  # k_i
@@ -68,11 +66,9 @@ def write_study(
         if bound is not None:
             parts.append(Flights.of({"mean_aou_slots": [bound]}, policy=BOUND, scenario=scenario))
     Flights.joined(parts).write(folder)
-    stated = {
-        "description": "synthetic", "seeds": list(range(seeds)), "planners": list(planners),
-        "scenarios": {name: SCENARIO.to_dict() for name in scenarios},
-        "variants": {name: {"name": variant.algorithm or name} for name, variant in variants.items()},
-    }  # fmt: skip
+    stated: dict[str, Any] = {"description": "synthetic", "seeds": list(range(seeds)), "planners": list(planners)}
+    stated["scenarios"] = {name: SCENARIO.to_dict() for name in scenarios}
+    stated["variants"] = {name: {"name": variant.algorithm or name} for name, variant in variants.items()}
     (folder / "study.yaml").write_text(yaml.safe_dump(stated), encoding="utf-8")
     return folder
 
@@ -83,8 +79,8 @@ def _trained(name: str, variant: Variant, missions: int, rng: np.random.Generato
     ages = np.array(
         [own * _learning(slots, variant.converges) * (1 + 0.05 * rng.standard_normal()) for slots in groups]
     )
-    curves = [{"curve": TRAINING, "x": groups, "wall_s": 1e-3 * groups, "mean_aou_slots": ages,
-               "communications": variant.communications, "devices_served": 8.0}]  # fmt: skip
+    curves: list[dict[str, Any]] = [{"curve": TRAINING, "x": groups, "wall_s": 1e-3 * groups, "mean_aou_slots": ages}]
+    curves[0] |= {"communications": variant.communications, "devices_served": 8.0}
     evaluations = np.linspace(BUDGET / EVALUATIONS, BUDGET, EVALUATIONS).astype(int)
     levels = np.array([own * _learning(slots, variant.converges) for slots in evaluations])
     for curve in (VALIDATION, SAMPLED):

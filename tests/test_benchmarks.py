@@ -1,9 +1,6 @@
 """The benchmarks run; what they measure is for `make bench` to say, never for a test."""
 
-from __future__ import annotations
-
 import csv
-import time
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +10,7 @@ from benchmarks import rehearsals
 from benchmarks.__main__ import write
 from benchmarks.endurance import Endurance, repeated, trained
 from benchmarks.environment import scaling, stepping
-from benchmarks.measure import Measurement, Stopwatch, exponent, report
+from benchmarks.measure import Measurement, report
 from benchmarks.training import ALGORITHMS, WORK, memory, parts, training
 from uavaou.runs.rehearsal import AT_ONCE
 
@@ -65,31 +62,6 @@ def test_the_parts_add_up() -> None:
     assert measured["fraction of the floor by float32 product, torch.mm"] > 0
 
 
-def test_the_stopwatch_counts_calls_and_iterators_and_leaves_no_trace() -> None:
-    class Sleeper:
-        def call(self, seconds: float) -> float:
-            time.sleep(seconds)
-            return seconds
-
-        def items(self) -> object:
-            for _ in range(2):
-                time.sleep(0.02)
-                yield 0
-
-    sleeper, watch = Sleeper(), Stopwatch()
-    watch.watch("call", sleeper, "call")
-    watch.watch("items", sleeper, "items")
-    assert sleeper.call(0.03) == 0.03
-    started = time.perf_counter()
-    for _ in sleeper.items():
-        time.sleep(0.05)
-    elapsed = time.perf_counter() - started
-    watch.stop()
-    assert watch.seconds["call"] >= 0.03
-    assert 0.04 <= watch.seconds["items"] <= elapsed - 2 * 0.05  # the caller's own time is not the iterator's
-    assert vars(sleeper) == {}
-
-
 def test_what_is_served_is_compared_with_the_quick_ones_on_other_missions() -> None:
     row = rehearsals.measured("any", 1001, 0.01)  # no time for anything else
     assert tuple(row) == rehearsals.COLUMNS
@@ -100,11 +72,6 @@ def test_what_is_served_is_compared_with_the_quick_ones_on_other_missions() -> N
     assert rehearsals.ratios([row | {"served_slots": "3", "rule_slots": "2", "best_first_slots": ""}]) == {
         "any": {"1001": 1.5}
     }
-
-
-def test_exponents() -> None:
-    assert exponent([1, 10, 100], [5, 50, 500]) == pytest.approx(1)
-    assert exponent([2, 4, 8], [7, 7, 7]) == pytest.approx(0)
 
 
 def test_the_report_gives_ratios_and_the_file_every_figure(tmp_path: Path) -> None:

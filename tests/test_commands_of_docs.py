@@ -1,8 +1,6 @@
 """The commands of the pages' code blocks run one after the other, trainings with a small budget; what a comment names
 is there afterwards."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

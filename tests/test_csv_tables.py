@@ -1,7 +1,5 @@
 """Tables of CSV files: what is read and written, and where an error points to."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -35,14 +33,10 @@ def test_what_is_written_is_read_back(name: str, tmp_path: Path) -> None:
     assert path.read_bytes() == written
 
 
-def test_marks_spaces_and_blank_lines_are_accepted(tmp_path: Path) -> None:
-    text = "\ufeffx, y\n1, 2 \n\n3, 4"
-    table = parse_table(tmp_path, text, ("x", "y"))
+def test_marks_spaces_blank_lines_and_a_last_line_cut_off_are_accepted(tmp_path: Path) -> None:
+    table = parse_table(tmp_path, "\ufeffx, y\n1, 2 \n\n3, 4", ("x", "y"))
     assert cells(tmp_path, table["y"], WHOLE).tolist() == [2, 4]
     assert table.index.tolist() == [2, 4]
-
-
-def test_a_line_that_an_interrupted_writer_left_is_dropped(tmp_path: Path) -> None:
     path = _file(tmp_path, "x,y\n1,2\n3,")
     assert len(read_table(path, {"x": NUMBER, "y": NUMBER}, ("y",))) == 1
 

@@ -1,7 +1,5 @@
 """Devices from a CSV file."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the pages name exists, their examples run, and their numbers are those of the committed tables."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from importlib import import_module
@@ -11,6 +9,7 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
+import pandas
 import pytest
 import typer.main
 from PIL import Image
@@ -108,13 +107,10 @@ def test_the_site_has_every_page_and_every_public_name() -> None:
     assert sorted(described) == sorted(uavaou.__all__)
 
 
-def test_the_citation_states_this_version() -> None:
+def test_the_citation_states_this_version_and_architecture_every_room() -> None:
     import uavaou
 
     assert f"version: {uavaou.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-
-
-def test_architecture_names_every_room() -> None:
     text = (DOCS / "architecture.md").read_text(encoding="utf-8")
     for room in (ROOT / "uavaou").iterdir():
         if (room / "__init__.py").is_file():
@@ -155,14 +151,11 @@ def test_a_search_space_of_your_own(tmp_path: Path) -> None:
 
     from uavaou.experiments.search import Search
     from uavaou.experiments.search_space import SearchSpace
-    from uavaou.zoo import zoo_path
 
     search, space = blocks(DOCS / "tuning.md", "yaml")
     assert len(SearchSpace.from_dict(yaml.safe_load(space), "tuning.md").dimensions) == 3
     (tmp_path / "own.yaml").write_text(search, encoding="utf-8")
     assert Search.load(tmp_path / "own.yaml").trainings == 2 * (16 + 3 * 2 * 3)
-    shipped = Search.load(zoo_path("searches", "local"))
-    assert f"It has {shipped.trainings} trainings" in (DOCS / "tuning.md").read_text(encoding="utf-8")
 
 
 def test_a_family_of_your_own(tmp_path: Path) -> None:
@@ -197,9 +190,11 @@ def test_a_learner_on_an_environment_of_your_own() -> None:
     np.testing.assert_array_equal(model.predict(local, deterministic=True)[0], actions)
 
 
-def test_entry_points_of_a_package() -> None:
+def test_own_algorithms_are_the_example_and_have_an_entry_point() -> None:
     (table,) = blocks(DOCS / "own-algorithm.md", "toml")
     assert list(tomllib.loads(table)["project"]["entry-points"]) == [ENTRY_POINTS]
+    code, *_ = blocks(DOCS / "own-algorithm.md", "python")
+    assert code in (ROOT / "examples" / "plain_ppo.py").read_text(encoding="utf-8")
 
 
 def test_frames_from_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -209,11 +204,6 @@ def test_frames_from_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     exec(code.replace("60", "2").replace("slot-2", "slot"), {})
     assert Image.open("slot.png").size == (640, 576)
     assert Image.open("mission.gif").n_frames == 3
-
-
-def test_the_example_of_an_own_algorithm_is_the_file() -> None:
-    code, *_ = blocks(DOCS / "own-algorithm.md", "python")
-    assert code in (ROOT / "examples" / "plain_ppo.py").read_text(encoding="utf-8")
 
 
 RUNNING = {"README.md": "## Results", "results/README.md": "# Results"}  # pages whose text has no numbers from there on
@@ -229,6 +219,23 @@ def test_the_blocks_are_those_of_the_tables(page: str) -> None:
 def test_every_block_stands_on_a_page() -> None:
     text = "".join((ROOT / page).read_text(encoding="utf-8") for page in written.PAGES)
     assert {name for _, name, _ in markdown.BLOCK.findall(text)} == {*written.BLOCKS, "claims:paper"}
+
+
+def test_the_rates_of_the_page_on_speed_are_those_of_the_tables() -> None:
+    rates = {name: pandas.read_csv(ROOT / f"results/benchmarks/{name}.csv") for name in ("training", "stepping")}
+    page = (DOCS / "speed.md").read_text(encoding="utf-8")
+    tables = page[page.index("agent steps a second, medians of three") : page.index("**Limit.**")]
+    cells = [cell.strip() for line in tables.splitlines() if line.startswith("|") for cell in line.split("|")[2:-1]]
+    stated = [number for cell in cells for number in re.findall(r"\d{1,3}(?:,\d{3})+", cell)]
+    assert len(stated) == 20
+    assert set(stated) <= {f"{rate:,.0f}" for table in rates.values() for rate in table["median"]}
+    ratios = re.findall(r"\*{0,2}(\d+\.\d)\*{0,2}", " ".join(cell for cell in cells if "," not in cell))
+    found = set()
+    for _, table in rates["training"].groupby("table"):
+        stock = table[table["name"].str.contains("stock") & table["name"].str.contains("1 process")]
+        found |= {f"{rate / one:.1f}" for one in stock["median"] for rate in table["median"]}
+    assert len(ratios) == 10
+    assert set(ratios) <= found
 
 
 @pytest.mark.parametrize("page", RUNNING)

@@ -1,7 +1,5 @@
 """Odd surroundings: no network, no home, no locale, python -O, another hash seed, a clock that is set back."""
 
-from __future__ import annotations
-
 import ast
 import csv
 import errno
@@ -17,7 +15,7 @@ from typing import Any
 import pytest
 
 from tests.cli.commands import TINY
-from tests.experiments.tiny_study import SET, Inline, run_inline
+from tests.experiments.small import SET, Inline, run_inline
 from tests.faults import fail, fault
 from tests.scenario_files import refusal
 from tests.test_architecture import MODULES, ROOT
@@ -28,12 +26,18 @@ from uavaou.files import read_text, write_text
 from uavaou_cli.main import main
 
 RUN = "results/tiny/mappo*/seed-0"  # of the first command
-COMMANDS = [
-    TINY, "scenarios", "audit tiny", f"eval {RUN} --policy greedy --episodes 2 --out e.csv",
-    f"fly tiny --policy {RUN} --out f", "plan tiny --planner tour --episodes 1 --out plan",
-    f"plot trajectories {RUN} --out p", f"plot figures {RUN} --out p", f"export {RUN} --out policy.safetensors",
-    f"replay {RUN} --out r.html",
-]  # fmt: skip
+COMMANDS = f"""
+{TINY}
+scenarios
+audit tiny
+eval {RUN} --policy greedy --episodes 2 --out e.csv
+fly tiny --policy {RUN} --out f
+plan tiny --planner tour --episodes 1 --out plan
+plot trajectories {RUN} --out p
+plot figures {RUN} --out p
+export {RUN} --out policy.safetensors
+replay {RUN} --out r.html
+"""
 STUDY = f"""
 slots: 96
 seeds: 1
@@ -45,7 +49,7 @@ bound: false
 
 def play() -> None:
     """Give all commands in the working folder, and run a study; ends the process at the first that fails."""
-    for command in COMMANDS:
+    for command in COMMANDS.strip().splitlines():
         run = next(glob.iglob(RUN), "")
         if main(shlex.split(command.replace(RUN, shlex.quote(run)))):
             raise SystemExit(f"uavaou {command}")

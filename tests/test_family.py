@@ -1,7 +1,5 @@
 """Families of scenarios: draws depend on their number alone, lie within the bounds, and errors are one line."""
 
-from __future__ import annotations
-
 import hashlib
 from contextlib import suppress
 from pathlib import Path
@@ -60,9 +58,15 @@ def test_any_draws_widely_and_often_the_base() -> None:
     share = np.mean([scenario.to_dict() | {"name": "paper"} == paper for scenario in drawn])
     assert share == pytest.approx(0.3, abs=0.04)
     for name, low, high in (
-        ("uavs", 1, 10), ("devices", 5, 500), ("area_x_m", 450, 3000), ("slots", 150, 800), ("rician_factor", 0, 30),
-        ("rate_min_bit_s", 1e5, 1.8e5), ("grid_step_m", 25, 150), ("longest_update_period", 1, 60),
-    ):  # fmt: skip
+        ("uavs", 1, 10),
+        ("devices", 5, 500),
+        ("area_x_m", 450, 3000),
+        ("slots", 150, 800),
+        ("rician_factor", 0, 30),
+        ("rate_min_bit_s", 1e5, 1.8e5),
+        ("grid_step_m", 25, 150),
+        ("longest_update_period", 1, 60),
+    ):
         values = [getattr(scenario, name) for scenario in drawn]
         assert low <= min(values) < low * 1.1 + 10
         assert high * 0.9 < max(values) <= high

@@ -1,7 +1,5 @@
 """``uavs`` changed alone: altitudes and CDSs follow a rule."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -4,8 +4,6 @@ A mutation breaks learning in a way that no exception tells of. Each turns some 
 ``pytest tests/test_learning.py --exhaustive``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -47,8 +45,6 @@ GATES = {
     "vdn": Gate(24_000, 1.4, Q | {"hidden": "[64, 64]", "learning_rate": 0.002, "n_step": 1}),
     "qmix": Gate(24_000, 1.4, Q | {"hidden": "[64, 64]", "learning_rate": 0.001}),
     "mappo set": Gate(32_000, 1.6, SET | FROM_NOTHING),
-    "ippo set": Gate(32_000, 1.6, SET),
-    "vdn set": Gate(16_000, 8.0, Q | {"learning_rate": 0.002}),
     "qmix set": Gate(12_000, 3.0, Q | {"learning_rate": 0.002, "n_step": 1}),
 }
 
@@ -114,9 +110,9 @@ def flipped_rewards(monkeypatch: pytest.MonkeyPatch) -> None:
 
 MUTATIONS: dict[Callable[[pytest.MonkeyPatch], None], tuple[str, ...]] = {
     stale_critic_rows: ("mappo",),
-    flipped_advantages: ("mappo", "ippo", "mappo set", "ippo set"),
+    flipped_advantages: ("mappo", "ippo", "mappo set"),
     frozen_target: ("vdn",),
-    flipped_rewards: ("vdn", "qmix", "vdn set", "qmix set"),
+    flipped_rewards: ("vdn", "qmix", "qmix set"),
 }
 
 

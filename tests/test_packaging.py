@@ -1,7 +1,5 @@
 """The wheel, away from the repository: zoo and replay page are inside, and nothing is installed as a bare ``cli``."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import zipfile

@@ -1,7 +1,5 @@
 """The one reader of YAML: what is plain has its plain value, everything else is one line."""
 
-from __future__ import annotations
-
 import math
 import time
 from contextlib import suppress
@@ -21,14 +19,14 @@ from uavaou.plain_yaml import parse_yaml, to_yaml
 from uavaou.runs.folder import read_config
 from uavaou.zoo import zoo_folder
 
-VALUES = [
-    ("7", 7), ("-7", -7), ("+1_000", 1000), ("0", 0), ("0x1F", 31), ("0b11", 3), ("1e-4", 1e-4), ("15e3", 15e3),
-    ("-2.5", -2.5), ("1.5e+4", 15e3), (".5", 0.5), (".inf", math.inf), ("-.INF", -math.inf), ("true", True),
-    ("No", False), ("null", None), ("~", None), ("", None), ("rician", "rician"), ("none", "none"), ("'7'", "7"),
-    ("2026-13-45", "2026-13-45"), ("0:30", "0:30"), ("08", "08"), ("0x", "0x"), ("nan", "nan"), ("=", "="),
-    ("[1e1, 2, [x]]", [10.0, 2, ["x"]]), ("{low: 15e3, high: 20000}", {"low": 15000.0, "high": 20000}),
-    ("&a 3", 3), ("? x", {"x": None}), ("'<<'", "<<"), ("# nothing", None), ("--- 3", 3),
-]  # fmt: skip
+INFINITE, NAMES = math.inf, ["rician", "none", "2026-13-45", "0:30", "08", "0x", "nan", "="]
+WHOLE = {"7": 7, "-7": -7, "+1_000": 1000, "0": 0, "0x1F": 31, "0b11": 3, "&a 3": 3, "--- 3": 3}
+FRACTIONS = {"1e-4": 1e-4, "15e3": 15e3, "-2.5": -2.5, "1.5e+4": 15e3, ".5": 0.5}
+VALUES: list[tuple[str, object]] = [*WHOLE.items(), *FRACTIONS.items()]
+VALUES += [(".inf", INFINITE), ("-.INF", -INFINITE), ("true", True), ("No", False), ("'7'", "7"), ("'<<'", "<<")]
+VALUES += [(text, None) for text in ("null", "~", "", "# nothing")] + [(name, name) for name in NAMES]
+VALUES += [("[1e1, 2, [x]]", [10.0, 2, ["x"]]), ("{low: 15e3, high: 20000}", {"low": 15000.0, "high": 20000})]
+VALUES += [("? x", {"x": None})]
 REFUSED = [
     ("a: !!bool foo", "the tag !!bool is not read"),
     ("a: !!int ''", "the tag !!int"),

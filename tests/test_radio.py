@@ -1,7 +1,5 @@
 """Presets of radios, what they replace, and files and digests without them."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The ten changes of docs/architecture.md, each made in one copy of the code as the page says, and seen working."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -58,7 +56,7 @@ CIRCLE = '''"""A planner that circles."""
 import numpy as np
 
 from uavaou.arrays import Bools, Ints
-from uavaou.world import World
+from uavaou import World
 
 
 class Circle:

@@ -1,7 +1,5 @@
 """Scenarios: presets, units, YAML and CSV, and one readable line for every kind of bad input."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -220,7 +218,7 @@ BAD_CHANGES: list[tuple[dict[str, Any], list[str]]] = [
     ({"carrier_frequency_hz": 1e9, "reference_gain_db": -40}, ["carrier_frequency_hz", "reference_gain_db"]),
     ({"devices_m": [[0, 0], [1, 1], [2, 2]]}, ["devices_m", "3 entries", "devices: 3 would fit"]),
     ({"devices_m": [[0, 0], [1, 1], [2, 2], [201, 1]]}, ["devices_m[3]", "[201, 1]", "outside", "200 m x 200 m"]),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("changes", "words"), BAD_CHANGES, ids=[str(c)[:60] for c, _ in BAD_CHANGES])

@@ -1,7 +1,5 @@
 """Scenarios of extreme and random values: refused in one line, or accepted and playable."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from typing import Any
 

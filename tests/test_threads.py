@@ -1,7 +1,5 @@
 """Threads of a learner: which are used, and tasks that they share."""
 
-from __future__ import annotations
-
 import multiprocessing
 import subprocess
 import sys
@@ -50,12 +48,16 @@ def test_all_tasks_are_run_and_those_that_they_add(number: int) -> None:
         assert done == set(range(1, 16))
 
 
-def test_one_thread_runs_tasks_in_order() -> None:
+def test_one_thread_runs_tasks_in_order_or_alone() -> None:
     use_threads(1)
     names: list[str] = []
     tasks = Tasks(lambda: [names.append("a"), tasks.add(lambda: names.append("c"))], lambda: names.append("b"))
     tasks.run()
     assert names == ["a", "b", "c"]
+    use_threads(4)
+    took: set[int] = set()
+    Tasks(*[lambda: took.add(threading.get_ident())] * 50, alone=True).run()
+    assert took == {threading.get_ident()}
 
 
 def together(number: int) -> set[int | None]:
@@ -79,13 +81,6 @@ def test_threads_work_at_the_same_time_and_are_kept() -> None:
     for _ in range(20):
         together(3)
     assert threading.active_count() == before
-
-
-def test_tasks_that_this_thread_must_run_alone() -> None:
-    use_threads(4)
-    took: set[int] = set()
-    Tasks(*[lambda: took.add(threading.get_ident())] * 50, alone=True).run()
-    assert took == {threading.get_ident()}
 
 
 @pytest.mark.parametrize("in_helper", [True, False])

@@ -1,7 +1,5 @@
 """Quantities with units, in scenarios of files, of Python and of the command line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -54,19 +52,9 @@ def test_a_quantity_is_read_in_the_unit_of_its_field(field: str, given: Any, mea
 def test_every_field_of_a_scenario_that_names_a_unit_has_one() -> None:
     endings = tuple(f"_{unit}" for unit in _UNITS)
     plain = {name for name in Scenario.model_fields if not name.endswith(endings)}
-    assert plain == {
-        "name",
-        "description",
-        "uavs",
-        "devices",
-        "slots",
-        "rician_factor",
-        "fading",
-        "layout",
-        "layout_seed",
-        "flight_time",
-        "path_loss_exponent",
-        "line_of_sight",
+    assert plain == {"name", "description", "uavs", "devices", "slots", "rician_factor", "fading", "layout"} | {
+        *("layout_seed", "flight_time", "line_of_sight", "path_loss_exponent"),
+        *("no_fly", "uav_names", "device_names", "georeference"),
     }
 
 

@@ -4,8 +4,6 @@ In the first step agent 0 chooses the second step's payoffs: 7 whatever both do 
 ((0, 1), (1, 8)) (after action 1). Only a value that is not additive in the agents sees the 8.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,10 +22,8 @@ class TwoStepGame(VecEnv):
 
     def __init__(self, games: int) -> None:
         self.games = games
-        self.row_layout = RowLayout(
-            uavs=2, devices=0, collection="auto",
-            local=(Columns("agent", 0, 2), Columns("step", 2, 5)), state=(Columns("step", 0, 3),),
-        )  # fmt: skip
+        local, state = (Columns("agent", 0, 2), Columns("step", 2, 5)), (Columns("step", 0, 3),)
+        self.row_layout = RowLayout(uavs=2, devices=0, collection="auto", local=local, state=state)
         super().__init__(2 * games, spaces.Box(0.0, 1.0, (8,), np.float32), spaces.Discrete(2))
         self.where = np.zeros(games, np.int64)
         self.returns: list[float] = []

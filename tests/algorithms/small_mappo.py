@@ -1,7 +1,5 @@
 """Small MAPPO learners for tests, and their weights."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch as th

@@ -1,7 +1,5 @@
 """Composite actions by branches: the greedy joint action against enumeration, masks, exploration."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
@@ -82,7 +80,7 @@ def test_advantages_are_centred_over_what_is_allowed_and_a_forced_branch_has_non
     th.testing.assert_close(centred[0, [0, 2, 3, 4, 5]], th.tensor([-1.0, 1.0, -2.0, 2.0, 0.0]))
 
 
-def test_random_choices_are_uniform_over_what_is_allowed() -> None:
+def test_random_choices_are_uniform_over_what_is_allowed_up_to_both_ends() -> None:
     branches = Branches([5, 2, 2])
     allowed = th.tensor([[True, False, True, True, False, True, True, True, False]]).expand(30_000, -1)
     generator = th.Generator().manual_seed(0)
@@ -91,9 +89,6 @@ def test_random_choices_are_uniform_over_what_is_allowed() -> None:
     th.testing.assert_close(moves, th.tensor([1 / 3, 0.0, 1 / 3, 1 / 3, 0.0]), atol=0.01, rtol=0)
     assert abs(float(drawn[:, 1].float().mean()) - 0.5) < 0.01
     assert not drawn[:, 2].any()
-
-
-def test_the_ends_of_the_uniform_numbers_are_choices_too() -> None:
     branches = Branches([4, 1])
     ends = th.tensor([[0.0, 0.0], [1.0 - 2**-24, 1.0 - 2**-24]])
     assert branches.uniform(ends).tolist() == [[0, 0], [3, 0]]

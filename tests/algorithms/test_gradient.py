@@ -1,7 +1,5 @@
 """The gradient of MAPPO: that of its loss, for every network and every override, with and without `algorithms/fast`."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from copy import deepcopy

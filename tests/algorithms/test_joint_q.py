@@ -1,7 +1,5 @@
 """VDN, QMIX and IQL: mixers, the joint replay, targets by hand, exploration, what is read, and the two-step game."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -28,10 +26,17 @@ def small_model(
     return learner("JointQPolicy", env, **quick | arguments)
 
 
-def test_vdn_sums_and_iql_does_not_mix() -> None:
+def test_vdn_sums_with_a_value_of_the_state_where_asked_and_iql_does_not_mix() -> None:
     utilities, states = th.randn(8, 3), th.randn(8, 4)
     th.testing.assert_close(SumMixer(3)(utilities, states)[:, 0], utilities[:, 0] + utilities[:, 1] + utilities[:, 2])
     th.testing.assert_close(Mixer(3)(utilities, states), utilities)
+    policy = small_model(policy_kwargs={"state_value_width": 8}).policy
+    utilities, states = th.randn(8, 2), th.randn(8, policy.row_layout.global_size)
+    mixer = policy.mixer
+    assert isinstance(mixer, StateValueMixer)
+    value = mixer(utilities, states)[:, 0] - utilities.sum(dim=1)  # (8,) of the state alone
+    th.testing.assert_close(mixer(utilities + 1, states)[:, 0], value + utilities.sum(dim=1) + 2)
+    assert len(value.detach().unique()) == 8
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -44,19 +49,17 @@ def test_qmix_is_monotone_in_every_utility_everywhere(seed: int) -> None:
     assert (utilities.grad > 0).any()
 
 
-def test_an_unknown_mixer_is_refused_with_the_nearest_name() -> None:
-    with pytest.raises(InputError, match="'monotonic'"):
-        small_model(policy_kwargs={"mixer": "monotone"})
-
-
-def test_vdn_may_add_a_value_of_the_state() -> None:
-    policy = small_model(policy_kwargs={"state_value_width": 8}).policy
-    utilities, states = th.randn(8, 2), th.randn(8, policy.row_layout.global_size)
-    mixer = policy.mixer
-    assert isinstance(mixer, StateValueMixer)
-    value = mixer(utilities, states)[:, 0] - utilities.sum(dim=1)  # (8,) of the state alone
-    th.testing.assert_close(mixer(utilities + 1, states)[:, 0], value + utilities.sum(dim=1) + 2)
-    assert len(value.detach().unique()) == 8
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: small_model(policy_kwargs={"mixer": "monotone"}), "'monotonic'"),
+        (lambda: small_model(buffer_size=8, n_steps=3), "replay of 8 slots"),
+        (lambda: VDN("JointQPolicy", object()), "row_layout"),
+    ],
+)
+def test_wrong_arguments_are_refused(make: Any, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        make()
 
 
 @pytest.mark.parametrize("network", [{}, {"network": "set"}, {"network": "set", "pull": 12.0}], ids=str)
@@ -125,18 +128,6 @@ def test_returns_stop_where_the_mission_ends() -> None:
         literal = sum(0.5**k * (10 * mission + t) for k, t in enumerate(window))
         assert float(reward) == pytest.approx(literal)
         assert float(discount) == (0.0 if start <= 4 < start + 3 else 0.125)
-
-
-def test_memory_is_what_the_docstring_states() -> None:
-    replay = filled_replay(3, capacity=10, n_steps=1, ends=set())
-    held = sum(array.nbytes for array in (replay.local, replay.states, replay.actions, replay.rewards, replay.ends))
-    assert held == 10 * 2 * (4 * (2 * 3 + 1 + 1) + 2 * 1 + 1)
-    assert replay.slots == 6
-
-
-def test_a_replay_too_small_for_its_return_is_refused() -> None:
-    with pytest.raises(InputError, match="replay of 8 slots"):
-        small_model(buffer_size=8, n_steps=3)
 
 
 def test_the_targets_of_a_three_slot_mission_by_hand() -> None:
@@ -239,21 +230,15 @@ def test_the_target_networks_move_at_their_period_alone() -> None:
     th.testing.assert_close(predicted(policy.target_utilities), predicted(policy.utilities))
 
 
-def test_an_environment_without_row_layout_is_refused() -> None:
-    with pytest.raises(InputError, match="row_layout"):
-        VDN("JointQPolicy", object())
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("learner", "best"), [(QMIX, 8.0), (VDN, 7.0)])
 def test_qmix_sees_the_8_of_the_two_step_game_and_vdn_the_7(learner: type[JointQLearning], best: float) -> None:
     returns = []
-    for seed in range(4):
-        model = learner(
-            "JointQPolicy", TwoStepGame(32), seed=seed, learning_rate=5e-3, n_steps=1, buffer_size=6_400,
-            learning_starts=64, batch_size=128, train_freq=1, tau=1.0, target_update_interval=20,
-            exploration_final_eps=1.0, policy_kwargs={"net_arch": [64]}, device="cpu",
-        )  # fmt: skip
+    for seed in range(2):
+        settings: dict[str, Any] = {"learning_rate": 5e-3, "n_steps": 1, "buffer_size": 6_400, "learning_starts": 64}
+        settings |= {"batch_size": 128, "train_freq": 1, "tau": 1.0, "target_update_interval": 20, "seed": seed}
+        settings |= {"exploration_final_eps": 1.0, "policy_kwargs": {"net_arch": [64]}, "device": "cpu"}
+        model = learner("JointQPolicy", TwoStepGame(32), **settings)
         model.learn(2 * 32 * 120)
         returns.append(play_greedily(model))
-    assert returns == [best] * 4
+    assert returns == [best] * 2

@@ -1,10 +1,5 @@
 """MAPPO and IPPO: who reads what, SB3's policy methods, save and load, seeds, arguments."""
 
-from __future__ import annotations
-
-import sys
-from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -12,8 +7,7 @@ import pytest
 import torch as th
 
 from tests.algorithms.small_mappo import small_model, weights
-from uavaou import IPPO, MAPPO, InputError, algorithms
-from uavaou.threads import use_threads
+from uavaou import IPPO, MAPPO, InputError
 
 
 @pytest.mark.parametrize("collection", ["select", "auto"])
@@ -37,7 +31,7 @@ def test_the_actor_reads_the_local_part_alone(learner: type[MAPPO], collection: 
     assert (rows.grad[:, :local_size] != 0).any()
 
 
-def test_the_critic_reads_the_global_part_alone_and_ippos_the_local() -> None:
+def test_the_critic_reads_the_global_part_once_a_slot_and_ippos_the_local() -> None:
     for learner, reads_global in ((MAPPO, True), (IPPO, False)):
         model = small_model(learner)
         rows = th.from_numpy(model.env.reset()).requires_grad_(True)
@@ -45,9 +39,6 @@ def test_the_critic_reads_the_global_part_alone_and_ippos_the_local() -> None:
         local, state = rows.grad[:, : model.env.local_size], rows.grad[:, model.env.local_size :]
         assert bool((state != 0).any()) == reads_global
         assert bool((local != 0).any()) != reads_global
-
-
-def test_one_value_a_slot_equals_one_a_row() -> None:
     model = small_model()
     rows = th.from_numpy(model.env.reset())
     shared = model.policy.predict_values(rows)
@@ -113,24 +104,3 @@ def test_arguments_that_mappo_does_not_have(arguments: dict[str, Any], words: st
         small_model(**arguments)
     with pytest.raises(InputError, match=r"expected what uavaou\.flatten returns"):
         MAPPO("CentralizedValuePolicy", "CartPole-v1")
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_a_rollout_and_its_update_pass_through_eight_files_at_most(threads: int) -> None:
-    folder = Path(algorithms.__file__).parent
-    names: set[str] = set()
-    model = small_model(n_steps=75, batch_size=600, n_epochs=2)
-
-    def look(frame: FrameType, _event: str, _argument: object) -> None:
-        names.add(frame.f_code.co_filename)
-
-    use_threads(threads)
-    sys.setprofile(look)
-    try:
-        model.learn(2 * 75 * 8)
-    finally:
-        sys.setprofile(None)
-        use_threads(None)
-    files = {path.relative_to(folder) for path in map(Path, names) if path.is_relative_to(folder)}
-    assert Path("mappo/mappo.py") in files
-    assert len(files) <= 8, sorted(map(str, files))

@@ -1,7 +1,5 @@
 """Masks on: nothing infeasible is ever chosen. Masks off: it is, and the World rejects it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -9,14 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch as th
-import yaml
 from stable_baselines3.common.vec_env import VecCheckNan, VecFrameStack, VecNormalize
 
 from uavaou import IPPO, MAPPO, QMIX, VDN, InputError, LocalRows, Scenario, World, flatten
 from uavaou.algorithms.registry import load_config, make_model
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.world import Views
-from uavaou.zoo import zoo_path
 
 SMALL = {
     "mappo-paper": {"missions": 4, "rollout_slots": 12, "batch_rows": 96, "hidden": [8]},
@@ -69,9 +65,12 @@ def test_without_masks_the_world_rejects_it(name: str) -> None:
     assert rejected == devices
 
 
-def test_without_masks_moves_are_free_in_auto_collection_too() -> None:
+def test_without_masks_moves_are_free_in_auto_collection_and_after_loading(tmp_path: Path) -> None:
     model, _ = learned("mappo-paper", masks=False, collection="auto")
     assert infeasible_choices(model, "auto")[0] > 0
+    model, _ = learned("mappo-paper", masks=False)
+    model.save(tmp_path / "model")
+    assert type(model).load(tmp_path / "model").policy.masks is False
 
 
 def test_without_masks_every_bit_counts_in_the_probability() -> None:
@@ -90,22 +89,6 @@ def test_without_masks_every_bit_counts_in_the_probability() -> None:
         probability = model.policy.action_distribution(local).log_prob(actions).exp().numpy(force=True)
         np.testing.assert_allclose(probability, expected, rtol=1e-5)
         assert (options < 5).all()
-
-
-def test_a_learner_saved_without_masks_is_loaded_without(tmp_path: Path) -> None:
-    model, _ = learned("mappo-paper", masks=False)
-    model.save(tmp_path / "model")
-    assert type(model).load(tmp_path / "model").policy.masks is False
-
-
-def test_published_settings_state_it() -> None:
-    for name in ("mappo-paper", "vdn", "qmix"):
-        assert yaml.safe_load(zoo_path("algorithms", name).read_text())["masks"] is True
-
-
-def test_masks_are_true_or_false() -> None:
-    with pytest.raises(InputError, match="masks = 'no'"):
-        load_config("mappo-paper", {"masks": "no"})
 
 
 @pytest.mark.parametrize("learner", [MAPPO, IPPO, VDN, QMIX])

@@ -1,15 +1,18 @@
-"""The networks that algorithms share, value normalisation, and clipping with Adam: the same numbers as by torch."""
+"""Networks, action head, value normalisation, clipping with Adam, and imports: the same as by torch, and no more."""
 
-from __future__ import annotations
-
+import sys
 import time
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch as th
 
 from uavaou.algorithms.fast.update import ClippedAdam
+from uavaou.algorithms.nets.action_head import MoveSelectionDistribution
 from uavaou.algorithms.nets.mlp import Linear, fully_connected, mlp
 from uavaou.algorithms.nets.value_norm import PopArt
+from uavaou.algorithms.postpone_dynamo import postpone_dynamo
 
 
 @pytest.mark.parametrize("batch", [(1,), (7,), (300,), (40, 3), ()], ids=str)
@@ -143,3 +146,103 @@ def test_other_optimizers_are_left_to_torch(optimizer: object) -> None:
     assert not ClippedAdam.supports(adam, parameters[::-1])
     assert callable(optimizer)
     assert not ClippedAdam.supports(optimizer(parameters), parameters)
+
+
+def head(batch: int = 1, seed: int = 0) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+    generator = th.Generator().manual_seed(seed)
+    logits = th.randn((batch, 5 + 3), generator=generator)
+    allowed = th.tensor([1.0, 1.0, 0.0, 1.0, 0.0]).expand(batch, 5)
+    in_range = th.tensor([1.0, 0.0, 1.0]).expand(batch, 3)
+    return logits, allowed, in_range
+
+
+@pytest.mark.parametrize("devices", [3, 0])
+@pytest.mark.parametrize("scale", [1.0, 5.0, 30.0])
+def test_log_probability_entropy_and_their_gradients_are_torchs(devices: int, scale: float) -> None:
+    logits, allowed, in_range = (tensor.double() for tensor in head(64, seed=4))
+    logits, in_range = (logits[:, : 5 + devices] * scale).requires_grad_(True), in_range[:, :devices]
+    move = th.distributions.Categorical(logits=th.where(allowed > 0, logits[:, :5], -1e9))
+    bits = th.distributions.Bernoulli(logits=logits[:, 5:])
+    distribution = MoveSelectionDistribution(devices).proba_distribution(logits, allowed, in_range if devices else None)
+    actions = distribution.sample(th.rand((64, 5 + devices), dtype=th.float64)).reshape(64, -1)
+    weights = th.randn(2, 64, dtype=th.float64)
+    results = []
+    for log_prob, entropy in (
+        (distribution.log_prob(actions), distribution.entropy()),
+        (
+            move.log_prob(actions[:, 0]) + (bits.log_prob(actions[:, 1:].double()) * in_range).sum(1),
+            move.entropy() + (bits.entropy() * in_range).sum(1),
+        ),
+    ):
+        gradient = th.autograd.grad((weights[0] * log_prob + weights[1] * entropy).sum(), logits, retain_graph=True)[0]
+        results.append((log_prob, entropy, gradient))
+    for own, expected in zip(*results, strict=True):
+        th.testing.assert_close(own, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_extremes_are_safe() -> None:
+    logits = th.tensor([[900.0, -900, 0, 0, 0, 900, -900, 200]], requires_grad=True)
+    distribution = MoveSelectionDistribution(3).proba_distribution(logits, *head()[1:])
+    total = distribution.log_prob(th.tensor([[1, 0, 1, 0]])) + distribution.entropy()
+    assert th.isfinite(th.autograd.grad(total.sum(), logits)[0]).all()
+    logits, allowed, in_range = head(2)
+    distribution = MoveSelectionDistribution(3).proba_distribution(logits, allowed, in_range)
+    for value in (0.0, 0.5, 1 - 2**-24):
+        actions = distribution.sample(th.full((2, 8), value))
+        assert all(allowed[0, move] > 0 for move in actions[:, 0])
+        assert not actions[:, 2].any()
+
+
+def test_samples_have_the_distributions_frequencies_and_respect_masks() -> None:
+    logits, allowed, in_range = head()
+    draws = 40_000
+    distribution = MoveSelectionDistribution(3).proba_distribution(
+        logits.expand(draws, -1), allowed.expand(draws, -1), in_range.expand(draws, -1)
+    )
+    th.manual_seed(0)
+    actions = distribution.sample()
+    moves = th.bincount(actions[:, 0], minlength=5) / draws
+    th.testing.assert_close(moves, distribution.move_log_probs[0].exp(), atol=0.01, rtol=0)
+    assert moves[2] == moves[4] == 0
+    selected = actions[:, 1:].float().mean(0)
+    th.testing.assert_close(selected, th.sigmoid(logits[0, 5:]) * in_range[0], atol=0.01, rtol=0)
+
+
+def test_the_mode_is_the_likeliest_of_all_actions() -> None:
+    logits, allowed, in_range = head(20, seed=3)
+    distribution = MoveSelectionDistribution(3).proba_distribution(logits, allowed, in_range)
+    every = [[m, a, b, c] for m in range(5) for a in (0, 1) for b in (0, 1) for c in (0, 1)]
+    likelihood = th.stack([distribution.log_prob(th.tensor([action] * 20)) for action in every], dim=1)
+    best = likelihood.max(dim=1).values
+    th.testing.assert_close(distribution.log_prob(distribution.mode()), best)
+
+
+FUNCTION: Any = vars(th.optim.Optimizer)["add_param_group"].__wrapped__
+
+
+def make_optimizer() -> th.optim.Optimizer:
+    return th.optim.Adam([th.nn.Parameter(th.zeros(1))])
+
+
+def test_an_optimizer_does_not_import_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(FUNCTION, "__dynamo_disable", raising=False)
+    monkeypatch.setitem(sys.modules, "torch._dynamo", None)  # an import is an error
+    with pytest.raises(ImportError):
+        make_optimizer()
+    postpone_dynamo()
+    make_optimizer()
+
+
+def test_what_torch_does_is_done_where_it_has_been_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[Any] = []
+
+    def disable(function: Any, recursive: bool, wrapping: bool) -> Any:
+        calls.append((function, recursive, wrapping))
+        return function
+
+    monkeypatch.delattr(FUNCTION, "__dynamo_disable", raising=False)
+    monkeypatch.setitem(sys.modules, "torch._dynamo", SimpleNamespace(disable=disable))
+    postpone_dynamo()
+    make_optimizer()
+    make_optimizer()
+    assert calls == [(FUNCTION, True, False)]

@@ -1,7 +1,5 @@
 """Devices pull, moves follow: a rule at first, then learned; compiled and by torch's operators."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

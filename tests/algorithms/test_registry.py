@@ -1,7 +1,5 @@
 """Algorithms by name: how one's own is registered, what is refused, and that every command then takes it."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint, EntryPoints
@@ -11,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch as th
-import yaml
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -93,12 +90,6 @@ def test_the_example_trains_is_evaluated_and_drawn_by_name(
     (run,) = tmp_path.glob("results/quickstart/plain-ppo+*/seed-0")
     assert "plain-ppo" in set(Flights.read(run).flights["policy"])
     assert shell(f"{PLUGIN} plot trajectories {run}")[0] == 0
-
-
-def test_the_page_shows_the_example() -> None:
-    page = (EXAMPLE.parents[1] / "docs" / "own-algorithm.md").read_text(encoding="utf-8")
-    shown = page.split("```python\n")[1].split("```")[0]
-    assert EXAMPLE.read_text(encoding="utf-8").endswith(shown)
 
 
 def test_a_run_folder_imports_nothing(shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,14 +254,6 @@ def test_local_rows_are_the_first_columns_at_the_end_of_a_mission_too() -> None:
         np.testing.assert_array_equal(
             info["terminal_observation"][: whole.local_size], seen_info["terminal_observation"]
         )
-
-
-@pytest.mark.parametrize("name", ["mappo", "ippo", "vdn", "qmix"])
-def test_fields_keep_the_order_of_the_committed_configurations(name: str) -> None:
-    path = Path(__file__).resolve().parents[2] / "results/studies/paper/study.yaml"
-    committed = yaml.safe_load(path.read_text())["variants"][name]
-    fields = list(RunConfig.load(name).algorithm.model_dump())
-    assert [field for field in fields if field in committed] == list(committed)  # newer ones have defaults
 
 
 @pytest.mark.parametrize("name", ["mappo", "ippo", "vdn", "qmix", "iql"])

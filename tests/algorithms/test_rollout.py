@@ -1,7 +1,5 @@
 """The rollout: SB3's loop and buffer, whole slots, truncation."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

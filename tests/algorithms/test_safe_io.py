@@ -1,7 +1,5 @@
 """Learners are saved and loaded without pickle, with everything that prediction and further training need."""
 
-from __future__ import annotations
-
 import gc
 import json
 import weakref
@@ -17,6 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, InputError, Scenario, flatten
 from uavaou.algorithms.io.tensor_file import ArrayFile, write_arrays
 from uavaou.algorithms.mappo.policy import CentralizedValuePolicy
+from uavaou.algorithms.qlearning import JointQPolicy
 
 OFF_POLICY = {"buffer_size": 800, "learning_starts": 40, "batch_size": 8}
 LEARNERS = [
@@ -65,6 +64,10 @@ def test_a_loaded_learner_predicts_and_learns_as_the_saved_one(
     again.learn(64)
 
 
+class OwnPolicy(JointQPolicy):
+    """A policy of one's own."""
+
+
 def test_a_learner_that_nobody_holds_is_freed_without_a_collection() -> None:
     learner = MAPPO("CentralizedValuePolicy", missions(), device="cpu")
     held = weakref.ref(learner.policy)
@@ -86,6 +89,11 @@ def test_what_was_saved_of_another_class_or_shape_is_refused(tmp_path: Path) -> 
         MAPPO.load(tmp_path / "model", gama=0.9)
     with pytest.raises(InputError, match="no such"):
         MAPPO.load(tmp_path / "modell")
+    joint = {"device": "cpu", **OFF_POLICY}
+    for saved, other in ((OwnPolicy, JointQPolicy), (JointQPolicy, OwnPolicy)):
+        VDN(saved, missions(), **joint).save(tmp_path / saved.__name__)
+        with pytest.raises(InputError, match=f"holds a '{saved.__name__}', not a {other.__name__}"):
+            VDN.load(tmp_path / saved.__name__, device="cpu", policy=other)
     with pytest.raises(InputError, match="only plain values can be saved"):
         trained(MAPPO, LEARNERS[0][1] | {"policy_kwargs": {"optimizer_class": th.optim.SGD}}).save(tmp_path / "m")
 

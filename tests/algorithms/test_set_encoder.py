@@ -1,7 +1,5 @@
 """The set encoder: order does not matter, absent tokens do not count, and the compiled form is its definition."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -17,10 +15,8 @@ pytestmark = pytest.mark.slow
 
 
 def sized(uavs: int, devices: int) -> Scenario:
-    return Scenario.load("paper").replace(
-        layout="resample", uavs=uavs, devices=devices, altitudes_m=[80 + 2 * u for u in range(uavs)],
-        cds_m=[[0, 100 * u] for u in range(uavs)],
-    )  # fmt: skip
+    places = {"altitudes_m": [80 + 2 * u for u in range(uavs)], "cds_m": [[0, 100 * u] for u in range(uavs)]}
+    return Scenario.load("paper").replace(layout="resample", uavs=uavs, devices=devices, **places)
 
 
 def entity_rows(

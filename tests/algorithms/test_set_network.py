@@ -1,7 +1,5 @@
 """``network: set``: no size in the weights, no order in the answers, and no padding in losses and statistics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +10,12 @@ import torch as th
 from tests.algorithms.small_mappo import weights
 from tests.algorithms.test_gradient import assert_close, both_gradients
 from tests.algorithms.test_set_encoder import entity_rows, shuffled, sized
-from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, Family, InputError, RunConfig, flatten
+from uavaou import IPPO, IQL, MAPPO, QMIX, VDN, Family, InputError, flatten
 from uavaou.algorithms.fast.update import FastUpdate
 from uavaou.algorithms.mappo.buffer import ARRAYS, SlotRolloutBuffer
 from uavaou.algorithms.nets import set_encoder
 from uavaou.algorithms.nets.value_norm import ValueScale
 from uavaou.algorithms.registry import load_config
-from uavaou.runs.names import config_folder, train_command
 from uavaou.world.entities import make_views
 from uavaou.world.views import RowLayout
 
@@ -49,10 +46,9 @@ def padded(array: np.ndarray, own: tuple[Any, ...], wide: tuple[Any, ...]) -> np
 def with_padding(buffer: SlotRolloutBuffer, layout: RowLayout) -> SlotRolloutBuffer:
     """The same rollout in rows of another layout."""
     own, missions = buffer.row_layout, buffer.state.shape[1]
-    other = SlotRolloutBuffer(
-        buffer.buffer_size, buffer.observation_space, buffer.action_space, n_envs=missions * layout.uavs,
-        row_layout=layout, critic_input=buffer.critic_input,
-    )  # fmt: skip
+    spaces = buffer.observation_space, buffer.action_space
+    of_rows = {"n_envs": missions * layout.uavs, "row_layout": layout, "critic_input": buffer.critic_input}
+    other = SlotRolloutBuffer(buffer.buffer_size, *spaces, **of_rows)
     for name in ARRAYS:
         array = getattr(buffer, name)
         if name in ("local", "state"):
@@ -246,22 +242,6 @@ def test_the_scale_of_values_is_a_regression_on_the_sizes() -> None:
     for level in (30.0, 10.0, 3.0):
         one_size.update(th.full((64, 4), 0.7), -th.full((64,), level))
     assert one_size.weights.abs().max() < 0.1
-
-
-def test_published_settings_follow_from_the_network(tmp_path: Path) -> None:
-    flat, sets = load_config("mappo-paper"), load_config("mappo-paper", {"network": "set"})
-    assert (flat.rows, flat.depends_on_sizes) == ("flat", True)
-    assert (sets.rows, sets.depends_on_sizes) == ("entities", False)
-    assert (sets.hidden, sets.batch_rows, sets.collection) == ((128, 128), 1500, "auto")  # type: ignore[attr-defined]
-    changed: Any = load_config("mappo-paper", {"network": "set", "batch_rows": 9})
-    assert changed.batch_rows == 9
-    for name in ("vdn", "qmix", "iql"):
-        fields = load_config(name, {"network": "set"}).model_dump()
-        assert (fields["collection"], fields["batch_slots"], load_config(name).collection) == ("auto", 256, "select")
-    config = RunConfig(sized(2, 3), load_config("ippo", {"network": "set", "epochs": 2}), 0)
-    assert config_folder(tmp_path, config).path.parent.name == "ippo+epochs=2,network=set"
-    words = train_command("paper", config.scenario, config.algorithm)
-    assert [word for word in words if word.startswith("algorithm.")] == ["algorithm.network=set", "algorithm.epochs=2"]
 
 
 def test_a_set_needs_rows_of_entities() -> None:

@@ -1,7 +1,5 @@
 """The symmetries of the square: a policy decides on a turned map as on the map, turned."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

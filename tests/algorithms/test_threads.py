@@ -1,7 +1,5 @@
 """A training gives the same weights, bit by bit, with any number of threads."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy

@@ -1,7 +1,5 @@
 """The command line in this process and in one of its own, and what it leaves on the disk."""
 
-from __future__ import annotations
-
 import shlex
 import subprocess
 import sys
@@ -40,7 +38,7 @@ class Shell:
     def done(self, command: str) -> str:
         """The same, of a command that complains of nothing."""
         code, out, err = self(command)
-        assert (code, err) == (0, ""), command
+        assert (code, err) == (0, ""), (command, err)
         return out
 
     def refused(self, command: str) -> str:

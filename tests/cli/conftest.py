@@ -1,7 +1,5 @@
 """A working folder with obstacles in it, and one with trained runs."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 from pathlib import Path

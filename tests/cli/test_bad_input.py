@@ -1,6 +1,7 @@
-"""Whatever is typed or lies on the disk: one line, exit code 2, nothing written, no code run."""
+"""Whatever is typed or lies in a run's folder: one line, exit code 2, nothing written, no code run.
 
-from __future__ import annotations
+What stands in a file is bent by tests/fuzz, reader by reader.
+"""
 
 import io
 import os
@@ -15,87 +16,51 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.cli.commands import TINY
 from uavaou import Scenario
 from uavaou_cli.main import main
 
-TRAIN = (
-    "train --scenario tiny --quiet --slots 96 --set algorithm.missions=8 --set algorithm.rollout_slots=12 "
-    "--set algorithm.batch_rows=240 --set algorithm.evaluation_missions=2 --set algorithm.hidden=[8]"
-)
+pytestmark = pytest.mark.slow
 
 words = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), min_size=1, max_size=12)
 no_numbers = st.sampled_from(["x", "", " ", "1.5.2", "nan?", "0x", "--", "[1]", "1e", "²", "-" * 5000]) | words.filter(
     lambda word: not word.strip().lstrip("+-").replace("_", "").replace(".", "").replace("e", "").isalnum()
 )
 no_counts = no_numbers | st.sampled_from(["-1", "-99999999999999999999", "1.5", "1e-3", "inf", "nan", "9" * 5000])
-no_names = words.filter(lambda word: word not in ("paper", "tiny", "quickstart", "paper-table1", "mappo", "greedy"))
-
-OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
-    "train": {
-        "--scenario": no_names, "--algorithm": no_names, "--seed": no_counts, "--slots": no_counts | st.just("0"),
-        "--device": no_names, "--backend": no_names, "--checkpoint-every": no_numbers | st.just("0"),
-        "--out": st.just("file"),
-    },
-    "eval --policy random": {
-        "--scenario": no_names, "--policy": no_names, "--episodes": no_counts | st.just("0"), "--seed": no_counts,
-        "--action": no_names, "--out": st.sampled_from([".", "file/x", "/dev/null", "/proc/x"]),
-        "--suite": no_names, "--time-limit": no_numbers | st.sampled_from(["0", "-1", "nan", "inf", "5"]),
-    },
-    "eval --policy random --suite fading": {
-        "--scenario": no_names, "--episodes": no_counts | st.just("0"), "--seed": no_counts, "--action": no_names,
-        "--set": st.sampled_from(["scenario.slots=x", "algorithm.gamma=1", "slots=3"]),
-        "--out": st.sampled_from([".", "file/x", "/dev/null", "/proc/x"]),
-    },
-    "plan tiny": {
-        "--planner": no_names, "--time-limit": no_numbers | st.sampled_from(["0", "-1", "nan", "inf"]),
-        "--episodes": no_counts | st.just("0"), "--seed": no_counts, "--out": st.just("file"),
-    },
-    "route tiny --format csv --policy stay": {
-        "--seconds": no_numbers | st.sampled_from(["0", "-1", "nan", "inf"]), "--policy": no_names, "--seed": no_counts,
-        "--episodes": no_counts | st.just("0"), "--format": no_names, "--out": st.just("file"), "--knows": no_names,
-    },
-    "gap tiny": {
-        "--time-limit": no_numbers | st.sampled_from(["0", "-1", "nan", "inf"]), "--seed": no_counts,
-        "--episodes": no_counts,
-    },
-    "export nowhere --out x": {"--format": no_names},
-    "replay greedy": {
-        "--scenario": no_names, "--seed": no_counts, "--format": no_names, "--time-limit": st.just("5"),
-        "--out": st.sampled_from([".", "file/x.html", "x.png", "x", "/dev/null"]),
-    },
-    "study run smoke": {
-        "--jobs": no_counts | st.just("0"), "--engine": no_names, "--address": no_names, "--out": st.just("file"),
-        "--checkpoint-every": no_numbers | st.just("-1"),
-    },
-    "study status smoke": {"--out": st.just("file")},
-    "study report smoke": {"--out": st.just("file")},
-    "plot trajectories nowhere": {"--episode-seed": no_counts},
-    "plot suite nowhere.csv": {"--out": st.just("file")},
-}  # fmt: skip
-
-NUMBERS = [
-    "area_x_m", "grid_step_m", "uavs", "devices", "slots", "slot_length_s", "speed_m_s", "altitudes_m", "cds_m",
-    "flight_time_budget_s", "rician_factor", "noise_power_dbm", "rate_min_bit_s", "bandwidth_hz", "transmit_power_mw",
-    "update_period_slots", "layout_seed",
-]  # fmt: skip
-NONSENSE: list[Any] = [
-    "text", "", [], {}, None, True, float("nan"), float("inf"), "1e5x", [[[]]], {"a": "b"}, {"low": 3}, -(10**40),
-    10**400,
-]  # fmt: skip
-BROKEN_YAML = [
-    "{", "a: b: c", "\t- x", "- paper", "", "null", "42", "%", "a: &a [*a]", "? x", "base: nothing", "base: [tiny]",
-    "base: tiny\n1: 2", "base: tiny\ndevices_csv: ../../../etc/passwd", "base: tiny\ndevices_csv: 3", "[" * 5000,
-    "base: !!python/object/apply:os.system ['touch hacked']", "!!python/object/new:os.system ['touch hacked']",
-    "base: tiny\nslots: !!python/name:os.system", "base: tiny\nslots: " + "9" * 5000,
-    "a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\nbase: tiny",
-]  # fmt: skip
-KEYS = st.sampled_from([f"scenario.{name}" for name in NUMBERS] + ["algorithm.learning_rate", "algorithm.missions"])
-SUITE_FIELDS = ["description", "scenario", "axis", "points", "name", "?"]
-SCENARIO_COMMANDS = ["audit {}", "train --scenario {}", "eval --policy random --scenario {}", "plan {}", "gap {}"]
+KINDS = {
+    "name": words.filter(lambda word: word not in ("paper", "tiny", "quickstart", "paper-table1", "mappo", "greedy")),
+    "seed": no_counts,
+    "count": no_counts | st.just("0"),
+    "seconds": no_numbers | st.sampled_from(["0", "-1", "nan", "inf"]),
+    "pause": no_numbers | st.just("-1"),
+    "blocked": st.just("file"),
+    "place": st.sampled_from([".", "file/x.html", "/dev/null", "/proc/x"]),
+    "setting": st.sampled_from(["scenario.slots=x", "algorithm.gamma=1", "slots=3"]),
+}
+OPTIONS = {
+    "train": "scenario:name algorithm:name seed:seed slots:count device:name backend:name out:blocked",
+    "eval --policy random": "scenario:name policy:name episodes:count seed:seed action:name out:place suite:name "
+    "time-limit:seconds",
+    "eval --policy random --suite fading": "scenario:name episodes:count seed:seed action:name set:setting out:place",
+    "plan tiny": "planner:name time-limit:seconds episodes:count seed:seed out:blocked",
+    "route tiny --format csv --policy stay": "seconds:seconds policy:name seed:seed episodes:count format:name "
+    "out:blocked knows:name",
+    "gap tiny": "time-limit:seconds seed:seed episodes:count",
+    "export nowhere --out x": "format:name",
+    "replay greedy": "scenario:name seed:seed format:name time-limit:seconds out:place",
+    "fly tiny": "policy:name seed:seed seconds:seconds knows:name out:blocked",
+    "tune --slots 5": "trials:count jobs:count seed:seed algorithm:name space:name out:blocked",
+    "tune": "seconds:seconds slots:count",
+    "study run smoke": "jobs:count engine:name address:name out:blocked checkpoint-every:pause",
+    "study status smoke": "out:blocked",
+    "study report smoke": "out:blocked",
+    "plot trajectories nowhere": "episode-seed:seed",
+    "plot suite nowhere.csv": "out:blocked",
+}
+KEYS = st.sampled_from([f"scenario.{name}" for name in Scenario.model_fields if name not in ("name", "description")])
 
 
 class Bomb:
@@ -119,7 +84,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("place")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        assert main(shlex.split(TRAIN)) == 0
+        assert main(shlex.split(f"{TINY} --algorithm mappo-paper")) == 0
         run = next(place.glob("results/*/*/seed-0"))
         assert main(["eval", str(run), "--episodes", "2", "--quiet"]) == 0
         run.rename(place / "run")
@@ -129,10 +94,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def refused(place: Path) -> Iterator[Callable[..., None]]:
-    """Check that a command is refused in one line and changes nothing."""
+def refused(place: Path) -> Iterator[Callable[..., str]]:
+    """Check that a command is refused in one line and changes nothing; returns the line."""
 
-    def check(*arguments: str) -> None:
+    def check(*arguments: str) -> str:
         before = files(place)
         out, err = io.StringIO(), io.StringIO()
         with redirect_stdout(out), redirect_stderr(err):
@@ -146,31 +111,26 @@ def refused(place: Path) -> Iterator[Callable[..., None]]:
         assert max(map(len, (first, *faults))) < 2100
         assert files(place) == before
         assert not list(place.rglob("hacked"))
+        return said
 
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
         yield check
 
 
-@pytest.mark.slow
-@settings(max_examples=800)
+@settings(max_examples=400)
 @given(data=st.data())
-def test_flags(refused: Callable[..., None], data: st.DataObject) -> None:
+def test_flags(refused: Callable[..., str], data: st.DataObject) -> None:
     command = data.draw(st.sampled_from(list(OPTIONS)))
-    option = data.draw(st.sampled_from(list(OPTIONS[command])))
-    value = data.draw(OPTIONS[command][option])
-    assume((option, value) != ("--device", "auto"))  # a good one: it would train
-    form = [f"{option}={value}"] if data.draw(st.booleans()) else [option, value]
-    refused(*command.split(), *form)
+    option, _, kind = data.draw(st.sampled_from(OPTIONS[command].split())).partition(":")
+    value = data.draw(KINDS[kind])
+    assume((option, value) != ("device", "auto"))  # a good one: it would train
+    form = [f"--{option}={value}"] if data.draw(st.booleans()) else [f"--{option}", value]
+    said = refused(*command.split(), *form)
+    assert kind not in ("seed", "count", "seconds", "pause") or f"--{option}" in said
 
 
-@pytest.mark.slow
-def test_a_value_of_any_length_is_refused_in_a_short_line(refused: Callable[..., None]) -> None:
-    refused("train", "--slots", "-" * 5000)
-
-
-@pytest.mark.slow
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(
     command=st.sampled_from([*OPTIONS, "audit tiny", "scenarios", "plot figures nowhere"]),
     extra=st.sampled_from(["--sed", "--outt", "-q", "--set", "--", "extra more"]) | words.map("--{}".format),
@@ -181,93 +141,16 @@ def test_what_no_command_knows(refused: Callable[..., None], command: str, extra
     refused(*command.split(), *(extra.split(" ") if extra.startswith("extra") else [extra]), "third argument")
 
 
-@pytest.mark.slow
-@settings(max_examples=400)
+@settings(max_examples=200)
 @given(
-    key=KEYS | words,
-    value=st.sampled_from(
-        ["text", "[]", "{}", "null", "true", "nan", "-inf", "[[[", "{a: b}", "!!python/name:os.system"]
-    ),
+    key=KEYS | st.sampled_from(["algorithm.learning_rate", "algorithm.missions"]) | words,
+    value=st.sampled_from(["text", "[]", "{}", "null", "nan", "-inf", "[[[", "{a:b}", "!!python/name:os.system"]),
     joint=st.sampled_from(["=", "=", "=", "", "=="]),
 )
 def test_settings(refused: Callable[..., None], key: str, value: str, joint: str) -> None:
+    optional = ("devices_m", "reference_gain_db")  # may be null, and lists
+    assume(key.removeprefix("scenario.") not in optional)
     refused("train", "--scenario", "tiny", "--set", f"{key}{joint}{value}")
-
-
-@pytest.mark.slow
-@settings(max_examples=500)
-@given(
-    command=st.sampled_from(SCENARIO_COMMANDS),
-    field=st.sampled_from([*NUMBERS, "slot", "device", "?"]),
-    value=st.sampled_from(NONSENSE),
-    cut=st.none() | st.integers(1, 60),
-)
-def test_scenario_files(
-    refused: Callable[..., None], place: Path, command: str, field: str, value: Any, cut: int | None
-) -> None:
-    fields = Scenario.load("tiny").to_dict() | {field: value}
-    text = yaml.safe_dump(fields, sort_keys=False)
-    if cut is not None:  # in the middle of the fields: some that are needed are missing
-        text = text[: len(text) * cut // 100]
-    (place / "scenario.yaml").write_text(text)
-    refused(*command.format("scenario.yaml").split())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", [*SCENARIO_COMMANDS, "eval --suite {}", "study run {}"])
-@pytest.mark.parametrize("text", BROKEN_YAML, ids=range(len(BROKEN_YAML)))
-def test_files_that_are_none(refused: Callable[..., None], place: Path, command: str, text: str) -> None:
-    (place / "broken.yaml").write_text(text)
-    refused(*command.format("broken.yaml").split())
-
-
-@pytest.mark.slow
-@settings(max_examples=200)
-@given(field=st.sampled_from(SUITE_FIELDS), value=st.sampled_from(NONSENSE), inside=st.booleans())
-def test_suite_files(refused: Callable[..., None], place: Path, field: str, value: Any, inside: bool) -> None:
-    content: dict[str, Any] = {"description": "d", "scenario": "tiny", "axis": {"label": "x"}}
-    content["points"] = [{"label": "a", "x": 0, "set": {"slots": 12}}]
-    if inside:  # a point has none of the other fields
-        content["points"][0] |= {field if field not in ("points", "axis") else "set": value if value != {} else []}
-    elif field == "description" and isinstance(value, str) and value:  # any words will do
-        content["axis"] = value
-    else:
-        content[field] = value
-    (place / "suite.yaml").write_text(yaml.safe_dump(content))
-    refused("eval", "--policy", "stay", "--quiet", "--suite", "suite.yaml")
-
-
-STUDY = {"seeds": 1, "scenarios": ["tiny"], "variants": {"mappo": {}}, "planners": ["greedy"], "episodes": 2}
-
-
-@pytest.mark.slow
-@settings(max_examples=300)
-@given(
-    command=st.sampled_from(["run", "status", "report"]),
-    field=st.sampled_from([*STUDY, "slots", "bound", "planning_seconds", "description", "sedes"]),
-    value=st.sampled_from(NONSENSE),
-    cut=st.none() | st.integers(1, 35),
-)
-def test_study_files(
-    refused: Callable[..., None], place: Path, command: str, field: str, value: Any, cut: int | None
-) -> None:
-    harmless = {"description": ("text", "", "1e5x"), "planners": ([],), "bound": (True,), "seeds": ()}
-    if value in harmless.get(field, ()) and type(value) in (str, list, bool):
-        value = None
-    text = yaml.safe_dump(STUDY | {field: value}, sort_keys=False)
-    if cut is not None:  # before the variants
-        text = text[:cut]
-    (place / "study.yaml").write_text(text)
-    refused("study", command, "study.yaml")
-
-
-POLICY_COMMANDS = [
-    "eval run",
-    "eval run --suite fading --scenario tiny",
-    "plot trajectories run",
-    "export run --out x.safetensors",
-    "gap tiny run",
-]
 
 
 def spoil(path: Path, how: str) -> None:
@@ -298,13 +181,16 @@ def spoil(path: Path, how: str) -> None:
 
 
 HOW = ["pickle", "zip", "link", "pipe", "folder", "empty", "header", "terabytes", "brackets", "noise"]
-READ = {command: ["config.yaml", "checkpoints/best.safetensors"] for command in POLICY_COMMANDS}
-READ["plot figures run"] = ["config.yaml", "episodes.csv", "flights.csv.gz"]
+READ = {
+    "eval run": ["config.yaml", "checkpoints/best.safetensors"],
+    "plot figures run": ["episodes.csv", "flights.csv.gz"],
+}
 CASES = [(command, name, how) for command, names in READ.items() for name in names for how in HOW]
 CASES += [(command, "progress.csv", how) for command in READ for how in ("link", "pipe")]  # where nobody looks
+OTHERS = ["eval run --suite fading --scenario tiny", "plot trajectories run", "export run --out x.zip", "gap tiny run"]
+CASES += [(command, "checkpoints/best.safetensors", how) for command in OTHERS for how in ("pickle", "pipe")]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("command", "name", "how"), CASES)
 def test_run_folders(refused: Callable[..., None], place: Path, command: str, name: str, how: str) -> None:
     shutil.copytree(place / "run", place / "kept")
@@ -314,34 +200,3 @@ def test_run_folders(refused: Callable[..., None], place: Path, command: str, na
     finally:
         shutil.rmtree(place / "run")
         (place / "kept").rename(place / "run")
-
-
-@pytest.mark.slow
-@settings(max_examples=250)
-@given(
-    command=st.sampled_from(list(READ)),
-    part=st.sampled_from(["scenario", "algorithm", None]),
-    field=st.sampled_from(
-        ["slots", "devices", "uavs", "missions", "hidden", "name", "learning_rate", "seed", "schema"]
-    ),
-    value=st.sampled_from(
-        [v for v in NONSENSE if v != 10**400] + [[65_536] * 16, [-1], "../../x", "a/b", {"hidden": 3}]
-    ),
-)
-def test_run_configurations(
-    refused: Callable[..., None], place: Path, command: str, part: str | None, field: str, value: Any
-) -> None:
-    config = place / "run" / "config.yaml"
-    kept = config.read_text()
-    content = yaml.safe_load(kept)
-    inside = content if part is None else content[part]
-    if part is None or field not in inside:
-        field = {"scenario": "devices", "algorithm": "hidden", None: "schema"}[part]
-    if (part, field) == ("scenario", "name"):
-        field = "devices"
-    inside[field] = value
-    config.write_text(yaml.safe_dump(content))
-    try:
-        refused(*command.split())
-    finally:
-        config.write_text(kept)

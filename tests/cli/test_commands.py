@@ -1,10 +1,9 @@
-"""The way from training to figures: what the commands write and print."""
-
-from __future__ import annotations
+"""What a person types, and what the commands write and print, from training to figures."""
 
 import json
 import re
 import shlex
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,11 +12,15 @@ import numpy as np
 import pytest
 
 from tests.cli.commands import TINY, TRAIN, Shell, contents, runs
+from tests.synthetic_study import record
 from uavaou import InputError, Scenario, evaluate
 from uavaou.csv_tables import read_table
+from uavaou.errors import command_line
 from uavaou.evaluation.flights import FLIGHTS, Flights
 from uavaou.evaluation.seeds import VALIDATION_SEED
 from uavaou_cli import plan, train
+from uavaou_cli.options import trained
+from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.tables import WIDTH
 
 
@@ -48,15 +51,12 @@ def test_progress_goes_to_stderr_unless_quiet(shell: Shell, monkeypatch: pytest.
     assert shell(f"{command} --quiet") == (0, out, "")
 
 
-def test_the_table_of_the_default_scenario_fits_a_terminal(shell: Shell) -> None:
+def test_an_evaluation_fits_a_terminal_and_says_first_what_one_should_know(shell: Shell) -> None:
     out = shell.done("eval --policy stay --policy random --episodes 3 --quiet")
     assert out.startswith("paper: 3 missions, seeds 10000 to 10002")
     assert all(len(line) <= WIDTH for line in out.splitlines())
     assert "violations" not in out
     assert "broke" not in out
-
-
-def test_what_one_should_know_first_stands_above_the_table(shell: Shell) -> None:
     command = "eval --scenario tiny --policy stay --episodes 1 --quiet --set scenario.transmit_power_mw=0.001"
     out = shell.done(command)
     title, remark, table, _ = out.split("\n\n")
@@ -217,3 +217,136 @@ def test_from_training_to_figures(shell: Shell, workplace: Path) -> None:
         out = shell.done(command)
         assert len(out.splitlines()) == parts
         assert all((workplace / line).stat().st_size > 1000 for line in out.splitlines())
+
+
+@pytest.mark.parametrize("text", ["96", "9.6e1", "0.096k", "0_96"])
+def test_a_budget_may_be_typed_in_short(shell: Shell, workplace: Path, text: str) -> None:
+    (workplace / "results" / "tiny").mkdir(parents=True)
+    (workplace / "results" / "tiny" / "vdn+slots=96").write_text("in the way")
+    err = shell.refused(f"train tiny --slots {text} --algorithm VDN")
+    assert "results/tiny/vdn+slots=96" in err
+
+
+@pytest.mark.parametrize("text", ["many", "1.5", "1G", "k", "", "1e400", "nan"])
+def test_another_budget_is_refused(shell: Shell, workplace: Path, text: str) -> None:
+    for command in ("train tiny", "tune tiny"):
+        err = shell.refused(shlex.join([*command.split(), "--slots", text]))
+        assert err.startswith("uavaou: --slots ")
+        assert "whole number, such as 200000, 200k or 1e6" in err or "at most 1,000,000,000,000" in err
+
+
+def test_commands_are_quoted_only_where_a_shell_needs_it() -> None:
+    words = ["uavaou", "eval", "results/valley~1a2b/mappo+slots=60000/seed-0", "~x", "layout 1", ""]
+    line = command_line(words)
+    assert line == "uavaou eval results/valley~1a2b/mappo+slots=60000/seed-0 '~x' 'layout 1' ''"
+    assert shlex.split(line) == words
+
+
+def test_a_folder_above_runs_says_which_they_are(shell: Shell, workplace: Path) -> None:
+    for seed in range(7):
+        run = workplace / "r" / "mappo" / f"seed-{seed}"
+        run.mkdir(parents=True)
+        (run / "config.yaml").write_text("")
+    code, _, err = shell("eval r")
+    assert code == 2
+    assert "'r' is not a run folder" in err
+    assert "runs below it: r/mappo/seed-0, r/mappo/seed-1, " in err
+    assert err.endswith(" and 2 more\n")
+
+
+def test_overrides_reach_into_ranges_and_leave_the_rest() -> None:
+    items = ["scenario.bandwidth_hz.low=14e3", "scenario.layout_seed=7", "algorithm.learning_rate=1e-4"]
+    overrides = parse_overrides(items)
+    base = Scenario.load("quickstart")
+    changed = overrides.of_scenario(base).to_dict()
+    assert changed == base.to_dict() | {"bandwidth_hz": {"low": 14e3, "high": 2e4}, "layout_seed": 7}
+    assert overrides.of_algorithm("ippo").model_dump()["learning_rate"] == 1e-4
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell) -> Path:
+    """A folder with two trainings, of which one changed more than a name can say."""
+    monkeypatch.chdir(tmp_path)
+    more = " --set algorithm.gamma=0.9 --set algorithm.clip_range=0.3 --set algorithm.max_gradient_norm=9"
+    for settings in ("", more):
+        line = "train tiny --algorithm ippo --slots 60 --set algorithm.missions=2 --set algorithm.hidden=[8] --quiet"
+        assert shell(line + settings)[0] == 0
+    return tmp_path
+
+
+def test_they_are_listed_with_what_each_changed_and_reached(place: Path, shell: Shell) -> None:
+    (other,) = (path.name for path in (place / "results/tiny").glob("ippo+*") if "=" not in path.name)
+    (place / "results/tiny" / other / "seed-0/meta.json").unlink()
+    damaged = place / "results/tiny/vdn/seed-0/config.yaml"
+    damaged.parent.mkdir(parents=True)
+    damaged.write_text("schema: 1\n")
+    out = shell.done("runs")
+    lines = out.splitlines()
+    assert lines[0].split() == ["run", "slots", "mean", "AoU", "state"]
+    found = {line.split()[0]: line.split()[1:] for line in lines[1:] if line.startswith("results")}
+    first = found["results/tiny/ippo+hidden=%5B8%5D,missions=2,slots=60/seed-0"]
+    assert (first[0], first[2]) == ("120", "finished")  # a whole rollout
+    assert float(first[1]) > 0
+    assert found[f"results/tiny/{other}/seed-0"] == ["begun"]
+    assert found["results/tiny/vdn/seed-0"] == ["damaged"]
+    changed = "slots=60, missions=2, hidden=[8], gamma=0.9, clip_range=0.3, max_gradient_norm=9.0"
+    assert changed in " ".join(out.split())
+    assert "vdn/seed-0/config.yaml" in out
+
+
+def test_their_names_are_completed(place: Path) -> None:
+    assert "any-map" in trained("")
+    found = trained("results/tiny/ippo")
+    assert len(found) == 2
+    assert all((place / name / "config.yaml").is_file() for name in found)
+    assert trained("nothing") == []
+
+
+def names(page: Path) -> list[str]:
+    """The policies whose flights a page holds."""
+    return re.findall(r'"name":"([^"]*)","cells"', page.read_text(encoding="utf-8"))
+
+
+def test_it_writes_a_page_and_prints_the_figures(shell: Shell, workplace: Path) -> None:
+    out = shell.done("replay greedy best-first --scenario tiny --set scenario.layout_seed=2 --quiet")
+    page = Path("results/tiny+layout_seed=2/replay/greedy,best-first/mission-10000.html")
+    assert out.splitlines()[-1] == str(page)
+    assert out.startswith("tiny with layout_seed=2: 1 mission, seed 10000")
+    assert names(page) == ["greedy", "best-first"]
+
+
+def test_recorded_missions_stand_beside_flown_ones(shell: Shell, workplace: Path) -> None:
+    for policy in ("mappo", "vdn"):
+        record(workplace, policy)  # on tiny, seed 5
+    code, out, _ = shell("replay mission-vdn.json stay ./mission-mappo.json --out x.html --quiet")
+    assert (code, "tiny: 1 mission, seed 5" in out) == (0, True)
+    assert names(Path("x.html")) == ["VDN, seed 0", "stay", "MAPPO, seed 0"]
+    assert shell("replay mission-vdn.json --out y.html") == (0, "y.html\n", "")
+    for command, reason in (
+        ("replay mission-vdn.json stay --seed 6", "they differ in mission_seed"),
+        ("replay mission-vdn.json stay --scenario quickstart", "they differ in scenario"),
+    ):
+        code, _, err = shell(f"{command} --out z.html --quiet")
+        assert (code, reason in err, err.count("\n")) == (2, True, 1)
+        assert not Path("z.html").exists()
+
+
+@pytest.mark.slow
+def test_it_takes_runs_and_writes_films(
+    shell: Shell, trained: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    run = runs(trained)["run"]
+    out = shell.done(f"replay {run} stay --seed 7 --out {tmp_path}/x.html --quiet")
+    assert names(tmp_path / "x.html") == ["mappo-paper, seed 0", "stay"]
+    monkeypatch.setattr("uavaou_cli.progress._LINE_EVERY_S", 0)
+    code, out, err = shell(f"replay stay --scenario tiny --out {tmp_path}/x.gif")
+    assert (code, out.splitlines()[-1]) == (0, f"{tmp_path}/x.gif")
+    assert "gif: " in err
+    assert (tmp_path / "x.gif").read_bytes().startswith(b"GIF89a")
+
+
+def test_mp4_names_the_extra_that_it_needs(shell: Shell, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    err = shell.refused("replay stay --scenario tiny --format mp4")
+    assert "--format mp4: 'av' is not installed: pip install 'uavaou[video]'" in err
+    assert not (workplace / "results").exists()

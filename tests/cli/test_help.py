@@ -1,7 +1,5 @@
 """The commands and their options, and how quickly they answer."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import subprocess
@@ -78,13 +76,12 @@ def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
     assert all(len(line) <= WIDTH for line in done.stdout.splitlines())
 
 
-def test_version(shell: Shell) -> None:
+def test_the_package_runs_and_says_its_version(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     import uavaou
 
     assert shell("--version") == (0, f"uavaou {uavaou.__version__}\n", "")
-
-
-def test_python_runs_the_package(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(sys, "argv", ["python -m uavaou", "--version"])
     with pytest.raises(SystemExit) as ended:
         runpy.run_module("uavaou", run_name="__main__")
@@ -120,13 +117,10 @@ def test_help_names_all(command: str, names: Iterable[str], shell: Shell) -> Non
     assert all(name in re.sub(r"-\n +", "-", out) for name in names)
 
 
-def test_scenarios_fit_a_terminal(shell: Shell) -> None:
+def test_scenarios_fit_a_terminal_and_audit_prints(shell: Shell) -> None:
     out = shell.done("scenarios")
     assert {"paper", "paper-table1", "quickstart", "tiny"} <= set(out.split())
     assert all(len(line) <= WIDTH for line in out.splitlines())
-
-
-def test_audit_prints(shell: Shell) -> None:
     out = shell.done("audit quickstart")
     assert "0 errors" in out
     code, out, err = shell("audit --scenario paper-table1")

@@ -1,7 +1,5 @@
 """``uavaou import``, and ``uavaou fly`` with a map file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

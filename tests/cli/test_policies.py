@@ -1,7 +1,5 @@
 """Released policies by name in every command, ``uavaou fly``, and trainings that follow on another."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -73,7 +71,7 @@ def test_commands_take_a_released_policy_by_name(shell: Shell, released: Path) -
 
 @pytest.mark.slow
 def test_a_study_evaluates_a_released_policy(shell: Shell, released: Path) -> None:
-    from tests.experiments.tiny_study import Inline, run_inline
+    from tests.experiments.small import Inline, run_inline
     from uavaou.experiments.study import Study
 
     (released / "mine.yaml").write_text(STUDY)

@@ -1,7 +1,5 @@
 """What long jobs show: plain lines where there is no terminal, a bar on one, and nothing with ``--quiet``."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 from typing import Any
@@ -86,11 +84,15 @@ def test_the_rate_of_a_resumed_training_leaves_out_what_was_trained_before(
     assert "100 slots/s, 300 agent steps/s, mean AoU -, 2 h 46 min left" in capsys.readouterr().err
 
 
-def test_a_quiet_display_shows_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_displays_show_the_gap_to_the_bound_and_nothing_if_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     with Display(True, 10) as display:
         display.advance(5, "figure")
         display.message("news")
     assert capsys.readouterr().err == ""
+    with Display(False, 1.0, "", slot_length_s=2.0) as display:
+        display.bound_s = 18.0
+        display.plan(SimpleNamespace(share=1.0, incumbent_s=20.0, bound_s=None))  # type: ignore[arg-type]
+    assert "mean AoU 10.00 slots, bound 9.00, gap 10.0%" in capsys.readouterr().err
 
 
 def test_a_bar_fits_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,13 +109,6 @@ def test_a_bar_fits_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: 
         for line in shown.replace("\r", "\n").splitlines()
     )
     assert all(len(line) <= 80 for line in shown.replace("\r", "\n").splitlines())
-
-
-def test_planning_shows_the_gap_to_the_bound(capsys: pytest.CaptureFixture[str]) -> None:
-    with Display(False, 1.0, "", slot_length_s=2.0) as display:
-        display.bound_s = 18.0
-        display.plan(SimpleNamespace(share=1.0, incumbent_s=20.0, bound_s=None))  # type: ignore[arg-type]
-    assert "mean AoU 10.00 slots, bound 9.00, gap 10.0%" in capsys.readouterr().err
 
 
 def test_the_time_left_of_missions_leaves_out_the_planning_and_other_policies(

@@ -1,7 +1,5 @@
 """``uavaou route``: files for each UAV, what they cost, and refusals; a plan's file where a planner's name stands."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

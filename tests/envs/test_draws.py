@@ -1,7 +1,5 @@
 """Environments of a family: draws side by side and one after the other, padding, and an exact resume."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The flattened environment: the same rows by every way, and each mend of SuperSuit beside what it mends."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

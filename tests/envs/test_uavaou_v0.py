@@ -1,7 +1,5 @@
 """The PettingZoo environment against PettingZoo's own tests, whole missions from one seed, and rewards by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

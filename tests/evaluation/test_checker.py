@@ -1,7 +1,5 @@
 """The checker must be able to fail: each constraint is broken on purpose, and its counter must rise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

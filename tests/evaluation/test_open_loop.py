@@ -1,7 +1,5 @@
 """The routes of a policy are those of the mission that is best when flown again without it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

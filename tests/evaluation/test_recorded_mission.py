@@ -1,7 +1,5 @@
 """A recorded mission as a file: written, read again, refused where it is damaged."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -18,9 +16,8 @@ from uavaou.scenario import Scenario
 def test_a_recorded_mission_is_read_as_it_was_written(tmp_path: Path) -> None:
     mission = record(tmp_path, "tour's")
     again = read_mission(tmp_path / "mission-tour's.json")
-    assert (again.scenario, again.policy, again.training_seed, again.mission_seed) == (
-        Scenario.load("tiny"), "tour's", 0, 5,
-    )  # fmt: skip
+    seen = (again.scenario, again.policy, again.training_seed, again.mission_seed)
+    assert seen == (Scenario.load("tiny"), "tour's", 0, 5)
     for field in ("positions", "collected_by", "age_sum"):
         np.testing.assert_allclose(getattr(again.recording, field), getattr(mission.recording, field), rtol=1e-12)
     np.testing.assert_array_equal(again.recording.communications, mission.recording.communications)

@@ -1,7 +1,5 @@
 """Training, validation and evaluation never share a mission."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 from annotated_types import Le

@@ -1,7 +1,5 @@
 """A small study, a run on tiny with a suite, and trainings that take no time."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 from collections.abc import Callable
@@ -10,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from tests.experiments.small_search import Here, score
-from tests.experiments.small_suites import OWN, TRAIN
-from tests.experiments.tiny_study import TINY, Inline, Write, run_inline
+from tests.cli.commands import TINY as TRAIN
+from tests.experiments.small import OWN, TINY, Here, Inline, Write, run_inline, score
 from uavaou.experiments import trials, tune
 from uavaou.experiments.study import Study
 from uavaou.runs.checkpoint_header import TrainingProgress
@@ -54,7 +51,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("suites")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        assert main(shlex.split(TRAIN)) == 0
+        assert main(shlex.split(f"{TRAIN} --algorithm mappo-paper")) == 0
     next(place.glob("results/*/*/seed-0")).rename(place / "run")
     shutil.rmtree(place / "results")
     (place / "own.yaml").write_text(OWN)

@@ -1,7 +1,5 @@
 """Parts of a study that fail, are interrupted, or in progress; damaged tables."""
 
-from __future__ import annotations
-
 import gzip
 import pickle
 from collections.abc import Callable
@@ -11,19 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.experiments.tiny_study import TINY, Inline, Write, assert_same_tables, refusing, run_inline
+from tests.cli.commands import Shell
+from tests.experiments.small import TINY, Inline, Write, assert_same_tables, refusing, run_inline
 from tests.synthetic_study import without
-from uavaou import InputError, Scenario
+from uavaou import InputError, Scenario, read_study
 from uavaou.evaluation.flights import Flights, PartKey
 from uavaou.experiments.executor import StoppedEarlyError, outcome
 from uavaou.experiments.jobs import Fly, Training, TrainingReport
-from uavaou.experiments.results import read_study
 from uavaou.experiments.run import StudyState, seconds_left, study_status
 from uavaou.experiments.study import Study
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.lock import holder, one_writer
 from uavaou.runs.names import config_folder
-from uavaou_cli.main import main
 from uavaou_cli.progress import StudyDisplay
 
 
@@ -35,9 +32,7 @@ def of_mappo(job: Any) -> bool:
     return isinstance(job, Training) and job.config.algorithm.name == "mappo"
 
 
-def test_a_failed_run_stops_no_other_and_is_tried_again(
-    write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failed_run_stops_no_other_and_is_tried_again(write: Write, tmp_path: Path, shell: Shell) -> None:
     study = Study.load(write(TINY))
     in_the_way = first_folder(study, tmp_path / "out")
     in_the_way.path.mkdir(parents=True)
@@ -47,8 +42,7 @@ def test_a_failed_run_stops_no_other_and_is_tried_again(
     assert ended.done == 1
     assert "the fields algorithm, scenario are missing" in ended.failed[PartKey("mappo", "tiny", 0)]
     assert ended.failed[PartKey("anneal", "tiny")] == ended.failed[PartKey("own critic", "tiny", 1)] == "no wind today"
-    assert main(["study", "status", str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "out")]) == 0
-    shown = capsys.readouterr().out
+    shown = shell.out(f"study status {tmp_path / 'mine.yaml'} --out {tmp_path / 'out'}")
     assert "7 parts, 1 finished, 6 failed" in shown
     assert "own critic on tiny, seed 1: no wind today" in shown
     in_the_way.config.unlink()
@@ -128,7 +122,7 @@ def test_jobs_of_a_killed_command_are_not_shown_as_running(copied: tuple[Study, 
         assert {part.state for part in study_status(study, out)} == {"finished", "waiting"}
 
 
-def test_one_command_at_a_time_runs_a_study(copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_command_at_a_time_runs_a_study(copied: tuple[Study, Path], shell: Shell) -> None:
     study, out = copied
     folder = first_folder(study, out)
     without(out / "studies/mine", policy="mappo")
@@ -141,8 +135,8 @@ def test_one_command_at_a_time_runs_a_study(copied: tuple[Study, Path], capsys: 
         assert {part.state for part in parts if part.key == PartKey("mappo", "tiny", 1)} == {"trained"}
         assert seconds_left(parts) == 0
     with one_writer(out / "studies/mine"):
-        assert main(["study", "run", str(out.parent / "mine.yaml"), "--out", str(out)]) == 2
-    assert "is being written by process" in capsys.readouterr().err
+        code, _, err = shell(f"study run {out.parent / 'mine.yaml'} --out {out}")
+    assert (code, "is being written by process" in err) == (2, True)
 
 
 # -- damage --------------------------------------------------------------------------------------------

@@ -3,16 +3,14 @@
 CI plays some of the trials; ``make faults`` plays all.
 """
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 
 import pytest
 
-from tests.experiments.tiny_study import SET, Inline, run_inline, tables
+from tests.experiments.small import SET, Inline, run_inline, tables
 from tests.faults import Trial, assert_ended_well, ended, play, sites_of
-from uavaou.errors import InputError
+from uavaou import InputError
 from uavaou.evaluation.flights import Flights
 from uavaou.experiments.study import Study
 

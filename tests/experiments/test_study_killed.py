@@ -1,12 +1,12 @@
 """Studies on processes and on a Ray cluster: interrupted, killed, and gone on with, they end as the untouched one."""
 
-from __future__ import annotations
-
+import importlib.util
 import json
 import multiprocessing
 import os
 import pickle
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,11 +24,11 @@ import pytest
 from filelock import FileLock
 
 from tests.command_line import start_command
-from tests.experiments.tiny_study import assert_same_tables
+from tests.experiments.small import assert_same_tables
 from tests.runs.stopped_runs import without_wall
+from uavaou import read_study
 from uavaou.experiments.executor import Executor, Processes, _work
 from uavaou.experiments.jobs import Bound, Training, TrainingReport
-from uavaou.experiments.results import read_study
 from uavaou.experiments.run import StudyState, run_study
 from uavaou.experiments.study import Study
 from uavaou.runs.lock import holder
@@ -86,45 +86,39 @@ def untouched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Study]:
 
 
 @pytest.mark.slow
-def test_sigterm_makes_every_run_save_and_the_same_command_goes_on(
-    untouched: tuple[Path, Study], tmp_path: Path
+@pytest.mark.parametrize(
+    ("number", "to", "code", "engine"),
+    [
+        (signal.SIGTERM, os.killpg, 143, ""),  # to the children too
+        (signal.SIGKILL, os.kill, -signal.SIGKILL, ""),
+        (signal.SIGINT, os.killpg, 130, " --engine ray"),
+    ],
+)
+def test_every_run_saves_when_its_study_is_stopped_and_the_same_command_goes_on(
+    number: signal.Signals, to: Any, code: int, engine: str, untouched: tuple[Path, Study], tmp_path: Path
 ) -> None:
+    if engine:
+        pytest.importorskip("ray")
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
-    process = start_command(line, tmp_path / "stderr")
+    process = start_command(line + engine, tmp_path / "stderr")
     folders = wait_for_missions(process, tmp_path / "out", 2, 20)
-    os.killpg(process.pid, signal.SIGTERM)  # to the children too
+    to(process.pid, number)
     process.join(120)
-    assert process.exitcode == 143
-    said = (tmp_path / "stderr").read_text()
-    assert said.count("\n") == 1, said
-    assert said.split("to go on: uavaou ")[1] == f"{line}\n"
-    metas = [json.loads((folder / "meta.json").read_text()) for folder in folders]
-    assert all(0 < meta["slots"] < 16_000 for meta in metas)
-    assert all(holder(folder / ".lock") is None for folder in folders)
-    process = start_command(line, tmp_path / "again")
-    process.join(300)
-    assert process.exitcode == 0
-    assert_the_same(tmp_path / "out", place / "out", study)
-    assert all(json.loads((folder / "meta.json").read_text())["cpu_s"] > meta["cpu_s"] > 0
-               for folder, meta in zip(folders, metas, strict=True))  # fmt: skip
-
-
-@pytest.mark.slow
-def test_trainings_save_and_end_when_the_study_process_is_killed(untouched: tuple[Path, Study], tmp_path: Path) -> None:
-    place, study = untouched
-    line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
-    process = start_command(line, tmp_path / "stderr")
-    folders = wait_for_missions(process, tmp_path / "out", 2, 20)
-    os.kill(process.pid, signal.SIGKILL)
-    process.join()
+    assert process.exitcode == code
     deadline = time.monotonic() + 60
     while any(holder(folder / ".lock") for folder in folders) and time.monotonic() < deadline:
         time.sleep(0.1)
-    assert all(json.loads((folder / "meta.json").read_text())["slots"] > 0 for folder in folders)
-    assert (tmp_path / "stderr").read_text() == ""  # the runs end without a word: nobody is there to hear it
-    assert main(shlex.split(line)) == 0
+    said = (tmp_path / "stderr").read_text()
+    assert said.count("\n") == (code > 0), said  # of one that is killed, nobody is there to hear the runs
+    assert code < 0 or said.split("to go on: uavaou ")[1] == f"{line}{engine}\n"
+    metas = [json.loads((folder / "meta.json").read_text()) for folder in folders]
+    assert all(0 < meta["slots"] < 16_000 for meta in metas)
+    assert main(shlex.split(line)) == 0  # without the cluster
     assert_the_same(tmp_path / "out", place / "out", study)
+    if number == signal.SIGTERM:
+        again = [json.loads((folder / "meta.json").read_text()) for folder in folders]
+        assert all(after["cpu_s"] > meta["cpu_s"] > 0 for after, meta in zip(again, metas, strict=True))
 
 
 @pytest.mark.slow
@@ -175,22 +169,20 @@ def test_a_queued_job_of_a_cluster_is_cancelled(monkeypatch: pytest.MonkeyPatch)
         asked.append((number, stop))
         return reports[number].pop(0)
 
-    keeper = SimpleNamespace(
-        open=SimpleNamespace(remote=lambda folder: "begun" if folder else "queued"),
-        close=SimpleNamespace(remote=lambda number: None), news=SimpleNamespace(remote=news),
-    )  # fmt: skip
+    remote = {name: SimpleNamespace(remote=lambda *_: 0) for name in ("open", "close", "news")}
+    keeper = SimpleNamespace(**remote)
     waits = iter([[], [], ["done"]] * 2)
     fake = SimpleNamespace(
-        get=lambda value: cluster.Ended(1) if value == "reference" else value, exceptions=ray.exceptions,
-        cancel=lambda reference, force: cancelled.append(asked[-1][0]), wait=lambda *_, timeout: (next(waits), []),
-    )  # fmt: skip
+        get=lambda value: cluster.Ended(1) if value == "reference" else value,
+        exceptions=ray.exceptions,
+        cancel=lambda reference, force: cancelled.append(asked[-1][0]),
+        wait=lambda *_, timeout: (next(waits), []),
+    )
     monkeypatch.setattr(cluster, "ray", fake)
     executor = object.__new__(cluster.Cluster)
     executor.stopping, executor._keeper, executor._plugins, executor._running = True, keeper, [], []
     executor._remote = SimpleNamespace(remote=lambda *_: "reference")
-    monkeypatch.setattr(cluster.Keeper, "open", lambda *_: 0)
     config = next(iter(Study.load("smoke").runs()))[1]
-    keeper.open.remote = lambda folder: 0
     keeper.news.remote = lambda number, stop: news("queued", stop)
     assert executor._perform(Bound(config.scenario), lambda report: None) == 1
     assert cancelled == ["queued", "queued"]
@@ -320,46 +312,6 @@ def test_a_cluster_is_started_beside_one_that_is_there(monkeypatch: pytest.Monke
         assert ray.cluster_resources()["CPU"] == 1
 
 
-@pytest.mark.slow
-def test_a_study_stopped_on_a_cluster_resumes_without_it(untouched: tuple[Path, Study], tmp_path: Path) -> None:
-    pytest.importorskip("ray")
-    place, study = untouched
-    line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'} --engine ray"
-    process = start_command(f"{line} --checkpoint-every 0", tmp_path / "stderr")
-    folders = wait_for_missions(process, tmp_path / "out", 2, 5)
-    assert all(str(holder(folder / ".lock")).startswith("process ") for folder in folders)
-    os.killpg(process.pid, signal.SIGINT)
-    process.join(120)
-    assert process.exitcode == 130
-    said = (tmp_path / "stderr").read_text()
-    assert said.count("\n") == 1, said
-    assert all(0 < json.loads((folder / "meta.json").read_text())["slots"] < 16_000 for folder in folders)
-    assert main(shlex.split(line.replace(" --engine ray", ""))) == 0
-    assert_the_same(tmp_path / "out", place / "out", study)
-
-
-@pytest.mark.slow
-def test_the_smoke_study_killed_and_resumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = f"study run smoke --jobs 2 --out {tmp_path / 'out'}"
-    process = start_command(line, tmp_path / "stderr")
-    wait_for_missions(process, tmp_path / "out", 1, 20)
-    process.kill()
-    process.join()
-    time.sleep(1)
-    process = start_command(line, tmp_path / "stderr")
-    process.join(600)
-    assert process.exitcode == 0, (tmp_path / "stderr").read_text()
-    said = (tmp_path / "stderr").read_text()
-    assert "14/14  " in said
-    assert main(["study", "status", "smoke", "--out", str(tmp_path / "out")]) == 0
-    assert "14 parts, 14 finished" in capsys.readouterr().out
-    results = read_study(tmp_path / "out/studies/smoke")
-    trained = results.flights[results.flights["seed"].notna()]
-    assert len(trained.drop_duplicates(["policy", "scenario", "seed"])) == 8
-    assert set(results.flights["violations"]) == {0}
-    assert (trained["mean_aou_slots"] >= 0).all()
-
-
 def test_a_cluster_without_ray_is_refused_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -368,3 +320,33 @@ def test_a_cluster_without_ray_is_refused_in_one_line(
     assert main(shlex.split(f"study run smoke --engine ray --out {tmp_path / 'out'}")) == 2
     assert "pip install 'uavaou[ray]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "plain_ppo.py"
+STUDY = """
+description: A plain PPO
+slots: 96
+seeds: 1
+scenarios: [tiny]
+variants:
+  plain: {algorithm: plain-ppo, set: {missions: 4, rollout_slots: 24, minibatches: 2, evaluation_missions: 2}}
+planners: [stay]
+episodes: 2
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("plugin", "engine"), [("own_ppo", "local"), ("own_ppo.py", "ray")])
+def test_a_study_trains_what_a_plugin_registers(plugin: str, engine: str, tmp_path: Path) -> None:
+    if importlib.util.find_spec("ray") is None and engine == "ray":
+        pytest.skip("ray is not installed")
+    shutil.copy(EXAMPLE, tmp_path / "own_ppo.py")
+    (tmp_path / "mine.yaml").write_text(STUDY)
+    command = ["--plugin", plugin, "study", "run", "mine.yaml", "--jobs", "1", "--engine", engine, "--quiet"]
+    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    ran = subprocess.run(
+        [sys.executable, "-m", "uavaou", *command], cwd=tmp_path, env=surroundings, capture_output=True, text=True
+    )
+    assert (ran.returncode, ran.stderr) == (0, "")
+    results = read_study(tmp_path / "results" / "studies" / "mine")
+    assert len(results.trainings("plain", "tiny")) == 1

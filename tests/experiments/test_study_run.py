@@ -1,7 +1,5 @@
 """A study as it runs: the order, what is skipped, resumed, refused and failed, its tables and its status."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil
@@ -10,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.experiments.tiny_study import SET, TINY, Inline, Write, rewritten, run_inline, tables
+from tests.cli.commands import Shell
+from tests.experiments.small import SET, TINY, Inline, Write, rewritten, run_inline, tables
 from tests.runs.stopped_runs import without_wall
-from tests.synthetic_study import edit, without
-from uavaou import Scenario
+from tests.synthetic_study import edit, set_to, without
+from uavaou import Scenario, read_study
 from uavaou.evaluation.flights import DEVICES, SAMPLED, SLOTS, TRAINING, VALIDATION, Flights, PartKey
 from uavaou.experiments.jobs import Training
-from uavaou.experiments.results import read_study
 from uavaou.experiments.run import expected_cpu_s, gather, study_status, update_results
 from uavaou.experiments.study import Study
 from uavaou.runs.flights import training_curves
@@ -39,9 +37,7 @@ def test_planners_come_after_the_first_seed_and_before_the_others(finished: tupl
     assert finished[1].names == order
 
 
-def test_a_finished_study_does_nothing_and_changes_nothing(
-    copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_finished_study_does_nothing_and_changes_nothing(copied: tuple[Study, Path], shell: Shell) -> None:
     study, out = copied
     before, executor = tables(out), Inline()
     ended = run_inline(study, out, executor)
@@ -49,14 +45,12 @@ def test_a_finished_study_does_nothing_and_changes_nothing(
     assert executor.done == []
     assert tables(out) == before
     file = out.parent / "mine.yaml"
-    assert main(["study", "run", str(file), "--out", str(out), "--quiet"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
+    said = " ".join(shell.out(f"study run {file} --out {out} --quiet").split())
     again = f"uavaou study run {file} --out {out}-again"
     assert f"nothing was trained: all 7 parts have results already. All of them again: {again} next:" in said
     assert said.endswith(f"next: uavaou study report {file} --out {out}")
     without(out / "studies/mine", policy="bound")  # now one part is done
-    assert main(["study", "run", str(file), "--out", str(out), "--quiet"]) == 0
-    assert "nothing was trained" not in capsys.readouterr().out
+    assert "nothing was trained" not in shell.out(f"study run {file} --out {out} --quiet")
 
 
 def test_a_study_resumes_from_its_tables_alone(copied: tuple[Study, Path]) -> None:
@@ -83,14 +77,13 @@ def test_a_study_resumes_from_its_tables_alone(copied: tuple[Study, Path]) -> No
     ],
 )
 def test_results_of_another_study_are_refused_and_kept(
-    old: str, new: str, who: str, copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
+    old: str, new: str, who: str, copied: tuple[Study, Path], shell: Shell
 ) -> None:
     _, out = copied
     path = rewritten(out.parent / "mine.yaml", out.parent / "mine.yaml", old, new)
     before = tables(out)
     for command in ("run", "report", "status"):
-        assert main(["study", command, str(path), "--out", str(out)]) == 2
-        said = capsys.readouterr().err
+        said = shell.refused(f"study {command} {path} --out {out}")
         assert f"holds results of {who} on tiny" in said
         assert "another --out" in said
     assert tables(out) == before
@@ -200,8 +193,8 @@ def test_the_tables_agree_with_the_run_folders(copied: tuple[Study, Path]) -> No
         missions = results.stack(key.policy, "tiny")[key.seed]
         rows = results.table.where(policy=key.policy, seed=key.seed).flights
         assert rows["mission_seed"].tolist() == [10_000, 10_001, 10_002]
-        run = {name: results.curves(name, key.policy, "tiny")[key.seed] for name in
-               (SLOTS, DEVICES, TRAINING, VALIDATION, SAMPLED)}  # fmt: skip
+        names = (SLOTS, DEVICES, TRAINING, VALIDATION, SAMPLED)
+        run = {name: results.curves(name, key.policy, "tiny")[key.seed] for name in names}
         assert run[SLOTS]["x"].tolist() == list(range(1, 13))
         np.testing.assert_allclose(run[SLOTS]["mean_aou_slots"].mean(), missions.mean(), rtol=1e-5)
         np.testing.assert_allclose(run[DEVICES]["communications"].sum(), rows["communications"].mean(), rtol=1e-5)
@@ -258,12 +251,7 @@ def test_a_better_seed_takes_the_place_of_the_best(copied: tuple[Study, Path]) -
     study, out = copied
     (kept,) = (out / "studies/mine/best/tiny/mappo").iterdir()
     other = 1 - int(kept.name.removeprefix("seed-"))
-
-    def better(table: Flights) -> Flights:
-        own = ((table.flights["policy"] == "mappo") & (table.flights["seed"] == other)).fillna(False)
-        return Flights(table.flights.assign(best_slots=table.flights["best_slots"].mask(own, 0.001)), table.curves)
-
-    edit(out / "studies/mine", better)
+    set_to(out / "studies/mine", "best_slots", 0.001, policy="mappo", seed=other)
     shutil.copytree(out / "tiny", out / "away")
     shutil.rmtree(out / "tiny")  # without the folder of the better one, the kept policy stays
     update_results(study, out)
@@ -300,20 +288,16 @@ def test_a_report_without_run_folders_keeps_all_rows(copied: tuple[Study, Path],
     assert tables(out) == before
 
 
-def test_the_report_prints_every_variant_and_planner(
-    copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report_prints_every_variant_and_planner(copied: tuple[Study, Path], shell: Shell) -> None:
     study, out = copied
     before = tables(out)
-    command = ["study", "report", str(out.parent / "mine.yaml"), "--out", str(out)]
+    command = f"study report {out.parent / 'mine.yaml'} --out {out}"
     with one_writer(out / "studies/mine"):  # while it runs, its tables are taken as they stand
-        assert main(command) == 0
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
+        code, _, said = shell(command)
+    assert (code, said.count("\n")) == (0, 1)
     assert "is at work on the study: its page is written from the tables as they stand" in said
     assert tables(out).keys() - before.keys() == {"README.md", "marl-eval.json"}
-    assert main(command) == 0
-    shown = capsys.readouterr().out
+    shown = shell.out(command)
     for name in (*study.variants, *study.planners, "lower bound"):
         assert any(line.startswith(f"{name} ") for line in shown.splitlines())
     after = tables(out)
@@ -324,55 +308,41 @@ def test_the_report_prints_every_variant_and_planner(
     assert after.keys() - before.keys() == {"README.md", "marl-eval.json", "replay.html", *missions}
 
 
-def test_the_report_warns_of_results_below_the_bound(
-    copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report_warns_of_results_below_the_bound(copied: tuple[Study, Path], shell: Shell) -> None:
     _, out = copied
-
-    def raised(table: Flights) -> Flights:
-        bound = table.flights["policy"] == "bound"
-        return Flights(
-            table.flights.assign(mean_aou_slots=table.flights["mean_aou_slots"].mask(bound, 1e5)), table.curves
-        )
-
-    edit(out / "studies/mine", raised)
-    assert main(["study", "report", str(out.parent / "mine.yaml"), "--out", str(out)]) == 0
-    said = capsys.readouterr().err
-    assert "uavaou: 'mappo' on 'tiny' has a mean AoU of " in said
+    set_to(out / "studies/mine", "mean_aou_slots", 1e5, policy="bound")
+    code, _, said = shell(f"study report {out.parent / 'mine.yaml'} --out {out}")
+    assert (code, "uavaou: 'mappo' on 'tiny' has a mean AoU of " in said) == (0, True)
     assert "below the certified bound of 100,000" in said
 
 
-def test_a_report_names_a_damaged_best_checkpoint_and_goes_on(
-    copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_report_names_a_damaged_best_checkpoint_and_goes_on(copied: tuple[Study, Path], shell: Shell) -> None:
     study, out = copied
     (kept,) = (out / "studies/mine/best/tiny/mappo").iterdir()
     seed = int(kept.name.removeprefix("seed-"))
     best = run_folder(study, out, seed=seed).best
     best.write_bytes(best.read_bytes()[:-4] + b"ouch")
     without(out / "studies/mine", policy="mappo", seed=seed)
-    assert main(["study", "report", str(out.parent / "mine.yaml"), "--out", str(out)]) == 0
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
+    code, _, said = shell(f"study report {out.parent / 'mine.yaml'} --out {out}")
+    assert (code, said.count("\n")) == (0, 1)
     assert f"left out: mappo on tiny, seed {seed}: {best}: damaged" in said
 
 
 @pytest.mark.parametrize("command", ["run", "report"])
 def test_results_that_cannot_be_written_are_refused_in_one_line(
-    command: str, copied: tuple[Study, Path], capsys: pytest.CaptureFixture[str]
+    command: str, copied: tuple[Study, Path], shell: Shell
 ) -> None:
     _, out = copied
     shutil.rmtree(out / "studies/mine")
     (out / "studies/mine/study.yaml.partial").mkdir(parents=True)
-    assert main(["study", command, str(out.parent / "mine.yaml"), "--out", str(out)]) == 2
-    said = capsys.readouterr().err
+    said = shell.refused(f"study {command} {out.parent / 'mine.yaml'} --out {out}")
     assert said.count("\n") == 1
     assert f"cannot write '{out / 'studies/mine/study.yaml'}" in said
 
 
 @pytest.mark.parametrize("there", ["nothing", "a damaged run"])
 def test_a_report_without_results_is_refused_and_writes_nothing(
-    there: str, write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    there: str, write: Write, tmp_path: Path, shell: Shell
 ) -> None:
     out, path = tmp_path / "out", write(TINY)
     if there == "a damaged run":
@@ -380,8 +350,7 @@ def test_a_report_without_results_is_refused_and_writes_nothing(
         folder.path.mkdir(parents=True)
         folder.config.write_text("schema: [1\n")
     before = sorted(out.rglob("*"))
-    assert main(["study", "report", str(path), "--out", str(out)]) == 2
-    said = capsys.readouterr().err.splitlines()
+    said = shell.refused(f"study report {path} --out {out}").splitlines()
     assert "nothing of study 'mine' has been evaluated" in said[-1]
     if there == "a damaged run":
         assert "left out: mappo on tiny, seed 0" in said[0]

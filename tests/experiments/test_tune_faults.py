@@ -3,16 +3,14 @@
 CI plays some of the trials; ``make faults`` plays all.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.experiments.small_search import a_folder, read_trials, work
+from tests.experiments.small import a_folder, read_trials, work
 from tests.faults import Trial, assert_ended_well, ended, play, sites_of
-from uavaou.errors import InputError
+from uavaou import InputError
 from uavaou.experiments import trials
 from uavaou.experiments.search import SearchFolder
 from uavaou.runs.folder import RunConfig

@@ -1,7 +1,5 @@
 """Small files like those that people bring: the same three sensors, a station, an outline and a zone in each format."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

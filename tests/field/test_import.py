@@ -1,7 +1,5 @@
 """Files of the outside world become a scenario: each format, each oddity, and a line for what cannot be read."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile
@@ -69,13 +67,13 @@ def test_every_format_holds_the_same_field(name: str, tmp_path: Path) -> None:
         ("Höhe;Breite (°);Länge (°);Name\n5;46,1012;7,221;weir\n;;;\n", "latin-1"),
         ("# by hand\nSite list 2024\nstation_name , gps_lat , gps_lon ,,\nweir,46.1012,7.221,,\n,,,,\n", "utf-8"),
         ("name|Y|X\nweir|46.1012|7.2210312\n", "utf-8"),
-        ("name,location\nweir,\"(46.1012, 7.221)\"\n", "utf-8"),
+        ('name,location\nweir,"(46.1012, 7.221)"\n', "utf-8"),
         ("name,the_geom\nweir,POINT (7.221 46.1012)\n", "utf-8"),
         ('name,geometry\nweir,"{""type"": ""Point"", ""coordinates"": [7.221, 46.1012]}"\n', "utf-8"),
         ("name,lat,lon\nweir,46°06'04.32\"N,7° 13' 15.6\" E\n", "utf-8"),
         ("name,lat,lon\nweir,N 46 06.072,7.221E\n", "utf-8"),
     ],
-)  # fmt: skip
+)
 def test_tables_as_people_write_them(text: str, encoding: str, tmp_path: Path) -> None:
     survey = survey_of(tmp_path, text.encode(encoding))
     assert np.allclose(latitudes(survey), [(46.1012, 7.221)], atol=1e-4)
@@ -253,7 +251,7 @@ BOMB = '<!DOCTYPE k [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]><
         ("a.waypoints", "QGC WPL 110\n0 1 0 16 0 0 0 0 x 7 0 1\n", "line 2: '0 1 0 16 0 0 0 0 x 7 0 1': expected 12"),
         ("a.shp", b"\x00\x00'\n\x00\x00", "a shapefile: save it as GeoJSON"),
     ],
-)  # fmt: skip
+)
 def test_one_line_says_what_cannot_be_read(name: str, content: str | bytes, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
         field_of(survey_of(tmp_path, content, name))

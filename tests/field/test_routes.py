@@ -1,7 +1,5 @@
 """Routes: merged legs are the mission that was flown, in every format, as code that is not ours reads it."""
 
-from __future__ import annotations
-
 import csv
 import json
 import socket

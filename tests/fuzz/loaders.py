@@ -13,8 +13,6 @@ readers together have EXECUTIONS. An input that ends in anything but an answer o
 shortest files of each reader, up to five of it and 40 kB in all. NAME begins with the SHA-256 of the content.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

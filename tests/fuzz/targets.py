@@ -3,8 +3,6 @@
 A reader may answer with what it read, or with an InputError of one line; anything else is a finding.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import marshal

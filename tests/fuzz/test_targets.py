@@ -1,7 +1,5 @@
 """The CI-length form of the fuzzer: the same targets and mutations, the same on every machine."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -1,7 +1,5 @@
 """A policy with preferences, exported for one UAV on a map that has a place on the earth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """An autopilot on loopback UDP with the modes of PX4: it flies to where it is sent, and fails in chosen ways."""
 
-from __future__ import annotations
-
 import heapq
 import math
 import random

@@ -1,7 +1,5 @@
 """Whatever fails, the aircraft ends at home, and legs lead from cell to cell. Time and aircraft are made up."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Over MAVSDK and UDP, an autopilot that fails in many ways ends at home, landed; the log says why."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -21,7 +19,7 @@ import pytest
 
 from tests.link.conftest import FIELD
 from tests.link.fake_autopilot import FakeAutopilot, link
-from uavaou.csv_tables import read_csv
+from uavaou.csv_tables import TEXT, read_table
 from uavaou.field.geodesy import Projection
 from uavaou.link.flight import OVER, LinkedFlight
 from uavaou.link.mavsdk_autopilot import connect
@@ -31,9 +29,13 @@ from uavaou_cli.main import main
 
 STATION = tuple(map(float, Projection.of(FIELD).to_degrees(np.array([200.0, 100.0]))))
 COMMANDING = {  # what moves an aircraft
-    link.MAV_CMD_COMPONENT_ARM_DISARM, link.MAV_CMD_NAV_TAKEOFF, link.MAV_CMD_DO_SET_MODE,
-    link.MAV_CMD_DO_REPOSITION, link.MAV_CMD_NAV_LAND, link.MAV_CMD_NAV_RETURN_TO_LAUNCH,
-}  # fmt: skip
+    link.MAV_CMD_COMPONENT_ARM_DISARM,
+    link.MAV_CMD_NAV_TAKEOFF,
+    link.MAV_CMD_DO_SET_MODE,
+    link.MAV_CMD_DO_REPOSITION,
+    link.MAV_CMD_NAV_LAND,
+    link.MAV_CMD_NAV_RETURN_TO_LAUNCH,
+}
 GOTO, LAND, ARM = 192, 21, 400
 
 
@@ -106,7 +108,7 @@ def test_without_arm_nothing_is_commanded(
     assert "the devices are simulated" in printed
     assert "dry run: nothing is armed and nothing commanded" in printed
     assert "m from the station (200, 100) m of UAV 1" in printed
-    assert len(read_csv(Path("log/uav-1.csv"))) == 32
+    assert len(read_table(Path("log/uav-1.csv"), {"slot": TEXT})) == 32
 
 
 @pytest.mark.slow
@@ -125,10 +127,10 @@ def test_an_interrupt_brings_it_home(
     assert fake.landed
     assert np.hypot(fake.x, fake.y) < 10
     assert link.MAV_CMD_NAV_LAND in fake.commands
-    log = read_csv(Path("log/uav-1.csv"))
-    assert log.text("event")[-1] == "the motors are off"
-    assert "coming home: interrupted" in log.text("event")
-    assert len(set(log.text("slot"))) < 32
+    log = read_table(Path("log/uav-1.csv"), {"slot": TEXT, "event": TEXT}).fillna("")
+    assert log["event"].iloc[-1] == "the motors are off"
+    assert "coming home: interrupted" in set(log["event"])
+    assert len(set(log["slot"])) < 32
     assert "coming home: interrupted" in capsys.readouterr().out
 
 
@@ -144,9 +146,14 @@ def test_an_interrupt_brings_it_home(
     ],
 )
 def test_what_cannot_be_flown_is_one_line(
-    options: list[str], message: str, place: Path, exported: Path, port: int, capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    message: str,
+    place: Path,
+    exported: Path,
+    port: int,
+    capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.setattr("uavaou.link.mavsdk_autopilot.connect.__wrapped__.__defaults__", (0.2,))
     assert command(exported, port, *options) == 2
     printed = capsys.readouterr().err

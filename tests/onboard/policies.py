@@ -1,7 +1,5 @@
 """Policies with preferences, which untrained ones hardly have, and what UAVs see in missions flown at random."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

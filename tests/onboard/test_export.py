@@ -1,7 +1,5 @@
 """`uavaou export --format onnx`: what it writes and refuses, and the worked example of its page."""
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path
@@ -98,12 +96,9 @@ def test_the_worked_example_flies_as_an_evaluation(
     monkeypatch.delitem(sys.modules, "runner")
 
 
-def test_a_map_is_for_onnx_alone(shell: Shell, tmp_path: Path) -> None:
+def test_what_cannot_be_exported_is_refused(shell: Shell, tmp_path: Path) -> None:
     err = shell.refused(f"export any-map --scenario paper --out {tmp_path}/x.safetensors")
     assert err == "uavaou: --scenario: --format onnx alone writes a map\n"
-
-
-def test_a_map_that_is_drawn_for_each_mission_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"layout: resample.*--scenario"):
         write_policy(lively(scenario=QUICK.replace(layout="resample")), "mine", tmp_path / "out")
     assert not list(tmp_path.iterdir())

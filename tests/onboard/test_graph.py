@@ -1,7 +1,5 @@
 """The ONNX graph decides as torch does, on ten thousand rows for each kind of row, observation and collection."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -83,14 +81,11 @@ def test_one_graph_serves_any_number_of_uavs_and_devices(network: str, uavs: int
         np.testing.assert_array_equal(got, policy.act(th.from_numpy(rows), None).numpy().reshape(len(rows), -1))
 
 
-def test_flat_networks_of_their_own_decide_alike() -> None:
+def test_flat_networks_of_their_own_decide_alike_and_others_over_tokens_are_refused() -> None:
     trained = lively()
     policy: Any = trained.model.policy
     policy.actor_body.append(th.nn.Softplus())
     assert_equal(trained, local_rows("flat", trained.views.observation)[:2000])
-
-
-def test_other_networks_over_tokens_are_refused() -> None:
     policy: Any = lively(network="set").model.policy
     policy.actor_body = th.nn.Identity()
     with pytest.raises(InputError, match="networks of its own"):

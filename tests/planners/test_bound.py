@@ -1,7 +1,5 @@
 """The bound against the optimum of all policies under fading, by dynamic programming over every outcome."""
 
-from __future__ import annotations
-
 import itertools
 from functools import cache
 
@@ -63,12 +61,19 @@ def fading(draw: st.DrawFn) -> Scenario:
     many = uavs * devices > 2  # states
     columns, rows = draw(st.sampled_from([(2, 2)] if many else [(2, 2), (3, 2)]))
     return TINY.replace(
-        fading="rician", uavs=uavs, altitudes_m=[80, 90, 100][:uavs], cds_m=[[0, 0]] * uavs, devices=devices,
-        area_x_m=100 * (columns - 1), area_y_m=100 * (rows - 1), slots=draw(st.integers(3, 4 if many else 6)),
-        transmit_power_mw=draw(st.sampled_from([0.1, 0.25, 0.6])), layout_seed=draw(st.integers(0, 10**6)),
+        fading="rician",
+        uavs=uavs,
+        altitudes_m=[80, 90, 100][:uavs],
+        cds_m=[[0, 0]] * uavs,
+        devices=devices,
+        area_x_m=100 * (columns - 1),
+        area_y_m=100 * (rows - 1),
+        slots=draw(st.integers(3, 4 if many else 6)),
+        transmit_power_mw=draw(st.sampled_from([0.1, 0.25, 0.6])),
+        layout_seed=draw(st.integers(0, 10**6)),
         update_period_slots=draw(st.lists(st.integers(1, 3), min_size=devices, max_size=devices)),
         flight_time="ignore",
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.slow

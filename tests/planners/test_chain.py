@@ -1,7 +1,5 @@
 """The search for the numbers of a rule: what it says is what is flown, and one seed gives one result."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

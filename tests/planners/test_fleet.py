@@ -1,7 +1,5 @@
 """The bound that keeps the fleet whole, and the certificate of a bound."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

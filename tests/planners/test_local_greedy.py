@@ -1,7 +1,5 @@
 """``local-greedy`` against its formula by loops, and every policy against what it says to know."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Planners that lay routes: flyable plans, exact expected ages, the optimum by brute force, and the bound below all."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import signal
@@ -47,10 +45,17 @@ def small(seed: int) -> Scenario:
     altitudes = [80, 90][:uavs]
     cells = [[100 * int(rng.integers(0, columns + 1)), 100 * int(rng.integers(0, rows + 1))] for _ in range(uavs)]
     return TINY.replace(
-        area_x_m=100 * columns, area_y_m=100 * rows, uavs=uavs, altitudes_m=altitudes, cds_m=cells, devices=devices,
-        slots=slots, transmit_power_mw=[0.3] * devices, layout_seed=seed,
+        area_x_m=100 * columns,
+        area_y_m=100 * rows,
+        uavs=uavs,
+        altitudes_m=altitudes,
+        cds_m=cells,
+        devices=devices,
+        slots=slots,
+        transmit_power_mw=[0.3] * devices,
+        layout_seed=seed,
         flight_time_budget_s=(2 * max(altitudes) + 100 * int(rng.integers(0, slots))) / 15,
-    )  # fmt: skip
+    )
 
 
 def least_age(scenario: Scenario) -> int:

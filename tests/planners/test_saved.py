@@ -1,7 +1,5 @@
 """A plan's file in the place of a planner: the same flights, the same map, or a refusal in one line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

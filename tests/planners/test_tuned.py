@@ -1,7 +1,5 @@
 """``local-greedy-tuned``: its simulated missions are the World's, and its search keeps what it promises."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 

@@ -4,8 +4,6 @@ It reads the scenario, the devices and the multipliers, and computes the bound t
 programs. Nothing of the package is imported.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 

@@ -1,13 +1,18 @@
 """What the tests of figures share."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from uavaou.reports import style
+from uavaou.statistics import aggregates
+
+
+@pytest.fixture
+def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether bootstrap intervals are right is seen in tests/statistics."""
+    monkeypatch.setattr(aggregates, "RESAMPLES", 100)
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """A study's figures come from its tables alone and show what they say."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,12 +12,13 @@ import yaml
 from matplotlib.image import imread
 
 from tests.synthetic_study import MAPPO, SLOT_S, K, Variant, record, set_to, without, write_study
+from uavaou import read_study
 from uavaou.evaluation.flights import SLOTS, TRAINING, VALIDATION
-from uavaou.experiments.results import read_study
 from uavaou.reports.figures import _line, _over_time, plot_study
 from uavaou.reports.scores import best_planner, comparable, in_all_scenarios
 from uavaou_cli.main import main
 
+pytestmark = pytest.mark.usefixtures("few_resamples")
 ROOT = Path(__file__).resolve().parents[2]
 OF_A_SCENARIO = {
     "figure-3-reward",
@@ -192,17 +191,14 @@ def test_studies_are_drawn_side_by_side(
     assert all((tmp_path / line).is_file() for line in said.out.splitlines())
 
 
-def test_missions_that_end_together_are_one_point() -> None:
-    """And the mean over seeds is taken where all of them have it."""
+def test_lines_join_what_ends_together_where_all_seeds_have_it() -> None:
+    # And the mean over seeds is taken where all of them have it.
     one = np.array([10.0, 20.0, 20.0, 30.0]), np.array([4.0, 1.0, 3.0, 0.0])
     two = np.array([10.0, 20.0]), np.array([2.0, 4.0])
     line = _line([one, two])
     assert line.x.tolist() == [10.0, 20.0]
     assert line.y.value.tolist() == [3.0, 3.0]
     assert _line([two, one]).y.value.tolist() == [3.0, 3.0]
-
-
-def test_seeds_that_were_never_in_training_together_have_one_time() -> None:
     early = {"wall_s": np.array([1.0, 2.0]), "mean_aou_slots": np.array([9.0, 8.0])}
     late = {"wall_s": np.array([5.0, 6.0]), "mean_aou_slots": np.array([7.0, 1.0])}
     for runs in ([early, late], [late, early]):

@@ -1,7 +1,5 @@
 """Pictures of one mission, and frames."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.text import Text
 
+from uavaou import Scenario, World
 from uavaou.envs.map import FRAME_SHAPE, draw_ground, render_frame, uav_colour, uav_dash
 from uavaou.evaluation.recorded_mission import RecordedMission, Recording
 from uavaou.reports import style
 from uavaou.reports.mission_figures import mission_figures, plot_trajectories
-from uavaou.scenario import Scenario
-from uavaou.world import World
 
 
 def is_drawn(path: Path) -> bool:
@@ -36,12 +33,20 @@ def patrol(scenario: Scenario) -> tuple[World, Recording]:
     return world, Recording.from_snapshots(snapshots)
 
 
-def test_trajectories_are_drawn(tmp_path: Path) -> None:
+def test_missions_are_drawn_even_where_nobody_flies_and_nobody_is_served(tmp_path: Path) -> None:
     scenario = Scenario.load("quickstart")
     paths = plot_trajectories(scenario, patrol(scenario)[1], tmp_path, "mission")
     assert [path.name for path in paths] == [
         f"mission-{kind}.{end}" for kind in ("map", "ages") for end in ("png", "pdf")
     ]
+    assert all(is_drawn(path) for path in paths if path.suffix == ".png")
+    scenario = Scenario.load("tiny").replace(rate_min_bit_s=1e9)
+    world = World(scenario)
+    snapshots = []
+    while not world.done:
+        world.step(np.zeros((1, scenario.uavs), dtype=np.int64))
+        snapshots.append(world.snapshot())
+    paths = plot_trajectories(scenario, Recording.from_snapshots(snapshots), tmp_path, "idle")
     assert all(is_drawn(path) for path in paths if path.suffix == ".png")
 
 
@@ -90,17 +95,6 @@ def test_a_large_fleet_is_listed_and_no_two_uavs_look_the_same() -> None:
 def test_recording_counts_communications_as_the_world_does() -> None:
     world, recording = patrol(Scenario.load("quickstart"))
     np.testing.assert_array_equal(recording.communications.sum(axis=0), world.metrics().device_communications[0])
-
-
-def test_nobody_flies_and_nobody_is_served(tmp_path: Path) -> None:
-    scenario = Scenario.load("tiny").replace(rate_min_bit_s=1e9)
-    world = World(scenario)
-    snapshots = []
-    while not world.done:
-        world.step(np.zeros((1, scenario.uavs), dtype=np.int64))
-        snapshots.append(world.snapshot())
-    paths = plot_trajectories(scenario, Recording.from_snapshots(snapshots), tmp_path, "idle")
-    assert all(is_drawn(path) for path in paths if path.suffix == ".png")
 
 
 def test_frame_shows_the_mission() -> None:

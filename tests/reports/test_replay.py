@@ -1,7 +1,5 @@
 """The page that replays missions: what stands in it, what it refuses, and the committed ones."""
 
-from __future__ import annotations
-
 import base64
 import re
 import zlib
@@ -14,12 +12,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tests.documents import ROOT
-from uavaou.errors import InputError
+from uavaou import InputError, Scenario
 from uavaou.evaluation.recorded_mission import RecordedMission, record_mission
 from uavaou.planners import make_planner
 from uavaou.reports.replay.film import film_frame, write_film
 from uavaou.reports.replay.page import by_label, fill_page, read_content, write_replay
-from uavaou.scenario import Scenario
 
 COMMITTED = sorted([*ROOT.glob("docs/gallery/*.html"), *ROOT.glob("results/studies/*/replay.html")])
 WEB = ROOT / "uavaou" / "reports" / "replay" / "web"
@@ -49,8 +46,8 @@ def test_the_page_holds_the_recorded_mission(tmp_path: Path) -> None:
     ages = unpacked(policy["age_bends"], slots, devices).cumsum(axis=0).cumsum(axis=0)
     np.testing.assert_allclose(ages * content["slot_length_s"], recording.age_sum)
     assert (content["scenario"], content["mission_seed"], content["slots"]) == ("quickstart", 5, slots)
-    np.testing.assert_allclose(np.transpose([content["devices"]["x_m"], content["devices"]["y_m"]]),
-                               recording.layout.positions, atol=1e-3)  # fmt: skip
+    places = np.transpose([content["devices"]["x_m"], content["devices"]["y_m"]])
+    np.testing.assert_allclose(places, recording.layout.positions, atol=1e-3)
 
 
 def test_labels_name_the_training_and_are_never_equal() -> None:
@@ -96,13 +93,10 @@ def test_a_committed_page_is_what_is_written_now(page: Path) -> None:
     assert len(text.encode()) < 400_000
 
 
-def test_another_file_is_no_page(tmp_path: Path) -> None:
+def test_the_gallery_is_committed_and_another_file_is_no_page(tmp_path: Path) -> None:
     (tmp_path / "x.html").write_text("<p>")
     with pytest.raises(InputError, match=r"x\.html.: holds no mission"):
         read_content(tmp_path / "x.html")
-
-
-def test_the_gallery_is_committed() -> None:
     assert {page.name for page in COMMITTED} >= {"paper.html", "hundred-devices.html", "replay.html"}
 
 

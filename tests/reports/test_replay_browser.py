@@ -1,7 +1,5 @@
 """The replay page in a headless Chromium: it plays, scrubs, sorts, and shows the numbers of the recorded mission."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,11 +10,11 @@ import pytest
 
 from tests.browser import LEFT_OUT, Browser, find_browser
 from tests.reports.screenshots import take
+from uavaou import Scenario
 from uavaou.evaluation.recorded_mission import RecordedMission, record_mission
 from uavaou.field.geodesy import Projection
 from uavaou.planners import make_planner
 from uavaou.reports.replay.page import write_replay
-from uavaou.scenario import Scenario
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(find_browser() is None, reason=LEFT_OUT)]
 POLICIES = ("greedy", "best-first")
@@ -114,7 +112,7 @@ def check_table(browser: Browser, mission: RecordedMission, slot: int) -> None:
 
 def test_it_plays_to_the_end_and_again(replayed: Replay) -> None:
     browser = replayed.browser
-    browser.open(replayed.page)  # plays at once
+    browser.open(replayed.page, still=False)  # plays at once
     browser.wait(f"{SLOT} > 2")
     assert browser.value("document.querySelector('#play').getAttribute('aria-label')") == "Pause"
     browser.press(" ")
@@ -138,10 +136,9 @@ def test_it_plays_to_the_end_and_again(replayed: Replay) -> None:
 def test_it_scrubs_by_key_bar_and_chart(still: Replay) -> None:
     browser, slots = still.browser, still.slots
     assert browser.value(f"[replay.playing, {SLOT}]") == [False, 1]  # still, for who wants less motion
-    for key, shift, slot in (
-        ("ArrowRight", False, 2), ("ArrowRight", True, 12), ("ArrowLeft", False, 11), ("ArrowLeft", True, 1),
-        ("ArrowLeft", False, 1), ("End", False, slots), ("ArrowRight", False, slots), ("Home", False, 1),
-    ):  # fmt: skip
+    moves = [("ArrowRight", False, 2), ("ArrowRight", True, 12), ("ArrowLeft", False, 11), ("ArrowLeft", True, 1)]
+    ends = [("ArrowLeft", False, 1), ("End", False, slots), ("ArrowRight", False, slots), ("Home", False, 1)]
+    for key, shift, slot in (*moves, *ends):
         browser.press(key, shift)
         assert browser.value(SLOT) == slot, (key, shift)
     browser.click("#forward")

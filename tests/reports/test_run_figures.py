@@ -1,7 +1,5 @@
 """Figures from run folders: the runs become the tables of a study, in slots, and are drawn as a study is."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from pathlib import Path
@@ -10,14 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import load_config
-from uavaou.errors import InputError
 from uavaou.evaluation import flights
 from uavaou.evaluation.flights import Flights
 from uavaou.reports.figures import plot_runs, read_runs
 from uavaou.runs.flights import training_curves
 from uavaou.runs.folder import RunConfig, RunFolder
-from uavaou.scenario import Scenario
 from uavaou.statistics import band_over_missions
 
 HEADER = ["mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served"]
@@ -43,13 +40,11 @@ def evaluated(policy: str, level_s: float, missions: int = 6, seed: int | None =
         "communications": rng.integers(20, 30, missions),
         "devices_served": DEVICES,
     }
-    curves = [
-        {"curve": flights.SLOTS, "x": np.arange(1, SLOTS + 1), "mean_aou_slots": ages, "low": 0.9 * ages,
-         "high": 1.2 * ages},
-        {"curve": flights.DEVICES, "x": np.arange(DEVICES), "communications": counts.mean(axis=0)},
-        {"curve": flights.PERIODS, "x": np.unique(period), "communications": alike.value, "low": alike.low,
-         "high": alike.high},
-    ]  # fmt: skip
+    slots = {"curve": flights.SLOTS, "x": np.arange(1, SLOTS + 1), "mean_aou_slots": ages}
+    devices = {"curve": flights.DEVICES, "x": np.arange(DEVICES), "communications": counts.mean(axis=0)}
+    periods = {"curve": flights.PERIODS, "x": np.unique(period), "communications": alike.value}
+    bands = {"low": 0.9 * ages, "high": 1.2 * ages}, {"low": alike.low, "high": alike.high}
+    curves = [slots | bands[0], devices, periods | bands[1]]
     return Flights.of(rows, curves, policy=policy, scenario="tiny", seed=seed)
 
 
@@ -209,12 +204,12 @@ def replace_in(name: str, old: str, new: str) -> Callable[[Path], None]:
 BROKEN: list[tuple[Callable[[Path], object], list[str]]] = [
     (lambda folder: RunFolder(folder).config.unlink(), ["config.yaml"]),
     (lambda folder: (folder / "episodes.csv").unlink(), ["episodes.csv", "cannot be read"]),
-    (lambda folder: (folder / "episodes.csv").write_text(""), ["episodes.csv", "not a table"]),
+    (lambda folder: (folder / "episodes.csv").write_text(""), ["episodes.csv", "is missing"]),
     (lambda folder: (folder / "episodes.csv").write_text(",".join(HEADER) + "\n"), ["no mission has ended"]),
     (replace_in("episodes.csv", "wall_s", "seconds"), ["episodes.csv", "'wall_s' is missing"]),
     (replace_in("episodes.csv", "\n1,48,", "\n1,many,"), ["episodes.csv: line 2", "'slots'", "'many'"]),
     (replace_in("episodes.csv", "\n1,48,", "\n1,nan,"), ["episodes.csv: line 2", "'slots'"]),
-    (replace_in("episodes.csv", "\n2,48,", "\n2\n"), ["episodes.csv: line 3", "is empty"]),
+    (replace_in("episodes.csv", "\n2,48,", "\n2\n"), ["episodes.csv: line 3", "1 values"]),
     (replace_in("progress.csv", "900", "none"), ["progress.csv: line 3", "'none'"]),
     (replace_in("config.yaml", "algorithm:", "algorithm: ]"), ["config.yaml", "not valid YAML"]),
     (lambda folder: (folder / "flights.csv.gz").write_text("x"), ["flights.csv.gz", "not packed by gzip"]),
@@ -231,12 +226,9 @@ def test_malformed_run_is_an_input_error(tmp_path: Path, break_it: Callable[[Pat
     assert "\n" not in str(raised.value)
 
 
-def test_no_runs_is_an_input_error(tmp_path: Path) -> None:
+def test_figures_need_runs_and_a_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no run folders"):
         plot_runs([], tmp_path)
-
-
-def test_figures_into_a_file_is_an_input_error(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     run = write_run(tmp_path / "results", missions=4, evaluation=False)
     with pytest.raises(InputError, match="cannot write"):

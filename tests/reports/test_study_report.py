@@ -1,21 +1,28 @@
 """The page of a study: a table of every scenario, a reference to hold the others against, the paper's claims."""
 
-from __future__ import annotations
-
 import json
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
+from numpy.typing import NDArray
+from scipy import stats
 
-from tests.synthetic_study import MAPPO, VDN, Variant, set_to, without, write_study
-from uavaou import InputError
-from uavaou.experiments.results import read_study
+from tests.synthetic_study import DEFAULT, MAPPO, VDN, Variant, set_to, without, write_study
+from uavaou import InputError, read_study
 from uavaou.experiments.study import Study
+from uavaou.reports.ablations import ablation_table, ablations
+from uavaou.reports.claims import Claim, judge
+from uavaou.reports.markdown import END, rounded
 from uavaou.reports.scores import study_scores
-from uavaou.reports.study_report import begin_marker, write_report
+from uavaou.reports.study_report import begin_marker, claims_markdown, write_claims, write_report
 from uavaou.statistics import interval_over_missions
+
+pytestmark = pytest.mark.usefixtures("few_resamples")
 
 
 def study_with(folder: Path, **fields: Any) -> Path:
@@ -34,9 +41,8 @@ def test_every_policy_stands_in_the_table_with_its_mean_the_best_first(tmp_path:
     folder = study_with(tmp_path / "paper")
     scores = page(folder).partition("## Trainings")[0]
     rows = [line.split(" | ") for line in scores.splitlines() if line.startswith(("| `", "| lower"))]
-    assert [row[0].strip("| `") for row in rows] == [
-        "lower bound", "mappo", "best-first", "greedy", "vdn", "qmix", "random",
-    ]  # fmt: skip
+    names = [row[0].strip("| `") for row in rows]
+    assert names == ["lower bound", *["mappo", "best-first", "greedy", "vdn", "qmix", "random"]]
     results = read_study(folder)
     for row in rows[1:]:
         mean = results.stack(row[0].strip("| `"), "paper").mean()
@@ -85,8 +91,8 @@ def test_verdicts_of_another_study_are_left_alone_and_that_is_said(tmp_path: Pat
 def test_a_page_says_what_is_not_done_and_what_failed(tmp_path: Path) -> None:
     folder = study_with(tmp_path / "paper")
     assert "Not finished" not in page(folder)
-    failed = [["vdn", "paper", 3, "out\n of memory"], ["rolling", "paper", None, "no plan"],
-              ["mappo", "paper", 0, "an old one"]]  # fmt: skip
+    failed = [["vdn", "paper", 3, "out\n of memory"], ["rolling", "paper", None, "no plan"]]
+    failed.append(["mappo", "paper", 0, "an old one"])
     (folder / ".state.json").write_text(json.dumps({"running": [], "failed": failed}))
     assert page(folder).count("Failed when last tried") == 1  # of a planner
     without(folder, policy="vdn")
@@ -140,16 +146,13 @@ def test_one_seed_and_planners_have_intervals_over_missions(tmp_path: Path) -> N
     assert found["lower bound"].scores.tolist() == [[25.0]]
 
 
-def test_a_reference_must_be_a_variant(tmp_path: Path) -> None:
+def test_a_reference_and_claims_need_their_variants(tmp_path: Path) -> None:
     path = tmp_path / "own.yaml"
     path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}}\nreference: mapo\n")
     with pytest.raises(InputError, match=r"reference: no variant 'mapo'.*mappo.*\(variants: mappo, vdn\)"):
         Study.load(path)
     path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}}\nreference: vdn\n")
     assert Study.load(path).reference == "vdn"
-
-
-def test_the_claims_are_about_three_variants(tmp_path: Path) -> None:
     path = tmp_path / "own.yaml"
     path.write_text("seeds: 1\nscenarios: [tiny]\nvariants: {mappo: {}, vdn: {}, qmix: {}}\nclaims: true\n")
     assert Study.load(path).claims
@@ -165,3 +168,101 @@ def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
     (folder / "README.md").mkdir()
     with pytest.raises(InputError, match="cannot write"):
         write_report(folder, tmp_path / "README.md")
+
+
+ANY = "<!-- numbers:claims -->"  # of no study by name
+BEGIN = begin_marker("paper")
+FLIES = Claim("it flies", "", "not measured", "nothing")
+
+
+def test_verdicts_are_written_between_the_markers_and_nothing_else_changes(tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    variants = {name: variant for name, variant in DEFAULT.items() if name != "vdn"}
+    claims = judge(read_study(write_study(tmp_path / "study", variants, seeds=1)))
+    table = claims_markdown(claims)
+    rows = [line for line in table.splitlines() if line.startswith("|")]
+    assert ({row.count("|") for row in rows}, len(rows)) == ({7}, 2 + len(claims))
+    assert ("none: one training" in table, "nan" in table) == (True, False)
+    for before, begins, ends in (
+        (f"# Mine\n\n{BEGIN}\nthe last table\n{END}\n\nThe end.\n", f"# Mine\n\n{BEGIN}\n", f"{END}\n\nThe end.\n"),
+        ("", f"## The paper's claims\n\n{BEGIN}\n", f"{END}\n"),
+    ):
+        readme.write_text(before, encoding="utf-8")
+        for _ in range(2):
+            write_claims(readme, "paper", claims)
+            text = readme.read_text(encoding="utf-8")
+            assert text.lstrip().startswith(begins)
+            assert text.endswith(ends)
+            assert (text.count(BEGIN), text.count(END), text.count(table), "last table" in text) == (1, 1, 1, False)
+
+
+def test_another_studys_verdicts_are_left_alone(tmp_path: Path) -> None:
+    readme, name = tmp_path / "README.md", "a --> b é"  # of a file, too
+    readme.write_text(f"{ANY}\nof no study by name\n{END}\n", encoding="utf-8")
+    assert write_claims(readme, name, [FLIES]) == name
+    text = readme.read_text(encoding="utf-8")
+    assert ("of no study" in text, text.count("-->")) == (False, 2)
+    assert write_claims(readme, "paper", [FLIES]) == name
+    assert readme.read_text(encoding="utf-8") == text
+    assert write_claims(readme, name, [replace(FLIES, claim="it lands")]) == name
+    assert "it lands" in readme.read_text(encoding="utf-8")
+
+
+TWICE = [f"{BEGIN}\n{BEGIN}\n{END}", f"{ANY}\n{BEGIN}\n{END}", f"{BEGIN}\n{END}\n{BEGIN}\n{END}"]
+OTHERS = [f"{BEGIN}\n<!-- numbers:mine -->\n{END}", f"<!-- numbers:claims of mine -->\n{END}"]
+
+
+@pytest.mark.parametrize("text", [BEGIN, ANY, f"{END} {BEGIN}", *TWICE, *OTHERS])
+def test_markers_without_a_pair_lose_nothing(tmp_path: Path, text: str) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"README\.md"):
+        write_claims(readme, "paper", [FLIES])
+    assert readme.read_text(encoding="utf-8") == text
+
+
+PUBLISHED = [40.0, 42.0, 38.0]
+
+
+def study(variants: Mapping[str, list[float]], scenario: str = "paper") -> dict[str, dict[str, NDArray[np.float64]]]:
+    """The mean of each seed."""
+    return {scenario: {name: np.array(means) for name, means in variants.items()}}
+
+
+def test_findings_say_what_the_numbers_say() -> None:
+    variants = {
+        "masks off": [80.0, 83.0, 79.0],
+        "published": PUBLISHED,
+        "reward aou": [41.0, 37.0, 42.0],
+        "shared": [20.0, 21.0, 20.5],
+    }
+    found = {one.variant: one for one in ablations(study(variants), "published")}
+    assert next(iter(found)) == "published"
+    assert found["published"].aou == pytest.approx(40.0)
+    assert found["published"].ratio is None
+    ratio = found["masks off"].ratio
+    assert ratio is not None
+    assert ratio.value == pytest.approx(stats.gmean([80, 83, 79]) / stats.gmean(PUBLISHED))
+    assert found["masks off"].finding == f"×{ratio.value:.2f} ({ratio.low:.2f}–{ratio.high:.2f}): worse with masks off"
+    assert found["reward aou"].finding == "no significant difference with 3 seeds"
+    assert found["shared"].finding.endswith(": better with shared")
+
+
+def test_the_table_is_markdown_by_scenario_with_three_digits() -> None:
+    means = study({"published": PUBLISHED, "a|b": [80.0, 82.0, 81.0]}) | study({"published": PUBLISHED}, "quickstart")
+    lines = ablation_table(ablations(means, "published")).splitlines()
+    assert [line for line in lines if line.startswith("###")] == ["### paper", "### quickstart"]
+    assert "| published | 3 | 40.0 | 1 | the reference |" in lines
+    assert sum(line.startswith("| a\\|b | 3 | 81.0 | 2.03 (") for line in lines) == 1
+    values = (0.0, 0.8739, 38.149, 999.9, 12_449.0, 0.00012345)
+    assert [rounded(value) for value in values] == ["0", "0.874", "38.1", "1,000", "12,400", "0.000123"]
+    assert rounded(14_539.2, 4) == "14,540"
+
+
+def test_what_has_no_interval_or_no_reference_is_said() -> None:
+    one = ablations(study({"published": [40.0], "x": [80.0]}), "published")[1]
+    assert one.finding == "×2.00; one seed has no interval"
+    still = ablations(study({"published": PUBLISHED, "x": [0.0, 0.0]}), "published")[1]
+    assert still.finding == "no ratio: an AoU of 0"
+    with pytest.raises(InputError, match="did you mean 'published'"):
+        ablations(study({"published": PUBLISHED}), "publishd")

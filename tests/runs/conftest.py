@@ -1,7 +1,5 @@
 """A whole run, and one stopped after its third update."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A small training that can be stopped at any update, and the comparison of two."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,9 +1,5 @@
 """Checkpoints: whole or absent, damaged ones recognised, what a disk or a number does to a training."""
 
-from __future__ import annotations
-
-import errno
-import os
 import resource
 import shutil
 import signal
@@ -29,10 +25,7 @@ def truncate(path: Path, left: int) -> None:
     path.write_bytes(path.read_bytes()[:left])
 
 
-@pytest.mark.parametrize(
-    ("damage", "place"),
-    [*((flip, place) for place in (0, 3, 9, 60, 300, 900, -1, -700)), *((truncate, left) for left in (0, 7, 3000, -1))],
-)
+@pytest.mark.parametrize(("damage", "place"), [(flip, 3), (flip, -1), (truncate, 0), (truncate, 3000)])
 def test_damage_costs_one_checkpoint(damage: Any, place: int, stopped: RunFolder, runs: Any) -> None:
     damage(stopped.last, place)
     with pytest.warns(DamagedCheckpointWarning) as warned:
@@ -88,7 +81,7 @@ def test_checkpoints_of_another_schema_are_refused_in_words(stopped: RunFolder, 
     for path in (stopped.last, stopped.previous):
         file = ArrayFile(path)
         arrays = {name: file.read(name) for name in file.shapes}
-        for schema in ("1", "3"):
+        for schema in "13":
             write_arrays(path, arrays, file.text | {"schema": schema})
             with pytest.raises(InputError, match=f"checkpoint schema {schema}, this version reads 2: train again"):
                 TrainingProgress.read(ArrayFile(path))
@@ -118,30 +111,6 @@ def test_a_limit_on_files_stops_the_training_in_words(
         every_update(small(), stopped, resume=True)
     assert files(stopped) == before
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
-    every_update(small(), stopped, resume=True)
-    assert_ends_as(stopped, runs[0])
-
-
-@pytest.mark.parametrize(("code", "says"), [(errno.ENOSPC, "No space left on device"), (errno.EROFS, "Read-only file")])
-@pytest.mark.parametrize("call", ["fsync", "write", "row"])
-def test_a_disk_that_fails_stops_the_training_in_words(
-    code: int, says: str, call: str, stopped: RunFolder, runs: Runs
-) -> None:
-    before = files(stopped)
-
-    def fail(*_: Any, **__: Any) -> Any:
-        raise OSError(code, os.strerror(code))
-
-    with pytest.MonkeyPatch.context() as patch:
-        if call == "fsync":
-            patch.setattr("uavaou.files.os.fsync", fail)
-        elif call == "write":
-            patch.setattr("uavaou.runs.checkpoint.write_arrays", fail)
-        else:
-            patch.setattr("uavaou.runs.records.EpisodesCsv.flush", fail)
-        with pytest.raises(InputError, match=f"cannot write .*: {says}"):
-            every_update(small(), stopped, resume=True)
-    assert files(stopped) == before
     every_update(small(), stopped, resume=True)
     assert_ends_as(stopped, runs[0])
 
@@ -185,13 +154,8 @@ def test_costly_checkpoints_are_written_less_often() -> None:
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "update"),  # before the ring of the replay is full, and after
-    [
-        ("qmix", 20),
-        ("vdn", 3),
-        pytest.param("qmix", 3, marks=pytest.mark.slow),
-        pytest.param("vdn", 20, marks=pytest.mark.slow),
-    ],
+    ("algorithm", "update"),
+    [("qmix", 20), ("vdn", 3)],  # after the ring of the replay is full, and before
 )
 def test_a_replay_is_part_of_the_checkpoint(algorithm: str, update: int, tmp_path: Path) -> None:
     config = small(algorithm, replay_slots=160, slots_per_update=8)
@@ -208,8 +172,7 @@ def test_a_replay_is_part_of_the_checkpoint(algorithm: str, update: int, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("before", "after"),
-    [("batched", "batched"), ("supersuit", "batched"), pytest.param("batched", "supersuit", marks=pytest.mark.slow)],
+    ("before", "after"), [("batched", "batched"), pytest.param("supersuit", "batched", marks=pytest.mark.slow)]
 )
 def test_missions_in_other_processes_are_part_of_it_too(before: str, after: str, runs: Runs, tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")

@@ -1,18 +1,19 @@
-"""A comparison: which runs and planners play, on which scenario, and what is kept of it."""
-
-from __future__ import annotations
+"""A comparison: which runs and planners play, on which scenario, and the flights that are kept of it."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from uavaou import Family, InputError, RunConfig, Scenario, World
+from uavaou import Family, InputError, RunConfig, Scenario, World, evaluate, load_run
 from uavaou.algorithms.registry import load_config
 from uavaou.csv_tables import read_table
-from uavaou.evaluation.flights import FLIGHTS
+from uavaou.evaluation.flights import DEVICES, FLIGHTS, PERIODS, SLOTS, Flights
+from uavaou.evaluation.flown import flown
+from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.planners import PLANNERS, make_planner
 from uavaou.runs.comparison import common_scenario, compare, read_runs
+from uavaou.runs.flights import keep_flights, own_flights
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.released import released_names
 
@@ -38,13 +39,10 @@ def write_run(folder: Path, scenario: str) -> str:
     return str(folder)
 
 
-def test_a_folder_counts_once_by_its_first_spelling(tmp_path: Path) -> None:
+def test_a_folder_counts_once_and_runs_of_two_scenarios_have_no_common_one(tmp_path: Path) -> None:
     one, two = write_run(tmp_path / "one", "tiny"), write_run(tmp_path / "two", "tiny")
     assert list(read_runs([one, two, f"{two}/../one"])) == [one, two]
-
-
-def test_runs_of_two_scenarios_have_no_common_one(tmp_path: Path) -> None:
-    runs = read_runs([write_run(tmp_path / "one", "tiny"), write_run(tmp_path / "two", "quickstart")])
+    runs = read_runs([one, write_run(tmp_path / "three", "quickstart")])
     with pytest.raises(InputError, match="different scenarios: say with --scenario"):
         common_scenario(runs)
     assert common_scenario(dict(list(runs.items())[:1])) == Scenario.load("tiny")
@@ -80,16 +78,13 @@ def remarks(scenario: Scenario, *names: str, policy: str = "stay") -> str:
     return " ".join(compare(planners, scenario, 1, 5, Told()).remarks())
 
 
-def test_a_policy_that_flies_beyond_its_draws_is_told_with_the_fresher_one() -> None:
+def test_a_policy_beyond_the_draws_of_its_family_is_told_with_the_fresher_one() -> None:
     big = Scenario.load("paper").replace(area_x_m=9000, area_y_m=9000, slots=150, flight_time_budget_s=1000)
     told = remarks(big, "any-map", "best-first")
     assert "'any-map' flies beyond what it was trained on: paper has sides 9,000 m (in training 500 to 3,000 m)" in told
     assert "fresher here: --policy best-first." in told
     assert "compare it with --policy local-greedy-parts" in remarks(big, "any-map")
     assert remarks(Scenario.load("paper"), "any-map", "best-first") == ""
-
-
-def test_a_released_policy_was_trained_on_the_family_that_its_card_names() -> None:
     for name in released_names():
         family = RunFolder.at(name).read_config().family
         assert Family.load(family.name) == family
@@ -105,3 +100,57 @@ def test_figures_that_say_nothing_are_told() -> None:
     far = tiny.replace(devices=1, devices_m=[[200, 200]])
     assert remarks(far, "stay", "greedy").startswith("No device was served by stay: uavaou audit")
     assert "near 0" in remarks(tiny.replace(transmit_power_mw=100), "greedy", "stay")
+
+
+def rows(folder: RunFolder, episodes: int, action: str | None = None) -> Flights:
+    """The policy of a run in missions of its own scenario."""
+    config, policy = folder.read_config(), load_run(folder, action=action)
+    evaluation = evaluate(policy, config.scenario, episodes, EVALUATION_SEED)
+    who = {"policy": config.algorithm.name, "scenario": config.scenario.name, "seed": config.seed}
+    return flown(evaluation, config.scenario, policy, EVALUATION_SEED, **who)
+
+
+@pytest.mark.parametrize("layout", ["fixed", "resample"])
+@pytest.mark.parametrize("episodes", [1, 3])
+def test_flights_are_read_as_they_were_written(tmp_path: Path, episodes: int, layout: str) -> None:
+    scenario, policy = Scenario.load("tiny").replace(layout=layout), make_planner("greedy")
+    played = evaluate(policy, scenario, episodes, 5)
+    flown(played, scenario, policy, 5, policy="greedy", scenario="tiny").write(tmp_path)
+    read = Flights.read(tmp_path)
+    assert read.flights["mission_seed"].tolist() == list(range(5, 5 + episodes))
+    assert read.flights["communications"].tolist() == played.values("communications").tolist()
+    np.testing.assert_allclose(
+        read.flights["mean_aou_slots"], played.values("mean_aou_s") / scenario.slot_length_s, rtol=1e-5
+    )
+    assert set(read.curves["curve"]) == ({SLOTS, DEVICES, PERIODS} if layout == "fixed" else {SLOTS})
+    assert read.where(curve=SLOTS).curves["low"].notna().all() == (episodes > 1)
+    assert read.flights["action"].isna().all()  # of trained policies alone
+
+
+def test_flights_of_more_missions_are_kept(stopped: RunFolder) -> None:
+    two, one = rows(stopped, 2), rows(stopped, 1)
+    assert keep_flights(stopped, two) == f"wrote {stopped.flights}"
+    assert keep_flights(stopped, one) == f"kept {stopped.flights}: it is of more missions"
+    stopped.flights.write_bytes(b"{")  # what cannot be read is replaced
+    assert keep_flights(stopped, one) == f"wrote {stopped.flights}"
+    stopped.flights.unlink()
+    stopped.flights.mkdir()
+    assert str(stopped.flights) in keep_flights(stopped, two)
+
+
+def test_a_runs_own_flights_are_of_its_best_policy_and_action(stopped: RunFolder) -> None:
+    config = stopped.read_config()
+    assert own_flights(stopped, config, 2) is None
+    keep_flights(stopped, rows(stopped, 2))
+    found = own_flights(stopped, config, 2)
+    assert found is not None
+    assert found.flights["mission_seed"].tolist() == [EVALUATION_SEED, EVALUATION_SEED + 1]
+    assert own_flights(stopped, config, 3) is None
+    for action in ("greedy", "sample"):
+        keep_flights(stopped, rows(stopped, 2, action))
+        chosen = action == load_run(stopped).action
+        assert (own_flights(stopped, config, 2) is not None) == chosen
+    rows(stopped, 2).with_values(digest="0" * 64).write(stopped.path)  # of an earlier best
+    assert own_flights(stopped, config, 2) is None
+    stopped.flights.write_bytes(b"{")
+    assert own_flights(stopped, config, 2) is None

@@ -1,7 +1,5 @@
 """Trainings on a family of scenarios: their folder, what they count, how they are judged, and their resume."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,9 @@ import pytest
 from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
 from tests.scenario_files import refusal
 from uavaou import Family, RunConfig, Scenario, evaluate, flatten, load_run, train
-from uavaou.algorithms.registry import load_config
+from uavaou.algorithms.io.save_load import load_policy_arrays
+from uavaou.algorithms.io.tensor_file import ArrayFile
+from uavaou.algorithms.registry import load_config, make_model
 from uavaou.evaluation.seeds import VALIDATION_DRAWS, VALIDATION_SEED
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.names import config_folder
@@ -21,10 +21,8 @@ from uavaou.runs.validation import family_score
 
 pytestmark = pytest.mark.slow
 
-SMALL = {
-    "slots": 192, "missions": 4, "worlds": 2, "rollout_slots": 12, "batch_rows": 48, "evaluate_every_slots": 96,
-    "evaluation_missions": 3, "hidden": [8],
-}  # fmt: skip
+SMALL = {"slots": 192, "missions": 4, "worlds": 2, "rollout_slots": 12, "batch_rows": 48, "hidden": [8]}
+SMALL |= {"evaluate_every_slots": 96, "evaluation_missions": 3}
 LAYOUTS = Family.from_dict({"name": "small", "base": "tiny", "base_share": 1})
 SIZES = Family.from_dict(
     {"name": "sizes", "base": "tiny", "uavs": {"low": 1, "high": 3}, "devices": {"low": 2, "high": 5}}
@@ -49,15 +47,18 @@ def test_a_resumed_training_is_the_one_never_stopped(family: Family, changes: di
     assert whole.read_meta().agent_steps == parted.read_meta().agent_steps
 
 
+def environment(run: RunConfig, seed: int = 0) -> Any:
+    names = ("collection", "rows", "worlds")
+    return flatten(run.family, run.algorithm.missions, seed, **{name: getattr(run.algorithm, name) for name in names})
+
+
 @trainings
-def test_agent_steps_are_those_of_uavs_that_are_there(family: Family, changes: dict[str, Any], tmp_path: Path) -> None:
+def test_steps_are_those_of_uavs_that_are_there_and_scores_the_geometric_mean_over_draws(
+    family: Family, changes: dict[str, Any], tmp_path: Path
+) -> None:
     run = config(family, **changes)
     outcome = train(run, tmp_path / "run")
-    settings = run.algorithm
-    env = flatten(
-        family, settings.missions, 1_000_000, collection=settings.collection, rows=settings.rows,
-        worlds=settings.worlds,
-    )  # fmt: skip
+    settings, env = run.algorithm, environment(run, 1_000_000)
     env.reset()
     counted = 0
     for _ in range(outcome.progress.slots // settings.missions):
@@ -70,37 +71,16 @@ def test_agent_steps_are_those_of_uavs_that_are_there(family: Family, changes: d
     assert len(finished) == outcome.progress.missions > 0
     assert all(float(row["mean_aou_s"]) > 0 for row in finished)
 
-
-@trainings
-@pytest.mark.parametrize("action", ["greedy", "sample"])
-def test_the_score_is_the_geometric_mean_over_draws_each_played_alone(
-    family: Family, changes: dict[str, Any], action: str, tmp_path: Path
-) -> None:
-    run = config(family, evaluation_missions=5, **changes)
-    outcome = train(run, tmp_path / "run")
-    means = []
-    for mission in range(5):
-        draw = family.draw(VALIDATION_DRAWS[mission])
-        policy = load_run(outcome.folder, draw, action)
-        means.append(max(evaluate(policy, draw, 1, VALIDATION_SEED + mission).mean_aou_slots, 1.0))
-    expected = float(np.exp(np.mean(np.log(means)))) * family.base.slot_length_s
-    padded = _learner(run, outcome.folder)  # with rows of the family's sizes
-    assert family_score(padded, run, action) == pytest.approx(expected, rel=1e-6)
-
-
-def _learner(run: RunConfig, folder: RunFolder) -> Any:
-    """The learner of a training on a family, with its best weights."""
-    from uavaou.algorithms.io.save_load import load_policy_arrays
-    from uavaou.algorithms.io.tensor_file import ArrayFile
-    from uavaou.algorithms.registry import make_model
-
-    settings = run.algorithm
-    env = flatten(
-        run.family, settings.missions, collection=settings.collection, rows=settings.rows, worlds=settings.worlds
-    )
-    model = make_model(settings, env, 0, "cpu")
-    load_policy_arrays(ArrayFile(folder.best), model)
-    return model
+    padded = make_model(settings, environment(run), 0, "cpu")  # with rows of the family's sizes
+    load_policy_arrays(ArrayFile(outcome.folder.best), padded)
+    for action in ("greedy", "sample"):
+        means = []
+        for mission in range(3):  # each played alone
+            draw = family.draw(VALIDATION_DRAWS[mission])
+            policy = load_run(outcome.folder, draw, action)
+            means.append(max(evaluate(policy, draw, 1, VALIDATION_SEED + mission).mean_aou_slots, 1.0))
+        expected = float(np.exp(np.mean(np.log(means)))) * family.base.slot_length_s
+        assert family_score(padded, run, action) == pytest.approx(expected, rel=1e-6)
 
 
 def test_its_configuration_holds_the_family_in_full(tmp_path: Path) -> None:

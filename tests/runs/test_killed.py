@@ -1,7 +1,5 @@
 """Trainings that are killed, at any moment and again and again, end as the one that was never touched."""
 
-from __future__ import annotations
-
 import json
 import os
 import random
@@ -10,22 +8,19 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
 from tests.command_line import forked, start_command
 from tests.runs.stopped_runs import assert_ends_as
-from uavaou import RunConfig, Scenario, evaluate, load_run, train
+from uavaou import RunConfig, Scenario, train
 from uavaou.algorithms.registry import load_config
 from uavaou.runs.folder import RunFolder
 from uavaou.threads import use_threads
 
-KILLS = 8  # at random; tests/runs/test_faults.py kills at every write
+KILLS = 4  # at random; tests/runs/test_faults.py kills at every write
 ON_POLICY = {"rollout_slots": 25, "batch_rows": 100, "epochs": 4, "plan_slots": 500_000}
-OFF_POLICY = {
-    "replay_slots": 600, "learning_starts": 200, "batch_slots": 16, "slots_per_update": 20, "target_update": 5,
-}  # fmt: skip
+OFF_POLICY = {"replay_slots": 600, "learning_starts": 200, "batch_slots": 16, "slots_per_update": 20}
 SMALL = {"missions": 4, "evaluate_every_slots": 400, "evaluation_missions": 2, "hidden": [16]}
 
 
@@ -69,33 +64,25 @@ def assert_the_same(one: RunFolder, other: RunFolder) -> None:
     assert metas[1]["finished"]
 
 
-def assert_they_fly_the_same(one: RunFolder, other: RunFolder) -> None:
-    scores = [evaluate(load_run(run), Scenario.load("quickstart"), 3, 0).values("mean_aou_s") for run in (one, other)]
-    np.testing.assert_array_equal(*scores)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(("algorithm", "processes"), [("mappo", 1), ("qmix", 1), ("mappo", 2)])
+@pytest.mark.parametrize(("algorithm", "threads"), [("mappo", 2), ("qmix", None)])
 def test_a_training_killed_at_random_times_is_the_one_never_touched(
-    algorithm: str, processes: int, tmp_path: Path
+    algorithm: str, threads: int | None, tmp_path: Path
 ) -> None:
-    config = configuration(algorithm, slots=900 if processes == 1 else 400, processes=processes)
+    config = configuration(algorithm)
     whole = RunFolder(tmp_path / "whole")
     start(configuration(algorithm, slots=100), tmp_path / "first").join()  # starts the server of processes too
     began = time.monotonic()
-    untouched = start(config, whole.path)
+    untouched = start(config, whole.path, threads)  # those that are killed have all
     untouched.join()
     assert untouched.exitcode == 0
     length = time.monotonic() - began
     kills = runs = 0
-    wanted = KILLS if processes == 1 else 2
-    while kills < wanted:
+    while kills < KILLS:
         folder = RunFolder(tmp_path / f"killed-{runs}")
-        kills += kill_until_done(config, folder.path, seed=runs, longest_s=length / 2, most=wanted - kills)
+        kills += kill_until_done(config, folder.path, seed=runs, longest_s=length / 2, most=KILLS - kills)
         assert_the_same(whole, folder)
         runs += 1
-    assert_they_fly_the_same(whole, folder)
-    print(f"{algorithm}, {processes} processes: {kills} kills of {runs} runs of {length:.1f} s")
 
 
 TRAIN = (
@@ -119,24 +106,6 @@ def ended(process: Any) -> int | None:
     process.join(120)
     code: int | None = process.exitcode
     return code
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("algorithm", ["mappo", "qmix"])
-def test_a_training_killed_with_two_threads_goes_on_with_one_as_if_nothing_had_happened(
-    algorithm: str, tmp_path: Path
-) -> None:
-    config = configuration(algorithm)
-    assert ended(start(config, tmp_path / "whole", threads=4)) == 0
-    broken, run = start(config, tmp_path / "broken", threads=2), RunFolder(tmp_path / "broken")
-    deadline = time.monotonic() + 120
-    while not run.previous.is_file() and time.monotonic() < deadline:
-        time.sleep(0.005)
-    broken.kill()
-    assert ended(broken) == -signal.SIGKILL
-    assert not run.finished
-    assert ended(start(config, tmp_path / "broken", threads=1)) == 0
-    assert_the_same(RunFolder(tmp_path / "whole"), run)
 
 
 @pytest.mark.slow

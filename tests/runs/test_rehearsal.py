@@ -1,7 +1,5 @@
 """A rehearsal: common missions, none of them for results; what candidates may know; the best is served."""
 
-from __future__ import annotations
-
 import signal
 import time
 from pathlib import Path
@@ -48,9 +46,11 @@ def test_no_candidate_knows_more_than_it_may(knows: str, more: set[str]) -> None
     assert found.served is min(finalists, key=lambda candidate: candidate.ages.mean())
 
 
-def test_a_limit_that_is_none_is_refused() -> None:
+def test_limits_of_knowledge_and_layouts_limit_the_candidates() -> None:
     with pytest.raises(InputError, match="unknown knows 'shred'; did you mean 'shared'"):
         rehearse(TINY, 1.0, "shred")
+    found = rehearse(TINY.replace(layout="resample"), 1.0, "local")
+    assert {one.name for one in found.candidates} | set(found.late) == {"local-greedy-parts", "any-map"}
 
 
 def candidate(name: str, ages: list[float]) -> Candidate:
@@ -75,11 +75,6 @@ def test_one_that_is_behind_flies_no_more(monkeypatch: pytest.MonkeyPatch) -> No
     found = rehearse(TINY.replace(slots=100), 5.0)
     assert [(one.name, len(one.ages)) for one in found.candidates] == [("local-greedy-parts", 4), ("stay", 4)]
     assert found.is_clear
-
-
-def test_on_new_layouts_nothing_is_planned_ahead() -> None:
-    found = rehearse(TINY.replace(layout="resample"), 1.0, "local")
-    assert {one.name for one in found.candidates} | set(found.late) == {"local-greedy-parts", "any-map"}
 
 
 @pytest.mark.slow

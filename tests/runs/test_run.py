@@ -1,22 +1,16 @@
 """A training run on disk: what it writes, what it refuses, and that a resumed run is the run never stopped."""
 
-from __future__ import annotations
-
 import json
 import re
-import shutil
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch as th
-from safetensors.torch import load_file
 
-from tests.runs.stopped_runs import assert_ends_as, stopped_at, without_wall
+from tests.runs.stopped_runs import ON_POLICY, Runs, assert_ends_as, small, stopped_at, without_wall
 from uavaou import InputError, RunConfig, Scenario, evaluate, load_run, train
 from uavaou.algorithms.io.tensor_file import ArrayFile
 from uavaou.algorithms.registry import load_config
@@ -31,65 +25,31 @@ from uavaou.runs.folder import RunFolder
 from uavaou.runs.names import config_folder, flight_folder
 from uavaou.runs.recorder import Recorder
 
-SMALL = {
-    "slots": 600, "missions": 4, "rollout_slots": 25, "batch_rows": 100, "evaluate_every_slots": 200,
-    "evaluation_missions": 2, "hidden": [16],
-}  # fmt: skip
-
-
-def small(algorithm: str = "mappo-paper", seed: int = 0, **changes: Any) -> RunConfig:
-    scenario = Scenario.load("quickstart").replace(slots=40)
-    return RunConfig(scenario, load_config(algorithm, SMALL | changes), seed)
-
-
-@pytest.fixture(scope="module")
-def whole_runs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], tuple[RunConfig, RunFolder]]:
-    """A run never stopped, by algorithm and layout; trained when first asked for."""
-
-    @cache
-    def whole(algorithm: str, layout: str) -> tuple[RunConfig, RunFolder]:
-        config = small(algorithm)
-        config = RunConfig(config.scenario.replace(layout=layout), config.algorithm, config.seed)
-        folder = RunFolder(tmp_path_factory.mktemp("runs") / "whole")
-        train(config, folder, checkpoint_every_s=0)
-        return config, folder
-
-    return whole
-
 
 @pytest.mark.parametrize(
     ("algorithm", "before", "after", "layout"),
     [
         ("mappo", "batched", "batched", "fixed"),
-        ("mappo-paper", "batched", "batched", "fixed"),
         ("ippo", "batched", "batched", "resample"),
         ("mappo-paper", "batched", "supersuit", "fixed"),
         pytest.param("mappo", "supersuit", "batched", "resample", marks=pytest.mark.slow),
     ],
 )
 def test_a_resumed_run_is_the_run_never_stopped(
-    algorithm: str, before: str, after: str, layout: str, whole_runs: Any, tmp_path: Path
-) -> None:  # fmt: skip
-    config, whole = whole_runs(algorithm, layout)
-    parted = RunFolder(tmp_path / "parted")
-    with stopped_at(300):
+    algorithm: str, before: str, after: str, layout: str, tmp_path: Path
+) -> None:
+    config = small(algorithm)
+    config = replace(config, scenario=config.scenario.replace(layout=layout))
+    whole, parted = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "parted")
+    train(config, whole, checkpoint_every_s=0)
+    with stopped_at(144):
         train(config, parted, backend=before, checkpoint_every_s=0)
     assert json.loads(parted.meta.read_text())["finished"] is False
     train(config, parted, backend=after, resume=True)
     assert_ends_as(parted, whole)
     progress = without_wall(parted.progress)
-    assert len(progress) == 6 + (algorithm == "mappo")  # whose start is validated too
+    assert len(progress) == 5 + (algorithm == "mappo")  # whose start is validated too
     assert progress[-1]["evaluation/mean_aou_greedy_s"]
-
-
-def test_the_same_config_gives_the_same_run_and_another_seed_another(tmp_path: Path) -> None:
-    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        train(small(seed=seed, slots=200), RunFolder(tmp_path / name))
-    weights = {name: load_file(RunFolder(tmp_path / name).last) for name in "abc"}
-    key = "policy.actor_body.0.weight"
-    assert th.equal(weights["a"][key], weights["b"][key])
-    assert not th.equal(weights["a"][key], weights["c"][key])
-    assert without_wall(tmp_path / "a" / "episodes.csv") == without_wall(tmp_path / "b" / "episodes.csv")
 
 
 def test_missions_have_the_settings_and_the_seed_of_the_training(
@@ -106,13 +66,17 @@ def test_missions_have_the_settings_and_the_seed_of_the_training(
 
     monkeypatch.setattr(train_module, "_make_learner", noting)
     settings = {"missions": 2, "observation": "shared", "collection": "auto", "reward": "aou"}
-    train(small(seed=3, slots=50, **settings), tmp_path / "run")
+    train(replace(small(slots=24, **settings), seed=3), tmp_path / "run")
     assert made == [(training_seeds(3).start, 2, "shared", False, "aou")]
+
+
+QUICK = Scenario.load("quickstart").replace(slots=40)
+BUDGET = ON_POLICY | {"slots": 600, "missions": 4, "rollout_slots": 25, "evaluate_every_slots": 200}
 
 
 def test_what_a_run_writes(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
-    config = small()
+    config = RunConfig(QUICK, load_config("mappo-paper", BUDGET | {"evaluation_missions": 2, "hidden": [16]}), 0)
     outcome = train(config, folder)
     assert folder.read_config() == config
     assert outcome.agent_steps == 2 * outcome.progress.slots == 1200
@@ -142,7 +106,7 @@ def test_what_a_run_writes(tmp_path: Path) -> None:
 def test_the_best_policy_is_that_of_the_lowest_validation_by_the_action_that_reached_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scores = [9.0, 8.0, 7.0, 5.0, 6.0, 9.0]  # by the likeliest and by sampled actions, at 200, 400 and, last, 500 slots
+    scores = [9.0, 8.0, 7.0, 5.0, 6.0, 9.0]  # by the likeliest and by sampled actions, at 96, 192 and, last, 240 slots
     weights, validated = [], []
 
     def validate(recorder: Recorder, action: str) -> float:
@@ -151,38 +115,24 @@ def test_the_best_policy_is_that_of_the_lowest_validation_by_the_action_that_rea
         return scores[len(validated) - 1]
 
     monkeypatch.setattr(Recorder, "_validate", validate)
-    outcome = train(small(slots=450), tmp_path / "run")
-    assert validated == [(slots, action) for slots in (200, 400, 500) for action in ("greedy", "sample")]
+    outcome = train(small(slots=216, evaluate_every_slots=96), tmp_path / "run")
+    assert validated == [(slots, action) for slots in (96, 192, 240) for action in ("greedy", "sample")]
     progress, best = outcome.progress, ArrayFile(outcome.folder.best)
     assert (progress.best_score, progress.best_action) == (5.0, "sample")
-    assert TrainingProgress.read(best).slots == 400
+    assert TrainingProgress.read(best).slots == 192
     np.testing.assert_array_equal(best.read("policy.actor_body.0.weight"), weights[2])
     policy = load_run(outcome.folder)
     assert policy.action == "sample"
     assert th.equal(policy.model.policy.state_dict()["actor_body.0.weight"], weights[2])
 
 
-@pytest.fixture(scope="module")
-def shortly_trained(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    folder = RunFolder(tmp_path_factory.mktemp("runs") / "run")
-    train(small(slots=200), folder)
-    return folder
-
-
-@pytest.fixture
-def short_run(shortly_trained: RunFolder, tmp_path: Path) -> RunFolder:
-    """A copy of a short run."""
-    return RunFolder(Path(shutil.copytree(shortly_trained.path, tmp_path / "run")))
-
-
-def test_a_folder_that_holds_a_run_is_refused(short_run: RunFolder) -> None:
-    folder = short_run
-    before = {path: path.read_bytes() for path in folder.path.rglob("*") if path.is_file()}
+def test_a_folder_that_holds_a_run_is_refused(stopped: RunFolder) -> None:
+    before = {path: path.read_bytes() for path in stopped.path.rglob("*") if path.is_file()}
     with pytest.raises(InputError, match=r"already holds a run: add --resume"):
-        train(small(slots=200), folder)
+        train(small(), stopped)
     with pytest.raises(InputError, match="another configuration"):
-        train(small(slots=300), folder, resume=True)
-    assert before == {path: path.read_bytes() for path in folder.path.rglob("*") if path.is_file()}
+        train(small(slots=300), stopped, resume=True)
+    assert before == {path: path.read_bytes() for path in stopped.path.rglob("*") if path.is_file()}
 
 
 def test_a_run_that_cannot_be_built_leaves_nothing_behind(tmp_path: Path) -> None:
@@ -192,15 +142,12 @@ def test_a_run_that_cannot_be_built_leaves_nothing_behind(tmp_path: Path) -> Non
     assert not folder.path.exists()
 
 
-def test_names_of_folders_need_no_quotes() -> None:
+def test_different_runs_have_different_folders_with_names_for_people_that_need_no_quotes() -> None:
     own = Scenario.load("paper").replace(name="my valley's (2) map", devices_m=[[0, 0]], devices=1)
     run = config_folder(Path("r"), RunConfig(own, load_config("mappo-paper", {"hidden": [8, 8]}))).path
     for path in (run, Path(flight_folder([str(run), "any-map"]))):
         assert command_line([path]) == str(path)
     assert run.parts[1].startswith("my%20valley%27s%20%282%29%20map~")
-
-
-def test_different_runs_have_different_folders_with_names_for_people() -> None:
     paper = Scenario.load("paper")
     fields = ({}, {"slots": 5}, {"slots": 50}, {"slots": 5, "devices": 5}, {"description": "a/b,c=1"})
     names = {
@@ -219,32 +166,11 @@ def test_different_runs_have_different_folders_with_names_for_people() -> None:
     assert re.fullmatch(r"ippo\+[0-9a-f]{6}", config_folder(Path("results"), many).path.parent.name)
 
 
-@pytest.mark.parametrize("damage", ["truncated", "garbage", "missing"])
-def test_a_damaged_checkpoint_is_said_in_words(damage: str, short_run: RunFolder) -> None:
-    folder = short_run
-    content = folder.best.read_bytes()
-    if damage == "missing":
-        folder.best.unlink()
-        folder.last.unlink()
-    else:
-        folder.best.write_bytes(content[:100] if damage == "truncated" else b"\x80\x04garbage")
-    with pytest.raises(InputError, match=r"checkpoint|safetensors"):
-        load_run(folder)
-
-
-def test_a_run_does_not_fit_another_shape(short_run: RunFolder, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="trained with 2 uavs and 8 devices; scenario 'paper' has 3 and 25"):
-        load_run(short_run, Scenario.load("paper"))
-    with pytest.raises(InputError, match="is not a run folder"):
-        load_run(RunFolder(tmp_path))
-
-
 @pytest.mark.parametrize("action", ["greedy", "sample"])
-def test_a_missions_result_does_not_depend_on_the_missions_beside_it(action: str, short_run: RunFolder) -> None:
-    policy = load_run(short_run, action=action)
-    scenario = policy.views.scenario
-    many = evaluate(policy, scenario, 6, 500).values("mean_aou_s")
-    alone = [evaluate(policy, scenario, 1, 500 + j).mean_aou_s for j in range(6)]
+def test_a_missions_result_does_not_depend_on_the_missions_beside_it(action: str, runs: Runs) -> None:
+    policy = load_run(runs[0], action=action)
+    many = evaluate(policy, policy.views.scenario, 6, 500).values("mean_aou_s")
+    alone = [evaluate(policy, policy.views.scenario, 1, 500 + j).mean_aou_s for j in range(6)]
     np.testing.assert_array_equal(many, alone)
 
 

@@ -1,7 +1,5 @@
 """Fleets in question: which there are, what a target means, and which is chosen; and the command."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pandas as pd

@@ -1,7 +1,5 @@
 """Trainings that follow on another: from its weights, or to a larger budget, resumed as exactly as any other."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from dataclasses import replace
@@ -70,10 +68,13 @@ def test_a_training_begins_with_the_weights_of_another(finished: RunFolder, tmp_
     assert outcome.folder.read_config() == read_config(outcome.folder.config) == config
 
 
-def test_its_settings_are_those_of_the_run_but_for_a_published_budget(run: RunFolder) -> None:
+def test_settings_are_those_of_the_run_but_for_a_budget_and_what_is_known(run: RunFolder) -> None:
     own = small().algorithm
     config = Start.at(run).training(Scenario.load("tiny"), {}, seed=0)
     assert config.algorithm == own.model_copy(update={"slots": load_config("mappo-paper").slots})
+    start = Start.at("any-map")
+    config = start.training(Scenario.load("tiny"), {"observation": "part"}, seed=0)
+    assert (start.config.algorithm.observation, config.algorithm.observation) == ("mixed", "part")
 
 
 def test_validations_follow_the_budget(finished: RunFolder) -> None:
@@ -134,12 +135,6 @@ def test_weights_that_do_not_fit_are_refused_with_their_sizes(finished: RunFolde
     assert "actor_body.0.weight has shape (8, " in said
     assert "keep the settings of its network" in said
     assert not (tmp_path / "new").exists()
-
-
-def test_a_network_of_tokens_may_learn_to_know_less() -> None:
-    start = Start.at("any-map")
-    config = start.training(Scenario.load("tiny"), {"observation": "part"}, seed=0)
-    assert (start.config.algorithm.observation, config.algorithm.observation) == ("mixed", "part")
 
 
 def test_other_weights_than_those_of_the_configuration_are_refused(finished: RunFolder, tmp_path: Path) -> None:

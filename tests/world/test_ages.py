@@ -1,7 +1,5 @@
 """The age ledger against eq. (1) of the paper, played literally with one age for each update."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Association: the best rate wins, and every selection is counted."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

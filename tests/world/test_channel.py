@@ -1,7 +1,5 @@
 """The channel against the paper's formulas, written out literally, and against Rician theory."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Compiled functions: kept on disk where that is possible, and plain IEEE arithmetic."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Coverage against the rate formula by hand, against SciPy, and against the World's own draws."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Rows of tokens: each feature against its definition, what may be known at which level, and padding."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -54,13 +52,20 @@ def test_device_tokens_are_what_their_names_say(observation: str) -> None:
         wait = world.slot - world.last_collection[n, i] if observation == "shared" else own_wait
         radius = coverage_radius(SCENARIO, world.layout(n))[u, i] / 100
         expected = {
-            "present": 1, "x": x / 5, "y": y / 5, "distance": math.hypot(x, y) / 5, "steps_to_coverage": away / 5,
+            "present": 1,
+            "x": x / 5,
+            "y": y / 5,
+            "distance": math.hypot(x, y) / 5,
+            "steps_to_coverage": away / 5,
             "coverage_radius": np.nan_to_num(radius) / 2,
-            "in_range": float(world.in_range[n, u, i]), "update_period": world.update_period[n, i] / 5,
-            "since_own_collection": own_wait / (own_wait + 20), "since_collection": wait / (wait + 20),
-            "steps_of_nearest_other": other / 5, "lead_of_nearest_other": min(max(away - other, -10), 10) / 5,
+            "in_range": float(world.in_range[n, u, i]),
+            "update_period": world.update_period[n, i] / 5,
+            "since_own_collection": own_wait / (own_wait + 20),
+            "since_collection": wait / (wait + 20),
+            "steps_of_nearest_other": other / 5,
+            "lead_of_nearest_other": min(max(away - other, -10), 10) / 5,
             "age_over_steps": value["age"] / (1 + away),
-        }  # fmt: skip
+        }
         if observation == "shared":
             expected["age"] = math.sqrt(world.ages.age_slots[n, i]) / 20
         for name, wanted in expected.items():
@@ -134,10 +139,13 @@ def test_own_and_teammates_and_state_tokens() -> None:
         wait = world.slot - world.last_collection[n, i]
         expected = {
             "x": (world.device_positions[n, i, 0] / 100 - middle[n, 0]) / 5,
-            "age": math.sqrt(world.ages.age_slots[n, i]) / 20, "pending": math.sqrt(world.pending[n, i]) / 4,
-            "since_collection": wait / (wait + 20), "steps_of_nearest": away[0] / 5,
-            "steps_of_second_nearest": away[1] / 5, "in_range": float(world.in_range[n, :, i].any()),
-        }  # fmt: skip
+            "age": math.sqrt(world.ages.age_slots[n, i]) / 20,
+            "pending": math.sqrt(world.pending[n, i]) / 4,
+            "since_collection": wait / (wait + 20),
+            "steps_of_nearest": away[0] / 5,
+            "steps_of_second_nearest": away[1] / 5,
+            "in_range": float(world.in_range[n, :, i].any()),
+        }
         assert {name: value[name] for name in expected} == pytest.approx(expected, abs=1e-5)
 
 

@@ -1,7 +1,5 @@
 """The rules of flight against the definition, by searching all ways home."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """The World against a literal mission: slow, with lists and loops, sentence by sentence as the paper has it."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

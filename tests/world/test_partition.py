@@ -1,7 +1,5 @@
 """The partition of a map: who is told to serve which device."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

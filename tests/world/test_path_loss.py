@@ -1,7 +1,5 @@
 """The channel of any radio against the formulas by hand, and what hangs on it against the world's own slots."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Parts of a map flown in simulation, against their literal form, and the steps that devices pull by."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

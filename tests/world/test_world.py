@@ -1,7 +1,5 @@
 """The World: every constraint holds, and a mission does not depend on the others of its batch."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -53,17 +51,16 @@ def test_every_constraint_holds_under_arbitrary_actions(scenario: Scenario, seed
     play_and_check(scenario, seed, missions=20)
 
 
+ALONE: dict[str, Any] = {"uavs": 1, "altitudes_m": [80], "cds_m": [[0, 0]], "fading": "none"}
 ODD = {
-    "one UAV, one device, two slots": {
-        "uavs": 1, "devices": 1, "slots": 2, "altitudes_m": [80], "cds_m": [[0, 0]],
-    },
+    "one UAV, one device, two slots": {"uavs": 1, "devices": 1, "slots": 2, "altitudes_m": [80], "cds_m": [[0, 0]]},
     "CDS in the middle": {"cds_m": [[200, 200], [200, 200]]},
     "only take-off and landing": {"flight_time_budget_s": 12.0},
     "an odd number of moves": {"flight_time_budget_s": 12.0 + 700 / 15},
     "a strip": {"area_y_m": 100, "cds_m": [[0, 0], [400, 100]]},
     "no fading, resampled": {"fading": "none", "layout": "resample"},
     "no budget": {"flight_time": "ignore", "flight_time_budget_s": 0.1},
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("changes", ODD.values(), ids=ODD.keys())
@@ -160,10 +157,8 @@ def test_fading_does_not_depend_on_actions(scenario: Scenario, seed: int) -> Non
 
 def test_figure_1_played_through_the_world() -> None:
     """k = (2, 1, 3), K = 7, tau = 1: after slot 3 device 1 holds ages 3 and 2; a collection at slot 5 clears it."""
-    scenario = QUICK.replace(
-        uavs=1, devices=3, slots=7, slot_length_s=1.0, altitudes_m=[80], cds_m=[[0, 0]], fading="none",
-        devices_m=[[0, 0], [10, 0], [0, 10]], update_period_slots=[2, 1, 3], transmit_power_mw=1.0,
-    )  # fmt: skip
+    devices = {"devices_m": [[0, 0], [10, 0], [0, 10]], "update_period_slots": [2, 1, 3], "transmit_power_mw": 1.0}
+    scenario = QUICK.replace(**ALONE, devices=3, slots=7, slot_length_s=1.0, **devices)
     world = World(scenario)
     sums, pending, rewards = [], [], []
     for slot in range(1, 8):
@@ -182,10 +177,8 @@ def test_figure_1_played_through_the_world() -> None:
 
 def test_collection_happens_before_the_move() -> None:
     """Decision 1: the device above which a UAV stands in slot t is collected in slot t, not the one it flies to."""
-    scenario = QUICK.replace(
-        uavs=1, devices=2, slots=5, altitudes_m=[80], cds_m=[[0, 0]], fading="none", transmit_power_mw=0.3,
-        bandwidth_hz=15_000, devices_m=[[0, 0], [100, 0]], update_period_slots=1,
-    )  # fmt: skip
+    radio = {"transmit_power_mw": 0.3, "bandwidth_hz": 15_000}
+    scenario = QUICK.replace(**ALONE, **radio, devices=2, slots=5, devices_m=[[0, 0], [100, 0]], update_period_slots=1)
     world = World(scenario)
     collected = []
     for move in (3, 4, 0):
@@ -210,11 +203,9 @@ def test_snapshot_has_the_promised_keys_types_and_copies() -> None:
     assert (before["collected_by"] == -1).all()
     world.step(np.ones((2, 2), dtype=np.int64))
     seen = world.snapshot(1)
-    shapes = {
-        "positions": (2, 2), "altitudes": (2,), "devices": (8, 2), "age_sum": (8,), "rate": (2, 8),
-        "flight_time": (2,), "bandwidth": (8,), "transmit_power": (8,),
-        "pending": (8,), "update_period": (8,), "collected_by": (8,),
-    }  # fmt: skip
+    shapes = {"positions": (2, 2), "altitudes": (2,), "flight_time": (2,), "devices": (8, 2), "rate": (2, 8)}
+    of_devices = ("age_sum", "bandwidth", "transmit_power", "pending", "update_period", "collected_by")
+    shapes |= dict.fromkeys(of_devices, (8,))
     assert set(seen) == set(before) == {*shapes, "slot", "rejected_rate", "rejected_association"}
     for name, shape in shapes.items():
         whole = name in ("pending", "update_period", "collected_by")

@@ -27,13 +27,19 @@ from uavaou.zones import Zone
 TINY = Scenario.load("tiny")
 ROUNDING_M = 1e-6
 FIELD = TINY.replace(
-    area_x_m=600, area_y_m=500, slots=40, flight_time_budget_s=240, fading="rician", uavs=2, cds_m=[(0, 0), (600, 0)],
+    area_x_m=600,
+    area_y_m=500,
+    slots=40,
+    flight_time_budget_s=240,
+    fading="rician",
+    uavs=2,
+    cds_m=[(0, 0), (600, 0)],
     no_fly=[  # a wall with a gap at the top for UAV 0 (80 m), and a corner that no cell lies in
         {"polygon_m": [(210, -10), (290, -10), (290, 420), (210, 420)], "ceiling_m": 85},
         {"polygon_m": [(440, 240), (460, 240), (460, 260), (440, 260)], "margin_m": 20},
         {"polygon_m": [(440, 190), (460, 190), (460, 210), (440, 210)]},
     ],
-)  # fmt: skip
+)
 
 
 @st.composite
@@ -68,9 +74,15 @@ def fields(draw: Any) -> Scenario:
     budget = draw(st.floats(2 * 90 / 15 + 1, 400))
     try:
         return TINY.replace(
-            grid_step_m=step, area_x_m=x * step, area_y_m=y * step, cds_m=cds, slots=draw(st.integers(2, 25)),
-            flight_time_budget_s=budget, fading="rician", **changes,
-        )  # fmt: skip
+            grid_step_m=step,
+            area_x_m=x * step,
+            area_y_m=y * step,
+            cds_m=cds,
+            slots=draw(st.integers(2, 25)),
+            flight_time_budget_s=budget,
+            fading="rician",
+            **changes,
+        )
     except InputError:
         return draw(st.nothing())
 

@@ -18,8 +18,8 @@ class Greedy:
     UAV can still return to its CDS. UAVs choose in turn, in the order of their numbers; the devices in range of a
     chosen cell (without fading) do not count for the next UAV.
 
-    Ties go to the lowest UAV, then the lowest column, then the lowest row. A UAV with nothing left to collect stays.
-    The path to a cell goes along x first, then along y.
+    Ties go to the lowest UAV, then the lowest column, then the lowest row. A UAV with nothing left to collect stays,
+    until the World flies it home. The path to a cell goes along x first, then along y.
 
     Each choice was measured on ``paper`` against its alternative, and none is worse on average: weights by probability
     against the radius alone and x first against the longer axis (eight layouts), excluding devices by radius against
