@@ -25,6 +25,7 @@ def start_command(arguments: str, stderr: Path) -> Any:
 
 def _command(arguments: str, stderr: Path) -> None:
     os.setsid()
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT, signal.SIGTERM])  # a server of jobs has them blocked
     signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs are started with it ignored
     os.dup2(os.open(stderr, os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
     sys.exit(main(shlex.split(arguments)))

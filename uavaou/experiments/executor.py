@@ -124,7 +124,7 @@ class Processes(Executor):
         ours, theirs = self._context.Pipe(duplex=False)
         # Not a daemon: a training may have processes of its own, for its missions.
         process = self._context.Process(target=_work, args=(pickle.dumps(job), theirs, self._plugins))
-        process.start()
+        _start(process)
         theirs.close()
         self._running.append(process)
         if self.stopping:  # since it was looked at
@@ -147,6 +147,17 @@ class Processes(Executor):
         """See :class:`Executor`."""
         for process in list(self._running):
             process.kill()
+
+
+def _start(process: Any) -> None:
+    """Start a process; what its server inherits here keeps it alive when a signal ends the whole group."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])  # of this thread
+    try:
+        process.start()
+    except EOFError:  # the server was killed: now another one is started
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _context() -> Any:
@@ -206,6 +217,7 @@ def _died(code: int | None, asked: bool) -> Ended:
 def _work(job: bytes, pipe: Connection, plugins: Sequence[str]) -> None:
     """The main function of a child process, for a pickled job."""
     interrupt_at_sigterm()
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
     threading.Thread(target=_follow_parent, daemon=True).start()
 
     def send(message: Any) -> None:
