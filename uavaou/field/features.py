@@ -22,7 +22,6 @@ GEOD = Geod(ellps="WGS84")
 MOST_FEATURES = 100_000
 _MOST_CORNERS = 1_000_000  # of all features of a file
 _LARGEST = 1e15  # degrees or metres
-_LISTED = 6
 Role = Literal["", "device", "station", "outline", "zone"]
 
 
@@ -70,9 +69,9 @@ def circle(longitude: float, latitude: float, radius_m: float, inside: bool = Fa
     return shapely.Polygon(np.column_stack([x, y]))
 
 
-def listed(texts: Sequence[str], mark: str = ", ") -> str:
+def listed(texts: Sequence[str], mark: str = ", ", most: int = 6) -> str:
     """The first of some texts."""
-    return mark.join([*texts[:_LISTED], "..."] if len(texts) > _LISTED else texts)
+    return mark.join([*texts[:most], "..."] if len(texts) > most else texts)
 
 
 @dataclass

@@ -90,26 +90,21 @@ class Ground:
 
 def choose_grid_step(given: float | None, radius: float, extent: Floats, pairs: int) -> tuple[float, str]:
     """The grid step in m, and why."""
-
-    def fits(step: float) -> bool:
-        cells = math.prod(math.ceil(length / step) + 1 for length in extent)
-        return bool(cells <= _MOST_CELLS) and cells * pairs <= _MOST_REACHES
-
-    if given is not None:
-        if not fits(given):
-            raise InputError(
-                f"--grid-step {given:g}: more than {_MOST_CELLS:,} cells, or too many for the devices; leave it out"
-            )
-        return given, "as given"
     ladder = [factor * 10.0**power for power in range(-2, 7) for factor in _ROUND]
     side = max(float(extent.max()) / _STEPS_A_SIDE, _FINEST_M)
-    finest = max((step for step in ladder if step <= min(_RADII_A_STEP * radius, side)), default=ladder[0])
-    step = next((step for step in ladder if step >= finest and fits(step)), ladder[-1])
-    if step > _RADII_A_STEP * radius:
-        return step, f"coarser than {_RADII_A_STEP:g} radii, so that there are at most {_MOST_CELLS:,} cells"
-    if side < _RADII_A_STEP * radius:
-        return step, f"round, and at most {side:.3g} m, for a field of this size"
-    return step, f"round, and at most {_RADII_A_STEP:g} radii ({_RADII_A_STEP * radius:.3g} m), as in the paper"
+    most = min(_RADII_A_STEP * radius, side)
+    finest = max((step for step in ladder if step <= most), default=ladder[0])
+    for step in [given] if given else [step for step in ladder if step >= finest]:
+        cells = math.prod(math.ceil(length / step) + 1 for length in extent)
+        if cells <= _MOST_CELLS and cells * pairs <= _MOST_REACHES:
+            break
+    else:
+        raise InputError(
+            f"--grid-step {given or 0:g}: more than {_MOST_CELLS:,} cells, or too many for the devices; leave it out"
+        )
+    limit = f"{most:.3g} m, {'a fifth of the field' if most == side else '0.4 radii, as in the paper'}"
+    why = f"round, and at most {limit}" if step <= most else f"coarser than {limit}, for at most {_MOST_CELLS:,} cells"
+    return step, "as given" if given else why
 
 
 def draw_borders(ground: Ground, step: float, notes: list[str]) -> tuple[Bools, dict[str, Any]]:
@@ -142,9 +137,8 @@ def draw_borders(ground: Ground, step: float, notes: list[str]) -> tuple[Bools, 
 def _band(feature: Feature) -> dict[str, Any]:
     """What a zone says beside its border: name, floor, ceiling and margin."""
     numbers = {f"{meaning}_m": number(feature.value(meaning)) for meaning in ("floor", "ceiling", "margin")}
-    numbers["margin_m"] = numbers["margin_m"] if numbers["margin_m"] > 0 else math.nan
     about = {name: value for name, value in numbers.items() if math.isfinite(value)}
-    return ({"name": feature.name} if feature.name else {}) | about
+    return about | ({"name": feature.name} if feature.name else {})
 
 
 def _polygons(ground: Ground, feature: Feature, coarse_m: float, notes: list[str]) -> list[shapely.Polygon]:

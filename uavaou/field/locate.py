@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 import pyproj
@@ -16,7 +14,7 @@ from uavaou.errors import InputError
 from uavaou.field.features import DEGREES, GEOD, METRES, UNSTATED, Feature, Reading, coordinates, moved
 from uavaou.fields import short
 
-_LEAST_M = 20.0  # across a field in metres
+_LEAST_M, _LEAST_DEGREES = 20.0, 0.5  # across a field
 
 
 def in_one_frame(reading: Reading, crs: str, notes: list[str]) -> list[Feature]:
@@ -25,11 +23,7 @@ def in_one_frame(reading: Reading, crs: str, notes: list[str]) -> list[Feature]:
     frames = {feature.frame for feature in reading.features}
     for frame in sorted(frames):
         features = [feature for feature in reading.features if feature.frame == frame]
-        meant = crs or frame if frame in (METRES, UNSTATED) else frame
-        if meant == UNSTATED:
-            meant = _guessed_frame(reading, features, notes)
-        elif meant == METRES:
-            _refuse_degrees(reading, features)
+        meant = crs or _frame(reading, features, notes) if frame in (METRES, UNSTATED) else frame
         if meant not in (DEGREES, METRES):
             features, meant = _from_crs(reading, features, meant), DEGREES
         found += [replace(feature, frame=meant) for feature in features]
@@ -38,33 +32,28 @@ def in_one_frame(reading: Reading, crs: str, notes: list[str]) -> list[Feature]:
     return found
 
 
-def _guessed_frame(reading: Reading, features: Sequence[Feature], notes: list[str]) -> str:
-    """Whether columns that are just x and y hold degrees: small, close to each other, and with many decimals.
+def _frame(reading: Reading, features: Sequence[Feature], notes: list[str]) -> str:
+    """Whether columns hold degrees: small numbers, close to each other, and, just x and y, with many decimals.
 
     Raises:
         InputError: they could be both.
     """
-    places = coordinates(features)
-    small = np.ptp(places, axis=0).max() < _LEAST_M and (abs(places) <= 180).all()
+    places, stated = coordinates(features), features[0].frame == METRES
+    spread = np.ptp(places, axis=0).max()
     precise = (abs(places * 100 - np.rint(places * 100)) > 1e-6).mean() > 0.5
-    if small and len(places) > 1 and (not precise or (abs(places[:, 1]) > 90).any()):
+    narrow = (abs(places) <= [180, 90]).all() and spread < (_LEAST_DEGREES if stated else _LEAST_M)
+    if len(places) > 1 and narrow and (stated or not precise) and spread > 0:
         raise InputError(
-            f"{reading.path}: x and y could be metres or degrees: write a header of x_m, y_m or of lat, lon"
+            f"{reading.path}: {features[0].where}: x and y, {places[0].tolist()}, could be metres or degrees: "
+            "write a header of x_m, y_m or of lat, lon, or give --crs degrees or metres"
         )
-    frame, name = (DEGREES, "longitude and latitude") if small and precise else (METRES, "metres")
+    if stated:
+        return METRES
+    frame, name = (DEGREES, "longitude and latitude") if narrow and precise else (METRES, "metres")
     notes.append(f"{reading.path.name}: x and y are taken for {name}")
     if (abs(places) > 90_000).all():
         notes.append(f"{reading.path.name}: they look like UTM: --crs EPSG:326.. or 327.. would keep coordinates")
     return frame
-
-
-def _refuse_degrees(reading: Reading, features: Sequence[Feature]) -> None:
-    places = coordinates(features)
-    if len(places) > 1 and (abs(places) <= [180, 90]).all() and 0 < np.ptp(places, axis=0).max() < 0.5:
-        raise InputError(
-            f"{reading.path}: {features[0].where}: {places[0].tolist()} is said to be metres and looks like degrees: "
-            "give --crs degrees"
-        )
 
 
 def _from_crs(reading: Reading, features: list[Feature], crs: str) -> list[Feature]:
@@ -83,43 +72,19 @@ def _from_crs(reading: Reading, features: list[Feature], crs: str) -> list[Featu
     return found
 
 
-def on_one_map(
-    located: Sequence[tuple[Reading, list[Feature]]], near: Sequence[float] | None, notes: list[str]
-) -> list[tuple[Reading, list[Feature]]]:
-    """Features with latitudes and longitudes in order, and longitudes that do not jump."""
-    found = []
-    for reading, features in located:
-        features = _without_null_island(reading, features, notes)
-        if features:
-            swapped = moved(features, lambda places: places[:, ::-1])
-            fault, of_swapped = _fault(features), _fault(swapped)
-            middle = np.median(coordinates(features), axis=0)
-            far = near is not None and km_from(near, [middle])[0] > 500 and km_from(near, [middle[::-1]])[0] < 100
-            if (fault or far) and not of_swapped:
-                features = swapped
-                why = fault or "as given, they lie far from the others"
-                notes.append(f"{reading.path.name}: latitude and longitude are swapped back ({why})")
-            elif fault:
-                raise InputError(f"{reading.path}: {fault}")
-            first = (near or coordinates(features)[0])[0]
-            # Longitudes within half a turn of the first one, across the antimeridian.
-            features = moved(features, partial(_near, first))
-            near = near or np.median(coordinates(features), axis=0).tolist()
-        found.append((reading, features))
-    return found
-
-
-def _near(longitude: float, places: Floats) -> Floats:
-    return np.asarray(places + np.rint((longitude - places) / 360) * [360, 0])
-
-
-def _without_null_island(reading: Reading, features: list[Feature], notes: list[str]) -> list[Feature]:
+def on_one_map(reading: Reading, features: list[Feature], near: float | None, notes: list[str]) -> list[Feature]:
+    """Features with latitudes and longitudes in order, and longitudes within half a turn of one, or of the first."""
     there = shapely.bounds([feature.geometry for feature in features]).any(axis=1)
-    kept = [feature for feature, is_there in zip(features, there, strict=True) if is_there]
-    if kept and len(kept) < len(features) and abs(coordinates(kept)).max() > 1:
-        notes.append(f"{reading.path.name}: {len(features) - len(kept)} places at 0, 0 are ignored")
-        return kept
-    return features
+    if 0 < there.sum() < len(there) and abs(coordinates(features)).max() > 1:
+        notes.append(f"{reading.path.name}: {(~there).sum()} places at 0, 0 are ignored")
+        features = [feature for feature, is_there in zip(features, there, strict=True) if is_there]
+    if fault := _fault(features):
+        features = moved(features, lambda places: places[:, ::-1])
+        if _fault(features):
+            raise InputError(f"{reading.path}: {fault}")
+        notes.append(f"{reading.path.name}: latitude and longitude are swapped back ({fault})")
+    first = coordinates(features)[0, 0] if near is None else near
+    return moved(features, lambda places: places + np.rint((first - places) / 360) * [360, 0])
 
 
 def _fault(features: Sequence[Feature]) -> str:
@@ -132,7 +97,7 @@ def _fault(features: Sequence[Feature]) -> str:
     return ""
 
 
-def km_from(place: Sequence[float] | Floats, places: Any) -> Floats:
+def km_from(place: Sequence[float] | Floats, places: Floats) -> Floats:
     """The distances of places (P, 2) from one, all in degrees (longitude, latitude), (P,) km."""
-    x, y, longitude, latitude = np.broadcast_arrays(*place, *np.asarray(places, dtype=np.float64).reshape(-1, 2).T)
-    return np.asarray(GEOD.inv(x, y, longitude, latitude)[2], dtype=np.float64) / 1000
+    x, y = np.broadcast_to(place, places.shape).T
+    return np.asarray(GEOD.inv(x, y, *places.T)[2], dtype=np.float64) / 1000

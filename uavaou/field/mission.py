@@ -18,12 +18,10 @@ from uavaou.field.geodesy import Projection
 from uavaou.field.ground import Ground, choose_grid_step, draw_borders
 from uavaou.field.survey import Survey
 from uavaou.field.words import SLOTS, TIMES, meanings, number, unit
-from uavaou.fields import DEVICE_COLUMNS
 from uavaou.scenario import Scenario
 
 _MOST_SLOTS = 1_000_000
 _MOST_UAVS = 10  # that are guessed
-_REPEATED = 5  # notes of one kind
 _LONGEST = 40  # letters of a length of time
 
 
@@ -87,8 +85,6 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
     radius = _radius(channel, said["altitude_m"], coverage)
     ground = Ground(survey)
     step, why = choose_grid_step(wishes.grid_step_m, radius, ground.extent, uavs * len(survey.devices))
-    if "coarser" in why:
-        notes.append(f"the grid step of {step:g} m is {why}")
     ground.align(step)
     devices, extent = ground.metres(survey.devices), ground.extent
     free, borders = draw_borders(ground, step, notes)
@@ -120,12 +116,13 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
         "flight_time_budget_s": budget,
         **channel,
     }
-    columns = _columns(survey.devices, devices, periods, notes)
+    x, y = ([f"{value:.2f}" for value in values] for values in devices.clip(0).T)
+    names = [device.name for device in survey.devices]
+    names = _distinct(names, notes) if any(names) else []
+    columns = {"x_m": x, "y_m": y, **({"name": names} if names else {}), "update_period_slots": periods}
     _note_reach(fields, devices, radius, notes)
-    names = [name[:30] for name in columns.get("name", [])]
-    named = f": {', '.join(names[:3] + ['...'] * (len(names) > 3))}" if names else ", without names"
     understood = [
-        ("devices", f"{len(survey.devices):,}{named}"),
+        ("devices", f"{len(x):,}: {listed([name[:30] for name in names], most=3) or 'without names'}"),
         ("extent", f"{extent[0]:,.0f} m x {extent[1]:,.0f} m"),
         ("origin", ground.origin),
         ("grid step", f"{step:g} m, {ground.cells[0] + 1} x {ground.cells[1] + 1} cells; {why}"),
@@ -141,13 +138,11 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
 
 
 def _grouped(notes: list[str]) -> list[str]:
-    """Notes without repetition: what is said of many places is said once, with the first of them."""
+    """Notes without repetition: what is said of many places is said with the first of them."""
     groups: dict[str, list[str]] = {}
     for note in notes:
         groups.setdefault(note.rpartition(": ")[2], []).append(note)
-    repeated = {text: same for text, same in groups.items() if len(same) > _REPEATED}
-    said = {text: [f"{len(same)} times, the first at {same[0]}"] for text, same in repeated.items()}
-    return [note for same in (groups | said).values() for note in same]
+    return [same[0] + (f" (and {len(same) - 1} others)" if len(same) > 1 else "") for same in groups.values()]
 
 
 def _radius(channel: dict[str, Any], altitude: float, coverage: Callable[[Scenario], Floats]) -> float:
@@ -192,23 +187,6 @@ def _note_reach(fields: dict[str, Any], devices: Floats, radius: float, notes: l
     ):
         if which.any():
             notes.append(f"{which.sum()} of {len(devices)} devices {problem}")
-
-
-def _columns(devices: Sequence[Feature], metres: Floats, periods: list[int], notes: list[str]) -> dict[str, list[Any]]:
-    """The columns of devices.csv."""
-    columns: dict[str, list[Any]] = {
-        name: [f"{value:.2f}" for value in values]
-        for name, values in zip(("x_m", "y_m"), metres.clip(0).T, strict=True)
-    }
-    if any(names := [device.name for device in devices]):
-        columns["name"] = _distinct(names, notes)
-    for name in DEVICE_COLUMNS[:2]:
-        values = [number(device.properties[name]) for device in devices if name in device.properties]
-        if len(values) == len(devices) and all(0 < value < math.inf for value in values):
-            columns[name] = values
-        elif values:
-            notes.append(f"{name} is ignored: not every device has a number above 0")
-    return columns | {"update_period_slots": periods}
 
 
 def _distinct(names: list[str], notes: list[str]) -> list[str]:

@@ -14,10 +14,10 @@ import numpy as np
 import shapely
 
 from uavaou.errors import InputError
-from uavaou.field.features import DEGREES, METRES, Feature, Reading, Role, circle, coordinates, listed
+from uavaou.field.features import DEGREES, METRES, Feature, Reading, Role, coordinates, listed
 from uavaou.field.locate import in_one_frame, km_from, on_one_map
-from uavaou.field.words import meanings, number, words
-from uavaou.fields import DEVICE_COLUMNS, short
+from uavaou.field.words import meanings, words
+from uavaou.fields import short
 
 _ROLES: dict[Role, str] = {  # the first ones go first
     "zone": "zone zones nfz nofly fly forbidden exclusion exclude restricted prohibited obstacle obstacles keepout",
@@ -76,7 +76,14 @@ def understand(
                     f"--station {latitude:g},{longitude:g}: expected a latitude (-90 to 90), then a longitude"
                 )
         stations = [(longitude, latitude) for latitude, longitude in stations]
-        located = on_one_map(located, (within[1], within[0]) if within else next(iter(stations), None), notes)
+        ordered = []
+        near = within[1] if within else stations[0][0] if stations else None
+        for reading, features in located:
+            if features:
+                features = on_one_map(reading, features, near, notes)
+                near = coordinates(features)[0, 0] if near is None else near
+            ordered.append((reading, features))
+        located = ordered
     called: dict[Feature, str] = {}
     for reading, features in located:
         for feature in features:
@@ -110,17 +117,13 @@ def _sort(survey: Survey, reading: Reading, feature: Feature, called: dict[Featu
     shape = feature.geometry
     role, why = _role(reading.path, feature, shape.geom_type == "Point", several)
     where = f"{reading.path.name}, {feature.where}"
-    if role == "zone" and shape.geom_type == "Point":
-        radius = number(feature.value("radius"))
-        if not (survey.geographic and radius > 0):
-            survey.notes.append(f"{where}: a point that is called a zone, without a radius, is ignored")
-            return
-        shape = circle(shape.x, shape.y, radius)
-    elif role in ("zone", "outline") and len(shape.coords if shape.geom_type == "LineString" else ()) > 2:
+    if role in ("zone", "outline") and len(shape.coords if shape.geom_type == "LineString" else ()) > 2:
         shape = shapely.Polygon(shape)
     feature = replace(feature, geometry=shape, where=where, role=role)
-    if shape.geom_type == "LineString":
-        survey.notes.append(f"{where}: a line is ignored")
+    if shape.geom_type == "LineString" or (role == "zone" and shape.geom_type == "Point"):
+        survey.notes.append(
+            f"{where}: a zone needs a polygon, ignored" if role == "zone" else f"{where}: a line is ignored"
+        )
     elif shape.geom_type == "Polygon":
         survey.zones.append(feature)
     elif role == "station":
@@ -177,9 +180,9 @@ def _settle(survey: Survey, path: Path) -> None:
         survey.devices = list(kept.values())
     if not survey.devices:
         raise InputError(f"no places of devices ({'; '.join(survey.facts)}): add a file with points for them")
-    _choose_outline(survey)
     if survey.geographic:
         _refuse_too_wide(survey, path)
+    _choose_outline(survey)
     _note_properties(survey)
 
 
@@ -221,43 +224,33 @@ def _refuse_too_wide(survey: Survey, path: Path) -> None:
         survey.notes.append(f"{len(off)} devices far from all others are ignored ({which})")
     kept = [zone for zone in survey.zones if km_from(middle, coordinates([zone])).max() <= _WIDEST_KM]
     if len(kept) < len(survey.zones):
-        survey.notes.append(f"{len(survey.zones) - len(kept)} zones that reach beyond {_WIDEST_KM:g} km are ignored")
+        survey.notes.append(f"{len(survey.zones) - len(kept)} polygons that reach beyond {_WIDEST_KM:g} km are ignored")
         survey.zones = kept
-    if survey.outline is not None and km_from(middle, coordinates([survey.outline])).max() > _WIDEST_KM:
-        raise InputError(f"{survey.outline.where}: an outline that reaches beyond {_WIDEST_KM:g} km")
     points = survey.devices + survey.stations
     away = km_from(middle, coordinates(points))
     far, km = points[away.argmax()], away.max()
     if km > _WIDEST_KM / 2:
-        narrow = np.array([math.cos(math.radians(middle[1])), 1.0])
-        tree = shapely.STRtree(shapely.points(places * narrow))
+        narrow = [math.cos(math.radians(middle[1])), 1.0]
         tried = places[:: len(places) // 200 + 1]
-        found = tree.query(shapely.points(tried * narrow), predicate="dwithin", distance=_NEAR_DEGREES)[0]
-        counts = np.bincount(found)
-        x, y = tried[counts.argmax()]
+        counts = [(np.linalg.norm((places - each) * narrow, axis=1) < _NEAR_DEGREES).sum() for each in tried]
+        x, y = tried[np.argmax(counts)]
         raise InputError(
             f"{path}: {far.where.rpartition(', ')[2]} {short(far.name)} lies {km:,.0f} km from the middle of the "
             f"{len(places):,} devices; a field is at most {_WIDEST_KM:g} km wide: --within {y:.4f},{x:.4f},10 "
-            f"would read {counts.max()} of them, all within 10 km"
+            f"would read {max(counts)} of them, all within 10 km"
         )
 
 
 _OF_DEVICES = {"latitude", "longitude", "x", "y", "place", "id", "name", "interval", "role"}
-_OF_ZONES = {"id", "name", "role", "radius", "floor", "ceiling", "margin"}
+_OF_ZONES = {"id", "name", "role", "floor", "ceiling", "margin"}
 
 
 def _note_properties(survey: Survey) -> None:
     """Note what devices and zones say that the model has no place for."""
     for kind, features, read in (("devices", survey.devices, _OF_DEVICES), ("zones", survey.zones, _OF_ZONES)):
         keys = dict.fromkeys(tuple(feature.properties) for feature in features)
-        used = {"folder", *DEVICE_COLUMNS}
-        used |= {name for names in keys for meaning, name in meanings(names).items() if meaning in read}
+        used = {"folder"} | {name for names in keys for meaning, name in meanings(names).items() if meaning in read}
         ignored = dict.fromkeys(name for names in keys for name in names if name not in used)
         if ignored:
             plain = ", ".join(short(re.sub(r"\s+", " ", name))[1:-1] for name in ignored)
             survey.notes.append(f"properties of the {kind} that are ignored: {plain}")
-    heights = [height for f in survey.devices if math.isfinite(height := number(f.value("height")))]
-    if heights and min(heights) < max(heights):
-        survey.notes.append(
-            f"heights of the devices, {min(heights):g} to {max(heights):g}, are ignored: the ground is flat"
-        )

@@ -21,13 +21,12 @@ _WORDS = {
     "name": "name title label stationsname bezeichnung nom nombre nome station sensor site stop device node standort",
     "interval": "interval period intervall periode intervalo periodo intervalle cadence takt",
     "role": "role kind type category class typ art tipo rolle",
-    "radius": "radius",
     "floor": "floor lower bottom",
     "ceiling": "ceiling upper top",
     "margin": "margin buffer",
     "height": "elevation altitude height elev alt ele z hohe hoehe altura altitud",
 }
-_AT_THE_END = ("x", "y", "height", "id", "radius")  # meanings whose words also stand for other things inside of a name
+_AT_THE_END = ("x", "y", "height", "id")  # meanings whose words also stand for other things inside of a name
 _WHOLE = {"station", "sensor", "site", "stop", "device", "node", "standort"}  # that are names where they stand alone
 SLOTS = -1.0  # in place of the seconds of a unit of time
 
