@@ -226,7 +226,7 @@ BOMB = '<!DOCTYPE k [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]><
     ("name", "content", "said"),
     [
         ("a.csv", "id,value\n1,2\n", "no positions found: expected columns such as latitude"),
-        ("a.csv", "lat,lon\n46,7\nx,7\ny,8\nz,9\n", "line 3: column 'lat': 'x': expected a finite number"),
+        ("a.csv", "lat,lon\n46,7\nx,7\ny,8\nz,9\n", "line 3: 'lon', 'lat': ['7', 'x']: expected two numbers"),
         ("a.csv", "lat,lon\n91,7\n46,-200\n", "line 2: latitude = 91: must be from -90 to 90"),
         ("a.csv", "lat,lon\n89.9,7\n", "within 2 degrees of a pole"),
         ("a.csv", "lat,lon\n46,7\n48,9\n", "200 km wide: --within"),

@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from pyproj import Geod
 
-from uavaou.arrays import Floats
+from uavaou.arrays import Bools, Floats
 from uavaou.errors import InputError
 from uavaou.field.words import meanings
 from uavaou.fields import short
@@ -33,7 +33,8 @@ class Feature:
     where: str  # in its file, for messages: "line 4"
     properties: Mapping[str, Any] = field(default_factory=dict)
     frame: str = DEGREES
-    role: Role = ""  # what the format says that it is
+    role: Role = ""  # what the format, or a word, says that it is
+    by: str = ""  # where that word is
 
     def value(self, meaning: str) -> Any:
         """The property that stands for something; None without one."""
@@ -60,6 +61,13 @@ def moved(features: Sequence[Feature], change: Callable[[Floats], Floats]) -> li
     return [replace(f, geometry=geometry) for f, geometry in zip(features, geometries, strict=True)]
 
 
+def kept(features: list[Feature], keep: Bools, notes: list[str], what: str) -> list[Feature]:
+    """The features that are kept, and a note of the others."""
+    if gone := [feature.where for feature, stays in zip(features, keep, strict=True) if not stays]:
+        notes.append(f"{len(gone):,} {what} ({listed(gone, most=3)})")
+    return [feature for feature, stays in zip(features, keep, strict=True) if stays]
+
+
 def circle(longitude: float, latitude: float, radius_m: float, inside: bool = False, corners: int = 36) -> Any:
     """A polygon around a circle on the earth, in degrees, or ``inside`` of one that is not to be left."""
     reach = radius_m if inside else radius_m / np.cos(np.pi / corners)
@@ -74,7 +82,7 @@ def listed(texts: Sequence[str], mark: str = ", ", most: int = 6) -> str:
     return mark.join([*texts[:most], "..."] if len(texts) > most else texts)
 
 
-@dataclass
+@dataclass(eq=False)
 class Reading:
     """The features of a file, and what a person must know of how it was read."""
 

@@ -11,7 +11,7 @@ import shapely
 
 from uavaou.arrays import Floats
 from uavaou.errors import InputError
-from uavaou.field.features import DEGREES, GEOD, METRES, UNSTATED, Feature, Reading, coordinates, moved
+from uavaou.field.features import DEGREES, GEOD, METRES, UNSTATED, Feature, Reading, coordinates, kept, moved
 from uavaou.fields import short
 
 _LEAST_M, _LEAST_DEGREES = 20.0, 0.5  # across a field
@@ -75,19 +75,18 @@ def _from_crs(reading: Reading, features: list[Feature], crs: str) -> list[Featu
 def on_one_map(reading: Reading, features: list[Feature], near: float | None, notes: list[str]) -> list[Feature]:
     """Features with latitudes and longitudes in order, and longitudes within half a turn of one, or of the first."""
     there = shapely.bounds([feature.geometry for feature in features]).any(axis=1)
-    if 0 < there.sum() < len(there) and abs(coordinates(features)).max() > 1:
-        notes.append(f"{reading.path.name}: {(~there).sum()} places at 0, 0 are ignored")
-        features = [feature for feature, is_there in zip(features, there, strict=True) if is_there]
-    if fault := _fault(features):
+    if there.any() and abs(coordinates(features)).max() > 1:
+        features = kept(features, there, notes, "places at 0, 0 are ignored")
+    if fault := fault_of(features):
         features = moved(features, lambda places: places[:, ::-1])
-        if _fault(features):
+        if fault_of(features):
             raise InputError(f"{reading.path}: {fault}")
         notes.append(f"{reading.path.name}: latitude and longitude are swapped back ({fault})")
     first = coordinates(features)[0, 0] if near is None else near
     return moved(features, lambda places: places + np.rint((first - places) / 360) * [360, 0])
 
 
-def _fault(features: Sequence[Feature]) -> str:
+def fault_of(features: Sequence[Feature]) -> str:
     """What is wrong with the first place that is none on the earth; empty without one."""
     places, index = shapely.get_coordinates([feature.geometry for feature in features], return_index=True)
     for k in np.flatnonzero((abs(places) > [360, 90]).any(axis=1))[:1]:

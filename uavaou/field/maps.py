@@ -111,8 +111,12 @@ def _geometries(reading: Reading, where: str, place: ElementTree.Element) -> Ite
 # MAVLink's commands whose place is one to visit: waypoint, loiters, spline, take a picture there. Then rally points,
 # and fences, to stay in or out of: corners, whose first parameter is their number, and circles, whose is the radius.
 _HOME, _RALLY, _CORNERS, _CIRCLES = -1, 5100, (5001, 5002), (5003, 5004)
-_ROLES: dict[Any, Role] = dict.fromkeys((16, 17, 18, 19, 31, 82, 93), "") | {_HOME: "station", _RALLY: "station"}
-_ROLES |= {5001: "outline", 5002: "zone", 5003: "outline", 5004: "zone"}
+_ROLES: dict[Any, Role] = {
+    **dict.fromkeys((16, 17, 18, 19, 31, 82, 93), ""),
+    **dict.fromkeys((_HOME, _RALLY), "station"),
+    **dict.fromkeys((5001, 5003), "outline"),
+    **dict.fromkeys((5002, 5004), "zone"),
+}
 _TAKE_OFFS = {22, 84}  # 20 and 21, return and land, have no place of their own to visit
 _Command = tuple[str, Any, float, Any]  # where it stands, what it is, its first parameter, latitude and longitude
 

@@ -119,7 +119,12 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
     x, y = ([f"{value:.2f}" for value in values] for values in devices.clip(0).T)
     names = [device.name for device in survey.devices]
     names = _distinct(names, notes) if any(names) else []
-    columns = {"x_m": x, "y_m": y, **({"name": names} if names else {}), "update_period_slots": periods}
+    columns: dict[str, list[Any]] = {
+        "x_m": x,
+        "y_m": y,
+        **({"name": names} if names else {}),
+        "update_period_slots": periods,
+    }
     _note_reach(fields, devices, radius, notes)
     understood = [
         ("devices", f"{len(x):,}: {listed([name[:30] for name in names], most=3) or 'without names'}"),

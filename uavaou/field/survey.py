@@ -8,14 +8,14 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import pandas as pd
 import shapely
 
 from uavaou.errors import InputError
-from uavaou.field.features import DEGREES, METRES, Feature, Reading, Role, coordinates, listed
-from uavaou.field.locate import in_one_frame, km_from, on_one_map
+from uavaou.field.features import DEGREES, METRES, Feature, Reading, Role, coordinates, kept, listed, moved
+from uavaou.field.locate import fault_of, in_one_frame, km_from, on_one_map
 from uavaou.field.words import meanings, words
 from uavaou.fields import short
 
@@ -26,7 +26,7 @@ _ROLES: dict[Role, str] = {  # the first ones go first
     "device": "sensor sensors device devices node nodes",
 }
 _BY_FILE = "file's name"
-_HOMES = ({"home"}, {"base"}, {"depot"}, {"cds"}, {"gcs"}, {"base", "station"}, {"ground", "station"}, {"take", "off"})
+_HOMES = ({"home"}, {"base"}, {"depot"}, {"cds"}, {"gcs"}, {"base", "station"}, {"ground", "station"})
 _WIDEST_KM = 200.0  # beyond, distances on a plane are wrong by more than 0.02 %
 _NEAR_DEGREES = 0.09  # some 10 km of latitude
 _STRAY = 0.05  # the share of devices that may lie far off by mistake
@@ -61,125 +61,93 @@ def understand(
         InputError: there is no device, or places cannot be on one map.
     """
     notes = [f"{reading.path.name}: {note}" for reading in readings for note in reading.notes]
-    located = [(reading, in_one_frame(reading, crs, notes)) for reading in readings]
-    frames = {feature.frame for _, features in located for feature in features}
+    located = {reading: in_one_frame(reading, crs, notes) for reading in readings}
+    frames = {feature.frame: reading.path for reading, features in located.items() for feature in features}
     if not frames:
         raise InputError(f"{readings[0].path}: holds no place")
     if len(frames) > 1:
-        in_metres = next(r.path for r, features in located if any(f.frame == METRES for f in features))
-        raise InputError(f"{in_metres}: in metres beside files in degrees: --crs EPSG:... says where its origin lies")
-    survey = Survey(frames == {DEGREES}, notes=notes)
+        raise InputError(
+            f"{frames[METRES]}: in metres beside files in degrees: --crs EPSG:... says where its origin lies"
+        )
+    survey = Survey(DEGREES in frames, notes=notes)
+    points: list[Feature] = []
+    given = [Feature(shapely.Point(place), "--station") for place in stations]
     if survey.geographic:
-        for latitude, longitude in stations:
-            if abs(latitude) > 90 or abs(longitude) > 180:
-                raise InputError(
-                    f"--station {latitude:g},{longitude:g}: expected a latitude (-90 to 90), then a longitude"
-                )
-        stations = [(longitude, latitude) for latitude, longitude in stations]
-        ordered = []
-        near = within[1] if within else stations[0][0] if stations else None
-        for reading, features in located:
-            if features:
-                features = on_one_map(reading, features, near, notes)
-                near = coordinates(features)[0, 0] if near is None else near
-            ordered.append((reading, features))
-        located = ordered
-    called: dict[Feature, str] = {}
-    for reading, features in located:
-        for feature in features:
-            _sort(survey, reading, feature, called, several=len(readings) > 1)
+        given = moved(given, lambda places: places[:, ::-1])
+        if fault := fault_of(given):
+            raise InputError(f"{fault}, LAT,LON in degrees")
+    near = within[1] if within else coordinates(given)[0, 0] if given else None
+    for reading, features in located.items():
+        if survey.geographic and features:
+            features = on_one_map(reading, features, near, notes)
+            near = coordinates(features)[0, 0] if near is None else near
         counts = Counter(feature.geometry.geom_type.lower() for feature in features)
         counted = [f"{n:,} {shape.replace('string', '')}{'s' if n != 1 else ''}" for shape, n in counts.items()]
         survey.facts.append(f"{reading.path.name}: {', '.join(counted) or 'nothing'}")
-    if within and survey.geographic:
-        _keep_within(survey, within)
-    _settle_stations(survey, stations, called)
+        for feature in features:
+            feature = _with_role(reading.path, feature, several=len(readings) > 1)
+            (points if feature.geometry.geom_type == "Point" else survey.zones).append(feature)
+    is_zone = np.array([feature.role == "zone" for feature in points], dtype=np.bool_)
+    points = kept(points, ~is_zone, notes, "points that are called zones are ignored: draw polygons")
+    is_line = np.array([feature.geometry.geom_type == "LineString" for feature in survey.zones], dtype=np.bool_)
+    survey.zones = kept(survey.zones, ~is_line, notes, "lines are ignored")
+    if within and survey.geographic and points:
+        away = km_from((within[1], within[0]), coordinates(points))
+        points = kept(points, away <= within[2], notes, f"points beyond {within[2]:g} km of --within are ignored")
+    _settle_stations(survey, points, given)
     _settle(survey, readings[0].path)
     return survey
 
 
-def _keep_within(survey: Survey, within: Sequence[float]) -> None:
-    latitude, longitude, km = within
-    for kind in ("devices", "stations"):
-        features = getattr(survey, kind)
-        kept = [
-            f
-            for f, away in zip(features, km_from((longitude, latitude), coordinates(features)), strict=True)
-            if away <= km
-        ]
-        if len(kept) < len(features):
-            survey.notes.append(f"{len(features) - len(kept)} {kind} beyond {km:g} km of --within are ignored")
-            setattr(survey, kind, kept)
-
-
-def _sort(survey: Survey, reading: Reading, feature: Feature, called: dict[Feature, str], several: bool) -> None:
-    """Put a feature to the devices, stations or zones; an outline to the zones with its role, until all are known."""
+def _with_role(path: Path, feature: Feature, several: bool) -> Feature:
+    """A feature with what it says that it is, and by what; its format comes first, the file's name last."""
     shape = feature.geometry
-    role, why = _role(reading.path, feature, shape.geom_type == "Point", several)
-    where = f"{reading.path.name}, {feature.where}"
-    if role in ("zone", "outline") and len(shape.coords if shape.geom_type == "LineString" else ()) > 2:
-        shape = shapely.Polygon(shape)
-    feature = replace(feature, geometry=shape, where=where, role=role)
-    if shape.geom_type == "LineString" or (role == "zone" and shape.geom_type == "Point"):
-        survey.notes.append(
-            f"{where}: a zone needs a polygon, ignored" if role == "zone" else f"{where}: a line is ignored"
-        )
-    elif shape.geom_type == "Polygon":
-        survey.zones.append(feature)
-    elif role == "station":
-        survey.stations.append(feature)
-        called |= {feature: why} if why else {}
-    else:
-        survey.devices.append(feature)
-
-
-def _role(path: Path, feature: Feature, is_point: bool, several: bool) -> tuple[Role, str]:
-    """What a feature says that it is, and by what; its format comes first, the file's name last."""
+    is_point = shape.geom_type == "Point"
     texts = {"property": feature.value("role"), "folder": feature.properties.get("folder")}
     if not is_point:
         texts["name"] = feature.name
     if several or not is_point:
         texts[_BY_FILE] = path.stem
-    for why, text in texts.items() if not feature.role else ():
+    role, by = feature.role, ""
+    for by_, text in texts.items() if not role else ():
         said = set(words(str(text or "")))
-        for role in ("station", "device", "zone") if is_point else ("zone", "outline"):
-            if said & set(_ROLES[role].split()):
-                return role, why
-    return feature.role, ""
+        allowed: tuple[Role, ...] = ("station", "device", "zone") if is_point else ("zone", "outline")
+        role = next((each for each in allowed if said & set(_ROLES[each].split())), "")
+        if role:
+            by = by_
+            break
+    if role and shape.geom_type == "LineString" and len(shape.coords) > 2:
+        shape = shapely.Polygon(shape)
+    return replace(feature, geometry=shape, where=f"{path.name}, {feature.where}", role=role, by=by)
 
 
-def _settle_stations(survey: Survey, given: Sequence[Sequence[float]], called: dict[Feature, str]) -> None:
-    """Decide whether those that only a word made stations are such; stations that were given replace all."""
-    said = {feature for feature, why in called.items() if why != _BY_FILE or not survey.devices}
-    if len(said) > len(survey.devices):
-        survey.devices += [feature for feature in survey.stations if feature in said]
-        survey.stations = [feature for feature in survey.stations if feature not in said]
-        survey.notes.append(
-            f"{len(said)} points are called stations, more than there are devices: they are devices too"
-        )
-    else:
-        survey.notes += [f"{feature.where}: is a station, by its {why}" for feature, why in called.items()]
-    if given:
-        if survey.stations:
-            survey.notes.append(f"{len(survey.stations)} stations of the files are ignored: --station is given")
-        survey.stations = [Feature(shapely.Point(place), "--station") for place in given]
+def _settle_stations(survey: Survey, points: Sequence[Feature], given: list[Feature]) -> None:
+    """Tell stations from devices; stations that were given replace those of the files."""
+    survey.devices = [feature for feature in points if feature.role != "station"]
+    stations = [feature for feature in points if feature.role == "station"]
     homes = [feature for feature in survey.devices if set(words(feature.name)) in _HOMES]
-    if not survey.stations and len(homes) == 1 < len(survey.devices):
-        survey.stations = homes
+    if not (stations or given) and len(homes) == 1:
+        stations = [replace(homes[0], by="name")]
         survey.devices.remove(homes[0])
-        survey.notes.append(f"{homes[0].where}: is a station, by its name")
+    said = {f for f in stations if f.by and (f.by != _BY_FILE or not survey.devices)}  # a word alone made them such
+    if len(said) > len(survey.devices):
+        survey.devices += [feature for feature in stations if feature in said]
+        stations = [feature for feature in stations if feature not in said]
+        survey.notes.append(f"{len(said)} points are called stations, more than there are devices: all are devices")
+    survey.notes += [f"{feature.where}: is a station, by its {feature.by}" for feature in stations if feature.by]
+    if given and stations:
+        survey.notes.append(f"{len(stations)} stations of the files are ignored: --station is given")
+    survey.stations = given or stations
 
 
 def _settle(survey: Survey, path: Path) -> None:
     """Decide what depends on all features together."""
-    kept: dict[Any, Feature] = {}  # without rows that repeat a device, as in a table of measurements
-    for feature, place in zip(survey.devices, coordinates(survey.devices).round(6).tolist(), strict=True):
-        kept.setdefault((name, *place) if (name := feature.name) else feature, feature)
-    if repeated := len(survey.devices) - len(kept):
-        survey.notes.append(f"{repeated:,} rows repeat a device (the same name and place), and are ignored")
-        survey.devices = list(kept.values())
     if not survey.devices:
         raise InputError(f"no places of devices ({'; '.join(survey.facts)}): add a file with points for them")
+    places = coordinates(survey.devices).round(6).tolist()
+    keys = pd.Series([(f.name or k, *place) for k, (f, place) in enumerate(zip(survey.devices, places, strict=True))])
+    repeat = "rows repeat a device (the same name and place), and are ignored"  # as in a table of measurements
+    survey.devices = kept(survey.devices, ~keys.duplicated().to_numpy(), survey.notes, repeat)
     if survey.geographic:
         _refuse_too_wide(survey, path)
     _choose_outline(survey)
@@ -217,15 +185,12 @@ def _refuse_too_wide(survey: Survey, path: Path) -> None:
     if abs(worst) > _POLE:
         raise InputError(f"{path}: latitude = {worst:.6g}: fields within 2 degrees of a pole are not read")
     middle = np.median(places, axis=0)
-    off = {survey.devices[k]: None for k in np.flatnonzero(km_from(middle, places) > _WIDEST_KM / 2)}
-    if 0 < len(off) <= _STRAY * len(survey.devices):
-        survey.devices = [feature for feature in survey.devices if feature not in off]
-        which = listed([feature.where for feature in off])
-        survey.notes.append(f"{len(off)} devices far from all others are ignored ({which})")
-    kept = [zone for zone in survey.zones if km_from(middle, coordinates([zone])).max() <= _WIDEST_KM]
-    if len(kept) < len(survey.zones):
-        survey.notes.append(f"{len(survey.zones) - len(kept)} polygons that reach beyond {_WIDEST_KM:g} km are ignored")
-        survey.zones = kept
+    near = km_from(middle, places) <= _WIDEST_KM / 2
+    if near.mean() >= 1 - _STRAY:
+        survey.devices = kept(survey.devices, near, survey.notes, "devices far from all others are ignored")
+    reach = np.array([km_from(middle, coordinates([zone])).max() for zone in survey.zones])
+    text = f"polygons that reach beyond {_WIDEST_KM:g} km are ignored"
+    survey.zones = kept(survey.zones, reach <= _WIDEST_KM, survey.notes, text)
     points = survey.devices + survey.stations
     away = km_from(middle, coordinates(points))
     far, km = points[away.argmax()], away.max()

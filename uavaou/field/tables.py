@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from itertools import islice
 from typing import Any
 
-import numpy as np
 import openpyxl
 import shapely
 
@@ -117,38 +116,34 @@ def read_rows(reading: Reading, rows: Sequence[Row]) -> None:
     """Read the rows below a header.
 
     Raises:
-        InputError: many positions cannot be read; it names the first line, the column and what is allowed.
+        InputError: many positions cannot be read; it names the first line, the columns and what is allowed.
     """
     place, known = _header(rows)
     if place:
         reading.notes.append(f"{place} lines before the header are ignored")
     names, body = rows[place][1], rows[place + 1 :]
     axes = next(pair for pair in _PAIRS if known.keys() >= set(pair))
-    columns = [names.index(known[axis]) for axis in axes]
-    scales = [unit(known[axis], LENGTHS) for axis in axes]
-    frame = DEGREES if axes[0] != "x" else METRES if all(map(math.isfinite, scales)) else UNSTATED
+    chosen = [known[axis] for axis in axes]
+    scale = unit(chosen[0], LENGTHS)
+    frame = DEGREES if axes[0] != "x" else UNSTATED if math.isnan(scale) else METRES
+    scale = scale if frame == METRES else 1.0
+    expected = "two numbers, x and y" if len(axes) == 2 else "(latitude, longitude) or POINT (lon lat)"
     without: list[str] = []
     unread: dict[str, InputError] = {}
     for where, cells in body:
-        values = [cells[column] if column < len(cells) else "" for column in columns]
+        data = dict(zip(names, cells, strict=False))
+        values = [data.get(name, "") for name in chosen]
         if any(str(value).strip().lower() in _NOTHING for value in values):
             without.append(where)
             continue
         try:
-            found = []
-            for axis, value in zip(axes, values, strict=True):
-                expected = "(latitude, longitude) or POINT (lon lat)" if axis == "place" else "a finite number"
-                with reading.at(f"{where}: column {short(known[axis])}", value, expected):
-                    found.append(_of_cell(value) if axis == "place" else _finite(value))
+            with reading.at(f"{where}: {', '.join(map(short, chosen))}", values, expected):
+                shape = _of_cell(values[0]) if len(axes) == 1 else _point(values[0], values[1], scale)
         except InputError as error:
             unread[where] = error
             continue
-        data = {name: cell for name, cell in zip(names, cells, strict=False) if name and cell not in ("", None)}
-        if axes == ("place",):
-            del data[known["place"]]
-        else:
-            found = [shapely.Point(np.multiply(found, scales[0] if frame == METRES else 1))]
-        reading.features.append(Feature(found[0], where, data, frame))
+        data = {name: cell for name, cell in data.items() if name and name not in chosen and cell not in ("", None)}
+        reading.features.append(Feature(shape, where, data, frame))
     if len(unread) > len(body) // 10 + 1:
         raise next(iter(unread.values()))
     for which, problem in ((without, "without a position"), (list(unread), "whose position cannot be read")):
@@ -156,10 +151,11 @@ def read_rows(reading: Reading, rows: Sequence[Row]) -> None:
             reading.notes.append(f"{len(which)} rows {problem} are ignored ({listed(which)})")
 
 
-def _finite(value: Any) -> float:
-    if not math.isfinite(found := number(value)):
-        raise ValueError(value)
-    return found
+def _point(x: Any, y: Any, scale: float = 1.0) -> Any:
+    place = scale * number(x), scale * number(y)
+    if not all(map(math.isfinite, place)):
+        raise ValueError(place)
+    return shapely.Point(place)
 
 
 def _of_cell(value: Any) -> Any:
@@ -171,5 +167,5 @@ def _of_cell(value: Any) -> Any:
         return shapely.geometry.shape(value if isinstance(value, dict) else json.loads(text.replace("'", '"')))
     if text[:1].isalpha():
         return shapely.from_wkt(text.rpartition(";")[2])  # PostGIS writes SRID=4326; first
-    latitude, longitude = map(_finite, re.split(r"[,;\s]+", text.strip("()[] "))[:2])
-    return shapely.Point(longitude, latitude)
+    latitude, longitude = re.split(r"[,;\s]+", text.strip("()[] "))[:2]
+    return _point(longitude, latitude)
