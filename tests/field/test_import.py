@@ -114,7 +114,7 @@ def test_what_is_guessed_or_ignored_is_said(tmp_path: Path) -> None:
     said = "\n".join(found.notes)
     for part in (
         "1 rows without a position are ignored (line 33)",
-        "1 places at 0, 0 are ignored",
+        "1 places at 0, 0 of map.csv are ignored (line 34)",
         "1 rows repeat a device",
         "1 devices far from all others are ignored (map.csv, line 35)",
         "ignored: model, elevation",
@@ -230,8 +230,8 @@ BOMB = '<!DOCTYPE k [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]><
         ("a.csv", "lat,lon\n91,7\n46,-200\n", "line 2: latitude = 91: must be from -90 to 90"),
         ("a.csv", "lat,lon\n89.9,7\n", "within 2 degrees of a pole"),
         ("a.csv", "lat,lon\n46,7\n48,9\n", "200 km wide: --within"),
-        ("a.csv", "x_m,y_m\n7.221,46.101\n7.222,46.102\n", "line 2: [7.221, 46.101] is said to be metres and"),
-        ("a.csv", "x,y\n1,2\n3,4\n", "x and y could be metres or degrees"),
+        ("a.csv", "x_m,y_m\n7.221,46.101\n7.222,46.102\n", "[7.221, 46.101], could be metres or degrees"),
+        ("a.csv", "x,y\n1,2\n3,4\n", "[1.0, 2.0], could be metres or degrees"),
         ("a.csv", "lat,lon\n" + "46,7\n" * 100_001, "more than 100,000 places"),
         ("a.csv", "", "is empty"),
         ("a.geojson", '{"type": "Point", "coordinates": [NaN, 7]}', "feature 1: coordinates [nan, 7.0]: expected two"),

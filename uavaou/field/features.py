@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -68,13 +69,10 @@ def kept(features: list[Feature], keep: Bools, notes: list[str], what: str) -> l
     return [feature for feature, stays in zip(features, keep, strict=True) if stays]
 
 
-def circle(longitude: float, latitude: float, radius_m: float, inside: bool = False, corners: int = 36) -> Any:
+def circle(longitude: float, latitude: float, radius_m: float, inside: bool, corners: int = 36) -> shapely.Polygon:
     """A polygon around a circle on the earth, in degrees, or ``inside`` of one that is not to be left."""
-    reach = radius_m if inside else radius_m / np.cos(np.pi / corners)
-    turns = np.arange(corners) * 360 / corners
-    x, y, reach_m = (np.full(corners, value) for value in (longitude, latitude, reach))
-    x, y, _ = GEOD.fwd(x, y, turns, reach_m)
-    return shapely.Polygon(np.column_stack([x, y]))
+    reach = radius_m if inside else radius_m / math.cos(math.pi / corners)
+    return shapely.Polygon([GEOD.fwd(longitude, latitude, 360 * k / corners, reach)[:2] for k in range(corners)])
 
 
 def listed(texts: Sequence[str], mark: str = ", ", most: int = 6) -> str:

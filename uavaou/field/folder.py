@@ -76,14 +76,14 @@ def _comment(text: str) -> str:
 
 def _features(projection: Projection, scenario: Scenario) -> Iterator[dict[str, Any]]:
     """The outline, the zones and the stations as GeoJSON features."""
-    shapes: list[tuple[Any, dict[str, Any]]] = []
+    shapes: list[tuple[dict[str, Any], Any]] = []
     if scenario.outline_m is not None:
-        shapes.append((shapely.Polygon(scenario.outline_m), {"type": "outline"}))
+        shapes.append(({"type": "outline"}, shapely.Polygon(scenario.outline_m)))
     for zone in scenario.no_fly or ():
         said = zone.model_dump(exclude={"polygon_m"}, exclude_none=True)
-        shapes.append((shapely.Polygon(zone.polygon_m), {"type": "no-fly zone", **said}))
-    shapes += [(shapely.Point(station), {"type": "station"}) for station in dict.fromkeys(scenario.cds_m)]
-    for shape, properties in shapes:
+        shapes.append(({"type": "no-fly zone", **said}, shapely.Polygon(zone.polygon_m)))
+    shapes += [({"type": "station"}, shapely.Point(station)) for station in dict.fromkeys(scenario.cds_m)]
+    for properties, shape in shapes:
         shape = shapely.transform(shape, lambda metres: projection.to_degrees(metres)[:, ::-1].round(8))
         if shape.geom_type == "Polygon":
             shape = shapely.geometry.polygon.orient(shape)  # counterclockwise, as RFC 7946 asks

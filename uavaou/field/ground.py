@@ -117,7 +117,7 @@ def draw_borders(ground: Ground, step: float, notes: list[str]) -> tuple[Bools, 
     if (feature := ground.survey.outline) is not None:
         outline = max(_polygons(ground, feature, -_COARSE_M, notes), key=lambda part: part.area)
         free &= shapely.intersects_xy(outline, x, y)
-        fields["outline_m"] = _corners(outline)
+        fields["outline_m"] = shapely.get_coordinates(outline)[:-1].round(2).tolist()
         devices = ground.metres(ground.survey.devices)
         if outside := int((~shapely.intersects_xy(outline, *devices.T)).sum()):
             notes.append(f"{outside} devices lie outside of the outline: UAVs serve them from within")
@@ -128,7 +128,7 @@ def draw_borders(ground: Ground, step: float, notes: list[str]) -> tuple[Bools, 
             grown = part.buffer(about.get("margin_m", 0.0))
             if grown.intersects(area):
                 free &= ~shapely.intersects_xy(grown, x, y)
-                zones.append({"polygon_m": _corners(part), **about})
+                zones.append({"polygon_m": shapely.get_coordinates(part)[:-1].round(2).tolist(), **about})
             else:
                 notes.append(f"{feature.where}: a zone outside of the area is ignored")
     return free, fields | ({"no_fly": zones} if zones else {})
@@ -152,10 +152,6 @@ def _polygons(ground: Ground, feature: Feature, coarse_m: float, notes: list[str
         kind = "larger" if coarse_m > 0 else "smaller"
         notes.append(f"{feature.where}: its border is drawn with fewer corners, up to {2 * abs(coarse_m):g} m {kind}")
     parts = [part for part in shapely.get_parts(shapely.set_precision(polygon, 0.01)) if part.geom_type == "Polygon"]
-    if not sum(part.area for part in parts):
+    if not any(part.area for part in parts):
         raise InputError(f"{feature.where}: a polygon without an area")
     return [shapely.Polygon(part.exterior) for part in parts]
-
-
-def _corners(polygon: shapely.Polygon) -> list[list[float]]:
-    return [[round(x, 2), round(y, 2)] for x, y in polygon.exterior.coords[:-1]]

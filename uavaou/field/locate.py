@@ -72,17 +72,20 @@ def _from_crs(reading: Reading, features: list[Feature], crs: str) -> list[Featu
     return found
 
 
-def on_one_map(reading: Reading, features: list[Feature], near: float | None, notes: list[str]) -> list[Feature]:
-    """Features with latitudes and longitudes in order, and longitudes within half a turn of one, or of the first."""
+def on_one_map(reading: Reading, features: list[Feature], near: Floats | None, notes: list[str]) -> list[Feature]:
+    """Features with latitudes and longitudes in order, and longitudes within half a turn of a place near them."""
     there = shapely.bounds([feature.geometry for feature in features]).any(axis=1)
     if there.any() and abs(coordinates(features)).max() > 1:
-        features = kept(features, there, notes, "places at 0, 0 are ignored")
-    if fault := fault_of(features):
+        features = kept(features, there, notes, f"places at 0, 0 of {reading.path.name} are ignored")
+    fault, middle = fault_of(features), np.median(coordinates(features), axis=0)
+    if near is not None and not fault and km_from(near, middle)[0] > 500 and km_from(near, middle[::-1])[0] < 100:
+        fault = "as given, they lie far from the others"
+    if fault:
         features = moved(features, lambda places: places[:, ::-1])
         if fault_of(features):
             raise InputError(f"{reading.path}: {fault}")
         notes.append(f"{reading.path.name}: latitude and longitude are swapped back ({fault})")
-    first = coordinates(features)[0, 0] if near is None else near
+    first = coordinates(features)[0, 0] if near is None else near[0]
     return moved(features, lambda places: places + np.rint((first - places) / 360) * [360, 0])
 
 
@@ -98,5 +101,6 @@ def fault_of(features: Sequence[Feature]) -> str:
 
 def km_from(place: Sequence[float] | Floats, places: Floats) -> Floats:
     """The distances of places (P, 2) from one, all in degrees (longitude, latitude), (P,) km."""
+    places = places.reshape(-1, 2)
     x, y = np.broadcast_to(place, places.shape).T
     return np.asarray(GEOD.inv(x, y, *places.T)[2], dtype=np.float64) / 1000

@@ -234,13 +234,11 @@ def _periods(
     return whole.tolist(), f"every {' to '.join(map(str, ends))} slots ({' to '.join(minutes)} min)"
 
 
-_DURATION = re.compile(r"\s*([\d.,]+(?:e[-+]?\d+)?)\s*([^\W\d_]*)\.?\s*", re.IGNORECASE)
+_DURATION = re.compile(r"\s*([\d.,]+(?:e[-+]?\d+)?)\s*[^\W\d_]*\.?\s*", re.IGNORECASE)
 
 
 def _interval(device: Feature) -> tuple[float, float]:
     """An interval's number and the seconds of its unit, or of that in its name; nan without one."""
-    names = meanings(tuple(device.properties))
-    duration = _DURATION.fullmatch(str(device.value("interval"))[:_LONGEST])
-    if duration is None:
-        return math.nan, math.nan
-    return number(duration[1]), unit(duration[2] or names["interval"], TIMES)
+    key = meanings(tuple(device.properties)).get("interval", "")
+    duration = _DURATION.fullmatch(text := str(device.properties.get(key))[:_LONGEST])
+    return number(duration and duration[1]), unit(f"{key} {text}", TIMES)

@@ -76,11 +76,11 @@ def understand(
         given = moved(given, lambda places: places[:, ::-1])
         if fault := fault_of(given):
             raise InputError(f"{fault}, LAT,LON in degrees")
-    near = within[1] if within else coordinates(given)[0, 0] if given else None
+    near = np.array([within[1], within[0]]) if within else coordinates(given)[0] if given else None
     for reading, features in located.items():
         if survey.geographic and features:
             features = on_one_map(reading, features, near, notes)
-            near = coordinates(features)[0, 0] if near is None else near
+            near = np.median(coordinates(features), axis=0) if near is None else near
         counts = Counter(feature.geometry.geom_type.lower() for feature in features)
         counted = [f"{n:,} {shape.replace('string', '')}{'s' if n != 1 else ''}" for shape, n in counts.items()]
         survey.facts.append(f"{reading.path.name}: {', '.join(counted) or 'nothing'}")

@@ -14,6 +14,7 @@ from itertools import islice
 from typing import Any
 
 import openpyxl
+import pandas as pd
 import shapely
 
 from uavaou.errors import InputError
@@ -25,6 +26,7 @@ Row = tuple[str, list[Any]]  # where it stands ("line 4"), and its cells
 _PAIRS = (("longitude", "latitude"), ("x", "y"), ("place",))
 _HEAD = 60  # rows among which the header is looked for
 _MOST_ROWS = 2 * MOST_FEATURES
+_MOST_LISTS = 1000  # in a JSON document that are looked at
 _NOTHING = ("", "-", "--", "?", "n/a", "na", "nan", "null", "none", "#n/a", "nil", "unknown")
 _NO_POSITIONS = "no positions found: expected columns such as latitude, longitude or x_m, y_m"
 
@@ -86,26 +88,21 @@ def read_records(reading: Reading, content: Any) -> None:
     Raises:
         InputError: there is none.
     """
-    waiting, most = deque([content]), 10 * MOST_FEATURES
-    while waiting and most:
-        value, most = waiting.popleft(), most - 1
+    waiting, lists = deque([content]), 0
+    while waiting and lists < _MOST_LISTS:
+        value = waiting.popleft()
         if isinstance(value, dict) and len(value) > 1 and all(isinstance(each, dict) for each in value.values()):
             value = [{"id": key, **each} for key, each in value.items()]
         if isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
-            flat = [_flattened(each) for each in value]
-            names = list(dict.fromkeys(name for each in flat for name in each))
-            if _header([("", names)])[1]:
-                records = [(f"record {k}", [each.get(name, "") for name in names]) for k, each in enumerate(flat, 1)]
-                return read_rows(reading, [("", names), *records])
+            lists += 1
+            with reading.at("records", value, "records that are alike"):
+                frame = pd.json_normalize(value).astype(object).fillna("")
+            records = [(f"record {k}", cells) for k, cells in enumerate(frame.to_numpy().tolist(), 1)]
+            if _header([("", list(frame))])[1]:
+                return read_rows(reading, [("", list(frame)), *records])
         if isinstance(value, dict | list):
             waiting += value.values() if isinstance(value, dict) else value
     raise InputError(f"{reading.path}: no positions found: expected GeoJSON, a .plan, or records with lat and lon")
-
-
-def _flattened(record: Mapping[str, Any]) -> dict[str, Any]:
-    """A record, with the keys of a mapping inside of it beside its own: location.lat is lat."""
-    inner = [value for value in record.values() if isinstance(value, dict) and "coordinates" not in value]
-    return {name: cell for each in [*inner, record] for name, cell in each.items()}
 
 
 def _stripped(cell: Any) -> Any:
