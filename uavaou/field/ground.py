@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -28,22 +27,13 @@ _MOST_CORNERS = 400  # of a border; longer ones are drawn coarser
 _COARSE_M = 1.0
 
 
-@dataclass
 class Ground:
-    """What was found, in local metres, and where they begin."""
+    """What was found, in local metres that begin in the south-west corner."""
 
-    survey: Survey
-    projection: Projection | None = None
-    shift: Floats = field(default_factory=lambda: np.zeros(2))  # of the origin, where there is no projection
-    cells: tuple[int, int] = (1, 1)  # grid steps along x and y
-
-    def __post_init__(self) -> None:
-        """Begin in the south-west corner of coordinates as they are."""
-        low = coordinates(self._inside).min(axis=0)
-        if self.survey.geographic:
-            self._move_to(low)
-        else:
-            self.shift = low
+    def __init__(self, survey: Survey) -> None:
+        self.survey = survey
+        self.cells = 1, 1  # grid steps along x and y
+        self._move_to(coordinates(self._inside).min(axis=0))
 
     @property
     def _inside(self) -> list[Feature]:
@@ -54,7 +44,7 @@ class Ground:
     def metres(self, features: Sequence[Feature]) -> Floats:
         """The coordinates of features in local metres, (P, 2)."""
         places = coordinates(features)
-        return places - self.shift if self.projection is None else self.projection.to_metres(places[:, ::-1])
+        return places - self._origin if self.projection is None else self.projection.to_metres(places[:, ::-1])
 
     @property
     def extent(self) -> Floats:
@@ -62,17 +52,18 @@ class Ground:
         return np.asarray(np.ptp(self.metres(self._inside), axis=0))
 
     def _move_to(self, origin: Floats) -> None:
-        longitude, latitude = (float(value) for value in origin.round(8))
-        self.projection = Projection(Georeference(latitude=latitude, longitude=round((longitude + 180) % 360 - 180, 8)))
+        self._origin = origin.round(8)  # in coordinates of the files
+        x, y = self._origin.tolist()
+        x = round((x + 180) % 360 - 180, 8) if self.survey.geographic else x
+        self.projection = Projection(Georeference(latitude=y, longitude=x)) if self.survey.geographic else None
 
     @property
     def origin(self) -> str:
         """Where x = y = 0 lies, in words."""
+        x, y = self._origin
         if self.projection is None:
-            x, y = self.shift
             return f"x = y = 0 is ({x:.10g}, {y:.10g}) of the file; nothing says where that is on the earth"
-        where = self.projection.georeference
-        return f"{where.latitude:.6f}, {where.longitude:.6f}: the south-west corner; +y is north"
+        return f"{y:.6f}, {self.projection.georeference.longitude:.6f}: the south-west corner; +y is north"
 
     def align(self, step: float) -> None:
         """Put the origin into the south-west corner, such that the first station lies on the grid."""
@@ -80,10 +71,7 @@ class Ground:
             low = self.metres(self._inside).min(axis=0)
             for station in self.metres(self.survey.stations)[:1]:
                 low = station - np.ceil((station - low) / step - 1e-4) * step
-            if self.projection is None:
-                self.shift = self.shift + low
-            else:
-                self._move_to(self.projection.to_degrees(low)[::-1])
+            self._move_to(self.projection.to_degrees(low)[::-1] if self.projection else self._origin + low)
         columns, rows = np.ceil(self.metres(self._inside).max(axis=0) / step - 1e-4).clip(1, None).astype(int).tolist()
         self.cells = columns, rows
 
