@@ -75,9 +75,9 @@ def circle(longitude: float, latitude: float, radius_m: float, inside: bool, cor
     return shapely.Polygon([GEOD.fwd(longitude, latitude, 360 * k / corners, reach)[:2] for k in range(corners)])
 
 
-def listed(texts: Sequence[str], mark: str = ", ", most: int = 6) -> str:
+def listed(texts: Sequence[str], most: int = 6) -> str:
     """The first of some texts."""
-    return mark.join([*texts[:most], "..."] if len(texts) > most else texts)
+    return ", ".join([*texts[:most], "..."] if len(texts) > most else texts)
 
 
 @dataclass(eq=False)

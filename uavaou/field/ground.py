@@ -90,7 +90,7 @@ def choose_grid_step(given: float | None, radius: float, extent: Floats, pairs: 
         raise InputError(
             f"--grid-step {given or 0:g}: more than {_MOST_CELLS:,} cells, or too many for the devices; leave it out"
         )
-    limit = f"{most:.3g} m, {'a fifth of the field' if most == side else '0.4 radii, as in the paper'}"
+    limit = f"{most:.3g} m, {'for a field of this size' if most == side else '0.4 radii, as in the paper'}"
     why = f"round, and at most {limit}" if step <= most else f"coarser than {limit}, for at most {_MOST_CELLS:,} cells"
     return step, "as given" if given else why
 

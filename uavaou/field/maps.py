@@ -54,7 +54,7 @@ class _NoDoctype(ElementTree.TreeBuilder):
 
 _UNREAD = {
     "trk": "tracks are ignored: they were flown, and are no places of sensors",
-    "rte": "routes are ignored, but for their points where there are no waypoints",
+    "rte": "routes are ignored",
     **{tag: f"{tag} are not read" for tag in ("GroundOverlay", "NetworkLink", "PhotoOverlay")},
 }
 _STYLE = {"styleUrl", "visibility", "open"}
@@ -81,6 +81,9 @@ def read_xml(reading: Reading, data: bytes) -> None:
     wanted = {"kml": "Placemark", "gpx": "wpt" if tags["wpt"] else "rtept"}.get(root.tag.lower())
     if wanted is None:
         raise InputError(f"{reading.path}: XML of {root.tag[:40]}: expected KML or GPX")
+    if wanted == "rtept":
+        reading.notes.append(f"without waypoints, the {tags['rtept']} points of the routes are read")
+        tags["rte"] = 0
     reading.notes += [f"{tags[tag]} {what}" for tag, what in _UNREAD.items() if tags[tag]]
     folders = {place: folder.findtext("name") for folder in root.iter("Folder") for place in folder.iterfind(wanted)}
     for number, place in enumerate(root.iter(wanted), 1):

@@ -172,7 +172,7 @@ def _choose_outline(survey: Survey) -> None:
         survey.notes.append(f"of {len(called)} outlines, the largest alone is used ({called[0].where} ...)")
     survey.zones = [zone for zone in survey.zones if zone not in called]
     if guessed := [zone.where for zone in survey.zones if not zone.role]:
-        survey.notes.append(f"polygons taken for no-fly zones: {listed(guessed, '; ')}")
+        survey.notes.append(f"polygons taken for no-fly zones: {listed(guessed)}")
 
 
 def _area(zone: Feature) -> float:
