@@ -84,29 +84,30 @@ def import_(
     Reads GeoJSON, KML, KMZ, GPX, QGroundControl's .plan, waypoint lists, CSV and XLSX. Writes scenario.yaml,
     devices.csv, zones.geojson and a map.
     """
-    from uavaou.field.folder import SCENARIO
-
-    if (out / SCENARIO).exists() and not replace_:
+    if (out / "scenario.yaml").exists() and not replace_:
         raise InputError(f"'{out}' already holds a scenario: add --replace to write it anew, or choose another --out")
     options = MapOptions(uavs, station, radio, crs, speed, endurance, interval, within, altitude, grid_step, slots)
     writable_folder(out)
     write_map_field(*read_map_field(files, options), out)
-    show(["", f"Next: {command_line(['uavaou', 'fly', out / SCENARIO])}"])
+    show(["", f"Next: {command_line(['uavaou', 'fly', out / 'scenario.yaml'])}"])
 
 
 def is_map(path: str) -> bool:
     """Whether a scenario's name is that of a map file that is there."""
-    from uavaou.field.read import ENDINGS
+    from uavaou.field import ENDINGS
 
     return Path(path).suffix.lower() in ENDINGS and Path(path).exists()
 
 
 def read_map_field(files: Sequence[Path], options: MapOptions) -> tuple[Field, Scenario]:
     """Read files as a field with its scenario, and show what was understood."""
-    from uavaou.field.folder import scenario_of
-    from uavaou.field.mission import lay_out
-    from uavaou.field.read import read_file
-    from uavaou.field.survey import understand
+    try:
+        from uavaou.field.folder import scenario_of
+        from uavaou.field.mission import lay_out
+        from uavaou.field.read import read_file
+        from uavaou.field.survey import understand
+    except ImportError as error:
+        raise InputError(f"'{error.name}' is not installed: pip install 'uavaou[field]'") from None
     from uavaou.world.coverage import coverage_radius
 
     wishes = _wishes(options)

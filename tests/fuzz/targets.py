@@ -16,6 +16,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import shapely
 
 from tests.field.look_alikes import TEXTS as FIELD_TEXTS
 from tests.field.look_alikes import packed_kml, workbook
@@ -167,7 +168,7 @@ def _onboard(path: Path) -> None:
 
 def _field(path: Path) -> None:
     """Lay out a field from a file of the outside world beside three devices, as it may hold a border alone."""
-    beside = Reading(path, [Feature("point", ((7.22 + k / 500, 46.1),), f"line {k}") for k in range(3)])
+    beside = Reading(path, [Feature(shapely.Point(7.22 + k / 500, 46.1), f"line {k}") for k in range(3)])
     found = lay_out(understand([read_file(path), beside]), Wishes(), lambda scenario: np.full((1, 3), 250.0))
     scenario_of(found, [path])
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
+import shapely
 
 from uavaou.csv_tables import write_table
 from uavaou.field.geodesy import Projection
@@ -76,20 +76,15 @@ def _comment(text: str) -> str:
 
 def _features(projection: Projection, scenario: Scenario) -> Iterator[dict[str, Any]]:
     """The outline, the zones and the stations as GeoJSON features."""
+    shapes: list[tuple[dict[str, Any], Any]] = []
     if scenario.outline_m is not None:
-        yield _feature(projection, "Polygon", scenario.outline_m, {"type": "outline"})
+        shapes.append(({"type": "outline"}, shapely.Polygon(scenario.outline_m)))
     for zone in scenario.no_fly or ():
-        said = {name: value for name, value in zone.model_dump().items() if name != "polygon_m" and value is not None}
-        yield _feature(projection, "Polygon", zone.polygon_m, {"type": "no-fly zone", **said})
-    for station in dict.fromkeys(scenario.cds_m):
-        yield _feature(projection, "Point", [station], {"type": "station"})
-
-
-def _feature(projection: Projection, shape: str, metres: Any, properties: dict[str, Any]) -> dict[str, Any]:
-    places = projection.to_degrees(np.array(metres))[:, ::-1].round(8).tolist()
-    coordinates: Any = places[0]
-    if shape == "Polygon":
-        turn = sum((u - x) * (v + y) for (x, y), (u, v) in zip(places, [*places[1:], places[0]], strict=True))
-        ring = places[::-1] if turn > 0 else places  # counterclockwise, as RFC 7946 asks
-        coordinates = [[*ring, ring[0]]]
-    return {"type": "Feature", "properties": properties, "geometry": {"type": shape, "coordinates": coordinates}}
+        said = zone.model_dump(exclude={"polygon_m"}, exclude_none=True)
+        shapes.append(({"type": "no-fly zone", **said}, shapely.Polygon(zone.polygon_m)))
+    shapes += [({"type": "station"}, shapely.Point(station)) for station in dict.fromkeys(scenario.cds_m)]
+    for properties, shape in shapes:
+        shape = shapely.transform(shape, lambda metres: projection.to_degrees(metres)[:, ::-1].round(8))
+        if shape.geom_type == "Polygon":
+            shape = shapely.geometry.polygon.orient(shape)  # counterclockwise, as RFC 7946 asks
+        yield {"type": "Feature", "properties": properties, "geometry": shapely.geometry.mapping(shape)}

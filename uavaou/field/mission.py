@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,14 +16,13 @@ from uavaou.errors import InputError
 from uavaou.field.features import Feature, listed
 from uavaou.field.geodesy import Projection
 from uavaou.field.ground import Ground, choose_grid_step, draw_borders
-from uavaou.field.survey import Survey, meanings_of, name_of
-from uavaou.field.words import SLOTS, duration, number, unit_seconds
-from uavaou.fields import DEVICE_COLUMNS
+from uavaou.field.survey import Survey
+from uavaou.field.words import SLOTS, TIMES, meanings, number, unit
 from uavaou.scenario import Scenario
 
 _MOST_SLOTS = 1_000_000
 _MOST_UAVS = 10  # that are guessed
-_REPEATED = 5  # notes of one kind
+_LONGEST = 40  # letters of a length of time
 
 
 @dataclass(frozen=True)
@@ -82,16 +83,15 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
     notes.append("guessed: fading with a Rician factor of 10, as in the paper (rician_factor)")
     channel = {"radio": said["radio"], "rician_factor": 10.0, "fading": "rician"}
     radius = _radius(channel, said["altitude_m"], coverage)
-    ground = Ground.of(survey)
+    ground = Ground(survey)
     step, why = choose_grid_step(wishes.grid_step_m, radius, ground.extent, uavs * len(survey.devices))
-    if "coarser" in why:
-        notes.append(f"the grid step of {step:g} m is {why}")
-    ground.align(step, bool(survey.stations))
-    free, borders = draw_borders(survey, ground, step, notes)
+    ground.align(step)
+    devices, extent = ground.metres(survey.devices), ground.extent
+    free, borders = draw_borders(ground, step, notes)
     if unused := len(survey.stations[uavs:]):
         notes.append(f"{unused} stations are not used: there are {uavs} UAVs")
     stations, snapped = _stations(
-        survey, ground.places[1][:uavs], ground.devices, np.asarray(np.argwhere(free) * step, dtype=np.float64), notes
+        ground, survey.stations[:uavs], np.asarray(np.argwhere(free) * step, dtype=np.float64), notes
     )
     speed, tau = said["speed_m_s"], step / said["speed_m_s"]
     budget = said["endurance_s"] or wishes.slots * tau
@@ -116,14 +116,19 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
         "flight_time_budget_s": budget,
         **channel,
     }
-    columns = _columns(survey.devices, ground, periods, notes)
-    _note_reach(fields, ground.devices, radius, notes)
-    width, height = ground.extent
-    names = [name[:30] for name in columns.get("name", [])]
-    named = f": {', '.join(names[:3] + ['...'] * (len(names) > 3))}" if names else ", without names"
+    x, y = ([f"{value:.2f}" for value in values] for values in devices.clip(0).T)
+    names = [device.name for device in survey.devices]
+    names = _distinct(names, notes) if any(names) else []
+    columns: dict[str, list[Any]] = {
+        "x_m": x,
+        "y_m": y,
+        **({"name": names} if names else {}),
+        "update_period_slots": periods,
+    }
+    _note_reach(fields, devices, radius, notes)
     understood = [
-        ("devices", f"{len(survey.devices):,}{named}"),
-        ("extent", f"{width:,.0f} m x {height:,.0f} m"),
+        ("devices", f"{len(x):,}: {listed([name[:30] for name in names], most=3) or 'without names'}"),
+        ("extent", f"{extent[0]:,.0f} m x {extent[1]:,.0f} m"),
         ("origin", ground.origin),
         ("grid step", f"{step:g} m, {ground.cells[0] + 1} x {ground.cells[1] + 1} cells; {why}"),
         ("radio", f"{said['radio']}: a radius of {radius:,.0f} m on the ground from {said['altitude_m']:g} m"),
@@ -138,18 +143,11 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
 
 
 def _grouped(notes: list[str]) -> list[str]:
-    """Notes without repetition: what is said of many places is said once, with the first of them."""
+    """Notes without repetition: what is said of many places is said with the first of them."""
     groups: dict[str, list[str]] = {}
     for note in notes:
-        where, _, text = note.rpartition(": ")
-        groups.setdefault(text, []).append(where)
-    grouped = []
-    for text, places in groups.items():
-        if len(places) > _REPEATED:
-            grouped.append(f"{len(places)} times, the first at {places[0]}: {text}")
-        else:
-            grouped += [f"{where}: {text}" if where else text for where in places]
-    return grouped
+        groups.setdefault(note.rpartition(": ")[2], []).append(note)
+    return [same[0] + (f" (and {len(same) - 1} others)" if len(same) > 1 else "") for same in groups.values()]
 
 
 def _radius(channel: dict[str, Any], altitude: float, coverage: Callable[[Scenario], Floats]) -> float:
@@ -164,107 +162,83 @@ def _radius(channel: dict[str, Any], altitude: float, coverage: Callable[[Scenar
 
 
 def _stations(
-    survey: Survey, wanted: Floats, devices: Floats, cells: Floats, notes: list[str]
+    ground: Ground, stations: Sequence[Feature], cells: Floats, notes: list[str]
 ) -> tuple[list[list[float]], str]:
     """The stations on the free cells, (C, 2) m, and how far they were moved from where they are wanted."""
     if not len(cells):
         raise InputError("no cell of the grid is free: the zones and the outline close the whole area")
-    if not len(wanted):
-        wanted = devices.mean(axis=0, keepdims=True)
+    wanted = ground.metres(stations)  # (C, 2) m
+    if not stations:
+        wanted = ground.metres(ground.survey.devices).mean(axis=0, keepdims=True)
         notes.append("guessed: a station in the middle of the devices (--station)")
-    away = [np.linalg.norm(cells - place, axis=1) for place in wanted]
-    found = [cells[metres.argmin()].tolist() for metres in away]
-    moved = [(f.where, float(metres.min())) for f, metres in zip(survey.stations, away, strict=False)]
-    if far := [f"{where} by {metres:.0f} m" for where, metres in moved if metres > 0.5]:
+    away = np.array([np.linalg.norm(cells - place, axis=1) for place in wanted])  # (C, cells) m
+    found, metres = cells[away.argmin(axis=1)].astype(float).tolist(), away.min(axis=1)
+    far = [f"{f.where} by {moved:.0f} m" for f, moved in zip(stations, metres, strict=False) if moved > 0.5]
+    if far:
         notes.append(f"stations moved to a free cell: {listed(far)}")
     shown = f"{len(found)}: {listed([f'({x:g}, {y:g}) m' for x, y in found])}"
-    return found, shown + (f"; moved by up to {max(metres for _, metres in moved):.0f} m" if far else "")
+    return found, shown + (f"; moved by up to {metres.max():.0f} m" if far else "")
 
 
 def _note_reach(fields: dict[str, Any], devices: Floats, radius: float, notes: list[str]) -> None:
     """Note the devices that a UAV cannot hear from any cell, and those that it cannot fly to and come home from."""
     step = fields["grid_step_m"]
-    unheard = int((np.linalg.norm(devices - np.rint(devices / step) * step, axis=1) > radius).sum())
-    if unheard:
-        notes.append(
-            f"{unheard} of {len(devices)} devices are out of range of every cell: --radio, --grid-step, --within"
-        )
+    unheard = np.linalg.norm(devices - np.rint(devices / step) * step, axis=1) > radius  # (I,)
     stations = np.array(fields["cds_m"])  # (U, 2) m
     away = abs(devices[:, None] - stations).sum(axis=2).min(axis=1) - math.sqrt(2) * radius  # (I,) m
-    beyond = int((2 * away > (fields["slots"] - 1) * step).sum())
-    if beyond:
-        notes.append(
-            f"{beyond} of {len(devices)} devices lie beyond what a battery reaches: --endurance, --speed, --station"
-        )
-
-
-def _columns(devices: Sequence[Feature], ground: Ground, periods: list[int], notes: list[str]) -> dict[str, list[Any]]:
-    """The columns of devices.csv."""
-    places = ground.devices.clip(0, None)
-    columns: dict[str, list[Any]] = {
-        "x_m": [f"{x:.2f}" for x in places[:, 0]],
-        "y_m": [f"{y:.2f}" for y in places[:, 1]],
-    }
-    names = [name_of(device) for device in devices]
-    if any(names):
-        columns["name"] = _distinct(names, notes)
-    for name in DEVICE_COLUMNS[:2]:
-        values = [number(device.properties[name]) for device in devices if name in device.properties]
-        if len(values) == len(devices) and all(math.isfinite(value) and value > 0 for value in values):
-            columns[name] = values
-        elif values:
-            notes.append(f"{name} is ignored: not every device has a number above 0")
-    columns["update_period_slots"] = periods
-    return columns
+    for which, problem in (
+        (unheard, "are out of range of every cell: --radio, --grid-step, --within"),
+        (2 * away > (fields["slots"] - 1) * step, "lie beyond what a battery reaches: --endurance, --speed, --station"),
+    ):
+        if which.any():
+            notes.append(f"{which.sum()} of {len(devices)} devices {problem}")
 
 
 def _distinct(names: list[str], notes: list[str]) -> list[str]:
     """Names that all differ; where there is none, the number of the device."""
-    seen: set[str] = set()
-    found, changed = [], 0
+    seen: Counter[str] = Counter()
     for place, name in enumerate(names):
         base = chosen = name or f"device {place}"
-        count = 1
         while chosen in seen:
-            count += 1
-            chosen = f"{base} ({count})"
-        seen.add(chosen)
-        changed += chosen != name
-        found.append(chosen)
-    if changed:
-        first = next(new for new, old in zip(found, names, strict=True) if new != old)
-        notes.append(f"{changed} devices without a name of their own got one, such as {first}")
-    return found
+            seen[base] += 1
+            chosen = f"{base} ({seen[base]})"
+        seen[chosen] = 1
+    if changed := [new for new, old in zip(seen, names, strict=True) if new != old]:
+        notes.append(f"{len(changed)} devices without a name of their own got one, such as {changed[0]}")
+    return list(seen)
 
 
 def _periods(
     devices: Sequence[Feature], default_s: float | None, slot_s: float, notes: list[str]
 ) -> tuple[list[int], str]:
     """The update period of each device in slots, and where it is from."""
-    found = [_interval(device) for device in devices]
-    bare = [value for value, unit in found if math.isfinite(value) and math.isnan(unit)]
-    if bare:
-        guess = 1.0 if float(np.median(bare)) >= 30 else 60.0
+    found = np.array([_interval(device) for device in devices])  # (I, 2)
+    values, units = found.T
+    if (bare := np.isfinite(values) & np.isnan(units)).any():
+        guess = 1.0 if np.median(values[bare]) >= 30 else 60.0
         notes.append(f"guessed: intervals without a unit are {'seconds' if guess == 1 else 'minutes'}")
-        found = [(value, guess if math.isnan(unit) else unit) for value, unit in found]
-    slots = np.array([value * (1 if unit == SLOTS else unit / slot_s) for value, unit in found])  # (I,)
+        units[bare] = guess
+    slots = values * np.where(units == SLOTS, 1, units / slot_s)  # (I,)
     missing = ~((slots > 1e-9) & (slots < 1e9))
     if missing.any():
         seconds = default_s or _INTERVAL_S
         if default_s is None:
-            which = "" if missing.all() else f" of {int(missing.sum())} devices"
+            which = "" if missing.all() else f" of {missing.sum()} devices"
             notes.append(f"guessed: an update every {seconds / 60:g} min{which} (--interval)")
         slots[missing] = seconds / slot_s
-    whole = np.clip(np.rint(slots), 1, 1_000_000).astype(int)
+    whole = np.rint(slots).clip(1, 1_000_000).astype(int)
     if (off := float((abs(whole - slots) / slots).max())) > 0.005:
         notes.append(f"update periods are rounded to whole slots of {slot_s:g} s, by up to {off:.0%}")
-    low, high = int(whole.min()), int(whole.max())
-    span = f"{low}" if low == high else f"{low} to {high}"
-    minutes = " to ".join(dict.fromkeys(f"{count * slot_s / 60:.3g}" for count in (low, high)))
-    return whole.tolist(), f"every {span} slots ({minutes} min)"
+    ends = dict.fromkeys((int(whole.min()), int(whole.max())))
+    minutes = dict.fromkeys(f"{count * slot_s / 60:.3g}" for count in ends)
+    return whole.tolist(), f"every {' to '.join(map(str, ends))} slots ({' to '.join(minutes)} min)"
+
+
+_DURATION = re.compile(r"\s*([\d.,]+(?:e[-+]?\d+)?)\s*[^\W\d_]*\.?\s*", re.IGNORECASE)
 
 
 def _interval(device: Feature) -> tuple[float, float]:
-    """An interval's number and the seconds of its unit; nan without one."""
-    name = meanings_of(device).get("interval")
-    return (math.nan, math.nan) if name is None else duration(device.properties[name], unit_seconds(name))
+    """An interval's number and the seconds of its unit, or of that in its name; nan without one."""
+    key = meanings(tuple(device.properties)).get("interval", "")
+    duration = _DURATION.fullmatch(text := str(device.properties.get(key))[:_LONGEST])
+    return number(duration and duration[1]), unit(f"{key} {text}", TIMES)

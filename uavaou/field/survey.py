@@ -7,27 +7,28 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import pandas as pd
+import shapely
 
 from uavaou.errors import InputError
-from uavaou.field.features import DEGREES, METRES, Feature, Reading, Role, circle, extra, listed
-from uavaou.field.locate import NEAR_KM, all_places, in_one_frame, km_between, near_places, on_one_map
-from uavaou.field.words import meanings, number, words
-from uavaou.fields import DEVICE_COLUMNS, short
+from uavaou.field.features import DEGREES, METRES, Feature, Reading, Role, coordinates, kept, listed, moved
+from uavaou.field.locate import fault_of, in_one_frame, km_from, on_one_map
+from uavaou.field.words import meanings, words
+from uavaou.fields import short
 
-_ROLES: dict[Role, str] = {
+_ROLES: dict[Role, str] = {  # the first ones go first
     "zone": "zone zones nfz nofly fly forbidden exclusion exclude restricted prohibited obstacle obstacles keepout",
     "outline": "outline boundary boundaries area fence geofence perimeter inclusion border site field",
     "station": "station stations base bases depot depots home cds gcs dock docks hangar launch takeoff",
     "device": "sensor sensors device devices node nodes",
 }
 _BY_FILE = "file's name"
-_HOMES = ({"home"}, {"base"}, {"depot"}, {"cds"}, {"gcs"}, {"base", "station"}, {"ground", "station"}, {"take", "off"})
+_HOMES = ({"home"}, {"base"}, {"depot"}, {"cds"}, {"gcs"}, {"base", "station"}, {"ground", "station"})
 _WIDEST_KM = 200.0  # beyond, distances on a plane are wrong by more than 0.02 %
+_NEAR_DEGREES = 0.09  # some 10 km of latitude
 _STRAY = 0.05  # the share of devices that may lie far off by mistake
 _POLE = 88.0  # degrees of latitude, beyond which longitudes say little
 
@@ -41,36 +42,8 @@ class Survey:
     stations: list[Feature] = field(default_factory=list)
     outline: Feature | None = None
     zones: list[Feature] = field(default_factory=list)
-    called: list[tuple[Feature, str]] = field(default_factory=list)  # stations that only a word made such, and where
     facts: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # all that was ignored or guessed
-
-
-@lru_cache(maxsize=4096)
-def _meanings(names: tuple[str, ...]) -> dict[str, str]:
-    return meanings(names)
-
-
-def meanings_of(feature: Feature) -> dict[str, str]:
-    """The property of a feature that stands for each meaning, as far as there is one."""
-    return _meanings(tuple(feature.properties))
-
-
-def value_of(feature: Feature, meaning: str) -> Any:
-    """The property of a feature that stands for something; None without one."""
-    name = meanings_of(feature).get(meaning)
-    return None if name is None else feature.properties[name]
-
-
-def name_of(feature: Feature) -> str:
-    """The name of a feature, else its id, in printable letters; empty without both."""
-    for meaning in ("name", "id"):
-        value = value_of(feature, meaning)
-        text = str(value or "") if isinstance(value, str | int | float) else ""
-        text = text.removesuffix(".0") if isinstance(value, float) else text
-        if text := " ".join("".join(c if c.isprintable() else " " for c in text).split())[:90]:
-            return text
-    return ""
 
 
 def understand(
@@ -88,213 +61,161 @@ def understand(
         InputError: there is no device, or places cannot be on one map.
     """
     notes = [f"{reading.path.name}: {note}" for reading in readings for note in reading.notes]
-    located = [(reading, in_one_frame(reading, crs, notes)) for reading in readings]
-    frames = {feature.frame for _, features in located for feature in features}
-    if len(frames) > 1:
-        in_metres = next(r.path for r, features in located if any(f.frame == METRES for f in features))
-        raise InputError(f"{in_metres}: in metres beside files in degrees: --crs EPSG:... says where its origin lies")
-    geographic = frames == {DEGREES}
+    located = {reading: in_one_frame(reading, crs, notes) for reading in readings}
+    frames = {feature.frame: reading.path for reading, features in located.items() for feature in features}
     if not frames:
         raise InputError(f"{readings[0].path}: holds no place")
-    if geographic:
-        stations = [(longitude, latitude) for latitude, longitude in stations]
-        for longitude, latitude in stations:
-            if abs(latitude) > 90 or abs(longitude) > 180:
-                raise InputError(
-                    f"--station {latitude:g},{longitude:g}: expected a latitude (-90 to 90), then a longitude"
-                )
-        near = (within[1], within[0]) if within else stations[0] if stations else None
-        located = on_one_map(located, near, notes)
-    survey = Survey(geographic, notes=notes)
-    for reading, features in located:
-        for feature in features:
-            _sort(survey, reading, feature, several=len(readings) > 1)
-        survey.facts.append(f"{reading.path.name}: {_count(features)}")
-    if within and geographic:
-        _keep_within(survey, within)
-    said = [f for f, why in survey.called if not survey.devices or why != _BY_FILE]
-    if len(said) > len(survey.devices):
-        called = set(map(id, said))
-        survey.devices += said
-        survey.stations = [feature for feature in survey.stations if id(feature) not in called]
-        survey.notes = [note for note in survey.notes if "is a station, by" not in note]
-        survey.notes.append(
-            f"{len(said)} points are called stations, more than there are devices: they are devices too"
+    if len(frames) > 1:
+        raise InputError(
+            f"{frames[METRES]}: in metres beside files in degrees: --crs EPSG:... says where its origin lies"
         )
-    if stations:
-        if survey.stations:
-            survey.notes.append(f"{len(survey.stations)} stations of the files are ignored: --station is given")
-        survey.stations = [Feature("point", ((place[0], place[1]),), "--station") for place in stations]
+    survey = Survey(DEGREES in frames, notes=notes)
+    points: list[Feature] = []
+    given = [Feature(shapely.Point(place), "--station") for place in stations]
+    if survey.geographic:
+        given = moved(given, lambda places: places[:, ::-1])
+        if fault := fault_of(given):
+            raise InputError(f"{fault}, LAT,LON in degrees")
+    near = np.array([within[1], within[0]]) if within else coordinates(given)[0] if given else None
+    for reading, features in located.items():
+        if survey.geographic and features:
+            features = on_one_map(reading, features, near, notes)
+            near = np.median(coordinates(features), axis=0) if near is None else near
+        counts = Counter(feature.geometry.geom_type.lower() for feature in features)
+        counted = [f"{n:,} {shape.replace('string', '')}{'s' if n != 1 else ''}" for shape, n in counts.items()]
+        survey.facts.append(f"{reading.path.name}: {', '.join(counted) or 'nothing'}")
+        for feature in features:
+            feature = _with_role(reading.path, feature, several=len(readings) > 1)
+            (points if feature.geometry.geom_type == "Point" else survey.zones).append(feature)
+    is_zone = np.array([feature.role == "zone" for feature in points], dtype=np.bool_)
+    points = kept(points, ~is_zone, notes, "points that are called zones are ignored: draw polygons")
+    is_line = np.array([feature.geometry.geom_type == "LineString" for feature in survey.zones], dtype=np.bool_)
+    survey.zones = kept(survey.zones, ~is_line, notes, "lines are ignored")
+    if within and survey.geographic and points:
+        away = km_from((within[1], within[0]), coordinates(points))
+        points = kept(points, away <= within[2], notes, f"points beyond {within[2]:g} km of --within are ignored")
+    _settle_stations(survey, points, given)
     _settle(survey, readings[0].path)
     return survey
 
 
-def _count(features: Sequence[Feature]) -> str:
-    counts = Counter(feature.shape for feature in features)
-    return ", ".join(f"{n:,} {shape}{'s' if n != 1 else ''}" for shape, n in counts.items()) or "nothing"
+def _with_role(path: Path, feature: Feature, several: bool) -> Feature:
+    """A feature with what it says that it is, and by what; its format comes first, the file's name last."""
+    shape = feature.geometry
+    is_point = shape.geom_type == "Point"
+    texts = {"property": feature.value("role"), "folder": feature.properties.get("folder")}
+    if not is_point:
+        texts["name"] = feature.name
+    if several or not is_point:
+        texts[_BY_FILE] = path.stem
+    role, by = feature.role, ""
+    for by_, text in texts.items() if not role else ():
+        said = set(words(str(text or "")))
+        allowed: tuple[Role, ...] = ("station", "device", "zone") if is_point else ("zone", "outline")
+        role = next((each for each in allowed if said & set(_ROLES[each].split())), "")
+        if role:
+            by = by_
+            break
+    if role and shape.geom_type == "LineString" and len(shape.coords) > 2:
+        shape = shapely.Polygon(shape)
+    return replace(feature, geometry=shape, where=f"{path.name}, {feature.where}", role=role, by=by)
 
 
-def _keep_within(survey: Survey, within: Sequence[float]) -> None:
-    latitude, longitude, km = within
-    for kind in ("devices", "stations"):
-        features = getattr(survey, kind)
-        kept = [f for f in features if km_between(f.places[0], (longitude, latitude)) <= km]
-        if len(kept) < len(features):
-            survey.notes.append(f"{len(features) - len(kept)} {kind} beyond {km:g} km of --within are ignored")
-            setattr(survey, kind, kept)
-
-
-def _sort(survey: Survey, reading: Reading, feature: Feature, several: bool) -> None:
-    """Put a feature to the devices, stations or zones; an outline to the zones with its role, until all are known."""
-    role, why = _role(reading.path, feature, several)
-    where = f"{reading.path.name}, {feature.where}"
-    if role == "zone" and feature.shape == "point":
-        radius = number(value_of(feature, "radius") or "")
-        if survey.geographic and radius > 0:
-            feature = replace(feature, shape="polygon", places=circle(feature.places[0], radius))
-        else:
-            survey.notes.append(f"{where}: a point that is called a zone, without a radius, is ignored")
-            return
-    if feature.shape == "line" and role in ("zone", "outline") and len(set(feature.places)) >= 3:
-        feature = replace(feature, shape="polygon")
-    feature = replace(feature, where=where, role=role)
-    if feature.shape == "polygon":
-        survey.zones.append(feature)
-    elif feature.shape == "point":
-        (survey.stations if role == "station" else survey.devices).append(feature)
-        if role == "station" and why:
-            survey.called.append((feature, why))
-            survey.notes.append(f"{where}: is a station, by its {why}")
-    else:
-        survey.notes.append(f"{where}: a line is ignored")
-
-
-def _role(path: Path, feature: Feature, several: bool) -> tuple[Role, str]:
-    """What a feature says that it is, and by what; its format comes first, the file's name last."""
-    if feature.role:
-        return feature.role, ""
-    allowed: tuple[Role, ...] = ("zone", "outline") if feature.shape != "point" else ("station", "device", "zone")
-    name = words(name_of(feature))
-    texts = [("property", str(value_of(feature, "role") or "")), ("folder", str(feature.properties.get("folder", "")))]
-    texts += [("name", " ".join(name))] if feature.shape != "point" else []
-    texts += [(_BY_FILE, path.stem)] if several or feature.shape != "point" else []
-    for why, text in texts:
-        said = set(words(text))
-        for role in allowed:
-            if said & set(_ROLES[role].split()):
-                return role, why
-    return "", ""
+def _settle_stations(survey: Survey, points: Sequence[Feature], given: list[Feature]) -> None:
+    """Tell stations from devices; stations that were given replace those of the files."""
+    survey.devices = [feature for feature in points if feature.role != "station"]
+    stations = [feature for feature in points if feature.role == "station"]
+    homes = [feature for feature in survey.devices if set(words(feature.name)) in _HOMES]
+    if not (stations or given) and len(homes) == 1:
+        stations = [replace(homes[0], by="name")]
+        survey.devices.remove(homes[0])
+    said = {f for f in stations if f.by and (f.by != _BY_FILE or not survey.devices)}  # a word alone made them such
+    if len(said) > len(survey.devices):
+        survey.devices += [feature for feature in stations if feature in said]
+        stations = [feature for feature in stations if feature not in said]
+        survey.notes.append(f"{len(said)} points are called stations, more than there are devices: all are devices")
+    survey.notes += [f"{feature.where}: is a station, by its {feature.by}" for feature in stations if feature.by]
+    if given and stations:
+        survey.notes.append(f"{len(stations)} stations of the files are ignored: --station is given")
+    survey.stations = given or stations
 
 
 def _settle(survey: Survey, path: Path) -> None:
     """Decide what depends on all features together."""
-    homes = [f for f in survey.devices if set(words(name_of(f))) in _HOMES]
-    if not survey.stations and len(homes) == 1 < len(survey.devices):
-        survey.stations = homes
-        survey.devices.remove(homes[0])
-        survey.notes.append(f"{homes[0].where}: is a station, by its name")
-    _drop_repeated(survey)
     if not survey.devices:
         raise InputError(f"no places of devices ({'; '.join(survey.facts)}): add a file with points for them")
-    _choose_outline(survey)
+    places = coordinates(survey.devices).round(6).tolist()
+    keys = pd.Series([(f.name or k, *place) for k, (f, place) in enumerate(zip(survey.devices, places, strict=True))])
+    repeat = "rows repeat a device (the same name and place), and are ignored"  # as in a table of measurements
+    survey.devices = kept(survey.devices, ~keys.duplicated().to_numpy(), survey.notes, repeat)
     if survey.geographic:
         _refuse_too_wide(survey, path)
+    _choose_outline(survey)
     _note_properties(survey)
-
-
-def _drop_repeated(survey: Survey) -> None:
-    """Rows that repeat a device: the same name at the same place, as in a table of measurements."""
-    kept: dict[Any, Feature] = {}
-    for number_, feature in enumerate(survey.devices):
-        name = name_of(feature)
-        kept.setdefault((name, *(round(x, 6) for x in feature.places[0])) if name else number_, feature)
-    if repeated := len(survey.devices) - len(kept):
-        survey.notes.append(f"{repeated:,} rows repeat a device (the same name and place), and are ignored")
-        survey.devices = list(kept.values())
 
 
 def _choose_outline(survey: Survey) -> None:
     """The polygon that is called an outline, or that holds most of the devices; all others are zones."""
-    if not survey.zones:
-        return
     called = [zone for zone in survey.zones if zone.role == "outline"]
     unsaid = [zone for zone in survey.zones if not zone.role]
-    shapely, places = extra("shapely"), all_places(survey.devices)
     if not called and unsaid:
-        shares = [shapely.intersects_xy(_polygon(zone), *places.T).mean() for zone in unsaid]
-        best = max(range(len(unsaid)), key=lambda k: (shares[k], _polygon(unsaid[k]).area))
+        places = coordinates(survey.devices)
+        shares = [shapely.intersects_xy(shapely.make_valid(zone.geometry), *places.T).mean() for zone in unsaid]
+        best = max(range(len(unsaid)), key=lambda k: (shares[k], _area(unsaid[k])))
         if shares[best] > 0.5:
             called = [unsaid[best]]
             survey.notes.append(
                 f"{called[0].where}: is taken for the outline: it holds {shares[best]:.0%} of the devices"
             )
-    survey.outline = max(called, key=lambda zone: float(_polygon(zone).area), default=None)
+    survey.outline = max(called, key=_area, default=None)
     if len(called) > 1:
         survey.notes.append(f"of {len(called)} outlines, the largest alone is used ({called[0].where} ...)")
     survey.zones = [zone for zone in survey.zones if zone not in called]
-    guessed = [zone.where for zone in survey.zones if not zone.role]
-    if guessed:
-        survey.notes.append(f"polygons taken for no-fly zones: {listed(guessed, '; ')}")
+    if guessed := [zone.where for zone in survey.zones if not zone.role]:
+        survey.notes.append(f"polygons taken for no-fly zones: {listed(guessed)}")
 
 
-def _polygon(zone: Feature) -> Any:
-    shapely = extra("shapely")
-    return shapely.make_valid(shapely.Polygon(zone.places))
+def _area(zone: Feature) -> float:
+    return float(shapely.make_valid(zone.geometry).area)
 
 
 def _refuse_too_wide(survey: Survey, path: Path) -> None:
-    places = all_places(survey.devices)
-    if abs(places[:, 1]).max() > _POLE:
-        worst = places[abs(places[:, 1]).argmax(), 1]
+    places = coordinates(survey.devices)
+    worst = places[abs(places[:, 1]).argmax(), 1]
+    if abs(worst) > _POLE:
         raise InputError(f"{path}: latitude = {worst:.6g}: fields within 2 degrees of a pole are not read")
-    middle = np.median(places, axis=0).tolist()
-    off = [feature for feature in survey.devices if km_between(feature.places[0], middle) > _WIDEST_KM / 2]
-    if 0 < len(off) <= _STRAY * len(survey.devices):
-        strays = set(map(id, off))
-        survey.devices = [feature for feature in survey.devices if id(feature) not in strays]
-        which = listed([feature.where for feature in off])
-        survey.notes.append(f"{len(off)} devices far from all others are ignored ({which})")
-    kept = [zone for zone in survey.zones if _reach_km(zone, middle) <= _WIDEST_KM]
-    if len(kept) < len(survey.zones):
-        survey.notes.append(f"{len(survey.zones) - len(kept)} zones that reach beyond {_WIDEST_KM:g} km are ignored")
-        survey.zones = kept
-    if survey.outline is not None and _reach_km(survey.outline, middle) > _WIDEST_KM:
-        raise InputError(f"{survey.outline.where}: an outline that reaches beyond {_WIDEST_KM:g} km")
-    far = max(survey.devices + survey.stations, key=lambda f: km_between(f.places[0], middle))
-    if (km := km_between(far.places[0], middle)) > _WIDEST_KM / 2:
+    middle = np.median(places, axis=0)
+    near = km_from(middle, places) <= _WIDEST_KM / 2
+    if near.mean() >= 1 - _STRAY:
+        survey.devices = kept(survey.devices, near, survey.notes, "devices far from all others are ignored")
+    reach = np.array([km_from(middle, coordinates([zone])).max() for zone in survey.zones])
+    text = f"polygons that reach beyond {_WIDEST_KM:g} km are ignored"
+    survey.zones = kept(survey.zones, reach <= _WIDEST_KM, survey.notes, text)
+    points = survey.devices + survey.stations
+    away = km_from(middle, coordinates(points))
+    far, km = points[away.argmax()], away.max()
+    if km > _WIDEST_KM / 2:
+        narrow = [math.cos(math.radians(middle[1])), 1.0]
         tried = places[:: len(places) // 200 + 1]
-        count, near = max((int(near_places(places, place).sum()), tuple(place)) for place in tried.tolist())
+        counts = [(np.linalg.norm((places - each) * narrow, axis=1) < _NEAR_DEGREES).sum() for each in tried]
+        x, y = tried[np.argmax(counts)]
         raise InputError(
-            f"{path}: {far.where.rpartition(', ')[2]} {short(name_of(far))} lies {km:,.0f} km from the middle of the "
-            f"{len(places):,} devices; a field is at most {_WIDEST_KM:g} km wide: "
-            f"--within {near[1]:.4f},{near[0]:.4f},{NEAR_KM:g} would read {count} of them, all within {NEAR_KM:g} km"
+            f"{path}: {far.where.rpartition(', ')[2]} {short(far.name)} lies {km:,.0f} km from the middle of the "
+            f"{len(places):,} devices; a field is at most {_WIDEST_KM:g} km wide: --within {y:.4f},{x:.4f},10 "
+            f"would read {max(counts)} of them, all within 10 km"
         )
 
 
-def _reach_km(polygon: Feature, middle: Sequence[float]) -> float:
-    return max(km_between(place, middle) for place in polygon.places)
-
-
 _OF_DEVICES = {"latitude", "longitude", "x", "y", "place", "id", "name", "interval", "role"}
-_OF_ZONES = {"id", "name", "role", "radius", "floor", "ceiling", "margin"}
+_OF_ZONES = {"id", "name", "role", "floor", "ceiling", "margin"}
 
 
 def _note_properties(survey: Survey) -> None:
     """Note what devices and zones say that the model has no place for."""
     for kind, features, read in (("devices", survey.devices, _OF_DEVICES), ("zones", survey.zones, _OF_ZONES)):
-        used = {"folder", *DEVICE_COLUMNS}
-        used |= {name for f in features for meaning, name in meanings_of(f).items() if meaning in read}
-        ignored = [name for name in dict.fromkeys(name for f in features for name in f.properties) if name not in used]
+        keys = dict.fromkeys(tuple(feature.properties) for feature in features)
+        used = {"folder"} | {name for names in keys for meaning, name in meanings(names).items() if meaning in read}
+        ignored = dict.fromkeys(name for names in keys for name in names if name not in used)
         if ignored:
-            survey.notes.append(f"properties of the {kind} that are ignored: {', '.join(map(_plain, ignored))}")
-    heights = [number(value_of(f, "height")) for f in survey.devices if value_of(f, "height") is not None]
-    heights = [height for height in heights if math.isfinite(height)]
-    if heights and max(heights) - min(heights) > 0:
-        low, high = min(heights), max(heights)
-        survey.notes.append(
-            f"heights of the devices, {low:g} to {high:g}, are ignored: the ground is flat in the model"
-        )
-
-
-def _plain(name: str) -> str:
-    return short(re.sub(r"\s+", " ", name))[1:-1]
+            plain = ", ".join(short(re.sub(r"\s+", " ", name))[1:-1] for name in ignored)
+            survey.notes.append(f"properties of the {kind} that are ignored: {plain}")
