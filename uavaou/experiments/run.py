@@ -87,7 +87,7 @@ def _named(table: Flights, study: Study, names: Mapping[str, Sequence[PartKey]])
         frame, keys = frame.loc[keys.index].reset_index(drop=True), keys.reset_index(drop=True)
         frame = frame.assign(policy=[key.policy for key in keys], scenario=[key.scenario for key in keys])
         if "curve" in columns:  # a point of a suite has its place in one figure, and none of its own
-            apart = [key.scenario not in study.points for key in keys]
+            apart = ~keys.map(lambda key: key.scenario in study.points).astype(bool)
             frame, keys = frame[apart].reset_index(drop=True), keys[apart].reset_index(drop=True)
         for column in point_columns & columns.keys():
             frame[column] = [study.points.get(key.scenario, {}).get(column) for key in keys]
