@@ -1,5 +1,6 @@
 """A headless Chromium, driven over its debugging pipe: no driver, no server, no network."""
 
+import base64
 import fcntl
 import itertools
 import json
@@ -106,7 +107,15 @@ class Browser:
             self.errors.append(f"asked for {found['request']['url']}")
 
     def open(
-        self, page: Path, width: int = 1000, height: int = 760, *, dark: bool = False, still: bool, phone: bool = False
+        self,
+        page: Path,
+        width: int = 1000,
+        height: int = 760,
+        *,
+        dark: bool = False,
+        still: bool,
+        phone: bool = False,
+        dense: int = 1,
     ) -> None:
         """Open a file and wait until its mission is shown."""
         if self._session is None:
@@ -117,7 +126,7 @@ class Browser:
         self.command("Page.navigate", url="about:blank")
         self.errors = []
         self.command(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=phone
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=dense, mobile=phone
         )
         features = {"prefers-color-scheme": "dark" if dark else "light"}
         features["prefers-reduced-motion"] = "reduce" if still else "no-preference"
@@ -165,6 +174,10 @@ class Browser:
         at = {"x": box[0] + across * box[2], "y": box[1] + down * box[3], "button": "left", "clickCount": 1}
         for kind in ("mousePressed", "mouseReleased"):
             self.command("Input.dispatchMouseEvent", type=kind, buttons=int(kind == "mousePressed"), **at)
+
+    def screenshot(self, path: Path) -> None:
+        """Write what the window shows as PNG."""
+        path.write_bytes(base64.b64decode(self.command("Page.captureScreenshot", format="png")["data"]))
 
 
 if __name__ == "__main__" and find_browser() is None:

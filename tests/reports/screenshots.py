@@ -22,7 +22,8 @@ OWN_FIELD = (60, (1200, 760, False, False))
 def take(browser: Browser, page: Path, slot: int, window: tuple[int, int, bool, bool], picture: Path) -> None:
     """Write what a page shows in a slot."""
     width, height, dark, phone = window
-    browser.open(page, width, height, dark, still=True, fragment=f"#slot={slot}", phone=phone, dense=2)
+    browser.open(page, width, height, dark=dark, still=True, phone=phone, dense=2)
+    browser.value(f"replay.seek({slot})")
     browser.screenshot(picture)
     Image.open(picture).convert("RGB").quantize(256).save(picture, optimize=True)  # a third of the size
 
