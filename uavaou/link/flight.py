@@ -7,6 +7,7 @@ autopilot's own return takes over. When a pilot takes over, the link commands no
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -147,7 +148,8 @@ class LinkedFlight:
         if self.flying:
             _leave_to_pilot(state)
             if state.mode in RETURNING or not state.armed:
-                raise _ComeHome(f"the autopilot ends the flight by itself ({state.mode})")
+                battery = "" if math.isnan(state.battery_percent) else f", battery at {state.battery_percent:.0f} %"
+                raise _ComeHome(f"the autopilot ends the flight by itself ({state.mode}{battery})")
         why = f"the autopilot warns: {state.alarm}" if state.alarm else "interrupted" if self.stopped() else ""
         if why and not self.flying:
             raise _ComeHome(why)
