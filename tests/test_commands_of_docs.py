@@ -102,7 +102,7 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     shutil.copy(ROOT / "docs" / "gallery" / "hundred-devices.yaml", tmp_path / "docs" / "gallery")
     shutil.copytree(ROOT / "examples" / "field", tmp_path / "examples" / "field")
     shutil.copytree(trained, "results")
-    for name in ("studies/paper", "suites"):
+    for name in ("studies/paper", "studies/generalization"):
         shutil.copytree(ROOT / "results" / name, tmp_path / "results" / name)
     return tmp_path
 
