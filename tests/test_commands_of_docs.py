@@ -25,6 +25,7 @@ LESS = {  # work than the page asks for
     "fly": ["--seconds", "3"],
     "rolling": ["--time-limit", "1"],
     "route": ["--seconds", "3", "--episodes", "2"],
+    "size": ["--seconds", "2"],
 }
 ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that runs its like
     "uavaou eval any-map --policy best-first --suite uavs": "tests/experiments",
