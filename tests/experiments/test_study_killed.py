@@ -37,10 +37,10 @@ from uavaou_cli.main import main
 
 SMALL = (
     "missions: 8, rollout_slots: 20, batch_rows: 160, hidden: [16], evaluation_missions: 2, "
-    "evaluate_every_slots: 2000, plan_slots: 0"  # so that both begin at once
+    "evaluate_every_slots: 6000, plan_slots: 0"  # so that both begin at once
 )
 LONG = f"""
-slots: 16000
+slots: 48000
 seeds: 1
 scenarios: [quickstart]
 variants:
@@ -113,7 +113,7 @@ def test_every_run_saves_when_its_study_is_stopped_and_the_same_command_goes_on(
     assert said.count("\n") == (code > 0), said  # of one that is killed, nobody is there to hear the runs
     assert code < 0 or said.split("to go on: uavaou ")[1] == f"{line}{engine}\n"
     metas = [json.loads((folder / "meta.json").read_text()) for folder in folders]
-    assert all(0 < meta["slots"] < 16_000 for meta in metas)
+    assert all(0 < meta["slots"] < 48_000 for meta in metas)
     assert main(shlex.split(line)) == 0  # without the cluster
     assert_the_same(tmp_path / "out", place / "out", study)
     if number == signal.SIGTERM:
@@ -126,7 +126,7 @@ def test_every_run_saves_when_its_study_is_stopped_and_the_same_command_goes_on(
 def test_a_job_finishes_silently_when_the_study_process_is_gone(
     what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "long.yaml").write_text(LONG.replace("16000", "640").replace("[quickstart]", "[tiny]"))
+    (tmp_path / "long.yaml").write_text(LONG.replace("48000", "640").replace("[quickstart]", "[tiny]"))
     _, config = next(iter(Study.load(tmp_path / "long.yaml").runs()))
     job = Training(config, tmp_path / "run", 2) if what == "a training" else Bound(config.scenario)
     context = multiprocessing.get_context("spawn")
@@ -296,7 +296,7 @@ def test_a_killed_worker_and_a_lost_node_of_a_cluster_are_replaced_and_their_run
     assert ended.failed == {}
     assert ended.done == 3
     assert len(executor.killed) == 1
-    assert all(slots < 16_000 for slots in executor.lost_at.values())
+    assert all(slots < 48_000 for slots in executor.lost_at.values())
     # Two trainings were handed over: that of the killed worker, and that of the lost node, maybe to a worker in use.
     assert sum(len(workers) - 1 for workers in executor.workers.values()) >= 2
     assert_the_same(tmp_path, place / "out", study)

@@ -217,7 +217,6 @@ def _died(code: int | None, asked: bool) -> Ended:
 def _work(job: bytes, pipe: Connection, plugins: Sequence[str]) -> None:
     """The main function of a child process, for a pickled job."""
     interrupt_at_sigterm()
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
     threading.Thread(target=_follow_parent, daemon=True).start()
 
     def send(message: Any) -> None:
@@ -225,6 +224,7 @@ def _work(job: bytes, pipe: Connection, plugins: Sequence[str]) -> None:
             pipe.send(message)
 
     try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])  # one may be waiting
         send(outcome(job, plugins, send))
     except KeyboardInterrupt:
         send(Ended(failure=StoppedEarlyError()))
