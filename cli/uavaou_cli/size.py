@@ -132,7 +132,14 @@ def _lines(scenario: Scenario, found: list[SizedFleet], target_s: float | None, 
     for one in shown:
         fleet, minutes = one.fleet.scenario, Interval(*(age / 60 for age in one.ages_s))
         budget = "any" if fleet.flight_time == "ignore" else figure(fleet.flight_time_budget_s / 60)
-        cells = (str(fleet.uavs), _places(one), f"{fleet.speed_m_s:g}", budget, *interval_figures(minutes), one.policy)
+        cells = (
+            str(fleet.uavs),
+            one.fleet.places,
+            f"{fleet.speed_m_s:g}",
+            budget,
+            *interval_figures(minutes),
+            one.policy,
+        )
         rows.append(cells + ((one.verdict(target_s),) if target_s else ()))
     texts = []
     if len(shown) < len(found):
@@ -145,7 +152,7 @@ def _lines(scenario: Scenario, found: list[SizedFleet], target_s: float | None, 
         texts.append(
             f"No fleet here holds {goal} with its whole interval."
             if chosen is None
-            else f"Cheapest that holds {goal}: {_fleet(chosen)} from {_places(chosen)}."
+            else f"Cheapest that holds {goal}: {_fleet(chosen)} from {chosen.fleet.places}."
         )
     if seconds / len(found) < _FAST_S:
         texts.append(f"Each fleet had {seconds / len(found):.1f} s of rehearsal; --seconds gives more.")
@@ -155,10 +162,6 @@ def _lines(scenario: Scenario, found: list[SizedFleet], target_s: float | None, 
 def _fleet(one: SizedFleet) -> str:
     uavs = one.fleet.scenario.uavs
     return f"{uavs} UAV{'s' if uavs > 1 else ''}"
-
-
-def _places(one: SizedFleet) -> str:
-    return " ".join(f"{x:g},{y:g}" for x, y in one.fleet.stations)
 
 
 def _write(found: list[SizedFleet], target_s: float | None, folder: Path) -> None:

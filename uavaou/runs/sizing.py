@@ -32,6 +32,11 @@ class Fleet(NamedTuple):
     stations: tuple[tuple[float, float], ...]  # from which its UAVs start, each once, m
 
     @property
+    def places(self) -> str:
+        """Its stations in m, as a table has them."""
+        return " ".join(f"{x:g},{y:g}" for x, y in self.stations)
+
+    @property
     def cost(self) -> tuple[float, ...]:
         """What a fleet with a lower one is cheaper in: UAVs, then stations, speed and time in the air."""
         scenario = self.scenario
@@ -53,7 +58,7 @@ class SizedFleet:
         value, low, high = self.ages_s
         row = {
             "uavs": scenario.uavs,
-            "stations": " ".join(f"{x:g},{y:g}" for x, y in self.fleet.stations),
+            "stations": self.fleet.places,
             "speed_m_s": scenario.speed_m_s,
             "flight_time_budget_s": scenario.flight_time_budget_s,
             "policy": self.policy,
@@ -114,14 +119,13 @@ def fleets(
     places = tuple(dict.fromkeys((x, y) for x, y in stations or scenario.cds_m))
     found: list[Fleet] = []
     problem: InputError | None = None
-    for number, speed, budget in product(uavs, speeds_m_s or (None,), budgets_s or (None,)):
+    flown_at = [at_speed(scenario, speed) for speed in speeds_m_s] or [scenario]
+    for number, base, budget in product(uavs, flown_at, budgets_s or (scenario.flight_time_budget_s,)):
         for spread in _spreads(places, number):
             if len(found) == MOST_FLEETS:
                 raise InputError(f"more than {MOST_FLEETS} fleets: fewer numbers, stations, speeds or times in the air")
-            changes: dict[str, Any] = {"uavs": number, "cds_m": spread}
-            changes |= {} if budget is None else {"flight_time_budget_s": budget}
             try:
-                flown = (scenario if speed is None else at_speed(scenario, speed)).replace(**changes)
+                flown = base.replace(uavs=number, cds_m=spread, flight_time_budget_s=budget)
             except InfeasibleError as error:
                 problem = error
                 continue
