@@ -161,7 +161,7 @@ def _points(suite: Suite, changes: dict[str, Any]) -> list[Place]:
 
 def _draws(family: Family, first: int, last: int) -> list[Place]:
     """The draws of a family by their numbers."""
-    same = {"suite": f"draws of {family.name}", "axis": "draw", "scale": "category", "joined": "no"}
+    same = {"suite": f"draws of {family.name}", "axis": "draw", "scale": "linear", "joined": "no"}
     return [
         Place(f"{family.name} draw {n}", family.draw(n), point=same | {"point": str(n), "x": n})
         for n in range(first, last + 1)
