@@ -67,12 +67,19 @@ def small_fields(count: int) -> Iterator[Scenario]:
         cds = [(float(rng.integers(x // 50 + 1)) * 50, float(rng.integers(y // 50 + 1)) * 50) for _ in range(3)]
         yield with_zones(
             base.replace(
-                name=f"field-{seed}", area_x_m=x, area_y_m=y, grid_step_m=50, devices=6, cds_m=cds, slots=25,
-                flight_time_budget_s=float(rng.choice([60, 100, 200])), layout_seed=seed,
+                name=f"field-{seed}",
+                area_x_m=x,
+                area_y_m=y,
+                grid_step_m=50,
+                devices=6,
+                cds_m=cds,
+                slots=25,
+                flight_time_budget_s=float(rng.choice([60, 100, 200])),
+                layout_seed=seed,
             ),
             rng,
             rng.uniform(0.1, 0.5),
-        )  # fmt: skip
+        )
 
 
 def missions(count: int) -> None:

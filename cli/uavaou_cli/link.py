@@ -33,13 +33,16 @@ def link(
     arm: Annotated[bool, typer.Option("--arm", help="Fly. Without it nothing is armed and nothing commanded.")] = False,
     devices: Annotated[
         str,
-        choice("Which are heard: by the channel model, or as a receiver reports on stdin in lines of JSON.",
-               "simulated", "stdin"),
+        choice(
+            "Which are heard: by the channel model, or as a receiver reports on stdin in lines of JSON.",
+            "simulated",
+            "stdin",
+        ),
     ] = "simulated",
     silence: Annotated[float, number("Come home after as long without telemetry, in s.", 0.1, metavar="S")] = 5.0,
     seed: Annotated[int, number("Of the simulated channel.", 0, LARGEST_SEED)] = 0,
     out: Annotated[Path | None, option("Of the log and the policy. [default: results/<scenario>/link]", "DIR")] = None,
-) -> None:  # fmt: skip
+) -> None:
     """Fly one UAV by a policy over MAVLink, in closed loop.
 
     Without --arm it connects, checks what the aircraft tells, and prints what would be commanded in each slot.

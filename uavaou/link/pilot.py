@@ -16,8 +16,15 @@ if TYPE_CHECKING:
     from uavaou.onboard.runner import Pilot
 
 _MAP = (  # what must be the same
-    "slots", "slot_length_s", "area_m", "grid_step_m", "altitude_m", "cds_m", "devices_m", "free_moves",
-)  # fmt: skip
+    "slots",
+    "slot_length_s",
+    "area_m",
+    "grid_step_m",
+    "altitude_m",
+    "cds_m",
+    "devices_m",
+    "free_moves",
+)
 
 
 def make_pilot(policy: str, scenario: Scenario, uav: int, folder: Path) -> Pilot:

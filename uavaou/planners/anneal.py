@@ -81,9 +81,17 @@ class Anneal(RoutePlanner):
                 fraction = min(1.0, (chunk_started - started + _CHUNK_S) / self.time_limit_s)
             if slots > 2:  # the cells of slots 1 and K are the CDS
                 age = anneal(
-                    expected, (scenario.columns, scenario.rows, ways(scenario)), budget, flown, (2, slots),
-                    (hot * slots, _temperature(fraction) * slots), proposals, best, age, rng,
-                )  # fmt: skip
+                    expected,
+                    (scenario.columns, scenario.rows, ways(scenario)),
+                    budget,
+                    flown,
+                    (2, slots),
+                    (hot * slots, _temperature(fraction) * slots),
+                    proposals,
+                    best,
+                    age,
+                    rng,
+                )
                 recompute(expected)  # removes the rounding errors of many small changes
             if self.time_limit_s is not None:  # without one, the clock must not affect the plan
                 elapsed = time.monotonic() - chunk_started

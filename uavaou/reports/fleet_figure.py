@@ -27,9 +27,13 @@ def plot_fleets(found: Sequence[SizedFleet], target_s: float | None, out_dir: Pa
         figure, axes = style.new_axes(height_in=2.6)
         if others:
             axes.plot(
-                [one.fleet.scenario.uavs for one in others], [one.ages_s.value / 60 for one in others],
-                linestyle="none", marker=".", color=style.GREY, label="other stations, speeds or batteries",
-            )  # fmt: skip
+                [one.fleet.scenario.uavs for one in others],
+                [one.ages_s.value / 60 for one in others],
+                linestyle="none",
+                marker=".",
+                color=style.GREY,
+                label="other stations, speeds or batteries",
+            )
         axes.errorbar(list(best), means, reach, color=BLUE, marker="o", capsize=2, label="best of its size")
         if target_s is not None:
             axes.axhline(target_s / 60, color=VERMILLION, linestyle="--", linewidth=1.0, label="target")

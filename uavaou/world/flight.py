@@ -254,9 +254,16 @@ def _allowed(
 
 @compiled
 def _allowed_on_legs(
-    cells: Ints, flown: Ints, left: int, last_cell: Ints, free: Bools, home: Ints, budget: Ints, allowed: Bools,
+    cells: Ints,
+    flown: Ints,
+    left: int,
+    last_cell: Ints,
+    free: Bools,
+    home: Ints,
+    budget: Ints,
+    allowed: Bools,
     on_grid: Bools,
-) -> None:  # fmt: skip
+) -> None:
     """Do the same by free moves (U, C, 5) and moves home (U, C), with so many moves left before slot K."""
     for n in range(len(cells)):
         for u in range(cells.shape[1]):

@@ -156,9 +156,18 @@ class FastUpdate:
         logits = activations[-1]  # (R, 5 + I)
         grad_logits = th.empty_like(logits)
         objective, entropy, kl, clipped = clipped_surrogate(
-            logits.numpy(), rows.numpy(), self._moves_column, self._range, at, self._actions, self._log_probs,
-            self._advantages, coefficients, part, grad_logits.numpy(),
-        )  # fmt: skip
+            logits.numpy(),
+            rows.numpy(),
+            self._moves_column,
+            self._range,
+            at,
+            self._actions,
+            self._log_probs,
+            self._advantages,
+            coefficients,
+            part,
+            grad_logits.numpy(),
+        )
         loss = -objective - coefficients.entropy_coef * entropy
         statistics = np.array([-objective, 0.0, entropy, loss, kl, clipped])
         return self._networks[0].backward(activations, grad_logits, later=later), statistics
