@@ -81,8 +81,9 @@ def _named(table: Flights, study: Study, names: Mapping[str, Sequence[PartKey]])
     point_columns = set(chain.from_iterable(study.points.values()))
 
     def named(frame: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
-        place = frame["scenario"].fillna("")
-        frame = frame[place == place.groupby(frame["job"]).transform("first")]  # under one of its names
+        place = frame["scenario"]  # missing in curves of a training
+        first = place.groupby(frame["job"]).transform("first")
+        frame = frame[place.isna() | (place == first).fillna(False)]  # under one of its names
         keys = frame["job"].map(dict(names)).explode()
         frame, keys = frame.loc[keys.index].reset_index(drop=True), keys.reset_index(drop=True)
         frame = frame.assign(policy=[key.policy for key in keys], scenario=[key.scenario for key in keys])
