@@ -210,10 +210,14 @@ class _Rehearsal:
             _Late: they take more than ``limit_s``.
         """
         began, all_slots = time.monotonic(), missions * self.scenario.slots
+        start: list[float] = []  # when the first slot was over: it may hold a plan, or what a library does once
 
         def watch(slots: int, world: World) -> None:
-            taken = time.monotonic() - began
-            if taken > limit_s or (taken > _SOON * limit_s and taken * all_slots > _HOPELESS * limit_s * slots):
+            now = time.monotonic()
+            start[:] = start or [now]
+            taken = now - began
+            ahead = (now - start[0]) / max(slots - missions, 1) * (all_slots - slots)
+            if taken > limit_s or (taken > _SOON * limit_s and taken + ahead > _HOPELESS * limit_s):
                 raise _Late
             self._tell(candidate.name)
 
