@@ -212,7 +212,7 @@ def _plan_lines(scenario: Scenario, plan: Plan, took_s: float, path: Path) -> li
     ended = "interrupted after" if plan.interrupted else "in"
     lines = [
         f"planned {scenario.name} with {plan.planner} {ended} {duration(took_s)}",
-        f"expected mean AoU: {figure(plan.mean_aou_s / tau)} slots ({figure(plan.mean_aou_s)} s)",
+        f"expected mean AoU: {figure(plan.mean_aou_s / tau)} slots ({figure(plan.mean_aou_s / 60)} min)",
     ]
     if plan.gap is not None and plan.bound_s is not None:
         proven = "proven optimal" if plan.gap < 1e-9 else f"gap {plan.gap:.1%}"
@@ -231,11 +231,11 @@ def _gap_lines(comparison: Comparison, bound: Bound) -> list[str]:
     played = {name: result.mean_aou_s for name, result in comparison.results.items()}
     best = min(played.values())
     means = {f"lower bound ({bound.method})": least} | dict(sorted(played.items(), key=lambda item: item[1]))
-    heads = [("knows", ""), ("mean AoU", "(slots)"), ("mean AoU", "(s)"), ("over", "bound"), ("over", "best")]
+    heads = [("knows", ""), ("mean AoU", "(slots)"), ("mean AoU", "(min)"), ("over", "bound"), ("over", "best")]
     rows = []
     for name, mean in means.items():
         known = knowledge(comparison.policies[name]) if name in played else ""
-        cells = known, figure(mean / tau), figure(mean), _ratio(mean, least), _ratio(mean, best)
+        cells = known, figure(mean / tau), figure(mean / 60), _ratio(mean, least), _ratio(mean, best)
         rows.append((name, [(cell, "") for cell in cells]))
     head = f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}"
     note = (

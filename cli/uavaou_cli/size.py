@@ -68,11 +68,13 @@ def size(
     target_s = None if target is None else read_target(target, flown.slot_length_s)
     speeds = [value for text in speed or () if (value := quantity("--speed", text, "speed_m_s", "m/s"))]
     budgets = [value for text in endurance or () if (value := quantity("--endurance", text, "endurance_s", "min"))]
-    in_question = fleets(flown, sizes, _stations(flown, station or ()), speeds, budgets)
+    in_question, problems = fleets(flown, sizes, _stations(flown, station or ()), speeds, budgets)
     folder = out or Path("results") / scenario_folder(base, overrides.scenario) / "size"
     writable_folder(folder)
     found = _sized(in_question, seconds, knows, quiet)
     show(_lines(flown, found, target_s, seconds))
+    if problems:
+        show(paragraphs([f"Left out, for they cannot fly: {len(problems)} more fleets, as in {problems[0]}"]))
     _write(found, target_s, folder)
 
 

@@ -268,7 +268,7 @@ def _lines(outcome: Outcome, config: RunConfig) -> list[str]:
     if progress.best_score is not None:
         in_slots = progress.best_score / config.scenario.slot_length_s
         lines.append(
-            f"best validation: {_mean(config)} {figure(in_slots)} slots ({figure(progress.best_score)} s), "
+            f"best validation: {_mean(config)} {figure(in_slots)} slots ({figure(progress.best_score / 60)} min), "
             f"{ACTIONS[progress.best_action]} actions"
         )
     together = missions * config.scenario.slots  # training slots until the missions end

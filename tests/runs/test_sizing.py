@@ -28,14 +28,19 @@ def test_what_is_no_target_is_refused(text: str) -> None:
 
 
 def test_fleets_are_spread_over_stations_in_every_way_and_the_cheapest_come_first() -> None:
-    found = fleets(TINY, [2, 1], [(0.0, 0.0), (100.0, 0.0)])
+    found, problems = fleets(TINY, [2, 1], [(0.0, 0.0), (100.0, 0.0)])
+    assert not problems
     assert [fleet.cost for fleet in found] == sorted(fleet.cost for fleet in found)
     assert [(fleet.scenario.uavs, len(fleet.stations)) for fleet in found] == [(1, 1), (1, 1), (2, 1), (2, 1), (2, 2)]
     assert all(len(set(fleet.scenario.altitudes_m)) == fleet.scenario.uavs for fleet in found)
-    many = fleets(TINY, [4], [(100.0 * k, 0.0) for k in range(3)])  # 15 ways: each station alone, and evenly
+    many, _ = fleets(TINY, [4], [(100.0 * k, 0.0) for k in range(3)])  # 15 ways: each station alone, and evenly
     assert len(many) == 4
     with pytest.raises(InputError, match="flight_time_budget_s"):
         fleets(TINY, [1], budgets_s=[0.1])
+    zone = {"polygon_m": [(50, -50), (150, -50), (150, 50), (50, 50)]}
+    found, problems = fleets(TINY.replace(no_fly=[zone]), [1], [(0.0, 0.0), (100.0, 0.0)])
+    assert [fleet.stations for fleet in found] == [((0.0, 0.0),)]
+    assert "CDS" in str(problems[0])
 
 
 def test_at_another_speed_times_in_seconds_stay() -> None:

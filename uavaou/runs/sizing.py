@@ -100,8 +100,8 @@ def fleets(
     stations: Sequence[tuple[float, float]] = (),
     speeds_m_s: Sequence[float] = (),
     budgets_s: Sequence[float] = (),
-) -> list[Fleet]:
-    """The fleets of a sweep, the cheapest first; those that cannot fly are left out.
+) -> tuple[list[Fleet], list[InputError]]:
+    """The fleets of a sweep, the cheapest first, and why others cannot fly.
 
     A fleet is spread over the stations in every way where there are few; else it starts from one of them, or evenly
     from all. At another speed a slot is the time of a grid step, and periods and the mission keep their times.
@@ -118,7 +118,7 @@ def fleets(
     """
     places = tuple(dict.fromkeys((x, y) for x, y in stations or scenario.cds_m))
     found: list[Fleet] = []
-    problem: InputError | None = None
+    problems: list[InputError] = []
     flown_at = [at_speed(scenario, speed) for speed in speeds_m_s] or [scenario]
     for number, base, budget in product(uavs, flown_at, budgets_s or (scenario.flight_time_budget_s,)):
         for spread in _spreads(places, number):
@@ -127,12 +127,12 @@ def fleets(
             try:
                 flown = base.replace(uavs=number, cds_m=spread, flight_time_budget_s=budget)
             except InfeasibleError as error:
-                problem = error
+                problems.append(error)
                 continue
             found.append(Fleet(flown, tuple(dict.fromkeys(spread))))
-    if problem is not None and not found:
-        raise problem
-    return sorted(found, key=lambda fleet: fleet.cost)
+    if problems and not found:
+        raise problems[0]
+    return sorted(found, key=lambda fleet: fleet.cost), problems
 
 
 def _spreads(stations: tuple[tuple[float, float], ...], uavs: int) -> Iterator[list[tuple[float, float]]]:
