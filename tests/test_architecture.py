@@ -24,6 +24,7 @@ LAYERS = (
     "csv_tables",
     "devices_csv",
     "zones",
+    "operations",
     "scenario_fields",
     "fleet",
     "scenario",

@@ -186,6 +186,18 @@ class Scenario(ScenarioFields):
         return f"uav_{uav}" if self.uav_names is None else self.uav_names[uav]
 
     @property
+    def swap_slots(self) -> int:
+        """The slots that a swap of batteries takes."""
+        return math.ceil((self.swap_time_s or 0.0) / self.slot_length_s - 1e-9)
+
+    @property
+    def station_cells(self) -> Ints:
+        """The grid cells (column, row) of all stations, each once, the CDSs first, (S, 2)."""
+        places = np.array([*self.cds_m, *(self.stations_m or ())], dtype=np.float64)
+        cells = np.rint(places / self.grid_step_m).astype(np.int64)
+        return np.array(list(dict.fromkeys(map(tuple, cells.tolist()))))
+
+    @property
     def longest_update_period(self) -> int:
         """The longest k_i that a layout can have, in slots."""
         period = self.update_period_slots
@@ -241,7 +253,7 @@ _NOT_HERE = {
     "terrain": "the ground is flat in the model",
     "lat|lon|crs|epsg|origin": "positions are metres from a corner of the area; georeference: {latitude: ..., "
     "longitude: ...} says where that lies",
-    "battery|energy": "flight_time_budget_s limits a flight",
+    "battery": "energy: {endurance_s: 25 min} is a battery, swap_time_s the time for another one",
 }
 
 

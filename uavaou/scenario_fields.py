@@ -14,6 +14,7 @@ from uavaou.fields import (
     DEVICE_COLUMNS,
     Decibels,
     FolderName,
+    Fraction,
     Length,
     NonNegative,
     Number,
@@ -25,6 +26,7 @@ from uavaou.fields import (
     Unbounded,
     Whole,
 )
+from uavaou.operations import DEVIATIONS, Energy, Failures, LinksField, Objective, Silences, Wind
 from uavaou.radio import PAPER_CHANNEL, Environment, ExcessLoss, PathLossExponent
 from uavaou.zones import Georeference, Names, Polygon, Zones, free_legs
 
@@ -103,6 +105,21 @@ class ScenarioFields(Strict):
     antenna_gain_db: Decibels = 0.0  # of both ends together
     snr_min_db: Decibels | None = None  # in place of R_min
     sensitivity_dbm: Decibels | None = None  # in place of R_min
+    # Beyond the paper: missions as they really go (docs/operations.md).
+    uplinks_per_slot: PositiveWhole | None = None  # devices that a UAV serves in a slot at most
+    energy: Energy = None
+    swap_time_s: NonNegative | None = None  # at a station, for a full battery; 0 without
+    stations_m: tuple[Point, ...] | None = None  # beside the CDSs, where batteries are swapped
+    failures: Failures | None = None
+    failure_probability_per_slot: Fraction | None = None
+    devices_silent: Silences | None = None
+    links: LinksField = None  # between UAVs; None: what the policy's observation says
+    silence_slots: PositiveWhole | None = None  # without news from which on a UAV is taken as lost
+    wind: Wind | None = None
+    air_speed_max_m_s: Positive | None = None
+    age_limit_s: Positive | None = None
+    device_weights: tuple[NonNegative, ...] | None = None
+    objective: Objective | None = None  # of the reward; None: the paper's
 
     @property
     def columns(self) -> int:
@@ -156,6 +173,11 @@ class ScenarioFields(Strict):
             *((f"devices {field}", partial(self._misfits_of_list, field)) for field in (*_BY_DEVICE, "devices_m")),
             ("uavs uav_names", partial(self._misfits_of_list, "uav_names", "uavs")),
             (f"devices_m {area}", self._misfits_of_devices),
+            ("devices device_weights", partial(self._misfits_of_list, "device_weights")),
+            ("energy swap_time_s stations_m wind air_speed_max_m_s age_limit_s objective", self._misfits_of_needs),
+            ("uavs devices failures devices_silent", self._misfits_of_losses),
+            (f"stations_m altitudes_m outline_m no_fly {area}", self._misfits_of_swaps),
+            ("wind air_speed_max_m_s", self._misfits_of_wind),
         )
         for fields, misfits in checks:
             if sound.issuperset(fields.split()):
@@ -268,6 +290,43 @@ class ScenarioFields(Strict):
             f"{shown}{more}: outside the area of {_full(area[0])} m x {_full(area[1])} m; "
             f"{' and '.join(remedies)} would fit"
         )
+
+    def _misfits_of_needs(self) -> Iterator[str]:
+        needs = {"swap_time_s": "energy", "stations_m": "energy", "air_speed_max_m_s": "wind"}
+        for field, needed in needs.items():
+            if getattr(self, field) is not None and getattr(self, needed) is None:
+                yield f"{field}: means nothing without {needed}; give {needed}, or leave {field} out"
+        if self.objective == "above-limit" and self.age_limit_s is None:
+            yield "objective = 'above-limit': needs age_limit_s, such as 30 min"
+
+    def _misfits_of_losses(self) -> Iterator[str]:
+        listed = (
+            ("failures", "uav", self.uavs, [failure.uav for failure in self.failures or ()]),
+            ("devices_silent", "device", self.devices, [silence.device for silence in self.devices_silent or ()]),
+        )
+        for field, kind, number, indices in listed:
+            for k, index in enumerate(indices):
+                if index >= number:
+                    yield f"{field}[{k}] = {kind} {index}: there are {number}, from 0 to {number - 1}"
+
+    def _misfits_of_swaps(self) -> Iterator[str]:
+        step, area = self.grid_step_m, np.array([self.area_x_m, self.area_y_m])
+        places = np.reshape(self.stations_m or (), (-1, 2))  # (S, 2) m
+        snapped = np.rint(places / step) * step
+        apart = (np.abs(places - snapped) > _ROUNDING_STEPS * step) | (snapped < 0) | (snapped > area * (1 + 1e-9))
+        for k in np.flatnonzero(apart.any(axis=1)).tolist():
+            near = _full_list(np.minimum(np.maximum(snapped[k], 0), np.floor(area / step) * step))
+            yield f"stations_m[{k}] = {_full_list(places[k])}: not a point of the grid; {near} would fit"
+
+    def _misfits_of_wind(self) -> Iterator[str]:
+        if self.wind is not None and self.air_speed_max_m_s is not None:
+            mean, drawn = (self.wind.east_m_s, self.wind.north_m_s), DEVIATIONS * self.wind.deviation_m_s
+            strongest = math.hypot(*(abs(part) + drawn for part in mean))
+            if strongest > self.air_speed_max_m_s:
+                yield (
+                    f"air_speed_max_m_s = {_full(self.air_speed_max_m_s)}: UAVs cannot hold their place in the "
+                    f"strongest wind of {strongest:.4g} m/s; more, or less wind, would fit"
+                )
 
 
 def _refused(misfit: str) -> InputError:

@@ -25,6 +25,7 @@ _UNITS: dict[str, tuple[str, dict[str, float]]] = {
     "db": ("a ratio", {"dB": 1.0, "dBi": 1.0}),
     "slots": ("slots or a time", {"slots": 1.0, "slot": 1.0} | _TIMES),
 }
+_IN_SLOTS = ("slots", "slot", "from", "start", "until")
 
 
 class MisreadText(str):
@@ -60,7 +61,9 @@ def _converted(name: Any, value: Any, unit: str, slot_s: float | None, depth: in
 
 @cache
 def _unit_of(name: str) -> str:
-    return next((unit for unit in _UNITS if name == unit == "slots" or name.endswith(f"_{unit}")), "")
+    if name in _IN_SLOTS:
+        return "slots"
+    return next((unit for unit in _UNITS if name.endswith(f"_{unit}")), "")
 
 
 def _holds_text(values: Sequence[Any]) -> bool:

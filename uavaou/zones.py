@@ -18,7 +18,7 @@ _MOST_POINTS, _MOST_ZONES, _MOST_LETTERS = 2_000, 1_000, 100
 _ROUNDING_M = 1e-6  # by which a leg keeps away from a zone beyond the margin, and may lie outside of the outline
 
 
-class _Mapping(Strict):
+class StrictMapping(Strict):
     """A mapping inside of a scenario; a misspelt key gets a hint."""
 
     @model_validator(mode="before")
@@ -31,7 +31,7 @@ class _Mapping(Strict):
         return value
 
 
-class Georeference(_Mapping):
+class Georeference(StrictMapping):
     """Where x = y = 0 lies, and where +y points to; local metres are a transverse Mercator of WGS 84 around it."""
 
     latitude: Annotated[Number, Field(gt=-90, lt=90)]  # degrees north
@@ -80,7 +80,7 @@ def _side(start: Any, end: Any, point: Any) -> Any:
 Polygon = Annotated[tuple[Point, ...], Field(max_length=_MOST_POINTS), AfterValidator(_simple)]
 
 
-class Zone(_Mapping):
+class Zone(StrictMapping):
     """A polygon that UAVs between floor and ceiling may not fly over, nor nearer to it than the margin."""
 
     polygon_m: Polygon

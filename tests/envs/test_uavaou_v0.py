@@ -85,7 +85,7 @@ def test_snapshot_types() -> None:
     env.reset(seed=0)
     env.step({agent: env.action_space(agent).sample() for agent in env.agents})
     for name, value in env.unwrapped.snapshot().items():
-        assert isinstance(value, int) or value.dtype in (np.float64, np.int64), name
+        assert isinstance(value, int) or value.dtype in (np.float64, np.int64, np.bool_), name
 
 
 @pytest.mark.parametrize(

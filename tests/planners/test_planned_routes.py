@@ -76,7 +76,7 @@ def least_age(scenario: Scenario) -> int:
         for (cells, flown, pending, age), cost in states.items():
             ledger = AgeLedger(1, scenario.devices)
             ledger.pending[0], ledger.age_slots[0] = pending, age
-            ledger.advance(slot, layout.update_period[None], covered(cells))
+            ledger.advance(slot % layout.update_period[None] == 0, covered(cells))
             spent = cost + int(ledger.age_slots.sum())
             for moves in itertools.product(MOVES, repeat=scenario.uavs):
                 there = tuple((x + dx, y + dy) for (x, y), (dx, dy) in zip(cells, moves, strict=True))
@@ -179,7 +179,7 @@ def test_gap_ages_are_those_of_the_ledger(period: int) -> None:
             if slot > last:
                 assert found[last, slot] == total
             if slot <= slots:
-                ledger.advance(slot, np.array([[period]]), np.array([[slot <= last and slot == last]]))
+                ledger.advance(slot % np.array([[period]]) == 0, np.array([[slot <= last and slot == last]]))
                 total += int(ledger.age_slots[0, 0]) if slot > last else 0
 
 

@@ -50,7 +50,7 @@ def play(periods: Sequence[int], collections: np.ndarray) -> None:
     ledger = AgeLedger(1, len(periods))
     literal = [LiteralAges(k) for k in periods]
     for slot, collected in enumerate(collections, start=1):
-        communications = ledger.advance(slot, np.array([periods]), collected[None])
+        communications = ledger.advance(slot % np.array([periods]) == 0, collected[None])
         carried = [device.advance(slot, bool(c)) for device, c in zip(literal, collected, strict=True)]
         assert communications[0].tolist() == [c > 0 for c in carried]
         assert ledger.pending[0].tolist() == [device.pending for device in literal]

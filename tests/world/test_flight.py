@@ -123,7 +123,7 @@ def test_a_budget_of_exactly_n_moves_affords_n_moves(moves: int, step_m: float) 
 
 def test_flight_time_is_distance_and_twice_the_altitude_over_speed() -> None:
     flight = Flight(Scenario.load("tiny"))
-    assert flight.flight_time(np.array([[0, 3]])).tolist() == [[160 / 15, (180 + 300) / 15]]
+    assert flight.flight_time(np.array([[0, 3]]), np.array(1)).tolist() == [[160 / 15, (180 + 300) / 15]]
 
 
 def test_ignored_flight_time_never_binds_but_the_way_home_does() -> None:

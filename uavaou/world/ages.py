@@ -4,6 +4,8 @@ All pending updates of a device age together and are delivered together. So two 
 of pending updates, and the sum of their ages in slots. Integers keep the ledger exact.
 """
 
+from typing import Any
+
 import numpy as np
 
 from uavaou.arrays import Bools, Ints
@@ -20,20 +22,34 @@ class AgeLedger:
         self.pending = np.ones((missions, devices), dtype=np.int64)  # (N, I)
         self.age_slots = np.zeros((missions, devices), dtype=np.int64)  # (N, I)
 
-    def advance(self, slot: int, update_period: Ints, collected: Bools) -> Bools:
+    def advance(self, generated: Bools, collected: Bools) -> Bools:
         """Advance by one slot: generate, age, deliver.
 
         Args:
-            slot: t, counted from 1.
-            update_period: k_i in slots, (N, I) or (1, I).
+            generated: whether the device generates an update in this slot, (N, I) or (1, I).
             collected: whether some UAV collects the device in this slot, (N, I).
 
         Returns:
             Whether a transfer carried at least one update, i.e. was a *communication*, (N, I).
         """
         communications = np.empty(collected.shape, dtype=np.bool_)  # (N, I)
-        _advance(slot % update_period == 0, collected, self.pending, self.age_slots, communications)
+        _advance(generated, collected, self.pending, self.age_slots, communications)
         return communications
+
+
+def age_by_estimate(slot: Any, last: Any, period: Any) -> Any:
+    """Return the age sum in slots at the end of ``slot`` of a device that was last collected in slot ``last``.
+
+    Update n is generated in slot n k, at whose end it has an age of one slot (eq. 1); update 0 begins with none.
+
+    Args:
+        slot: t.
+        last: slot of the last collection, 0 for never; a number, or an array.
+        period: k, slots; of the same kind.
+    """
+    newest, delivered = slot // period, last // period
+    generated = newest * (newest + 1) - delivered * (delivered + 1)
+    return (newest - delivered) * (slot + 1) - period * generated // 2 + slot * (last == 0)
 
 
 @compiled

@@ -15,6 +15,7 @@ class Association:
     collected_by: Ints  # (N, I), the u with alpha_iu = 1; -1 for none
     rejected_rate: Ints  # (N,), selections below R_min
     rejected_association: Ints  # (N,), selections that lost to a better rate
+    rejected_capacity: Ints  # (N,), selections beyond uplinks_per_slot
 
 
 def associate(in_range: Bools, snr: Floats, selected: Bools | None) -> Association:
@@ -32,7 +33,40 @@ def associate(in_range: Bools, snr: Floats, selected: Bools | None) -> Associati
     rejected_rate, rejected_association = np.zeros((2, missions), dtype=np.int64)  # (N,) each
     candidates = in_range if selected is None else selected
     _associate(in_range, snr, candidates, collected_by, rejected_rate, rejected_association)
-    return Association(collected_by, rejected_rate, rejected_association)
+    return Association(collected_by, rejected_rate, rejected_association, np.zeros(missions, dtype=np.int64))
+
+
+def within_capacity(offered: Bools, limit: int, first: Floats, second: Floats) -> Bools:
+    """Return which devices each UAV keeps of those offered, (N, U, I): the ``limit`` that come first.
+
+    Args:
+        offered: selected and in range, (N, U, I).
+        limit: devices that a UAV serves in a slot.
+        first: what decides, the larger comes first, (N, U, I).
+        second: what decides between equal ones; between equals in both, the lowest i comes first.
+    """
+    kept = np.zeros_like(offered)
+    _keep(offered, limit, first, second, kept)
+    return kept
+
+
+@compiled
+def _keep(offered: Bools, limit: int, first: Floats, second: Floats, kept: Bools) -> None:
+    missions, uavs, devices = offered.shape
+    for n in range(missions):
+        for u in range(uavs):
+            for _ in range(limit):
+                best = -1
+                for i in range(devices):
+                    if not offered[n, u, i] or kept[n, u, i]:
+                        continue
+                    ahead = best < 0 or first[n, u, i] > first[n, u, best]
+                    tie = best >= 0 and first[n, u, i] == first[n, u, best]
+                    if ahead or (tie and second[n, u, i] > second[n, u, best]):
+                        best = i
+                if best < 0:
+                    break
+                kept[n, u, best] = True
 
 
 @compiled

@@ -51,6 +51,28 @@ def uniform(bits: np.uint64) -> float:
 
 
 @compiled
+def uniforms(keys: Keys, start: int, count: int) -> Floats:
+    """Return the uniform numbers of words ``start`` to ``start + count - 1`` of each stream, (N, count)."""
+    drawn = np.empty((len(keys), count))
+    for n in range(len(keys)):
+        for k in range(count):
+            drawn[n, k] = uniform(random_bits(keys[n], start + k))
+    return drawn
+
+
+@compiled
+def keys_of_item(keys: Keys, item: int) -> Keys:
+    """Return the keys of a stream apart from the fading, from those of the missions, (N,).
+
+    Each is word 2^62 + ``item`` of the mission's stream, whose fading never comes so far.
+    """
+    own = np.empty(len(keys), dtype=np.uint64)
+    for n in range(len(keys)):
+        own[n] = random_bits(keys[n], (1 << 62) + item)
+    return own
+
+
+@compiled
 def rician_power_gain(first: float, second: float, line_of_sight: float, scattered: float) -> float:
     """Return |small-scale part of h|^2, of mean 1, from two independent uniform numbers.
 

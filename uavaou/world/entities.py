@@ -213,7 +213,7 @@ class EntityViews(RowViews):
 
     def _spare(self, world: World) -> Floats:
         """Grid steps that each UAV can fly beside its way home, (N, U), scaled."""
-        spare: Floats = np.minimum(world.flight.spare(world.cells, world.flown, world.slot), 2 * _FAR) / _FAR
+        spare: Floats = np.minimum(world.operations.spare(world.cells, world.flown, world.slot), 2 * _FAR) / _FAR
         return spare
 
     def _place(self, world: World) -> None:

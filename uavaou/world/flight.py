@@ -19,6 +19,7 @@ from uavaou.errors import InputError
 from uavaou.scenario import Scenario
 from uavaou.scenario_fields import ZETA_TOLERANCE_S
 from uavaou.world.compiled import compiled
+from uavaou.world.wind import flyable, largest_air_speeds
 from uavaou.zones import Zone, free_legs
 
 STAY, UP, DOWN, RIGHT, LEFT = range(5)
@@ -52,7 +53,7 @@ class Flight:
         """Moves from each cell to the CDS, (U, C); ``UNLIMITED`` where no way leads to it."""
         if self._legs is None:
             return np.asarray(np.abs(grid_cells(self._scenario) - self.cds[:, None]).sum(axis=-1))
-        return np.stack([steps_from(*pair) for pair in zip(self._legs, self.homes, strict=True)])
+        return np.stack([steps_from(*pair) for pair in zip(backwards(self._scenario), self.homes, strict=True)])
 
     def spare(self, cells: Ints, flown: Ints, slot: int) -> Ints:
         """Return the moves that each UAV can make beside its way home, (N, U); arguments as of :meth:`allowed`."""
@@ -67,9 +68,12 @@ class Flight:
             return first_step(self.cds[:, None] - grid_cells(self._scenario))
         return np.stack([first_moves(home[legs]) for legs, home in zip(self._legs, self.home, strict=True)])
 
-    def flight_time(self, flown: Ints) -> Floats:
-        """Return zeta_u in s after ``flown`` grid steps (..., U), with take-off and landing (eq. flighttime)."""
-        return (self._vertical + flown * self._scenario.grid_step_m) / self._scenario.speed_m_s
+    def flight_time(self, flown: Ints, sorties: Ints) -> Floats:
+        """Return zeta_u in s after ``flown`` grid steps (..., U), with take-off and landing (eq. flighttime).
+
+        Each of several ``sorties`` has a take-off and a landing.
+        """
+        return (sorties * self._vertical + flown * self._scenario.grid_step_m) / self._scenario.speed_m_s
 
     def allowed(self, cells: Ints, flown: Ints, slot: int) -> tuple[Bools, Bools]:
         """Return which moves are allowed, and which stay on the grid.
@@ -90,10 +94,16 @@ class Flight:
             _allowed_on_legs(cells, flown, slots - slot, last, self._free, self._home, self.budget, allowed, on_grid)
         return allowed, on_grid
 
-    def resolve(self, moves: Ints, cells: Ints, allowed: Bools, on_grid: Bools) -> Ints:
-        """Return the moves made, (N, U), for the requested ones: off the grid gives a stay, not allowed a step home."""
-        if self._legs is None:
-            made = first_step(self.cds - cells)  # (N, U) towards the CDS
+    def resolve(self, moves: Ints, cells: Ints, allowed: Bools, on_grid: Bools, safe: Ints | None = None) -> Ints:
+        """Return the moves made, (N, U), for the requested ones: off the grid gives a stay, not allowed a step home.
+
+        ``safe`` takes the place of the step home.
+        """
+        if safe is not None:
+            made = safe.copy()
+        elif self._legs is None:
+            made = np.empty(moves.shape, dtype=np.int64)  # (N, U)
+            _step_home(cells, self.cds, made)
         else:
             made = self.step_home[np.arange(len(self.cds)), cells @ self._numbering]  # (N, U)
         _keep_allowed(moves, allowed, on_grid, made)
@@ -117,14 +127,16 @@ def neighbours(scenario: Scenario) -> tuple[Ints, Bools]:
 def free_moves(scenario: Scenario) -> Bools | None:
     """Return which moves lead along a free leg, and to stay which cells are free, (U, C, 5); None if nothing is closed.
 
-    A leg is free if all of it lies in the outline and outside of the zones that apply to the UAV.
+    A leg is free if all of it lies in the outline and outside of the zones that apply to the UAV, and if it can be
+    flown in the largest wind.
     """
-    if scenario.outline_m is None and scenario.no_fly is None:
+    steady = flyable(scenario, largest_air_speeds(scenario))  # (5,)
+    if scenario.outline_m is None and scenario.no_fly is None and steady.all():
         return None
     zones = tuple(scenario.no_fly or ())
     closed = [tuple(zone for zone in zones if zone.applies(altitude)) for altitude in scenario.altitudes_m]
     grid = scenario.columns, scenario.rows, scenario.grid_step_m
-    return np.stack([_free_moves(scenario.outline_m, each, grid) for each in closed])
+    return np.stack([_free_moves(scenario.outline_m, each, grid) & steady for each in closed])
 
 
 @lru_cache(maxsize=64)
@@ -145,6 +157,17 @@ def moves_along_legs(scenario: Scenario) -> Ints | None:
     """Return the cell that each move leads to, (U, C, 5), or the cell itself along no free leg; None as above."""
     free = free_moves(scenario)
     return None if free is None else np.where(free, neighbours(scenario)[0], np.arange(free.shape[1])[:, None])
+
+
+def backwards(scenario: Scenario) -> Ints:
+    """Return the cell that each move comes from, (T, C, 5), or the cell itself if that is closed; T as of targets."""
+    target = targets(scenario)  # (T, C, 5)
+    came = np.broadcast_to(np.arange(target.shape[1])[:, None], target.shape).copy()
+    for table, moves in zip(came, target, strict=True):
+        for move in (UP, DOWN, RIGHT, LEFT):
+            start = np.flatnonzero(moves[:, move] != np.arange(len(moves)))
+            table[moves[start, move], move] = start
+    return came
 
 
 def open_moves(scenario: Scenario) -> Bools:
@@ -288,6 +311,17 @@ def _spare(
             x, y = cells[n, u]
             home = way[u, x * (last_cell[1] + 1) + y] if len(way) > 0 else abs(x - cds[u, 0]) + abs(y - cds[u, 1])
             spare[n, u] = max(min(left, budget[u] - flown[n, u]) - home, 0)
+
+
+@compiled
+def _step_home(cells: Ints, cds: Ints, made: Ints) -> None:
+    """Write the moves of :func:`first_step` towards the CDSs, (N, U)."""
+    missions, uavs = made.shape
+    for n in range(missions):
+        for u in range(uavs):
+            x, y = cds[u, 0] - cells[n, u, 0], cds[u, 1] - cells[n, u, 1]
+            along_y = UP if y > 0 else DOWN if y < 0 else STAY
+            made[n, u] = RIGHT if x > 0 else LEFT if x < 0 else along_y
 
 
 @compiled

@@ -17,9 +17,10 @@ import numpy as np
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError
 from uavaou.scenario import Scenario
+from uavaou.world.ages import age_by_estimate
 from uavaou.world.compiled import compiled
 from uavaou.world.coverage import rician_exceedance
-from uavaou.world.flight import UNLIMITED, closed_cells, grid_cells, moves_along_legs, steps_from
+from uavaou.world.flight import UNLIMITED, backwards, closed_cells, grid_cells, moves_along_legs, steps_from
 from uavaou.world.path_loss import weakened
 from uavaou.world.views import Rows
 from uavaou.world.world import World
@@ -167,8 +168,8 @@ def steps_where(scenario: Scenario, needed: Floats, share: float | Floats) -> Fl
     # The gain that is exceeded so much more seldom; the nearest cell is always good enough, whatever the rounding.
     enough = np.maximum(gain_exceeded(scenario, share * best), nearest)
     good = (needed <= enough[:, None]) & (best > 0.0)[:, None]
-    if (target := moves_along_legs(scenario)) is not None:
-        return steps_along(target, good)
+    if moves_along_legs(scenario) is not None:
+        return steps_along(backwards(scenario), good)
     grid = (len(needed), scenario.columns, scenario.rows, needed.shape[2])
     return steps_to(good.reshape(grid)).reshape(good.shape)
 
@@ -196,29 +197,16 @@ def steps_to(good: Bools) -> Floats:
     return steps
 
 
-def steps_along(target: Ints, good: Bools) -> Floats:
-    """Return the steps of :func:`steps_to` by the moves of each UAV (U, C, 5) alone, (U, C, I)."""
+def steps_along(came: Ints, good: Bools) -> Floats:
+    """Return the steps of :func:`steps_to` where each move comes from one cell alone, (U, C, 5); (U, C, I)."""
     steps = np.full(good.shape, np.inf)
     for u, i in np.argwhere(good.any(axis=1)):
-        moves = steps_from(target[u], np.flatnonzero(good[u, :, i]))
+        moves = steps_from(came[u], np.flatnonzero(good[u, :, i]))
         steps[u, :, i] = np.where(moves < UNLIMITED, moves, np.inf)
     return steps
 
 
-@compiled
-def estimated_age(slot: Any, last: Any, period: Any) -> Any:
-    """Return the age sum in slots at the end of ``slot`` of a device that was last collected in slot ``last``.
-
-    Update n is generated in slot n k, at whose end it has an age of one slot (eq. 1); update 0 begins with none.
-
-    Args:
-        slot: t.
-        last: slot of the last collection, 0 for never; a number, or an array.
-        period: k, slots; of the same kind.
-    """
-    newest, delivered = slot // period, last // period
-    generated = newest * (newest + 1) - delivered * (delivered + 1)
-    return (newest - delivered) * (slot + 1) - period * generated // 2 + slot * (last == 0)
+estimated_age = compiled(age_by_estimate)  # here, where compiled functions call it
 
 
 @compiled

@@ -243,7 +243,7 @@ class Views(RowViews):
         at["allowed_moves"][...] = world.allowed_moves
         at["slots_left"][...] = self._slots_left(world)
         slots = self.scenario.slots
-        at["budget_left"][..., 0] = np.minimum(world.flight.budget - world.flown, slots) / slots
+        at["budget_left"][..., 0] = np.minimum(world.operations.budget_left(world.flown), slots) / slots
         _write_devices(
             world.device_positions, world.positions, self._span, world.update_period, self._longest_period,
             world.in_range, world.slot, world.last_collection_by, self._waiting, at["to_device_x"], at["to_device_y"],

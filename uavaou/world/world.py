@@ -4,7 +4,7 @@ There is no other implementation of the physics: the PettingZoo environment is a
 evaluation step Worlds.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,8 @@ from uavaou.world.association import Association, associate
 from uavaou.world.channel import Channel, rate
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STAY, STEP_OF_MOVE, Flight
+from uavaou.world.measures import Measures
+from uavaou.world.operations import Operations
 
 _STATE = (
     "cells", "flown", "last_collection", "last_collection_by", "last_in_range",
@@ -51,6 +53,9 @@ class Stepped:
     slot: int
     positions: Floats  # (N, U, 2) m, in that slot
     flown: Ints  # (N, U) grid steps up to that slot
+    failed: Bools  # (N, U)
+    sorties: Ints  # (N, U) that have begun
+    battery: Floats | None  # (N, U) from 0 to 1, at the beginning of the slot; None without batteries
     snr: Floats  # (N, U, I) Gamma_iu if R_iu >= R_min, else 0
     association: Association
 
@@ -101,10 +106,11 @@ class World:
     positions: Floats  # (N, U, 2) m
     flown: Ints  # (N, U) grid steps so far
     in_range: Bools  # (N, U, I) R_iu >= R_min in that slot
+    collecting: Bools  # (N, U, I) what each UAV collects of that without a selection: all, or as many as it can serve
     allowed_moves: Bools  # (N, U, 5)
     last_collection: Ints  # (N, I) slot, 0 for never
     last_collection_by: Ints  # (N, U, I) slot, 0 for never
-    last_in_range: Ints  # (N, U, I) slot before this one in which R_iu >= R_min, 0 for never
+    last_in_range: Ints  # (N, U, I) slot before this one in which R_iu >= R_min and the UAV could serve it, 0 for never
     device_positions: Floats  # (L, I, 2) m; L is N, or 1 if all missions share a layout
     update_period: Ints  # (L, I) slots, k_i
     stepped: Stepped | None  # the slot just played
@@ -118,6 +124,8 @@ class World:
         self.flight = Flight(scenario)
         self.channel = Channel(scenario, missions)
         self._fixed_layout = scenario.layout == "fixed"
+        self.operations = Operations(scenario, missions, self.flight, self.channel)
+        self._limited = scenario.uplinks_per_slot is not None
         self.reset(seed)
 
     def reset(self, seed: int | None = None) -> None:
@@ -135,9 +143,15 @@ class World:
         self.last_collection_by, self.last_in_range = np.zeros((2, missions, uavs, devices), dtype=np.int64)
         # (N, I) slots, over the slots played; (N, I)
         self._age_total, self._communications = np.zeros((2, missions, devices), dtype=np.int64)
-        self._rejected_rate, self._rejected_association = np.zeros((2, missions), dtype=np.int64)  # (N,) each
+        # (N,) each
+        self._rejected_rate, self._rejected_association, self._rejected_capacity = np.zeros(
+            (3, missions), dtype=np.int64
+        )
         self.stepped = None
         self.channel.start_missions(self._rngs)
+        self.operations.start()
+        if (silent := self.operations.silent(0)) is not None:
+            self.ages.pending[:, silent] = 0
         self._open_slot()
 
     def step(self, moves: Ints, selections: Bools | None = None) -> Floats:
@@ -159,18 +173,28 @@ class World:
         moves = np.asarray(moves)
         selections = None if selections is None else np.asarray(selections)
         self._check_actions(moves, selections)
-        association = associate(self.in_range, self._snr_in_range, selections)
+        association, kept = self._associate(selections)
         collected = association.collected_by >= 0  # (N, I)
-        self._communications += self.ages.advance(self.slot, self.update_period, collected)
+        generated = self.slot % self.update_period == 0  # (L, I)
+        if not self.operations.off and (silent := self.operations.silent(self.slot)) is not None:
+            generated = generated & ~silent
+        self._communications += self.ages.advance(generated, collected)
         self._age_total += self.ages.age_slots
         self._rejected_rate += association.rejected_rate
         self._rejected_association += association.rejected_association
+        if self._limited:
+            self._rejected_capacity += association.rejected_capacity
         last = self.last_collection, self.last_collection_by, self.last_in_range
-        _record_collections(association.collected_by, self.in_range, self.slot, *last)
-        self.stepped = Stepped(self.slot, self.positions, self.flown, self._snr_in_range, association)
+        _record_collections(association.collected_by, kept, self.slot, *last)
+        fleet = self.positions, self.flown, self.failed, self.operations.sorties, self.operations.battery
+        self.stepped = Stepped(self.slot, *fleet, self._snr_in_range, association)
         reward: Floats = -self.scenario.slot_length_s * self.ages.age_slots.sum(axis=1)
+        if not self.operations.off:
+            known = kept if selections is None else self.last_collection_by == self.slot
+            reward = self.operations.close(self.slot, generated, collected, known, self.ages.age_slots, reward)
         if self.slot < self.scenario.slots:  # the move of slot K has no effect
-            made = self.flight.resolve(moves, self.cells, self.allowed_moves, self._on_grid)  # (N, U)
+            fly = self.flight.resolve if self.operations.off else self.operations.fly
+            made = fly(moves, self.cells, self.allowed_moves, self._on_grid)  # (N, U)
             self.cells = self.cells + STEP_OF_MOVE[made]
             self.flown = self.flown + (made != STAY)
         self.slot += 1
@@ -178,11 +202,22 @@ class World:
             self._open_slot()
         return reward
 
+    def _associate(self, selections: Bools | None) -> tuple[Association, Bools]:
+        """Who collects what; and the devices in range that each UAV could serve, (N, U, I)."""
+        if not self._limited:
+            return associate(self.in_range, self._snr_in_range, selections), self.in_range
+        offered = self.in_range if selections is None else self.in_range & selections
+        kept = self.collecting if selections is None else self.operations.kept(offered, self._snr_in_range)
+        association = associate(self.in_range, self._snr_in_range, kept)
+        refused = ((offered if selections is None else selections) & ~offered).sum(axis=(1, 2))  # (N,)
+        beyond = (offered & ~kept).sum(axis=(1, 2))  # (N,)
+        return replace(association, rejected_rate=refused, rejected_capacity=beyond), kept
+
     def _check_actions(self, moves: Ints, selections: Bools | None) -> None:
         pairs = (self.missions, self.scenario.uavs)
         if moves.shape != pairs or moves.dtype.kind not in "iu":
             raise ValueError(f"moves: expected integers of shape {pairs}, got {moves.dtype} of shape {moves.shape}")
-        if moves.min() < 0 or moves.max() >= len(STEP_OF_MOVE):
+        if moves.astype(np.int64, copy=False).view(np.uint64).max() >= len(STEP_OF_MOVE):  # less than 0 is large there
             raise ValueError(f"moves: {moves.min()} to {moves.max()} given, 0 to {len(STEP_OF_MOVE) - 1} allowed")
         if selections is not None and (selections.dtype != bool or selections.shape != (*pairs, self.scenario.devices)):
             raise ValueError(
@@ -210,6 +245,16 @@ class World:
         """sum_n A_i^n in s, (N, I)."""
         return np.multiply(self.ages.age_slots, self.scenario.slot_length_s, dtype=np.float64)
 
+    @property
+    def failed(self) -> Bools:
+        """Which UAVs are failed in the slot to be played, (N, U)."""
+        return self.operations.failed
+
+    def measures(self) -> Measures | None:
+        """Return the measures beside AoU of the slots played; None where the scenario asks for none."""
+        information = self.operations.information
+        return None if information is None else information.measures(max(self.slot - 1, 1))
+
     def metrics(self) -> MissionMetrics:
         """Return the metrics of the missions so far; once ``done``, of whole missions."""
         played = max(self.slot - 1, 1)
@@ -220,7 +265,7 @@ class World:
             mean_aou_s=tau * total / played,
             communications=self._communications.sum(axis=1),
             devices_served=np.count_nonzero(self._communications, axis=1),
-            flight_time_s=self.flight.flight_time(self.flown),
+            flight_time_s=self.flight.flight_time(self.flown, self.operations.sorties),
             rejected_rate=self._rejected_rate.copy(),
             rejected_association=self._rejected_association.copy(),
             device_communications=self._communications.copy(),
@@ -236,14 +281,20 @@ class World:
             ``collected_by`` (I,), -1 for none; ``rate`` (U, I) bit/s; ``flight_time`` (U,) s, zeta_u up to
             those positions; ``rejected_rate``, ``rejected_association`` int; ``bandwidth`` (I,) Hz;
             ``transmit_power`` (I,) W. Arrays are float64 or int64, and copies.
+
+            Also what missions hold beside the paper's: ``failed`` (U,) bool; ``battery`` (U,) from 0 to 1 at the
+            beginning of that slot; ``heard`` (U, U) the slot that each UAV's news of each other one is of, 0 for never;
+            ``rejected_capacity`` int.
         """
         layout, last = self.layout(mission), self.stepped
         if last is None:
             snr, none = self.snr, np.zeros(self.missions, dtype=np.int64)
-            association = Association(np.full_like(self.pending, -1), none, none)
-            last = Stepped(0, self.positions, self.flown, snr, association)
+            association = Association(np.full_like(self.pending, -1), none, none, none)
+            fleet = self.positions, self.flown, self.failed, self.operations.sorties, self.operations.battery
+            last = Stepped(0, *fleet, snr, association)
         else:
             snr, association = self.channel.snr(last.positions, last.slot), last.association
+        knowledge, uavs = self.operations.knowledge, self.scenario.uavs
         return {
             "slot": last.slot,
             "positions": last.positions[mission].copy(),
@@ -254,11 +305,15 @@ class World:
             "update_period": layout.update_period,
             "collected_by": association.collected_by[mission].copy(),
             "rate": rate(layout.bandwidth, snr[mission]),
-            "flight_time": self.flight.flight_time(last.flown[mission]),
+            "flight_time": self.flight.flight_time(last.flown[mission], last.sorties[mission]),
             "rejected_rate": int(association.rejected_rate[mission]),
             "rejected_association": int(association.rejected_association[mission]),
             "bandwidth": layout.bandwidth,
             "transmit_power": layout.transmit_power,
+            "failed": last.failed[mission].copy(),
+            "battery": np.ones(uavs) if last.battery is None else last.battery[mission].copy(),
+            "heard": np.zeros((uavs, uavs), dtype=np.int64) if knowledge is None else knowledge.heard[mission].copy(),
+            "rejected_capacity": int(association.rejected_capacity[mission]),
         }
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
@@ -270,6 +325,9 @@ class World:
         arrays["slot"] = np.full(self.missions, self.slot)
         arrays["pending"], arrays["age_slots"] = self.ages.pending.copy(), self.ages.age_slots.copy()
         arrays["fading_keys"] = self.channel.keys.copy()  # (N,)
+        if self.scenario.uplinks_per_slot is not None:
+            arrays["rejected_capacity"] = self._rejected_capacity.copy()
+        arrays |= self.operations.state()
         arrays["streams"] = np.stack([_pack_stream(rng) for rng in self._rngs])  # (N, 6)
         if not self._fixed_layout:
             arrays["device_positions"], arrays["update_period"] = self.device_positions, self.update_period
@@ -288,6 +346,8 @@ class World:
             self.device_positions, self.update_period = arrays["device_positions"], arrays["update_period"]
             self.channel.set_devices(self.device_positions, arrays["bandwidth"], arrays["transmit_power"])
         self.channel.keys = arrays["fading_keys"].copy()
+        self._rejected_capacity = arrays.get("rejected_capacity", np.zeros_like(self._rejected_rate)).copy()
+        self.operations.load(arrays, self.slot)
         self.stepped = None
         self._open_slot()
 
@@ -308,8 +368,15 @@ class World:
         """Compute the channel and the allowed moves of the slot."""
         self.positions = np.multiply(self.cells, self.scenario.grid_step_m, dtype=np.float64)
         self._snr_in_range = self.channel.snr(self.positions, self.slot, all_pairs=False)  # (N, U, I)
-        self.in_range = self._snr_in_range > 0
-        self.allowed_moves, self._on_grid = self.flight.allowed(self.cells, self.flown, self.slot)  # (N, U, 5)
+        slot, snr = self.slot, self._snr_in_range
+        here = self.cells, self.flown, slot
+        allowed = self.flight.allowed(*here) if self.operations.off else self.operations.open(*here, snr)
+        self.allowed_moves, self._on_grid = allowed  # (N, U, 5) each
+        self.in_range = snr > 0
+        self.collecting = self.in_range
+        if self._limited:
+            known = self.in_range, snr, self.last_in_range, self.update_period
+            self.collecting = self.operations.collecting(slot, *known)
 
 
 @compiled

@@ -1,0 +1,151 @@
+"""What a mission may hold beside the paper's: limits of a radio, batteries, losses, links, wind and what matters.
+
+Fields of a scenario that are off by default. docs/operations.md says what each one does in a mission.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from uavaou.errors import nearest
+from uavaou.fields import Fraction, NonNegative, Number, Positive, PositiveWhole, Whole
+from uavaou.zones import StrictMapping
+
+FULL = 10**9  # of a battery; charges are whole numbers, so that what is left is exact
+DEVIATIONS = 3.0  # from its mean, to which drawn wind is cut
+_MOST_LISTED = 100_000
+_HOVER_W = 168.49  # Zeng, Xu and Zhang 2019: blade profile and induced power of a hovering rotary-wing UAV
+_BLADE_SHARE = 79.86 / _HOVER_W  # of it; the rest is induced
+
+
+class Endurance(StrictMapping):
+    """A battery that lasts so long in the air, whatever a UAV does there."""
+
+    model: Literal["endurance"] = "endurance"
+    endurance_s: Positive
+    reserve: Annotated[Fraction, Field(lt=1)] = 0.1  # of a full battery, that stays in it
+
+    def slot_energy(self, air_speed_m_s: float, slot_length_s: float) -> int:
+        """The charge that a slot in the air costs, of ``FULL``."""
+        return math.ceil(FULL * slot_length_s / self.endurance_s)
+
+
+class RotaryWing(StrictMapping):
+    """The power of a rotary-wing UAV at an air speed (Zeng, Xu and Zhang, "Energy Minimization for Wireless
+    Communication With Rotary-Wing UAV", 2019, eq. 12); the defaults are theirs.
+    """
+
+    model: Literal["rotary-wing"]
+    battery_wh: Positive
+    hover_w: Positive = _HOVER_W
+    tip_speed_m_s: Positive = 120.0
+    induced_velocity_m_s: Positive = 4.03
+    parasite_w_per_m3_s3: NonNegative = 0.00924  # d0 rho s A / 2
+    reserve: Annotated[Fraction, Field(lt=1)] = 0.1
+
+    def power_w(self, air_speed_m_s: float) -> float:
+        """The power in flight at an air speed."""
+        square = air_speed_m_s**2
+        half = square / (2 * self.induced_velocity_m_s**2)
+        blades = _BLADE_SHARE * (1 + 3 * square / self.tip_speed_m_s**2)
+        induced = (1 - _BLADE_SHARE) * math.sqrt(math.sqrt(1 + half**2) - half)
+        return self.hover_w * (blades + induced) + self.parasite_w_per_m3_s3 * air_speed_m_s**3
+
+    def slot_energy(self, air_speed_m_s: float, slot_length_s: float) -> int:
+        """The charge that a slot in the air costs, of ``FULL``."""
+        return math.ceil(FULL * self.power_w(air_speed_m_s) * slot_length_s / (3600 * self.battery_wh))
+
+
+def _model_named(value: Any) -> Any:
+    named = isinstance(value, dict) and "model" not in value and "endurance_s" in value
+    return {"model": "endurance"} | value if named else value
+
+
+Energy = Annotated[
+    Annotated[Endurance | RotaryWing, Field(discriminator="model")] | None, BeforeValidator(_model_named)
+]
+
+
+class Failure(StrictMapping):
+    """A UAV that fails in a slot, until it is repaired before another one, or for ever."""
+
+    uav: Annotated[Whole, Field(ge=0)]
+    slot: PositiveWhole
+    until: PositiveWhole | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        _check_order("slot", self.slot, self.until)
+        return self
+
+
+class Silence(StrictMapping):
+    """A device that is silent from a slot on, until another one or for ever; from slot 0 on, it appears later."""
+
+    device: Annotated[Whole, Field(ge=0)]
+    start: Annotated[Whole, Field(ge=0)]
+    until: PositiveWhole | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_in_files(cls, value: Any) -> Any:
+        named = isinstance(value, dict) and "from" in value and "start" not in value
+        return {"start" if name == "from" else name: part for name, part in value.items()} if named else value
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        _check_order("from", self.start, self.until)
+        return self
+
+
+def _check_order(name: str, first: int, until: int | None) -> None:
+    if until is not None and until <= first:
+        raise ValueError(f"until ({until}) must be after {name} ({first})")
+
+
+Failures = Annotated[tuple[Failure, ...], Field(max_length=_MOST_LISTED)]
+Silences = Annotated[tuple[Silence, ...], Field(max_length=_MOST_LISTED)]
+
+
+class Links(StrictMapping):
+    """Which messages pass between UAVs: with a probability, within a range, or in bursts; all that is given holds."""
+
+    probability: Fraction = 1.0
+    range_m: Positive | None = None
+    good_slots: Annotated[Number, Field(ge=1)] | None = None  # mean length of a time in which messages pass
+    bad_slots: Annotated[Number, Field(ge=1)] | None = None  # and of one in which none does
+
+    @model_validator(mode="after")
+    def _whole_bursts(self) -> Self:
+        if (self.good_slots is None) != (self.bad_slots is None):
+            raise ValueError("good_slots and bad_slots: give both or none")
+        return self
+
+
+def _links(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    known = {"perfect": {}, "none": {"probability": 0.0}}
+    if value not in known:
+        raise ValueError(
+            f"must be perfect, none, {{probability}}, {{range_m}} or {{good_slots, bad_slots}}{nearest(value, known)}"
+        )
+    return known[value]
+
+
+LinksField = Annotated[Links | None, BeforeValidator(_links)]
+
+
+class Wind(StrictMapping):
+    """Wind that blows towards +x and +y of the earth, constant, or around a mean with a memory from slot to slot."""
+
+    east_m_s: Annotated[Number, Field(ge=-100, le=100)] = 0.0
+    north_m_s: Annotated[Number, Field(ge=-100, le=100)] = 0.0
+    deviation_m_s: Annotated[NonNegative, Field(le=30)] = 0.0  # of each component
+    correlation: Annotated[NonNegative, Field(lt=1)] = 0.9  # from slot to slot
+
+
+Objective = Literal["aou", "aoi", "peak", "above-limit"]

@@ -1,0 +1,218 @@
+"""Batteries that run down in the air and are swapped at stations, and the moves that they allow.
+
+A move, or to stay in the air, is allowed if what is left after it covers the way to a station, with the reserve, and if
+the CDS can still be reached by slot K: at once, or over stations. So no battery runs dry, and every UAV comes home. A
+UAV that stays at a station with a battery that is not full is down for the time of a swap, and then has a full one.
+
+Charges are whole numbers, and a full battery has ``FULL``. The way to a station is reckoned with the costliest leg in
+the largest wind.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from uavaou.arrays import Bools, Floats, Ints
+from uavaou.errors import InputError
+from uavaou.operations import FULL
+from uavaou.scenario import Scenario
+from uavaou.world.compiled import compiled
+from uavaou.world.flight import STEP_OF_MOVE, UNLIMITED, Flight, backwards, open_moves, steps_from, targets
+from uavaou.world.wind import air_speeds, energies, flyable, largest_air_speeds, mean_wind
+
+_MOST_WAYS = 50_000_000  # entries of the table of ways to stations
+
+
+class Batteries:
+    """The batteries of N fleets.
+
+    Raises:
+        InputError: a battery does not last for a slot, or the table of ways to the stations would be too large.
+    """
+
+    def __init__(self, scenario: Scenario, missions: int, flight: Flight) -> None:
+        assert scenario.energy is not None
+        self._shape, self._flight = (missions, scenario.uavs), flight
+        self._slots, self._rows, self._swap = scenario.slots, scenario.rows, scenario.swap_slots
+        worst = energies(scenario, largest_air_speeds(scenario))  # (5,)
+        steady = flyable(scenario, largest_air_speeds(scenario))  # (5,)
+        self._leg = int(worst[steady].max())
+        self._reserve = round(FULL * scenario.energy.reserve)
+        if self._leg + self._reserve > FULL:
+            raise InputError(f"scenario '{scenario.name}': energy: a battery does not last for a slot of the mission")
+        self._scenario = scenario
+        self.calm: Ints = energies(scenario, air_speeds(scenario, mean_wind(scenario)))[None]  # (1, 5) in constant wind
+        cells: Ints = np.asarray(scenario.station_cells @ np.array([scenario.rows, 1]))  # (S,)
+        target = targets(scenario)  # (T, C, 5)
+        if target.shape[0] * target.shape[1] * len(cells) > _MOST_WAYS:
+            raise InputError(f"scenario '{scenario.name}': stations_m: too many for a grid of so many cells")
+        back = backwards(scenario)  # (T, C, 5)
+        ways = [[steps_from(moves, cell) for cell in cells] for moves in back]
+        self._way: Ints = np.ascontiguousarray(np.moveaxis(np.array(ways), 1, 2))  # (T, C, S) moves to each station
+        self._target, self._open, self._stations = target, open_moves(scenario), cells
+        self._onward = self._ways_onward()  # (U, S)
+
+    def _ways_onward(self) -> Ints:
+        """Slots from each station, with a full battery, until each UAV is at its CDS, (U, S); many without a way."""
+        reach = (FULL - self._reserve) // self._leg
+        onward = np.full((self._shape[1], len(self._stations)), UNLIMITED)
+        for u, home in enumerate(self._flight.homes):
+            between = self._way[u % len(self._way)][self._stations]  # (S, S)
+            between = np.where(between <= min(reach, self._flight.budget[u]), between, UNLIMITED)
+            onward[u] = between[:, self._stations == home].min(axis=1)
+            for _ in self._stations:
+                onward[u] = np.minimum(onward[u], (between + self._swap + 1 + onward[u]).min(axis=1))
+        return np.asarray(np.minimum(onward, UNLIMITED))
+
+    def start(self, *_: Any) -> None:
+        """Start missions with full batteries."""
+        # Of each UAV, (N, U): the charge, slots of a swap that are left, grid steps since the last one, and sorties.
+        self.charge: Ints = np.full(self._shape, FULL)
+        self.down: Ints = np.zeros(self._shape, dtype=np.int64)
+        self.sortie: Ints = np.zeros(self._shape, dtype=np.int64)
+        self.sorties: Ints = np.ones(self._shape, dtype=np.int64)
+
+    def cost(self, air_speed: Floats) -> Ints:
+        """Return the charge of a slot at each air speed, elementwise."""
+        return energies(self._scenario, air_speed)
+
+    def allowed(self, cells: Ints, slot: int, cost: Ints) -> tuple[Bools, Bools, Ints]:
+        """Return which moves are allowed and which stay on the grid, (N, U, 5) each, and a safe move, (N, U).
+
+        Args:
+            cells: of the UAVs, (N, U, 2).
+            slot: t.
+            cost: of each move in this slot, (N, 5), or (1, 5) for all missions.
+        """
+        allowed, on_grid = np.zeros((2, *self._shape, len(STEP_OF_MOVE)), dtype=np.bool_)
+        safe: Ints = np.zeros(self._shape, dtype=np.int64)
+        last: Ints = np.array([self._scenario.columns - 1, self._scenario.rows - 1])
+        _allowed(
+            cells, last, self.charge, self.down, self.sortie, self._slots - slot, cost, self._leg, self._reserve,
+            self._swap, self._flight.budget, self._open, self._target, self._way, self._flight.home, self._onward,
+            self._stations, self._flight.step_home, allowed, on_grid, safe,
+        )  # fmt: skip
+        return allowed, on_grid, safe
+
+    def fly(self, cells: Ints, made: Ints, cost: Ints, failed: Bools) -> None:
+        """Charge the moves (N, U) made from ``cells`` (N, U, 2) for a slot, or swap; failed UAVs are switched off."""
+        _fly(
+            cells @ np.array([self._rows, 1]), made, cost, failed, self._stations, self._swap, self.charge, self.down,
+            self.sortie, self.sorties,
+        )  # fmt: skip
+
+    def spare(self, cells: Ints, slot: int) -> Ints:
+        """Return the moves that each UAV can make beside its way to the nearest station, (N, U)."""
+        cell = cells @ np.array([self._rows, 1])  # (N, U)
+        table = np.arange(self._shape[1]) % len(self._way)
+        way = self._way[table, cell].min(axis=-1)  # (N, U)
+        moves = np.minimum((self.charge - self._reserve) // self._leg, self._flight.budget - self.sortie)
+        home = self._flight.home[np.arange(self._shape[1]), cell]  # (N, U)
+        return np.asarray(np.clip(np.minimum(moves - way, self._slots - slot - home), 0, None))
+
+    def state(self) -> dict[str, Any]:
+        """What the rest of the missions depends on."""
+        return {name: getattr(self, name) for name in ("charge", "down", "sortie", "sorties")}
+
+    def load(self, state: dict[str, Any], *_: Any) -> None:
+        """Go on from a :meth:`state`."""
+        for name in ("charge", "down", "sortie", "sorties"):
+            setattr(self, name, state[name].copy())
+
+
+@compiled
+def _can_go_on(
+    u: int, cell: int, charge: int, sortie: int, left: int, leg: int, swap: int, budget: Ints, way: Ints, home: Ints,
+    onward: Ints,
+) -> bool:  # fmt: skip
+    """Whether a UAV with a charge beyond the reserve reaches its CDS in the moves left, at once or over stations."""
+    legs = min(charge // leg, budget[u] - sortie)  # that it can fly before the next swap
+    if charge < 0 or legs < 0:
+        return False
+    if home[u, cell] <= min(left, legs):
+        return True
+    table = min(u, len(way) - 1)
+    for s in range(way.shape[2]):
+        there = way[table, cell, s]
+        if there <= legs and there + swap + 1 + onward[u, s] <= left:
+            return True
+    return False
+
+
+@compiled
+def _allowed(
+    cells: Ints, last: Ints, charge: Ints, down: Ints, sortie: Ints, left: int, cost: Ints, leg: int, reserve: int,
+    swap: int, budget: Ints, free: Bools, target: Ints, way: Ints, home: Ints, onward: Ints, stations: Ints,
+    step_home: Ints, allowed: Bools, on_grid: Bools, safe: Ints,
+) -> None:  # fmt: skip
+    for n in range(cells.shape[0]):
+        price = cost[min(n, len(cost) - 1)]
+        for u in range(cells.shape[1]):
+            x, y = cells[n, u]
+            here, table = x * (last[1] + 1) + y, min(u, len(way) - 1)
+            at = -1
+            for s in range(len(stations)):
+                at = s if stations[s] == here else at
+            for move in range(5):
+                to_x, to_y = x + STEP_OF_MOVE[move, 0], y + STEP_OF_MOVE[move, 1]
+                on_grid[n, u, move] = 0 <= to_x <= last[0] and 0 <= to_y <= last[1]
+                if move == 0 and (left <= 0 or down[n, u] > 0):
+                    allowed[n, u, move] = True
+                elif left <= 0 or down[n, u] > 0 or not free[u, here, move]:
+                    continue
+                elif move == 0 and at >= 0 and charge[n, u] < 1_000_000_000:  # a swap
+                    allowed[n, u, move] = home[u, here] == 0 or left - swap - 1 >= onward[u, at]
+                else:
+                    rest = charge[n, u] - price[move] - reserve
+                    there = target[min(u, len(target) - 1), here, move]
+                    flown = sortie[n, u] + (move != 0)
+                    allowed[n, u, move] = _can_go_on(
+                        u, there, rest, flown, left - 1, leg, swap, budget, way, home, onward
+                    )
+            safe[n, u] = 0
+            if down[n, u] > 0:
+                continue
+            if allowed[n, u, step_home[u, here]]:
+                safe[n, u] = step_home[u, here]
+                continue
+            nearest = 1_000_000_000_000
+            for s in range(len(stations)):
+                if way[table, here, s] >= nearest:
+                    continue
+                for move in (3, 4, 1, 2, 0):  # along x before y
+                    there = target[min(u, len(target) - 1), here, move]
+                    nearer = way[table, there, s] < way[table, here, s] or (move == 0 and here == stations[s])
+                    if allowed[n, u, move] and nearer:
+                        nearest, safe[n, u] = way[table, here, s], move
+                        break
+
+
+@compiled
+def _fly(
+    here: Ints, made: Ints, cost: Ints, failed: Bools, stations: Ints, swap: int, charge: Ints, down: Ints,
+    sortie: Ints, sorties: Ints,
+) -> None:  # fmt: skip
+    for n in range(here.shape[0]):
+        price = cost[min(n, len(cost) - 1)]
+        for u in range(here.shape[1]):
+            if failed[n, u]:
+                continue
+            swaps = False
+            if down[n, u] > 0:
+                down[n, u] -= 1
+                swaps = down[n, u] == 0
+            else:
+                at_station = False
+                for s in range(len(stations)):
+                    at_station = at_station or stations[s] == here[n, u]
+                if made[n, u] == 0 and at_station and charge[n, u] < 1_000_000_000:
+                    down[n, u] = swap
+                    swaps = swap == 0
+                else:
+                    charge[n, u] -= price[made[n, u]]
+                    sortie[n, u] += made[n, u] != 0
+            if swaps:
+                charge[n, u], sortie[n, u] = 1_000_000_000, 0
+                sorties[n, u] += 1

@@ -1,0 +1,143 @@
+"""Links between UAVs, and what each knows of others and of devices: the newest of what it measured and heard.
+
+Before acting in slot t, each ordered pair (v -> u) may pass a message with all that v knows: for each UAV the latest
+position and the slot that it is of, for each device the latest slot of a collection by anybody. Messages pass on what
+was heard, a link a slot.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from uavaou.arrays import Bools, Floats, Ints
+from uavaou.operations import Links
+from uavaou.scenario import Scenario
+from uavaou.world.channel import Keys, keys_of_item, uniforms
+from uavaou.world.compiled import compiled
+
+_ITEM = 2  # of the random streams
+SILENCE_SLOTS = 10  # without news, from which on a UAV is taken as lost
+
+
+class Knowledge:
+    """What each of the UAVs knows, in N missions."""
+
+    heard: Ints  # (N, U, U) the slot that u's newest news of v is of, 0 for never; of itself the present slot
+    cells: Ints  # (N, U, U, 2) where v was then; its CDS without news
+    collected: Ints  # (N, U, I) the latest slot of a collection by anybody that u knows of, 0 for never
+
+    def __init__(self, scenario: Scenario, missions: int, cds: Ints) -> None:
+        assert scenario.links is not None
+        self._links: Links = scenario.links
+        self._cds, self._shape = cds, (missions, scenario.uavs)
+        self._step, self._altitudes = scenario.grid_step_m, scenario.altitudes
+        self._devices = scenario.devices
+        self._silence = scenario.silence_slots or SILENCE_SLOTS
+
+    @property
+    def passes_nothing(self) -> bool:
+        """Whether there are no links at all."""
+        return self._links.probability == 0.0
+
+    def start(self, keys: Keys) -> None:
+        """Start missions with these keys; links in bursts begin as they are in the long run."""
+        missions, uavs = self._shape
+        self._keys, self._slot = keys_of_item(keys, _ITEM), 0
+        self.heard = np.zeros((missions, uavs, uavs), dtype=np.int64)
+        self.cells = np.broadcast_to(self._cds, (missions, uavs, uavs, 2)).copy()
+        self.collected = np.zeros((missions, uavs, self._devices), dtype=np.int64)
+        self._good: Bools = np.ones((missions, uavs, uavs), dtype=np.bool_)  # (N, to, from)
+        if self._links.good_slots is not None and self._links.bad_slots is not None:
+            share = self._links.good_slots / (self._links.good_slots + self._links.bad_slots)
+            self._good = self._drawn(0)[..., 0] <= share
+
+    def _drawn(self, slot: int) -> Floats:
+        """Two uniform numbers of each ordered pair in a slot, (N, to, from, 2)."""
+        missions, uavs = self._shape
+        return uniforms(self._keys, 2 * slot * uavs * uavs, 2 * uavs * uavs).reshape(missions, uavs, uavs, 2)
+
+    def open(self, slot: int, cells: Ints, absent: Bools) -> None:
+        """Measure own positions, (N, U, 2), and pass messages in a slot; who is ``absent``, (N, U), says nothing."""
+        if slot <= self._slot:
+            return
+        self._slot = slot
+        for u in range(self._shape[1]):
+            here = ~absent[:, u]
+            self.heard[here, u, u], self.cells[here, u, u] = slot, cells[here, u]
+        passes = self._passing(slot, cells) & ~absent[:, :, None] & ~absent[:, None, :]
+        if passes.any():
+            _pass_on(passes, self.heard.copy(), self.cells.copy(), self.collected.copy(), *self._own())
+
+    def _own(self) -> tuple[Ints, Ints, Ints]:
+        return self.heard, self.cells, self.collected
+
+    def _passing(self, slot: int, cells: Ints) -> Bools:
+        """Which messages pass, (N, to, from)."""
+        links = self._links
+        passes = np.ones_like(self._good)
+        if links.good_slots is not None or 0.0 < links.probability < 1.0:
+            drawn = self._drawn(slot)  # (N, U, U, 2)
+            if links.good_slots is not None and links.bad_slots is not None:
+                turns = drawn[..., 0] <= np.where(self._good, 1 / links.good_slots, 1 / links.bad_slots)
+                self._good ^= turns
+                passes &= self._good
+            if links.probability < 1.0:
+                passes &= drawn[..., 1] <= links.probability
+        if links.probability == 0.0:
+            passes[:] = False
+        if links.range_m is not None:
+            apart = (cells[:, :, None] - cells[:, None, :]) * self._step  # (N, U, U, 2) m
+            height = self._altitudes[:, None] - self._altitudes  # (U, U) m
+            passes &= (apart**2).sum(axis=-1) + height**2 <= links.range_m**2
+        return np.asarray(passes & ~np.eye(self._shape[1], dtype=np.bool_))
+
+    def note(self, slot: int, known: Bools) -> None:
+        """Keep the collections of a slot that UAVs know of by themselves, (N, U, I)."""
+        self.collected[known] = slot
+
+    def lost(self, slot: int) -> Bools:
+        """Return which others each UAV takes as lost, (N, U, U): those without news for too long. Without any links
+        nobody is.
+        """
+        if self.passes_nothing:
+            return np.zeros_like(self._good)
+        lost = slot - self.heard >= self._silence
+        return np.asarray(lost & ~np.eye(self._shape[1], dtype=np.bool_))
+
+    def state(self) -> dict[str, Any]:
+        """What the rest of the missions depends on beside their keys."""
+        return {
+            "links_heard": self.heard,
+            "links_cells": self.cells,
+            "links_collected": self.collected,
+            "links_good": self._good,
+        }
+
+    def load(self, state: dict[str, Any], keys: Keys, slot: int) -> None:
+        """Go on from a :meth:`state` of this slot."""
+        self.start(keys)
+        self._slot = slot
+        self.heard, self.cells, self.collected, self._good = (
+            state[f"links_{name}"].copy() for name in ("heard", "cells", "collected", "good")
+        )
+
+
+@compiled
+def _pass_on(
+    passes: Bools, heard: Ints, cells: Ints, collected: Ints, new_heard: Ints, new_cells: Ints, new_collected: Ints
+) -> None:
+    missions, uavs, devices = collected.shape
+    for n in range(missions):
+        for u in range(uavs):
+            for v in range(uavs):
+                if not passes[n, u, v]:
+                    continue
+                for w in range(uavs):
+                    if heard[n, v, w] > new_heard[n, u, w]:
+                        new_heard[n, u, w] = heard[n, v, w]
+                        new_cells[n, u, w, 0] = cells[n, v, w, 0]
+                        new_cells[n, u, w, 1] = cells[n, v, w, 1]
+                for i in range(devices):
+                    new_collected[n, u, i] = max(new_collected[n, u, i], collected[n, v, i])
