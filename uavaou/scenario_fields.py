@@ -26,7 +26,7 @@ from uavaou.fields import (
     Unbounded,
     Whole,
 )
-from uavaou.operations import DEVIATIONS, Energy, Failures, LinksField, Objective, Silences, Wind
+from uavaou.mission_fields import DEVIATIONS, Energy, Failures, LinksField, Objective, Silences, Wind
 from uavaou.radio import PAPER_CHANNEL, Environment, ExcessLoss, PathLossExponent
 from uavaou.zones import Georeference, Names, Polygon, Zones, free_legs
 

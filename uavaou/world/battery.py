@@ -16,7 +16,7 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError
-from uavaou.operations import FULL
+from uavaou.mission_fields import FULL
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STEP_OF_MOVE, UNLIMITED, Flight, backwards, open_moves, steps_from, targets

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.operations import FULL
+from uavaou.mission_fields import FULL
 from uavaou.scenario import Scenario
 from uavaou.world.ages import age_by_estimate
 from uavaou.world.association import within_capacity
