@@ -1,12 +1,13 @@
 """Fly missions as they really go under the checker: ``python -m benchmarks.operations [--missions N]``.
 
-Each scenario is a small field, with zones in half of them, and a random combination of all items of docs/operations.md.
+Each scenario is a small field, with zones in half of them, and a random combination of the items of docs/operations.md.
 Forty missions are flown on each, with random moves and selections, and what the independent checker counts is printed.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -14,75 +15,80 @@ import numpy as np
 from benchmarks.zones import small_fields
 from uavaou.errors import InputError
 from uavaou.evaluation.checker import ViolationCounter, total
+from uavaou.operations import RotaryWing
 from uavaou.scenario import Scenario
 from uavaou.world import World
 
 TOGETHER = 40  # missions on a field
 _SEED = 1000
+ITEMS = ("capacity", "battery", "failures", "random failures", "silent devices", "links", "wind", "measures")
 
 
-def random_items(scenario: Scenario, rng: np.random.Generator) -> dict[str, Any]:
-    """Fields that switch on about half of the items, with values that bind on a small field."""
-    uavs, devices, slots = scenario.uavs, scenario.devices, scenario.slots
+def random_items(scenario: Scenario, rng: np.random.Generator, items: Collection[str]) -> dict[str, Any]:
+    """Fields that switch some of the ``ITEMS`` on, with values that bind on a small field."""
+    uavs, devices, slots, tau = scenario.uavs, scenario.devices, scenario.slots, scenario.slot_length_s
+    speed = scenario.grid_step_m / tau
 
-    def some(share: float = 0.5) -> bool:
-        return bool(rng.random() < share)
+    def some() -> bool:
+        return bool(rng.random() < 0.5)
 
     def span(first: int) -> dict[str, int]:
         start = int(rng.integers(first, slots + 1))
-        return {"start": start} | ({"until": start + int(rng.integers(1, slots))} if some(0.7) else {})
+        return {"start": start} | ({"until": start + int(rng.integers(1, slots))} if some() else {})
+
+    def share(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
 
     fields: dict[str, Any] = {}
-    if some():
+    if "capacity" in items:
         fields["uplinks_per_slot"] = int(rng.integers(1, 5))
-    if some():
+    if "wind" in items:
         fields["wind"] = {
-            "east_m_s": float(rng.uniform(-6, 6)),
-            "north_m_s": float(rng.uniform(-6, 6)),
-            "deviation_m_s": float(rng.choice([0.0, 0.5, 2.0])),
+            "east_m_s": min(speed, 100.0) * share(-0.4, 0.4),
+            "north_m_s": min(speed, 100.0) * share(-0.4, 0.4),
+            "deviation_m_s": min(speed, 100.0) * float(rng.choice([0.0, 0.03, 0.15])),
             "correlation": float(rng.choice([0.0, 0.5, 0.9])),
         }
         if some():
-            fields["air_speed_max_m_s"] = float(rng.uniform(14, 24))
-        if some(0.3):
-            fields["georeference"] = {"latitude": 46.0, "longitude": 7.0, "bearing_deg": float(rng.uniform(0, 360))}
-    if some(0.7):
-        lasts = float(rng.uniform(3, slots)) * scenario.slot_length_s
+            fields["air_speed_max_m_s"] = speed * share(0.9, 1.7)
+        if some():
+            fields["georeference"] = {"latitude": 46.0, "longitude": 7.0, "bearing_deg": share(-360, 360)}
+    if "battery" in items:
+        lasts, rotary_wing = share(2, max(slots, 3)) * tau, {"model": "rotary-wing", "battery_wh": 1.0}
         if some():
             fields["energy"] = {"endurance_s": lasts, "reserve": float(rng.choice([0.0, 0.1, 0.3]))}
         else:
-            fields["energy"] = {"model": "rotary-wing", "battery_wh": lasts * 200 / 3600}
+            power = max(RotaryWing.model_validate(rotary_wing).power_w(speed), 170.0)
+            fields["energy"] = rotary_wing | {"battery_wh": 1.3 * lasts * power / 3600}
         if some():
-            fields["swap_time_s"] = float(rng.choice([0.0, 1.0, 2.5, 4.0])) * scenario.slot_length_s
+            fields["swap_time_s"] = float(rng.choice([0.0, 1.0, 2.5, 4.0])) * tau
         if some():
             grid = [int(rng.integers(scenario.columns)), int(rng.integers(scenario.rows))]
             fields["stations_m"] = [[k * scenario.grid_step_m for k in grid]]
-    if some():
+    if "failures" in items:
         spans = [span(1) for _ in range(rng.integers(1, 4))]
         fields["failures"] = [{"uav": int(rng.integers(uavs)), "slot": one.pop("start")} | one for one in spans]
-    if some(0.3):
-        fields["failure_probability_per_slot"] = float(rng.choice([0.0, 0.01, 0.1]))
-    if some():
+    if "random failures" in items:
+        fields["failure_probability_per_slot"] = float(rng.choice([0.01, 0.1]))
+    if "silent devices" in items:
         fields["devices_silent"] = [{"device": int(rng.integers(devices))} | span(0) for _ in range(3)]
-    if some():
-        bursts = {"good_slots": float(rng.uniform(1, 9)), "bad_slots": float(rng.uniform(1, 9))} if some() else {}
-        fields["links"] = {"probability": float(rng.choice([0.0, 0.5, 1.0]))} | bursts
+    if "links" in items:
+        fields["links"] = {"probability": float(rng.choice([0.0, 0.5, 1.0]))}
+        fields["links"] |= {"good_slots": share(1, 9), "bad_slots": share(1, 9)} if some() else {}
+        fields["links"] |= {"range_m": share(10, 10 + 6 * scenario.grid_step_m)} if some() else {}
+    if "measures" in items:
+        fields["age_limit_s"] = float(rng.integers(1, slots)) * tau
+        fields["objective"] = str(rng.choice(["aou", "aoi", "peak", "above-limit"]))
         if some():
-            fields["links"]["range_m"] = float(rng.uniform(50, 500))
-    if some():
-        fields["age_limit_s"] = float(rng.integers(1, slots)) * scenario.slot_length_s
-    if some():
-        fields["device_weights"] = rng.choice([0.0, 0.5, 1.0, 3.0], devices).tolist()
-    if some():
-        fields["objective"] = str(rng.choice(["aou", "aoi", "peak", *["above-limit"] * ("age_limit_s" in fields)]))
+            fields["device_weights"] = rng.choice([0.0, 0.5, 1.0, 3.0], devices).tolist()
     return fields
 
 
-def with_items(scenario: Scenario, rng: np.random.Generator) -> Scenario:
-    """Switch a random combination of items on that the scenario can be flown with."""
+def with_items(scenario: Scenario, rng: np.random.Generator, items: Collection[str]) -> Scenario:
+    """Switch items on, with values that the scenario can be flown with."""
     while True:
         try:
-            operated = scenario.replace(**random_items(scenario, rng))
+            operated = scenario.replace(**random_items(scenario, rng, items))
             World(operated)
         except InputError:  # the wind is too strong, or a battery lasts for no slot
             continue
@@ -111,8 +117,9 @@ def main(missions: int) -> None:
     fields = -(-missions // TOGETHER)
     for n, zoned in enumerate(small_fields(fields)):
         rng = _rng(n)
+        items = [item for item in ITEMS if rng.random() < 0.5]
         layout = {} if rng.random() < 0.5 else {"layout": "resample"}
-        scenario = with_items(zoned.replace(no_fly=None if n % 2 else zoned.no_fly, **layout), rng)
+        scenario = with_items(zoned.replace(no_fly=None if n % 2 else zoned.no_fly, **layout), rng, items)
         counts = fly(scenario, TOGETHER, _SEED + n)
         flown += TOGETHER
         for name, count in counts.items():

@@ -21,6 +21,11 @@ _HOVER_W = 168.49  # Zeng, Xu and Zhang 2019: blade profile and induced power of
 _BLADE_SHARE = 79.86 / _HOVER_W  # of it; the rest is induced
 
 
+def _charge(share: float) -> int:
+    """A share of a battery in parts of ``FULL``, rounded down: an endurance of whole slots is one of so many."""
+    return max(math.floor(FULL * share), 1)
+
+
 class Endurance(StrictMapping):
     """A battery that lasts so long in the air, whatever a UAV does there."""
 
@@ -30,7 +35,7 @@ class Endurance(StrictMapping):
 
     def slot_energy(self, air_speed_m_s: float, slot_length_s: float) -> int:
         """The charge that a slot in the air costs, of ``FULL``."""
-        return math.ceil(FULL * slot_length_s / self.endurance_s)
+        return _charge(slot_length_s / self.endurance_s)
 
 
 class RotaryWing(StrictMapping):
@@ -56,7 +61,7 @@ class RotaryWing(StrictMapping):
 
     def slot_energy(self, air_speed_m_s: float, slot_length_s: float) -> int:
         """The charge that a slot in the air costs, of ``FULL``."""
-        return math.ceil(FULL * self.power_w(air_speed_m_s) * slot_length_s / (3600 * self.battery_wh))
+        return _charge(self.power_w(air_speed_m_s) * slot_length_s / (3600 * self.battery_wh))
 
 
 def _model_named(value: Any) -> Any:
@@ -146,6 +151,12 @@ class Wind(StrictMapping):
     north_m_s: Annotated[Number, Field(ge=-100, le=100)] = 0.0
     deviation_m_s: Annotated[NonNegative, Field(le=30)] = 0.0  # of each component
     correlation: Annotated[NonNegative, Field(lt=1)] = 0.9  # from slot to slot
+
+    def mean_m_s(self, bearing_deg: float) -> tuple[float, float]:
+        """The mean wind towards +x and +y of a map whose +y points to a bearing."""
+        bearing, east, north = math.radians(bearing_deg), self.east_m_s, self.north_m_s
+        cosine, sine = math.cos(bearing), math.sin(bearing)
+        return east * cosine - north * sine, east * sine + north * cosine
 
 
 Objective = Literal["aou", "aoi", "peak", "above-limit"]

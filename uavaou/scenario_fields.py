@@ -177,7 +177,7 @@ class ScenarioFields(Strict):
             ("energy swap_time_s stations_m wind air_speed_max_m_s age_limit_s objective", self._misfits_of_needs),
             ("uavs devices failures devices_silent", self._misfits_of_losses),
             (f"stations_m altitudes_m outline_m no_fly {area}", self._misfits_of_swaps),
-            ("wind air_speed_max_m_s", self._misfits_of_wind),
+            ("wind air_speed_max_m_s georeference", self._misfits_of_wind),
         )
         for fields, misfits in checks:
             if sound.issuperset(fields.split()):
@@ -320,7 +320,8 @@ class ScenarioFields(Strict):
 
     def _misfits_of_wind(self) -> Iterator[str]:
         if self.wind is not None and self.air_speed_max_m_s is not None:
-            mean, drawn = (self.wind.east_m_s, self.wind.north_m_s), DEVIATIONS * self.wind.deviation_m_s
+            bearing = 0.0 if self.georeference is None else self.georeference.bearing_deg
+            mean, drawn = self.wind.mean_m_s(bearing), DEVIATIONS * self.wind.deviation_m_s
             strongest = math.hypot(*(abs(part) + drawn for part in mean))
             if strongest > self.air_speed_max_m_s:
                 yield (

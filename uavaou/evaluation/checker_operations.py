@@ -246,8 +246,8 @@ class OperationsCheck:
         if energy is None or stepped.battery is None:
             self._counts["battery"] += (stepped.battery is None) != (energy is None)
             return
-        low, high = self._charge - self._rounded - 1e-12, self._charge + 1e-12
-        wrong = (stepped.battery < low) | (stepped.battery > high) | (stepped.sorties != self.sorties)
+        wrong = np.abs(stepped.battery - self._charge) > self._rounded + 1e-12
+        wrong |= stepped.sorties != self.sorties
         needed = energy.reserve + self._cheapest * self._ways().min(axis=-1)  # (N, U)
         dry = ~self.failed & (stepped.battery < needed - 1e-8)
         self._counts["battery"] += (wrong | dry).sum(axis=1)
