@@ -1,27 +1,20 @@
 """A mission as it really goes, written down sentence by sentence from docs/operations.md, with lists and loops."""
 
+import itertools
 import math
 from typing import Any
 
+from tests.world.test_channel import splitmix64
 from tests.world.test_literal_mission import LiteralMission
 from uavaou import Scenario, World
 
 FULL = 10**9
 Cell = tuple[int, int]
-_WORD = 2**64 - 1
 
 
 def word(key: int, index: int) -> int:
     """Word ``index`` of the SplitMix64 stream with seed ``key``."""
-    bits = (key + 0x9E3779B97F4A7C15 * (index + 1)) & _WORD
-    bits = ((bits ^ (bits >> 30)) * 0xBF58476D1CE4E5B9) & _WORD
-    bits = ((bits ^ (bits >> 27)) * 0x94D049BB133111EB) & _WORD
-    return bits ^ (bits >> 31)
-
-
-def uniform(key: int, index: int) -> float:
-    """Its number in (0, 1]."""
-    return ((word(key, index) >> 11) + 1) * 2.0**-53
+    return splitmix64((key + 0x9E3779B97F4A7C15 * index) % 2**64, 1)[0]
 
 
 class LiteralOperations(LiteralMission):
@@ -31,8 +24,7 @@ class LiteralOperations(LiteralMission):
         super().__init__(scenario, world, lane)
         self.key = int(world.channel.keys[lane])
         uavs, devices = range(scenario.uavs), range(scenario.devices)
-        self.fleet, self.things = uavs, devices
-        self.slot = 0
+        self.fleet, self.things, self.slot = uavs, devices, 0
         self.failed, self.lost = [False for _ in uavs], [False for _ in uavs]
         self.charge, self.down = [FULL for _ in uavs], [0 for _ in uavs]
         self.sortie, self.sorties = [0 for _ in uavs], [1 for _ in uavs]  # grid steps in it; begun
@@ -40,8 +32,9 @@ class LiteralOperations(LiteralMission):
         self.stations = [(round(x / scenario.grid_step_m), round(y / scenario.grid_step_m)) for x, y in stations]
         self.swap = math.ceil((scenario.swap_time_s or 0) / scenario.slot_length_s - 1e-9)  # slots
         self.z = self.normals(0)
-        self.home_wind = [(math.nan, math.nan)] if scenario.wind is None else self.winds()
-        self.directions = [move for move in range(5) if all(self.can_fly(move, w) for w in self.home_wind)]
+        self.wind = (0.0, 0.0)  # m/s towards +x and +y
+        self.any_wind = [self.wind] if scenario.wind is None else self.winds()
+        self.directions = [move for move in range(5) if all(self.can_fly(move, w) for w in self.any_wind)]
         self.ways = {cell: self.ways_to(cell) for cell in {*self.stations}}
         self.heard = [[0 for _ in uavs] for _ in uavs]
         self.seen_at = [[self.home[v] for v in uavs] for _ in uavs]
@@ -49,6 +42,7 @@ class LiteralOperations(LiteralMission):
         self.kept = [[0 for _ in devices] for _ in uavs]
         self.burst_good = [[True for _ in uavs] for _ in uavs]  # [to][from]
         if scenario.links is not None and scenario.links.good_slots is not None:
+            assert scenario.links.bad_slots is not None
             share = scenario.links.good_slots / (scenario.links.good_slots + scenario.links.bad_slots)
             self.burst_good = [[self.of_pair(0, to, v, 0) <= share for v in uavs] for to in uavs]
         self.updates = [[] if self.silent(i, 0) else [0] for i in devices]
@@ -58,11 +52,9 @@ class LiteralOperations(LiteralMission):
         mean = sum(weights) / len(weights)
         self.weights = [weight / mean if mean else 0.0 for weight in weights]
 
-    # -- random streams
-
     def of_item(self, item: int, index: int) -> float:
         """A number in (0, 1] of the item's own stream."""
-        return uniform(word(self.key, 2**62 + item), index)
+        return ((word(word(self.key, 2**62 + item), index) >> 11) + 1) * 2.0**-53
 
     def of_pair(self, slot: int, to: int, sender: int, which: int) -> float:
         """A number of an ordered pair of UAVs in a slot: 0 for bursts, 1 for the probability."""
@@ -74,8 +66,6 @@ class LiteralOperations(LiteralMission):
         first, second = self.of_item(3, 2 * slot), self.of_item(3, 2 * slot + 1)
         modulus = math.sqrt(-2 * math.log(first))
         return modulus * math.cos(2 * math.pi * second), modulus * math.sin(2 * math.pi * second)
-
-    # -- losses
 
     def silent(self, device: int, slot: int) -> bool:
         """Whether a device is silent."""
@@ -116,7 +106,8 @@ class LiteralOperations(LiteralMission):
 
     def winds(self) -> list[tuple[float, float]]:
         """Winds among which every move has its least and its largest air speed."""
-        (x, y), most = self.mean_wind(), 3 * self.scenario.wind.deviation_m_s  # type: ignore[union-attr]
+        assert self.scenario.wind is not None
+        (x, y), most = self.mean_wind(), 3 * self.scenario.wind.deviation_m_s
         corners = [(x + a * most, y + b * most) for a in (-1, 1) for b in (-1, 1)]
         grounds = [self.ground(move) for move in range(5)]
         return corners + [
@@ -133,7 +124,7 @@ class LiteralOperations(LiteralMission):
     def air_speed(self, move: int, wind: tuple[float, float]) -> float:
         """|ground speed - wind|."""
         x, y = self.ground(move)
-        return 0.0 if math.isnan(wind[0]) and move == 0 else math.hypot(x - wind[0], y - wind[1])
+        return math.hypot(x - wind[0], y - wind[1])
 
     def can_fly(self, move: int, wind: tuple[float, float]) -> bool:
         """Whether a move's air speed is allowed."""
@@ -144,16 +135,17 @@ class LiteralOperations(LiteralMission):
 
     def cost(self, move: int, wind: tuple[float, float]) -> int:
         """The charge of a slot."""
-        calm = (0.0, 0.0) if math.isnan(wind[0]) else wind
-        return self.scenario.energy.slot_energy(self.air_speed(move, calm), self.scenario.slot_length_s)  # type: ignore[union-attr]
+        assert self.scenario.energy is not None
+        return self.scenario.energy.slot_energy(self.air_speed(move, wind), self.scenario.slot_length_s)
 
     def costliest(self) -> int:
         """The charge of the costliest slot in any wind."""
-        return max(self.cost(move, wind) for move in self.directions for wind in self.home_wind)
+        return max(self.cost(move, wind) for move in self.directions for wind in self.any_wind)
 
     def most(self) -> int:
         """What a full battery gives, less the reserve."""
-        return FULL - round(FULL * self.scenario.energy.reserve)  # type: ignore[union-attr]
+        assert self.scenario.energy is not None
+        return FULL - round(FULL * self.scenario.energy.reserve)
 
     def ways_to(self, goal: Cell) -> dict[Cell, int]:
         """Moves to a cell from every cell from which it can be reached, by flooding."""
@@ -176,10 +168,7 @@ class LiteralOperations(LiteralMission):
         """Grid steps that a sortie may have."""
         if self.scenario.flight_time == "ignore":
             return math.inf
-        steps = 0
-        while self.zeta(u, steps + 1) <= self.scenario.flight_time_budget_s + 1e-6:
-            steps += 1
-        return steps
+        return next(n for n in itertools.count() if self.zeta(u, n + 1) > self.scenario.flight_time_budget_s + 1e-6)
 
     def comes_home(self, u: int, cell: Cell, charge: int, sortie: int, left: int) -> bool:
         """Whether a UAV with that charge over the reserve gets to its CDS in the slots left, maybe over stations."""
@@ -306,19 +295,14 @@ class LiteralOperations(LiteralMission):
         silence = self.scenario.silence_slots or 10
         return links.probability > 0 and u != other and self.slot - self.heard[u][other] >= silence
 
-    # -- a slot
-
     def open(self) -> None:
         """Go to the next slot."""
         self.slot += 1
         if self.scenario.wind is not None:
-            law, fresh = self.scenario.wind, self.normals(self.slot)
-            c = law.correlation
-            self.z = tuple(c * z + math.sqrt(1 - c * c) * n for z, n in zip(self.z, fresh))  # type: ignore[assignment]
-            cut = [min(max(z, -3), 3) for z in self.z]
-            self.wind = tuple(m + law.deviation_m_s * z for m, z in zip(self.mean_wind(), cut))
-        else:
-            self.wind = (0.0, 0.0)
+            c, n, mean = self.scenario.wind.correlation, self.normals(self.slot), self.mean_wind()
+            self.z = (c * self.z[0] + math.sqrt(1 - c * c) * n[0], c * self.z[1] + math.sqrt(1 - c * c) * n[1])
+            x, y = (self.scenario.wind.deviation_m_s * min(max(z, -3), 3) for z in self.z)
+            self.wind = (mean[0] + x, mean[1] + y)
         self.fail()
         if self.scenario.links is not None:
             self.exchange()
@@ -366,7 +350,7 @@ class LiteralOperations(LiteralMission):
                 self.kept[u][i] = self.slot
                 if selections is None or collected_by[i] == u:
                     self.collections[u][i] = self.slot
-        reward = self.age(collected_by)
+        reward, more = self.age(collected_by), [begun - 1 for begun in self.sorties]
         outcome = {
             "slot": self.slot,
             "positions": [(x * scenario.grid_step_m, y * scenario.grid_step_m) for x, y in self.cells],
@@ -376,10 +360,7 @@ class LiteralOperations(LiteralMission):
             "reward": reward,
             "failed": list(self.failed),
             "battery": [charge / FULL for charge in self.charge],
-            "flight_time": [
-                (n * 2 * scenario.altitudes_m[u] + self.flown[u] * scenario.grid_step_m) / scenario.speed_m_s
-                for u, n in enumerate(self.sorties)
-            ],
+            "flight_time": [self.zeta(u, self.flown[u]) + more[u] * self.zeta(u, 0) for u in self.fleet],
         }
         if self.slot < scenario.slots:
             for u in self.fleet:
