@@ -31,7 +31,7 @@ class MeasuresCheck:
         self._sum, self._largest, self._risen, self._late_slots = np.zeros((4, *shape), dtype=np.int64)
         self._late: Bools = np.zeros(shape, dtype=np.bool_)
         weights = np.array(scenario.device_weights or [1.0] * scenario.devices)
-        self._weights: Floats = weights * (len(weights) / weights.sum()) if weights.any() else weights  # (I,) of mean 1
+        self._weights: Floats = weights * (len(weights) / weights.sum())  # (I,) of mean 1
 
     def advance(self, made: Bools, collected: Bools) -> None:
         """Advance by a slot in which some devices make an update, (N, I) or (1, I), and some are collected, (N, I)."""

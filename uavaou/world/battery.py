@@ -41,7 +41,10 @@ class Batteries:
         self._leg = int(worst[steady].max())
         self._reserve = round(FULL * scenario.energy.reserve)
         if self._leg + self._reserve > FULL:
-            raise InputError(f"scenario '{scenario.name}': energy: a battery does not last for a slot of the mission")
+            raise InputError(
+                f"scenario '{scenario.name}': energy: a slot in the air takes {self._leg / FULL:.0%} of a battery, "
+                f"and {scenario.energy.reserve:.0%} stay in it; a larger battery or shorter slots would fit"
+            )
         self._scenario = scenario
         self.calm: Ints = energies(scenario, air_speeds(scenario, mean_wind(scenario)))[None]  # (1, 5) in constant wind
         cells: Ints = np.asarray(scenario.station_cells @ np.array([scenario.rows, 1]))  # (S,)

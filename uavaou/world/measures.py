@@ -41,7 +41,7 @@ class AgeOfInformation:
         limit = scenario.age_limit_s
         self._limit = None if limit is None else limit / scenario.slot_length_s * (1 + _ROUNDING)  # slots
         weights = np.ones(scenario.devices) if scenario.device_weights is None else np.array(scenario.device_weights)
-        self._weights: Floats = weights / (weights.mean() or 1.0)
+        self._weights: Floats = weights / weights.mean()
         self._objective = scenario.objective
 
     def start(self, *_: Any) -> None:
