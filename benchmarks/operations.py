@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.zones import small_fields
 from uavaou.errors import InputError
 from uavaou.evaluation.checker import ViolationCounter, total
-from uavaou.operations import RotaryWing
+from uavaou.mission_fields import RotaryWing
 from uavaou.scenario import Scenario
 from uavaou.world import World
 

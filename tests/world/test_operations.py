@@ -12,7 +12,7 @@ from benchmarks.operations import ITEMS, with_items
 from tests.strategies import random_actions, scenarios, seeds
 from tests.world.literal_operations import FULL, LiteralOperations
 from uavaou import Scenario, World
-from uavaou.operations import RotaryWing
+from uavaou.mission_fields import RotaryWing
 
 
 @st.composite

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from uavaou.evaluation.checker_links import KnowledgeCheck
 from uavaou.evaluation.checker_streams import Keys, item_keys, normals, uniform
-from uavaou.operations import Endurance
+from uavaou.mission_fields import Endurance
 from uavaou.scenario import Scenario
 
 if TYPE_CHECKING:  # the checker reads a World's attributes and runs none of its code
