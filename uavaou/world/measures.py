@@ -14,6 +14,7 @@ import numpy as np
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
 
+_ROUNDING = 1e-9  # of an age limit, by which its quotient with the slot length may miss a whole number of slots
 _STATE = ("_newest", "_delivered", "_total", "_peak", "_late")
 
 
@@ -37,9 +38,10 @@ class AgeOfInformation:
 
     def __init__(self, scenario: Scenario, missions: int) -> None:
         self._shape, self._tau = (missions, scenario.devices), scenario.slot_length_s
-        self._limit = None if scenario.age_limit_s is None else scenario.age_limit_s / scenario.slot_length_s
+        limit = scenario.age_limit_s
+        self._limit = None if limit is None else limit / scenario.slot_length_s * (1 + _ROUNDING)  # slots
         weights = np.ones(scenario.devices) if scenario.device_weights is None else np.array(scenario.device_weights)
-        self._weights: Floats = weights / (weights.mean() or 1.0)
+        self._weights: Floats = weights / weights.mean()
         self._objective = scenario.objective
 
     def start(self, *_: Any) -> None:

@@ -20,7 +20,7 @@ from uavaou.world.flight import STAY, STEP_OF_MOVE, Flight
 from uavaou.world.links import Knowledge
 from uavaou.world.losses import Losses
 from uavaou.world.measures import AgeOfInformation
-from uavaou.world.wind import Weather, flyable
+from uavaou.world.wind import Weather
 
 
 class Operations:
@@ -95,11 +95,12 @@ class Operations:
             drawn = self.weather if self.weather is not None and self.weather.varies else None
             self._cost = self.batteries.calm if drawn is None else self.batteries.cost(drawn.air_speed)  # (N, 5)
             allowed, on_grid, self._safe = self.batteries.allowed(cells, slot, self._cost)
-        if self.weather is not None:
-            allowed &= flyable(self._scenario, self.weather.air_speed)[:, None]
         if self.losses is not None:
             failed = self.losses.failed(slot)
-            self.losses.lost |= self.failed & ~failed & ~allowed.any(axis=-1)  # repaired too late to come home
+            late = ~allowed.any(axis=-1)  # (N, U) to come home
+            if slot == self._scenario.slots:
+                late |= (cells != self._flight.cds).any(axis=-1)
+            self.losses.lost |= self.failed & ~failed & late
             self.failed = failed | self.losses.lost
             allowed[self.failed] = np.arange(len(STEP_OF_MOVE)) == STAY
             if (silent := self.losses.silent(slot)) is not None:
