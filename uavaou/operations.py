@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
+from uavaou.arrays import Floats
 from uavaou.errors import nearest
 from uavaou.fields import Fraction, NonNegative, Number, Positive, PositiveWhole, Whole
 from uavaou.zones import StrictMapping
@@ -28,9 +30,9 @@ class Endurance(StrictMapping):
     endurance_s: Positive
     reserve: Annotated[Fraction, Field(lt=1)] = 0.1  # of a full battery, that stays in it
 
-    def slot_energy(self, air_speed_m_s: float, slot_length_s: float) -> int:
-        """The charge that a slot in the air costs, of ``FULL``."""
-        return math.ceil(FULL * slot_length_s / self.endurance_s)
+    def slot_energy(self, air_speed_m_s: Floats, slot_length_s: float) -> Floats:
+        """The charge that a slot in the air costs, of ``FULL``, elementwise."""
+        return np.full_like(air_speed_m_s, math.ceil(FULL * slot_length_s / self.endurance_s))
 
 
 class RotaryWing(StrictMapping):
@@ -46,17 +48,17 @@ class RotaryWing(StrictMapping):
     parasite_w_per_m3_s3: NonNegative = 0.00924  # d0 rho s A / 2
     reserve: Annotated[Fraction, Field(lt=1)] = 0.1
 
-    def power_w(self, air_speed_m_s: float) -> float:
-        """The power in flight at an air speed."""
+    def power_w(self, air_speed_m_s: Floats) -> Floats:
+        """The power in flight at air speeds, elementwise."""
         square = air_speed_m_s**2
         half = square / (2 * self.induced_velocity_m_s**2)
         blades = _BLADE_SHARE * (1 + 3 * square / self.tip_speed_m_s**2)
-        induced = (1 - _BLADE_SHARE) * math.sqrt(math.sqrt(1 + half**2) - half)
-        return self.hover_w * (blades + induced) + self.parasite_w_per_m3_s3 * air_speed_m_s**3
+        induced = (1 - _BLADE_SHARE) * np.sqrt(np.sqrt(1 + half**2) - half)
+        return np.asarray(self.hover_w * (blades + induced) + self.parasite_w_per_m3_s3 * (square * air_speed_m_s))
 
-    def slot_energy(self, air_speed_m_s: float, slot_length_s: float) -> int:
-        """The charge that a slot in the air costs, of ``FULL``."""
-        return math.ceil(FULL * self.power_w(air_speed_m_s) * slot_length_s / (3600 * self.battery_wh))
+    def slot_energy(self, air_speed_m_s: Floats, slot_length_s: float) -> Floats:
+        """The charge that a slot in the air costs, of ``FULL``, elementwise."""
+        return np.ceil(FULL * self.power_w(air_speed_m_s) * slot_length_s / (3600 * self.battery_wh))
 
 
 def _model_named(value: Any) -> Any:

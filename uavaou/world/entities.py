@@ -12,11 +12,12 @@ import numpy as np
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError, unknown
 from uavaou.scenario import Scenario
+from uavaou.world.ages import age_by_estimate
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STAY, targets
 from uavaou.world.news import RECENT_SLOTS, news
 from uavaou.world.partition import partition
-from uavaou.world.pull import MOST_STEPS, Plans, estimated_age, planned_steps, steps_left, write_pulls
+from uavaou.world.pull import MOST_STEPS, Plans, planned_steps, steps_left, write_pulls
 from uavaou.world.survivors import PartsOfSurvivors
 from uavaou.world.views import (
     DEVICE,
@@ -50,6 +51,8 @@ _FAR = 20.0  # grid steps from which another UAV is as good as absent
 _LEAD = 2.0  # the most that a token says of the lead of another UAV
 _LEFT_SLOTS = 100.0  # the slots left have their best resolution around this many
 _AGE = RECENT_SLOTS  # the root of an age sum in slots that becomes 1
+
+_estimated_age = compiled(age_by_estimate)  # here, where compiled functions call it
 
 
 def make_views(
@@ -333,7 +336,7 @@ def _write_devices(
                     if v != u and not alone:
                         other = min(other, steps[v])
                 own_last, heard = last_by[n, u, i], last[n, min(u, last.shape[1] - 1), i]
-                total = age_slots[n, i] if true_ages else estimated_age(slot - 1, heard, k)
+                total = age_slots[n, i] if true_ages else _estimated_age(slot - 1, heard, k)
                 age = math.sqrt(float(total)) / _AGE
                 token[0] = 1.0
                 token[1] = x / _STEPS

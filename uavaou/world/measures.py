@@ -13,6 +13,7 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
+from uavaou.world.compiled import compiled
 
 _STATE = ("_newest", "_delivered", "_total", "_peak", "_late")
 
@@ -51,14 +52,9 @@ class AgeOfInformation:
 
     def advance(self, slot: int, generated: Bools, collected: Bools) -> None:
         """Advance by a slot: generate an update of some devices, (N, I) or (1, I), and collect some, (N, I)."""
-        self._newest = np.where(generated, slot, self._newest)
-        highest = np.maximum(self._peak, slot - self._delivered)  # just before the delivery
-        self._rise, self._peak = highest - self._peak, highest
-        self._delivered = np.where(collected, self._newest, self._delivered)
-        self._age = slot - self._delivered
-        self._total += self._age
-        if self._limit is not None:
-            self._late += self._age > self._limit
+        limit = np.inf if self._limit is None else self._limit
+        sums = self._total, self._peak, self._late
+        _advance(slot, generated, collected, limit, self._newest, self._delivered, *sums, self._age, self._rise)
 
     def reward(self, age_slots: Ints) -> Floats:
         """Return the reward of the slot just advanced by the objective of the scenario, (N,) s.
@@ -89,3 +85,20 @@ class AgeOfInformation:
         """Go on from a :meth:`state`."""
         for name in _STATE:
             setattr(self, name, state[f"aoi{name}"].copy())
+
+
+@compiled
+def _advance(
+    slot: int, generated: Bools, collected: Bools, limit: float, newest: Ints, delivered: Ints, total: Ints, peak: Ints,
+    late: Ints, age: Ints, rise: Ints,
+) -> None:  # fmt: skip
+    for n in range(collected.shape[0]):
+        layout = min(n, len(generated) - 1)
+        for i in range(collected.shape[1]):
+            newest[n, i] = slot if generated[layout, i] else newest[n, i]
+            highest = max(peak[n, i], slot - delivered[n, i])  # just before the delivery
+            rise[n, i], peak[n, i] = highest - peak[n, i], highest
+            delivered[n, i] = newest[n, i] if collected[n, i] else delivered[n, i]
+            age[n, i] = slot - delivered[n, i]
+            total[n, i] += age[n, i]
+            late[n, i] += age[n, i] > limit

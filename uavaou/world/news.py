@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
+from uavaou.world.compiled import compiled
 from uavaou.world.world import World
 
 RECENT_SLOTS = 20.0  # the scaled waiting time has its best resolution around this many slots
@@ -19,9 +20,9 @@ class News(NamedTuple):
     """What UAVs know in N missions; an axis of size 1 in the place of missions n or of UAVs w is common to all."""
 
     cells: Ints  # (n, w, U, 2) where it knows each UAV to be, or to have started
-    present: Floats  # (n, w, U) 1 for a UAV that it hears of now, less for older news, 0 for one that it takes as lost
+    present: Floats  # (n, w, U) 20 / (20 + age of the news in slots); 0 for a UAV that it takes as lost
     last: Ints  # (N, w, I) the latest slot of a collection that it knows of, 0 for never
-    fresh: Floats  # (n, w) 1 where it knows of all collections up to now, 0 where it knows of its own alone
+    fresh: Floats  # (n, w) the mean of that over the others not taken as lost, never heard ones as 0; without any, 1
     lost: Bools | None  # (N, U, U) which others it takes as lost; None: nobody takes anybody as lost
     told: bool  # whether others tell it anything
     true_ages: bool  # whether it knows the true age sums
@@ -43,11 +44,6 @@ def taken_as_lost(world: World, shared: bool = True) -> Bools | None:
     return lost if lost.any() else None
 
 
-def freshness(age: Ints) -> Floats:
-    """Return by how much news counts that are so many slots old: 1 for those of now, 1/2 for those of 20 slots ago."""
-    return np.asarray(RECENT_SLOTS / (RECENT_SLOTS + age))
-
-
 def news(world: World, shared: bool) -> News:
     """Return what UAVs know that observe ``shared``, or else ``local``."""
     knowledge, uavs = world.operations.knowledge, world.scenario.uavs
@@ -58,11 +54,23 @@ def news(world: World, shared: bool) -> News:
     if knowledge is None:
         present = np.ones((1, 1, uavs)) if lost is None else np.asarray(1.0 - world.failed[:, None])
         return News(world.cells[:, None], present, world.last_collection[:, None], np.ones((1, 1)), lost, True, True)
-    present = freshness(world.slot - knowledge.heard)  # (N, U, U)
-    others = ~np.eye(uavs, dtype=np.bool_) & (True if lost is None else ~lost)  # (U, U) or (N, U, U)
-    heard = np.where(others & (knowledge.heard > 0), present, 0.0).sum(axis=-1)  # (N, U)
-    count = np.broadcast_to(others.sum(axis=-1), heard.shape)
-    fresh = np.where(count > 0, heard / np.maximum(count, 1), 1.0)
-    if lost is not None:
-        present[lost] = 0.0
+    present, fresh = np.empty(knowledge.heard.shape), np.empty(world.failed.shape)  # (N, U, U), (N, U)
+    _weigh(knowledge.heard, world.slot, np.zeros((0, 0, 0), dtype=np.bool_) if lost is None else lost, present, fresh)
     return News(knowledge.cells, present, knowledge.collected, fresh, lost, True, False)
+
+
+@compiled
+def _weigh(heard: Ints, slot: int, lost: Bools, present: Floats, fresh: Floats) -> None:
+    """Write ``present`` and ``fresh`` of :class:`News`; ``lost`` is empty where nobody is."""
+    for n in range(heard.shape[0]):
+        for u in range(heard.shape[1]):
+            total, count = 0.0, 0
+            for v in range(heard.shape[1]):
+                if len(lost) and lost[n, u, v]:
+                    present[n, u, v] = 0.0
+                    continue
+                present[n, u, v] = RECENT_SLOTS / (RECENT_SLOTS + (slot - heard[n, u, v]))
+                if v != u:
+                    count += 1
+                    total += present[n, u, v] if heard[n, u, v] > 0 else 0.0
+            fresh[n, u] = total / count if count else 1.0

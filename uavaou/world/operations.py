@@ -12,8 +12,7 @@ import numpy as np
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.operations import FULL
 from uavaou.scenario import Scenario
-from uavaou.world.ages import age_by_estimate
-from uavaou.world.association import within_capacity
+from uavaou.world.association import oldest_within_capacity, within_capacity
 from uavaou.world.battery import Batteries
 from uavaou.world.channel import Channel, rate
 from uavaou.world.flight import STAY, STEP_OF_MOVE, Flight
@@ -95,7 +94,7 @@ class Operations:
             drawn = self.weather if self.weather is not None and self.weather.varies else None
             self._cost = self.batteries.calm if drawn is None else self.batteries.cost(drawn.air_speed)  # (N, 5)
             allowed, on_grid, self._safe = self.batteries.allowed(cells, slot, self._cost)
-        if self.weather is not None:
+        if self.weather is not None and self._scenario.air_speed_max_m_s is not None:
             allowed &= flyable(self._scenario, self.weather.air_speed)[:, None]
         if self.losses is not None:
             failed = self.losses.failed(slot)
@@ -156,17 +155,14 @@ class Operations:
         """
         assert self._scenario.uplinks_per_slot is not None
         known = own if self.knowledge is None else self.knowledge.collected  # (N, U, I)
-        age = age_by_estimate(slot, known, period[:, None]).astype(np.float64)  # (N, U, I) slots
-        return within_capacity(in_range, self._scenario.uplinks_per_slot, age, self._rates(snr))
+        limit, bandwidth = self._scenario.uplinks_per_slot, self._channel.bandwidth
+        return oldest_within_capacity(in_range, limit, slot, known, period, snr, bandwidth)
 
     def kept(self, offered: Bools, snr: Floats) -> Bools:
         """Return what UAVs keep of the devices that they selected and have in range, (N, U, I)."""
         assert self._scenario.uplinks_per_slot is not None
-        rates = self._rates(snr)
+        rates = rate(self._channel.bandwidth[:, None], snr)  # (N, U, I) bit/s
         return within_capacity(offered, self._scenario.uplinks_per_slot, rates, rates)
-
-    def _rates(self, snr: Floats) -> Floats:
-        return rate(self._channel.bandwidth[:, None], snr)  # (N, U, I) bit/s
 
     # -- state
 

@@ -40,14 +40,15 @@ class PartsOfSurvivors:
             world: over the layouts that the tables are of.
             lost: of :func:`uavaou.world.news.taken_as_lost`.
         """
+        if lost is not None and self._known is not None and np.array_equal(lost, self._known[0]):
+            return self._known[1]
         layouts = np.arange(world.missions) % self._layouts  # (N,)
         numbers = np.repeat(layouts[:, None], world.scenario.uavs, axis=1)
         if lost is None:
             return numbers
-        if self._known is not None and np.array_equal(lost, self._known[0]):
-            return self._known[1]
         if len(self._sets) > _MOST_SETS:
             self._sets.clear()
+            self._known = None
             self.serves, self.steps = self.serves[: self._layouts], self.steps[: self._layouts]
         for n, u in np.argwhere(lost.any(axis=-1)):
             numbers[n, u] = self._number(world, int(layouts[n]), ~lost[n, u])
