@@ -100,7 +100,8 @@ class Operations:
             failed = self.losses.failed(slot)
             self.losses.lost |= self.failed & ~failed & ~allowed.any(axis=-1)  # repaired too late to come home
             self.failed = failed | self.losses.lost
-            allowed[self.failed] = np.arange(len(STEP_OF_MOVE)) == STAY
+            if self.failed.any():
+                allowed[self.failed] = np.arange(len(STEP_OF_MOVE)) == STAY
             if (silent := self.losses.silent(slot)) is not None:
                 snr[:, :, silent] = 0.0
         if self.losses is not None or self.batteries is not None:

@@ -263,7 +263,7 @@ class Views(RowViews):
         at["other_positions"][...] = others.reshape(*others.shape[:2], -1)
         ages = world.ages.age_slots[:, None]  # (N, w, I)
         if not told.true_ages:
-            ages = age_by_estimate(world.slot - 1, told.last, world.update_period[:, None])
+            ages = _estimated_age(world.slot - 1, told.last, world.update_period[:, None])
         at["age_sum"][...] = np.sqrt(ages) / RECENT_SLOTS
 
     def state(self, world: World) -> Rows:
@@ -284,6 +284,9 @@ class Views(RowViews):
     def _age_sum(self, world: World) -> Floats:
         # An age sum grows with the square of the waiting time; its root is linear.
         return np.sqrt(world.ages.age_slots) / RECENT_SLOTS
+
+
+_estimated_age = compiled(age_by_estimate)
 
 
 @compiled
