@@ -16,9 +16,8 @@ from uavaou.world.ages import age_by_estimate
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STAY, targets
 from uavaou.world.news import RECENT_SLOTS, news
-from uavaou.world.partition import partition
-from uavaou.world.pull import MOST_STEPS, Plans, planned_steps, steps_left, write_pulls
-from uavaou.world.survivors import PartsOfSurvivors
+from uavaou.world.pull import MOST_STEPS, Plans, write_pulls
+from uavaou.world.told import PartsOfSurvivors, told_before_take_off
 from uavaou.world.views import (
     DEVICE,
     MOVES,
@@ -89,22 +88,6 @@ def local_columns(uavs: int, devices: int) -> tuple[Columns, ...]:
         ("own", 1, len(OWN)), ("allowed_moves", MOVES, 1), ("teammates", uavs - 1, _TEAMMATE),
         ("devices", devices, _DEVICE), ("pulls", devices, _PULL),
     )  # fmt: skip
-
-
-def told_before_take_off(world: World, plan: Plans | None) -> tuple[Floats, Bools, Floats]:
-    """Return the map as UAVs know it, by the ``plan`` that there is for it, and else by its parts.
-
-    Returns:
-        The coverage radius by the mean channel, (L, U, I) grid steps: that of :func:`coverage.coverage_radius`, and 0
-        where that is NaN. Which devices each UAV serves, (L, U, I). What :func:`planned_steps`, or without a plan
-        :func:`steps_left`, returns, (L, U, C, I).
-    """
-    scenario, channel = world.scenario, world.channel
-    radius = channel.coverage_radius() / scenario.grid_step_m
-    plans = None if plan is None else plan.for_maps(world)
-    if plans is not None:
-        return radius, np.stack([each.serves for each in plans]), planned_steps(world, plans)
-    return radius, partition(world)[:, None] == np.arange(scenario.uavs)[:, None], steps_left(world)
 
 
 class EntityViews(RowViews):

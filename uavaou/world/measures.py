@@ -40,7 +40,7 @@ class AgeOfInformation:
         self._shape, self._tau = (missions, scenario.devices), scenario.slot_length_s
         self._limit = None if scenario.age_limit_s is None else scenario.age_limit_s / scenario.slot_length_s
         weights = np.ones(scenario.devices) if scenario.device_weights is None else np.array(scenario.device_weights)
-        self._weights: Floats = weights / (weights.mean() or 1.0)
+        self.weights: Floats = weights / (weights.mean() or 1.0)  # (I,) of mean 1
         self._objective = scenario.objective
 
     def start(self, *_: Any) -> None:
@@ -62,6 +62,10 @@ class AgeOfInformation:
         ``aou`` is the paper's with weights, ``aoi`` -sum_i w_i AoI_i, ``peak`` minus the rise of the largest AoI of
         each device so far, and ``above-limit`` minus the time of the slot for each device whose AoI is above the limit.
         """
+        return np.asarray(-self._tau * (self.objective(age_slots) * self.weights).sum(axis=1))
+
+    def objective(self, age_slots: Ints) -> Floats:
+        """Return what the objective counts of each device in the slot just advanced, without weights, (N, I) slots."""
         each: Any = age_slots
         if self._objective == "aoi":
             each = self._age
@@ -69,13 +73,13 @@ class AgeOfInformation:
             each = self._rise
         elif self._objective == "above-limit" and self._limit is not None:
             each = self._age > self._limit
-        return np.asarray(-self._tau * (each * self._weights).sum(axis=1))
+        return np.asarray(each, dtype=np.float64)
 
     def measures(self, played: int) -> Measures:
         """Return what there is after so many slots."""
         tau = self._tau
         late = None if self._limit is None else self._late / played
-        return Measures(tau * self._total / played, tau * self._peak.astype(np.float64), late, self._weights)
+        return Measures(tau * self._total / played, tau * self._peak.astype(np.float64), late, self.weights)
 
     def state(self) -> dict[str, Any]:
         """What the rest of the missions depends on."""

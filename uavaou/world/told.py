@@ -5,11 +5,27 @@ from __future__ import annotations
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.world.partition import survivors_parts
-from uavaou.world.pull import SHARE, Plans, PullPlan, planned_steps
+from uavaou.world.partition import partition, survivors_parts
+from uavaou.world.pull import SHARE, Plans, PullPlan, planned_steps, steps_left
 from uavaou.world.world import World
 
 _MOST_SETS = 1000  # of survivors, over all maps, that are kept
+
+
+def told_before_take_off(world: World, plan: Plans | None) -> tuple[Floats, Bools, Floats]:
+    """Return the map as UAVs know it, by the ``plan`` that there is for it, and else by its parts.
+
+    Returns:
+        The coverage radius by the mean channel, (L, U, I) grid steps: that of :func:`coverage.coverage_radius`, and 0
+        where that is NaN. Which devices each UAV serves, (L, U, I). What :func:`planned_steps`, or without a plan
+        :func:`steps_left`, returns, (L, U, C, I).
+    """
+    scenario, channel = world.scenario, world.channel
+    radius = channel.coverage_radius() / scenario.grid_step_m
+    plans = None if plan is None else plan.for_maps(world)
+    if plans is not None:
+        return radius, np.stack([each.serves for each in plans]), planned_steps(world, plans)
+    return radius, partition(world)[:, None] == np.arange(scenario.uavs)[:, None], steps_left(world)
 
 
 class PartsOfSurvivors:
