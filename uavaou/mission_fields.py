@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
+from uavaou.arrays import Floats, Ints
 from uavaou.errors import nearest
 from uavaou.fields import Fraction, NonNegative, Number, Positive, PositiveWhole, Whole
 from uavaou.zones import StrictMapping
@@ -22,9 +24,10 @@ _FASTEST_M_S = 1e4  # a power that no battery has
 _BLADE_SHARE = 79.86 / _HOVER_W  # of it; the rest is induced
 
 
-def _charge(share: float) -> int:
-    """A share of a battery in parts of ``FULL``, rounded down: an endurance of whole slots is one of so many."""
-    return max(math.floor(FULL * min(share, 2.0)), 1)  # more than a full battery is too much anyway
+def _charge(share: Floats) -> Ints:
+    """Shares of a battery in parts of ``FULL``, rounded down: an endurance of whole slots is one of so many."""
+    most = 2.0  # batteries: too much anyway
+    return np.asarray(np.maximum(np.floor(FULL * np.minimum(share, most)), 1), dtype=np.int64)
 
 
 class Endurance(StrictMapping):
@@ -34,9 +37,9 @@ class Endurance(StrictMapping):
     endurance_s: Positive
     reserve: Annotated[Fraction, Field(lt=1)] = 0.1  # of a full battery, that stays in it
 
-    def slot_energy(self, air_speed_m_s: float, slot_length_s: float) -> int:
-        """The charge that a slot in the air costs, of ``FULL``."""
-        return _charge(slot_length_s / self.endurance_s)
+    def slot_energy(self, air_speed_m_s: Floats, slot_length_s: float) -> Ints:
+        """The charge that a slot in the air costs, of ``FULL``, elementwise."""
+        return _charge(np.full_like(air_speed_m_s, slot_length_s / self.endurance_s))
 
 
 class RotaryWing(StrictMapping):
@@ -52,17 +55,17 @@ class RotaryWing(StrictMapping):
     parasite_w_per_m3_s3: NonNegative = 0.00924  # d0 rho s A / 2
     reserve: Annotated[Fraction, Field(lt=1)] = 0.1
 
-    def power_w(self, air_speed_m_s: float) -> float:
-        """The power in flight at an air speed."""
-        air_speed_m_s = min(air_speed_m_s, _FASTEST_M_S)
+    def power_w(self, air_speed_m_s: Floats) -> Floats:
+        """The power in flight at air speeds, elementwise."""
+        air_speed_m_s = np.minimum(air_speed_m_s, _FASTEST_M_S)
         square = air_speed_m_s**2
         half = square / (2 * self.induced_velocity_m_s**2)
         blades = _BLADE_SHARE * (1 + 3 * square / self.tip_speed_m_s**2)
-        induced = (1 - _BLADE_SHARE) * math.sqrt(math.sqrt(1 + half**2) - half)
-        return self.hover_w * (blades + induced) + self.parasite_w_per_m3_s3 * air_speed_m_s**3
+        induced = (1 - _BLADE_SHARE) * np.sqrt(np.sqrt(1 + half**2) - half)
+        return np.asarray(self.hover_w * (blades + induced) + self.parasite_w_per_m3_s3 * (square * air_speed_m_s))
 
-    def slot_energy(self, air_speed_m_s: float, slot_length_s: float) -> int:
-        """The charge that a slot in the air costs, of ``FULL``."""
+    def slot_energy(self, air_speed_m_s: Floats, slot_length_s: float) -> Ints:
+        """The charge that a slot in the air costs, of ``FULL``, elementwise."""
         return _charge(self.power_w(air_speed_m_s) * slot_length_s / (3600 * self.battery_wh))
 
 

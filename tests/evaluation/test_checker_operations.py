@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.operations import fly, main
+from benchmarks.random_missions import fly, main
 from tests.evaluation.test_checker import broken, watch
 from uavaou.evaluation.checker import CONSTRAINTS
 from uavaou.evaluation.evaluate import play

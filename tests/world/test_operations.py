@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.operations import ITEMS, with_items
+from benchmarks.random_missions import ITEMS, with_items
 from tests.strategies import random_actions, scenarios, seeds
 from tests.world.literal_operations import FULL, LiteralOperations
 from uavaou import Scenario, World

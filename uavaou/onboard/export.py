@@ -25,9 +25,9 @@ from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy, load_run
 from uavaou.scenario import Scenario
 from uavaou.world import World
-from uavaou.world.entities import told_before_take_off
 from uavaou.world.flight import free_moves, grid_cells
 from uavaou.world.pull import SHARE, Plans, steps_left
+from uavaou.world.told import told_before_take_off
 
 SCHEMA = 1
 FILES = ("policy.onnx", "policy.json", "mission.json", "runner.py")

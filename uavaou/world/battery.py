@@ -108,12 +108,12 @@ class Batteries:
 
     def spare(self, cells: Ints, slot: int) -> Ints:
         """Return the moves that each UAV can make beside its way to the nearest station, (N, U)."""
-        cell = cells @ np.array([self._rows, 1])  # (N, U)
-        table = np.arange(self._shape[1]) % len(self._way)
-        way = self._way[table, cell].min(axis=-1)  # (N, U)
-        moves = np.minimum((self.charge - self._reserve) // self._leg, self._flight.budget - self.sortie)
-        home = self._flight.home[np.arange(self._shape[1]), cell]  # (N, U)
-        return np.asarray(np.clip(np.minimum(moves - way, self._slots - slot - home), 0, None))
+        spare: Ints = np.empty(self._shape, dtype=np.int64)
+        _spare(
+            cells @ np.array([self._rows, 1]), self.charge - self._reserve, self.sortie, self._slots - slot, self._leg,
+            self._flight.budget, self._way, self._flight.home, spare,
+        )  # fmt: skip
+        return spare
 
     def state(self) -> dict[str, Any]:
         """What the rest of the missions depends on."""
@@ -192,6 +192,19 @@ def _allowed(
                     if allowed[n, u, move] and nearer:
                         nearest, safe[n, u] = way[table, here, s], move
                         break
+
+
+@compiled
+def _spare(
+    here: Ints, charge: Ints, sortie: Ints, left: int, leg: int, budget: Ints, way: Ints, home: Ints, spare: Ints
+) -> None:
+    for n in range(here.shape[0]):
+        for u in range(here.shape[1]):
+            cell, nearest = here[n, u], 1_000_000_000_000
+            for s in range(way.shape[2]):
+                nearest = min(nearest, way[min(u, len(way) - 1), cell, s])
+            moves = min(charge[n, u] // leg, budget[u] - sortie[n, u])
+            spare[n, u] = max(min(moves - nearest, left - home[u, cell]), 0)
 
 
 @compiled

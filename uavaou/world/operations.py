@@ -12,8 +12,7 @@ import numpy as np
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.mission_fields import FULL
 from uavaou.scenario import Scenario
-from uavaou.world.ages import age_by_estimate
-from uavaou.world.association import within_capacity
+from uavaou.world.association import oldest_within_capacity, within_capacity
 from uavaou.world.battery import Batteries
 from uavaou.world.channel import Channel, rate
 from uavaou.world.flight import STAY, STEP_OF_MOVE, Flight
@@ -102,7 +101,8 @@ class Operations:
                 late |= (cells != self._flight.cds).any(axis=-1)
             self.losses.lost |= self.failed & ~failed & late
             self.failed = failed | self.losses.lost
-            allowed[self.failed] = np.arange(len(STEP_OF_MOVE)) == STAY
+            if self.failed.any():
+                allowed[self.failed] = np.arange(len(STEP_OF_MOVE)) == STAY
             if (silent := self.losses.silent(slot)) is not None:
                 snr[:, :, silent] = 0.0
         if self.losses is not None or self.batteries is not None:
@@ -157,17 +157,14 @@ class Operations:
         """
         assert self._scenario.uplinks_per_slot is not None
         known = own if self.knowledge is None else self.knowledge.collected  # (N, U, I)
-        age = age_by_estimate(slot, known, period[:, None]).astype(np.float64)  # (N, U, I) slots
-        return within_capacity(in_range, self._scenario.uplinks_per_slot, age, self._rates(snr))
+        limit, bandwidth = self._scenario.uplinks_per_slot, self._channel.bandwidth
+        return oldest_within_capacity(in_range, limit, slot, known, period, snr, bandwidth)
 
     def kept(self, offered: Bools, snr: Floats) -> Bools:
         """Return what UAVs keep of the devices that they selected and have in range, (N, U, I)."""
         assert self._scenario.uplinks_per_slot is not None
-        rates = self._rates(snr)
+        rates = rate(self._channel.bandwidth[:, None], snr)  # (N, U, I) bit/s
         return within_capacity(offered, self._scenario.uplinks_per_slot, rates, rates)
-
-    def _rates(self, snr: Floats) -> Floats:
-        return rate(self._channel.bandwidth[:, None], snr)  # (N, U, I) bit/s
 
     # -- state
 

@@ -30,7 +30,8 @@ def mean_wind(scenario: Scenario) -> Floats:
 def air_speeds(scenario: Scenario, wind: Floats) -> Floats:
     """Return the air speed of each of the five moves in a wind (..., 2) m/s, (..., 5) m/s."""
     speed = scenario.grid_step_m / scenario.slot_length_s
-    return np.asarray(np.linalg.norm(speed * DIRECTIONS - wind[..., None, :], axis=-1))
+    along, across = (speed * DIRECTIONS[:, axis] - wind[..., axis, None] for axis in (0, 1))  # (..., 5) m/s each
+    return np.asarray(np.sqrt(along * along + across * across))
 
 
 def largest_air_speeds(scenario: Scenario) -> Floats:
@@ -65,8 +66,7 @@ def flyable(scenario: Scenario, air_speed: Floats) -> Bools:
 def energies(scenario: Scenario, air_speed: Floats) -> Ints:
     """Return the charge that a slot at each air speed costs, elementwise."""
     assert scenario.energy is not None
-    cost, tau = scenario.energy.slot_energy, scenario.slot_length_s
-    return np.array([cost(float(speed), tau) for speed in air_speed.ravel()], dtype=np.int64).reshape(air_speed.shape)
+    return scenario.energy.slot_energy(air_speed, scenario.slot_length_s)
 
 
 class Weather:

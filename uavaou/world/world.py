@@ -209,8 +209,8 @@ class World:
         offered = self.in_range if selections is None else self.in_range & selections
         kept = self.collecting if selections is None else self.operations.kept(offered, self._snr_in_range)
         association = associate(self.in_range, self._snr_in_range, kept)
-        refused = ((offered if selections is None else selections) & ~offered).sum(axis=(1, 2))  # (N,)
-        beyond = (offered & ~kept).sum(axis=(1, 2))  # (N,)
+        refused = association.rejected_rate if selections is None else _count(selections & ~offered)  # (N,)
+        beyond = _count(offered & ~kept)  # (N,)
         return replace(association, rejected_rate=refused, rejected_capacity=beyond), kept
 
     def _check_actions(self, moves: Ints, selections: Bools | None) -> None:
@@ -377,6 +377,11 @@ class World:
         if self._limited:
             known = self.in_range, snr, self.last_in_range, self.update_period
             self.collecting = self.operations.collecting(slot, *known)
+
+
+def _count(flags: Bools) -> Ints:
+    """How many of the flags (N, U, I) of each mission are set, (N,)."""
+    return np.asarray(np.count_nonzero(flags.reshape(len(flags), -1), axis=1))
 
 
 @compiled
