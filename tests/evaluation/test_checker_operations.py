@@ -14,6 +14,7 @@ from uavaou.evaluation.evaluate import play
 from uavaou.planners import make_planner
 from uavaou.scenario import Scenario
 from uavaou.world import links
+from uavaou.world.association import within_capacity
 from uavaou.world.world import World
 
 TAU = Scenario.load("quickstart").slot_length_s
@@ -59,7 +60,10 @@ def one_uplink_more(world: World, patch: pytest.MonkeyPatch) -> None:
 
 
 def the_newest_first(world: World, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr("uavaou.world.operations.age_by_estimate", lambda slot, last, period: last - slot)
+    def keep(offered: Any, limit: int, slot: int, known: Any, *_: Any) -> Any:
+        return within_capacity(offered, limit, known.astype(np.float64), np.zeros(known.shape))
+
+    patch.setattr("uavaou.world.operations.oldest_within_capacity", keep)
 
 
 def nothing_is_cut(world: World, patch: pytest.MonkeyPatch) -> None:
@@ -139,7 +143,9 @@ def positions_are_known(world: World, patch: pytest.MonkeyPatch) -> None:
 
 def messages_go_on_in_the_same_slot(world: World, patch: pytest.MonkeyPatch) -> None:
     pass_on = links._pass_on
-    patch.setattr(links, "_pass_on", lambda passes, h, c, k, *new: [pass_on(passes, *new, *new) for _ in range(3)])
+    patch.setattr(
+        links, "_pass_on", lambda who, absent, *known: [pass_on(who, absent, *known[3:] * 2) for _ in range(3)]
+    )
 
 
 def the_failed_talk(world: World, patch: pytest.MonkeyPatch) -> None:
@@ -203,7 +209,7 @@ MUTATIONS: list[tuple[Scenario, Mutation, str]] = [
     (LIVE, aoi_of_all_updates, "metrics"),
     (LIVE, change("information", _objective="peak"), "metrics"),
     (LIVE, change("information", _limit=10.0), "metrics"),
-    (LIVE, change("information", _weights=np.ones(8)), "metrics"),
+    (LIVE, change("information", weights=np.ones(8)), "metrics"),
 ]
 
 
