@@ -6,6 +6,7 @@ slot 0. In slot t, update n of a device is generated in slot n k <= t and delive
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,7 +59,12 @@ class AgeOfInformation:
         self._age = slot - self._delivered
         self._total += self._age
         if self._limit is not None:
-            self._late += self._age > self._limit
+            self._late += self.late
+
+    @property
+    def late(self) -> Bools:
+        """Which devices are above the limit after the slot just advanced, (N, I)."""
+        return np.asarray(self._age > (math.inf if self._limit is None else self._limit))
 
     def reward(self, age_slots: Ints) -> Floats:
         """Return the reward of the slot just advanced by the objective of the scenario, (N,) s.
@@ -72,7 +78,7 @@ class AgeOfInformation:
         elif self._objective == "peak":
             each = self._rise
         elif self._objective == "above-limit" and self._limit is not None:
-            each = self._age > self._limit
+            each = self.late
         return np.asarray(-self._tau * (each * self._weights).sum(axis=1))
 
     def measures(self, played: int) -> Measures:
