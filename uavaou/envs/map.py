@@ -215,7 +215,8 @@ def _draw_battery(axes: Axes, place: tuple[float, float], share: float, swaps: b
     """A bar below a UAV; while the battery is swapped it is empty, and says so."""
     figure = axes.get_figure(root=True)
     assert figure is not None
-    points = Affine2D().scale(1 / 72) + figure.dpi_scale_trans + ScaledTranslation(*place, axes.transData)
+    to_screen: Any = axes.transData
+    points = Affine2D().scale(1 / 72) + figure.dpi_scale_trans + ScaledTranslation(*place, to_screen)
     low: dict[str, Any] = {"transform": points, "zorder": 8, "clip_on": False}
     axes.add_patch(Rectangle((-_BATTERY_PT / 2, -14), _BATTERY_PT, 3.5, fc="white", ec=BLACK, lw=0.8, **low))
     if swaps:
@@ -244,10 +245,11 @@ def _draw_wind(axes: Axes, wind: Floats) -> None:
     speed = float(np.hypot(*wind))
     tip = _ARROW_PT / 2 * wind / max(speed, 1e-9)  # (2,) points from the middle
     arrow = {"arrowstyle": "-|>", "color": BLACK, "shrinkA": 0, "shrinkB": 0, "lw": 1.5}
-    middle = offset_copy(axes.transAxes, axes.get_figure(root=True), 16, -16, units="points")
+    root = axes.get_figure(root=True)
+    middle = offset_copy(axes.transAxes, root, 16, -16, "points")
     held: dict[str, Any] = {"xycoords": middle, "textcoords": "offset points", "annotation_clip": False, "zorder": 9}
     for end, start in ((tip, -tip),) if speed > 0.05 else ():
-        at = offset_copy(middle, axes.get_figure(root=True), *end, units="points")
+        at = offset_copy(middle, root, float(end[0]), float(end[1]), "points")
         axes.annotate("", (0, 1), tuple(start - end), arrowprops=arrow, **held | {"xycoords": at})
     text = axes.annotate(f"wind {speed:.1f} m/s", (0, 1), (14, 0), fontsize=7.5, va="center", **held)
     text.set_path_effects([withStroke(linewidth=2, foreground="white")])
@@ -257,10 +259,12 @@ def _mark_devices(axes: Axes, scenario: Scenario, layout: Layout, snapshot: dict
     """Silent devices are hollow; a diamond is around those above the age limit."""
     late: dict[str, Any] = {"marker": "D", "facecolors": "none", "edgecolors": FORBIDDEN, "linewidths": 1.2}
     if scenario.age_limit_s is not None and "late" in snapshot:
-        axes.scatter(*layout.positions[np.asarray(snapshot["late"], dtype=np.bool_)].T, s=95, zorder=5.2, **late)
+        x, y = layout.positions[np.asarray(snapshot["late"], dtype=np.bool_)].T
+        axes.scatter(x, y, s=95, zorder=5.2, **late)
     if scenario.devices_silent and (silent := Losses(scenario, 1).silent(snapshot["slot"])) is not None:
         look: dict[str, Any] = {"facecolors": "white", "edgecolors": BLACK, "linewidths": 1.2, "zorder": 5.1}
-        axes.scatter(*layout.positions[silent].T, s=32, **look)
+        x, y = layout.positions[silent].T
+        axes.scatter(x, y, s=32, **look)
 
 
 def _draw_links(axes: Axes, scenario: Scenario, layout: Layout, positions: Floats, uavs: Ints) -> None:

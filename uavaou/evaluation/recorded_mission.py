@@ -50,7 +50,9 @@ class Recording:
         first = snapshots[0]
         stacked = {name: np.stack([shot[name] for shot in snapshots]) + 0 for name in _OPERATIONS}
         return cls(
-            **{name: values.round(_DIGITS) for name, values in stacked.items() if (values != _USUAL.get(name, 0)).any()},
+            **{
+                name: values.round(_DIGITS) for name, values in stacked.items() if (values != _USUAL.get(name, 0)).any()
+            },
             positions=np.stack([shot["positions"] for shot in snapshots]),
             collected_by=np.stack([shot["collected_by"] for shot in snapshots]),
             age_sum=np.stack([shot["age_sum"] for shot in snapshots]),
@@ -110,6 +112,17 @@ class RecordedMission:
         """Which devices are above the age limit, (K, I); None without one."""
         limit = self.scenario.age_limit_s
         return None if limit is None else np.asarray(self.aoi_slots > limit / self.scenario.slot_length_s)
+
+    @cached_property
+    def events(self) -> dict[str, Ints]:
+        """``failure``, ``repair`` and ``swap``, each with its slots and UAVs, (E, 2)."""
+        none = np.zeros((self.scenario.slots, self.scenario.uavs), dtype=np.int64)
+        failed, swaps = (
+            (none if kept is None else kept) > 0 for kept in (self.recording.failed, self.recording.swap_left)
+        )
+        before_failed, before_swaps = (np.concatenate([none[:1] > 0, now[:-1]]) for now in (failed, swaps))  # (K, U)
+        kinds = {"failure": failed & ~before_failed, "repair": before_failed & ~failed, "swap": swaps & ~before_swaps}
+        return {kind: np.add(np.argwhere(begins), [1, 0]) for kind, begins in kinds.items()}
 
     def snapshot(self, slot: int) -> dict[str, Any]:
         """What :meth:`uavaou.world.World.snapshot` gave of a slot, as far as it was kept."""

@@ -31,7 +31,15 @@ STUDY_REPLAY = "replay.html"
 _CONTENT = re.compile(r'<script type="application/json" id="mission">(.*?)</script>', re.DOTALL)
 _MOST_BYTES = 100_000_000
 _WEB = Path(__file__).parent / "web"
-_SCRIPTS = ("mission", "operations", "colours", "map", "chart", "table", "player")  # each uses what those before it define
+_SCRIPTS = (
+    "mission",
+    "operations",
+    "colours",
+    "map",
+    "chart",
+    "table",
+    "player",
+)  # each uses what those before it define
 
 
 def write_replay(path: Path, missions: Mapping[str, RecordedMission]) -> None:
