@@ -11,12 +11,14 @@ from uavaou.files import write_json
 from uavaou_cli.evaluate import evaluation_lines
 from uavaou_cli.import_ import (
     Crs,
+    Duration,
     Endurance,
     Interval,
     MapOptions,
     Radio,
     Speed,
     Station,
+    Swap,
     Uavs,
     Within,
     is_map,
@@ -75,6 +77,8 @@ def fly(
     endurance: Endurance = None,
     interval: Interval = None,
     within: Within = None,
+    duration: Duration = None,
+    swap: Swap = None,
     set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
@@ -96,7 +100,7 @@ def fly(
     overrides.only_of_scenario("a policy flies as it is")
     source = needed_scenario(scenario, scenario_option)
     field = None
-    options = MapOptions(uavs, station, radio, crs, speed, endurance, interval, within)
+    options = MapOptions(uavs, station, radio, crs, speed, endurance, interval, within, duration, swap)
     if is_map(source):
         field, base = read_map_field([Path(source)], options)
     else:
