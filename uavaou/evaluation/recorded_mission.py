@@ -111,7 +111,7 @@ class RecordedMission:
     def late(self) -> Bools | None:
         """Which devices are above the age limit, (K, I); None without one."""
         limit = self.scenario.age_limit_s
-        return None if limit is None else np.asarray(self.aoi_slots > limit / self.scenario.slot_length_s)
+        return None if limit is None else np.asarray(self.aoi_slots > limit / self.scenario.slot_length_s * (1 + 1e-9))
 
     @cached_property
     def events(self) -> dict[str, Ints]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from uavaou.arrays import Bools, Ints
+from uavaou.arrays import Bools
 from uavaou.errors import InputError
 from uavaou.operations import DEVIATIONS, FULL, RotaryWing
 from uavaou.reports.audit_checks import Finding, listed_devices, listed_uavs, plain
@@ -15,7 +15,7 @@ from uavaou.reports.link_budget import LinkBudget
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.battery import Batteries
 from uavaou.world.coverage import grid_positions
-from uavaou.world.flight import UNLIMITED, Flight, closed_cells, steps_from, targets
+from uavaou.world.flight import Flight, closed_cells
 from uavaou.world.links import SILENCE_SLOTS
 from uavaou.world.losses import Losses
 from uavaou.world.wind import air_speeds, energies, flyable, largest_air_speeds, mean_wind
@@ -67,9 +67,8 @@ def _check_batteries(scenario: Scenario, layout: Layout, budget: LinkBudget) -> 
     """How long a battery lasts, how far a sortie gets, and the swaps of a mission."""
     assert scenario.energy is not None
     change = "a larger battery, a shorter grid step or more speed"
-    flight = Flight(scenario)
     try:
-        batteries = Batteries(scenario, 1, flight)
+        batteries = Batteries(scenario, 1, Flight(scenario))
     except InputError as error:
         yield Finding("error", "battery", 0, f"{error}.", change)
         return
@@ -88,7 +87,7 @@ def _check_batteries(scenario: Scenario, layout: Layout, budget: LinkBudget) -> 
     yield Finding("note", "battery", fly, message)
     if min(hover, fly) < 2:
         yield Finding("warning", "battery", fly, "a battery lasts for less than two slots: no UAV leaves home.", change)
-    yield from _check_sorties(scenario, layout, budget, _in_a_sortie(scenario, flight, batteries))
+    yield from _check_sorties(scenario, layout, budget, batteries.cells_in_a_sortie())
     swaps = math.ceil((scenario.slots - 1) / (min(hover, fly) + scenario.swap_slots + 1)) - 1
     down = swaps * (scenario.swap_slots + 1) / scenario.slots
     length = f"the mission of {_time(scenario.slots * tau)}"
@@ -100,19 +99,6 @@ def _check_batteries(scenario: Scenario, layout: Layout, budget: LinkBudget) -> 
             f"{down:.0%} of the time. There are {len(scenario.station_cells)} stations."
         )
     yield Finding("note", "swaps", swaps, message)
-
-
-def _in_a_sortie(scenario: Scenario, flight: Flight, batteries: Batteries) -> Bools:
-    """The cells that each UAV can fly to from some station on its way home, and then to a station, (U, C)."""
-    target, reach = targets(scenario), np.minimum(batteries.reach, flight.budget)  # (T, C, 5), (U,)
-    cells = scenario.station_cells @ np.array([scenario.rows, 1])  # (S,)
-    out: Ints = np.array([[steps_from(moves, cell) for cell in cells] for moves in target])  # (T, S, C)
-    found = []
-    for u, onward in enumerate(batteries.onward):
-        table = u % len(target)
-        there = np.where(onward[:, None] < UNLIMITED, out[table], UNLIMITED).min(axis=0)  # (C,)
-        found.append(there + batteries.way[table].min(axis=1) <= reach[u])
-    return np.array(found)
 
 
 def _check_sorties(scenario: Scenario, layout: Layout, budget: LinkBudget, within: Bools) -> Iterator[Finding]:

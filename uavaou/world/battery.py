@@ -43,7 +43,6 @@ class Batteries:
         if self._leg + self._reserve > FULL:
             raise InputError(f"scenario '{scenario.name}': energy: a battery does not last for a slot of the mission")
         self._scenario = scenario
-        self.reach = (FULL - self._reserve) // self._leg  # moves of the costliest kind
         self.calm: Ints = energies(scenario, air_speeds(scenario, mean_wind(scenario)))[None]  # (1, 5) in constant wind
         cells: Ints = np.asarray(scenario.station_cells @ np.array([scenario.rows, 1]))  # (S,)
         target = targets(scenario)  # (T, C, 5)
@@ -51,16 +50,17 @@ class Batteries:
             raise InputError(f"scenario '{scenario.name}': stations_m: too many for a grid of so many cells")
         back = backwards(scenario)  # (T, C, 5)
         ways = [[steps_from(moves, cell) for cell in cells] for moves in back]
-        self.way: Ints = np.ascontiguousarray(np.moveaxis(np.array(ways), 1, 2))  # (T, C, S) moves to each station
+        self._way: Ints = np.ascontiguousarray(np.moveaxis(np.array(ways), 1, 2))  # (T, C, S) moves to each station
         self._target, self._open, self._stations = target, open_moves(scenario), cells
-        self.onward = self._ways_onward()  # (U, S)
+        self._onward = self._ways_onward()  # (U, S)
 
     def _ways_onward(self) -> Ints:
         """Slots from each station, with a full battery, until each UAV is at its CDS, (U, S); many without a way."""
+        reach = (FULL - self._reserve) // self._leg
         onward = np.full((self._shape[1], len(self._stations)), UNLIMITED)
         for u, home in enumerate(self._flight.homes):
-            between = self.way[u % len(self.way)][self._stations]  # (S, S)
-            between = np.where(between <= min(self.reach, self._flight.budget[u]), between, UNLIMITED)
+            between = self._way[u % len(self._way)][self._stations]  # (S, S)
+            between = np.where(between <= min(reach, self._flight.budget[u]), between, UNLIMITED)
             onward[u] = between[:, self._stations == home].min(axis=1)
             for _ in self._stations:
                 onward[u] = np.minimum(onward[u], (between + self._swap + 1 + onward[u]).min(axis=1))
@@ -91,7 +91,7 @@ class Batteries:
         last: Ints = np.array([self._scenario.columns - 1, self._scenario.rows - 1])
         _allowed(
             cells, last, self.charge, self.down, self.sortie, self._slots - slot, cost, self._leg, self._reserve,
-            self._swap, self._flight.budget, self._open, self._target, self.way, self._flight.home, self.onward,
+            self._swap, self._flight.budget, self._open, self._target, self._way, self._flight.home, self._onward,
             self._stations, self._flight.step_home, allowed, on_grid, safe,
         )  # fmt: skip
         return allowed, on_grid, safe
@@ -106,11 +106,27 @@ class Batteries:
     def spare(self, cells: Ints, slot: int) -> Ints:
         """Return the moves that each UAV can make beside its way to the nearest station, (N, U)."""
         cell = cells @ np.array([self._rows, 1])  # (N, U)
-        table = np.arange(self._shape[1]) % len(self.way)
-        way = self.way[table, cell].min(axis=-1)  # (N, U)
+        table = np.arange(self._shape[1]) % len(self._way)
+        way = self._way[table, cell].min(axis=-1)  # (N, U)
         moves = np.minimum((self.charge - self._reserve) // self._leg, self._flight.budget - self.sortie)
         home = self._flight.home[np.arange(self._shape[1]), cell]  # (N, U)
         return np.asarray(np.clip(np.minimum(moves - way, self._slots - slot - home), 0, None))
+
+    def cells_in_a_sortie(self) -> Bools:
+        """Return the cells that each UAV can fly to from some station with a full battery, and then to one, (U, C).
+
+        Stations without a way to its CDS do not count.
+        """
+        energy = self._scenario.energy
+        assert energy is not None
+        reach = (FULL - round(FULL * energy.reserve)) // self._leg
+        found = []
+        for u, onward in enumerate(self._onward):
+            table = min(u, len(self._way) - 1)
+            starts = self._stations[onward < UNLIMITED]  # (S,)
+            legs = steps_from(self._target[table], starts) + self._way[table].min(axis=1)  # (C,)
+            found.append(legs <= min(reach, self._flight.budget[u]))
+        return np.array(found)
 
     def state(self) -> dict[str, Any]:
         """What the rest of the missions depends on."""

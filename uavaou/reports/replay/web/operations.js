@@ -4,11 +4,11 @@ const SEEN = ["battery", "swap_left", "failed", "news", "wind", "beyond", "late"
 const LOW = 0.25; // of a battery, from which on it is marked
 const EVENTS = { failure: "fails", repair: "is repaired", swap: "swaps its battery" };
 
-/** A time in the mission as on a clock: minutes and seconds, or hours, minutes and seconds. */
+/** A time in the mission as on a clock: minutes and seconds, or hours and minutes. */
 function clock(mission, slots) {
   const seconds = Math.round(slots * mission.slotSeconds);
-  const parts = [Math.floor(seconds / 3600), Math.floor(seconds / 60) % 60, seconds % 60];
-  return (parts[0] ? parts : parts.slice(1)).map((part, k) => (k ? String(part).padStart(2, "0") : part)).join(":");
+  const [whole, part, unit] = seconds < 3600 ? [60, 1, "min"] : [3600, 60, "h"];
+  return `${Math.floor(seconds / whole)}:${String(Math.floor((seconds % whole) / part)).padStart(2, "0")} ${unit}`;
 }
 
 /** What there is to see in one flight, slot by slot. */

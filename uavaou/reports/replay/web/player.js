@@ -249,7 +249,7 @@ class Player {
     bar.replaceChildren();
     bar.style.background = this.theme.gradient();
     bar.setAttribute("aria-label", `from 1 to ${whole.format(oldest)} slots, on a scale of ratios; larger with age`);
-    for (const age of [1, ...powers.filter((power) => this.theme.share(power) < 0.8), oldest]) {
+    for (const age of [1, ...powers.filter((power) => this.theme.share(power) < (oldest < 1e5 ? 0.8 : 0.7)), oldest]) {
       const dot = append(bar, "i");
       dot.style.width = dot.style.height = `${2 * this.theme.radius(age)}px`;
       dot.style.background = this.theme.age(age);
