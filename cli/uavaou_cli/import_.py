@@ -13,7 +13,7 @@ import typer
 
 from uavaou.errors import InputError, command_line, unknown
 from uavaou_cli.options import number, option, shipped, writable_folder
-from uavaou_cli.tables import show, wrapped
+from uavaou_cli.tables import bullet, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.field.mission import Field
@@ -149,8 +149,7 @@ def _understood(found: Field) -> list[str]:
         lines += [f"{name:<11}{first.strip()}", *rest]
     lines += ["", "Ignored or guessed:"]
     for note in found.notes:
-        first, *rest = wrapped(note, "    ")
-        lines += ["  - " + first.strip(), *rest]
+        lines += bullet(note)
     return lines
 
 

@@ -7,8 +7,8 @@ const EVENTS = { failure: "fails", repair: "is repaired", swap: "swaps its batte
 /** A time in the mission as on a clock: minutes and seconds, or hours and minutes. */
 function clock(mission, slots) {
   const seconds = Math.round(slots * mission.slotSeconds);
-  const [whole, part, unit] = seconds < 3600 ? [60, 1, "min"] : [3600, 60, "h"];
-  return `${Math.floor(seconds / whole)}:${String(Math.floor((seconds % whole) / part)).padStart(2, "0")} ${unit}`;
+  const [large, small, unit] = seconds < 3600 ? [60, 1, "min"] : [3600, 60, "h"];
+  return `${Math.floor(seconds / large)}:${String(Math.floor((seconds % large) / small)).padStart(2, "0")} ${unit}`;
 }
 
 /** What there is to see in one flight, slot by slot. */
