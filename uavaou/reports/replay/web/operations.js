@@ -1,6 +1,7 @@
 // What missions hold beside the paper's: batteries, swaps, failures, silent devices, messages between UAVs, wind.
 
 const SEEN = ["battery", "swap_left", "failed", "news", "wind", "beyond", "late", "silent"];
+const MANY_SWAPS = 80; // on the time line, from which on their marks are finer
 const LOW = 0.25; // of a battery, from which on it is marked
 const EVENTS = { failure: "fails", repair: "is repaired", swap: "swaps its battery" };
 
@@ -119,6 +120,7 @@ function markEvents(holder, mission) {
     if (kind !== "swap") words.push(mark.title);
   }
   const swaps = [...events.values()].filter((one) => one.kind === "swap").length;
+  holder.classList.toggle("many", swaps > MANY_SWAPS);
   holder.setAttribute("aria-label", [...words, `${swaps} ${swaps === 1 ? "swap" : "swaps"} of batteries`].join("; "));
 }
 
