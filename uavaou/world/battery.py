@@ -115,6 +115,22 @@ class Batteries:
         )  # fmt: skip
         return spare
 
+    def cells_in_a_sortie(self) -> Bools:
+        """Return the cells that each UAV can fly to from some station with a full battery, and then to one, (U, C).
+
+        Stations without a way to its CDS do not count.
+        """
+        energy = self._scenario.energy
+        assert energy is not None
+        reach = (FULL - round(FULL * energy.reserve)) // self._leg
+        found = []
+        for u, onward in enumerate(self._onward):
+            table = min(u, len(self._way) - 1)
+            starts = self._stations[onward < UNLIMITED]  # (S,)
+            legs = steps_from(self._target[table], starts) + self._way[table].min(axis=1)  # (C,)
+            found.append(legs <= min(reach, self._flight.budget[u]))
+        return np.array(found)
+
     def state(self) -> dict[str, Any]:
         """What the rest of the missions depends on."""
         return {name: getattr(self, name) for name in ("charge", "down", "sortie", "sorties")}

@@ -58,6 +58,11 @@ class AgeOfInformation:
         sums = self._total, self._peak, self._late
         _advance(slot, generated, collected, limit, self._newest, self._delivered, *sums, self._age, self._rise)
 
+    @property
+    def late(self) -> Bools:
+        """Which devices are above the limit after the slot just advanced, (N, I)."""
+        return np.asarray(self._age > (np.inf if self._limit is None else self._limit))
+
     def reward(self, age_slots: Ints) -> Floats:
         """Return the reward of the slot just advanced by the objective of the scenario, (N,) s.
 
@@ -74,7 +79,7 @@ class AgeOfInformation:
         elif self._objective == "peak":
             each = self._rise
         elif self._objective == "above-limit" and self._limit is not None:
-            each = self._age > self._limit
+            each = self.late
         return np.asarray(each, dtype=np.float64)
 
     def measures(self, played: int) -> Measures:

@@ -50,10 +50,24 @@ class Operations:
 
     # -- UAVs
 
+    def seen(self) -> tuple[Bools, Ints, Floats | None, Ints | None, Ints | None, Floats | None]:
+        """What there is to see of the slot, from ``failed`` to ``wind`` of :class:`uavaou.world.world.Stepped`."""
+        batteries, knowledge = self.batteries, self.knowledge
+        return (
+            self.failed,
+            self.sorties,
+            None if batteries is None else batteries.charge / FULL,
+            None if batteries is None else batteries.down.copy(),
+            None if knowledge is None else knowledge.heard.copy(),
+            None if self.weather is None else self.weather.wind,
+        )
+
     @property
-    def battery(self) -> Floats | None:
-        """What is left in each battery, from 0 to 1, (N, U); None without batteries."""
-        return None if self.batteries is None else self.batteries.charge / FULL
+    def late(self) -> Bools:
+        """Which devices are above the age limit after the slot last played, (N, I)."""
+        if self.information is None:
+            return np.zeros((self._shape[0], self._scenario.devices), dtype=np.bool_)
+        return self.information.late
 
     @property
     def absent(self) -> Bools:
