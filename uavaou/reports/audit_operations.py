@@ -82,8 +82,8 @@ def _check_batteries(scenario: Scenario, layout: Layout, budget: LinkBudget) -> 
     )
     if isinstance(scenario.energy, RotaryWing):
         speed = scenario.grid_step_m / tau
-        power = scenario.energy.power_w
-        message += f" Hovering takes {power(0):.0f} W, flying at {plain(speed)} m/s {power(speed):.0f} W without wind."
+        hovering, flying = scenario.energy.power_w(np.array([0.0, speed]))  # W
+        message += f" Hovering takes {hovering:.0f} W, flying at {plain(speed)} m/s {flying:.0f} W without wind."
     yield Finding("note", "battery", fly, message)
     if min(hover, fly) < 2:
         yield Finding("warning", "battery", fly, "a battery lasts for less than two slots: no UAV leaves home.", change)
