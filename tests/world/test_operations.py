@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.operations import ITEMS, with_items
+from benchmarks.random_missions import ITEMS, with_items
 from tests.strategies import random_actions, scenarios, seeds
 from tests.world.literal_operations import FULL, LiteralOperations
 from uavaou import Scenario, World
@@ -329,13 +329,13 @@ def test_a_rotary_wing_has_a_reserve_for_the_costliest_wind() -> None:
 def test_an_endurance_of_whole_slots_is_one_of_so_many(slots: int) -> None:
     energy = Scenario.load("paper").replace(energy={"endurance_s": slots * 20 / 3, "reserve": 0}).energy
     assert energy is not None
-    assert FULL // energy.slot_energy(0.0, 20 / 3) == slots
+    assert FULL // int(energy.slot_energy(0.0, 20 / 3)) == slots
 
 
 def test_the_power_of_the_rotary_wing_is_that_of_its_paper() -> None:
     energy = RotaryWing(model="rotary-wing", battery_wh=80)
     speeds = np.arange(0, 30, 0.1)
-    power = [energy.power_w(float(speed)) for speed in speeds]
+    power = [float(energy.power_w(float(speed))) for speed in speeds]
     assert power[0] == pytest.approx(168.49)
     assert speeds[np.argmin(power)] == pytest.approx(10.2, abs=0.1)  # the maximum-endurance speed
     assert min(power) == pytest.approx(126, abs=1)

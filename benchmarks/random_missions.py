@@ -1,4 +1,4 @@
-"""Fly missions as they really go under the checker: ``python -m benchmarks.operations [--missions N]``.
+"""Fly missions as they really go under the checker: ``python -m benchmarks.random_missions [--missions N]``.
 
 Each scenario is a small field, with zones in half of them, and a random combination of the items of docs/operations.md.
 Forty missions are flown on each, with random moves and selections, and what the independent checker counts is printed.
@@ -130,6 +130,6 @@ def main(missions: int) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.operations", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.random_missions", description=__doc__)
     parser.add_argument("--missions", type=int, default=20_000, help="how many (default: 20,000)")
     main(parser.parse_args().missions)
