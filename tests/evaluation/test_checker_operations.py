@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.random_missions import fly, main
 from tests.evaluation.test_checker import broken, watch
-from uavaou.evaluation.checker import CONSTRAINTS
+from uavaou.evaluation.checker import CONSTRAINTS, ViolationCounter, total
 from uavaou.evaluation.evaluate import play
 from uavaou.planners import make_planner
 from uavaou.scenario import Scenario
@@ -41,6 +41,15 @@ Mutation = Callable[[World, pytest.MonkeyPatch], None]
 @pytest.mark.parametrize("scenario", [LIVE, PERFECT, HEADWIND, LIVE.replace(objective="peak", layout="resample")])
 def test_a_sound_world_has_no_violations(scenario: Scenario) -> None:
     assert watch(World(scenario, 5)) == dict.fromkeys(CONSTRAINTS, 0)
+
+
+def test_every_mission_draws_its_losses_links_and_wind_anew() -> None:
+    world, checker = World(LIVE, 3, 41), ViolationCounter(LIVE, 3, 41)
+    for _ in range(2):
+        while not world.done:
+            checker.observe(world, world.step(np.full((3, 3), 1 + world.slot % 4)))
+        assert total(checker.finish(world)) == dict.fromkeys(CONSTRAINTS, 0)
+        world.reset()
 
 
 OTHERS: list[tuple[dict[str, Any], str]] = [  # what the world simulates in place of what it says
