@@ -136,7 +136,7 @@ class LiteralOperations(LiteralMission):
     def cost(self, move: int, wind: tuple[float, float]) -> int:
         """The charge of a slot."""
         assert self.scenario.energy is not None
-        return self.scenario.energy.slot_energy(self.air_speed(move, wind), self.scenario.slot_length_s)
+        return int(self.scenario.energy.slot_energy(self.air_speed(move, wind), self.scenario.slot_length_s))
 
     def costliest(self) -> int:
         """The charge of the costliest slot in any wind."""
