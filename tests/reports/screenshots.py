@@ -17,7 +17,7 @@ PAGES = {
     "replay": ("docs/gallery/paper.html", 160, (1400, 1000, False, False)),
     "replay-phone": ("docs/gallery/hundred-devices.html", 160, (390, 844, True, True)),
 }
-DAY = (2300, (1200, 900, False, False))  # of docs/a-day.md
+DAY = (2281, (1200, 900, False, False))  # of docs/a-day.md
 OWN_FIELD = (60, (1200, 760, False, False))
 
 

@@ -116,11 +116,13 @@ def test_pictures_mark_failures_swaps_and_the_limit() -> None:
 
 
 def test_the_story_has_the_figures_of_the_mission() -> None:
-    _, mission, _ = fly(**ITEMS)
+    world, mission, _ = fly(**ITEMS)
     head, ages, *failures, swaps, news, wind, capacity = mission_story("greedy", mission)
-    minutes = mission.aoi_slots * mission.scenario.slot_length_s / 60
+    measures = world.measures()
+    assert measures is not None
+    mean, peak = measures.mean_aoi_s.mean() / 60, measures.peak_aoi_s.max() / 60
     assert head == "The mission of greedy, by its clock:"
-    assert f"{minutes.mean():.3g} min in the mean, at most {minutes.max():.3g} min (device" in ages
+    assert f"{mean:.3g} min in the mean, at most {peak:.3g} min (device" in ages
     assert failures[0].startswith("UAV 1 failed at 1:00 min over (")
     assert "repaired at 2:13 min" in failures[0]
     assert len(failures) == 2

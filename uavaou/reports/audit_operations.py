@@ -69,8 +69,8 @@ def _check_batteries(scenario: Scenario, layout: Layout, budget: LinkBudget) -> 
     change = "a larger battery, a shorter grid step or more speed"
     try:
         batteries = Batteries(scenario, 1, Flight(scenario))
-    except InputError as error:
-        yield Finding("error", "battery", 0, f"{error}.", change)
+    except InputError:
+        yield Finding("error", "battery", 0, "a battery does not last for a slot of the mission.", change)
         return
     usable = FULL - round(FULL * scenario.energy.reserve)
     price = energies(scenario, air_speeds(scenario, mean_wind(scenario)))  # (5,)

@@ -18,6 +18,7 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "swap": {"ls": "-", "lw": 0.4},
 }
 _FAILED: dict[str, Any] = {"marker": "X", "ls": "", "ms": 8, "mew": 0.8, "mec": maps.BLACK}
+STATION_MARK = Line2D([], [], ls="", marker="$⊞$", ms=7, color=maps.BLACK, label="swaps only")  # of a legend
 _PLACED: dict[str, Any] = {"textcoords": "offset points", "annotation_clip": False, "ha": "center", "zorder": 6}
 
 
@@ -36,9 +37,8 @@ def draw_losses(axes: Axes, mission: RecordedMission) -> None:
 
 def loss_handles(mission: RecordedMission) -> list[Line2D]:
     """What a legend says of the marks of :func:`draw_losses`."""
-    station = Line2D([], [], ls="", marker="$⊞$", ms=7, color=maps.BLACK, label="swaps only")
     failure = Line2D([], [], mfc="white", label="failed here", **_FAILED)
-    return [failure] * bool(len(mission.events["failure"])) + [station] * bool(mission.scenario.stations_m)
+    return [failure] * bool(len(mission.events["failure"])) + [STATION_MARK] * bool(mission.scenario.stations_m)
 
 
 def draw_events(axes: Axes, mission: RecordedMission, *kinds: str) -> None:

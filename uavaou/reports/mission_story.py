@@ -35,9 +35,11 @@ def _lines(mission: RecordedMission) -> Iterator[str]:
 
 
 def _ages(mission: RecordedMission) -> str:
-    minutes = mission.scenario.slot_length_s / 60 * mission.aoi_slots  # (K, I)
-    slot, device = np.unravel_index(int(minutes.argmax()), minutes.shape)
-    text = f"age of information: {minutes.mean():.3g} min in the mean, at most {minutes.max():.3g} min "
+    minutes, ages = mission.scenario.slot_length_s / 60, mission.aoi_slots  # (K, I) slots
+    peaks = 1 + np.concatenate([np.zeros_like(ages[:1]), ages[:-1]])  # (K, I) slots, just before a delivery
+    slot, device = np.unravel_index(int(peaks.argmax()), peaks.shape)
+    text = f"age of information: {minutes * ages.mean():.3g} min in the mean, "
+    text += f"at most {minutes * peaks.max():.3g} min "
     text += f"({mission.scenario.device_name(int(device))}, at {clock(mission.scenario, int(slot) + 1)})"
     if mission.late is not None and mission.scenario.age_limit_s is not None:
         text += f"; above {mission.scenario.age_limit_s / 60:.3g} min for {100 * mission.late.mean():.2g} % of the time"

@@ -80,7 +80,6 @@ class FleetRows {
     const { operations, uavs } = flight.mission;
     this.flight = flight;
     this.list = append(card, "ul", "fleet");
-    this.list.hidden = !Object.keys(operations).length;
     this.rows = Array.from({ length: operations.batteries || operations.failures ? uavs : 0 }, (_, u) => {
       const row = append(this.list, "li");
       const badge = append(row, "b", "", String(u));
@@ -91,6 +90,7 @@ class FleetRows {
       return { row, level: append(bar, "i"), state: append(row, "span") };
     });
     this.counts = flight.seen.counts(1).map(() => append(this.list, "li", "counts"));
+    this.list.hidden = !this.list.children.length;
   }
 
   show(slot) {
