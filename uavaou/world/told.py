@@ -75,7 +75,7 @@ class PartsOfSurvivors:
         key = layout, alive.tobytes()
         if key not in self._sets:
             plan = None if self._plan is None else self._plan.for_survivors(world, layout, alive)
-            plan = plan or _rule(world, layout, alive)
+            plan = plan or rule_plan(world, layout, alive)
             self._sets[key] = len(self.serves)
             self.serves = np.concatenate([self.serves, plan.serves[None]])
             steps = planned_steps(world, [plan], slice(layout, layout + 1)).astype(self.steps.dtype)
@@ -83,8 +83,8 @@ class PartsOfSurvivors:
         return self._sets[key]
 
 
-def _rule(world: World, layout: int, alive: Bools) -> PullPlan:
-    """The numbers of the rule for the parts of survivors."""
+def rule_plan(world: World, layout: int, alive: Bools) -> PullPlan:
+    """Return the numbers of the rule for the parts of survivors, (U,), on a layout."""
     owner = survivors_parts(world, alive, slice(layout, layout + 1))[0]  # (I,)
     serves = owner == np.arange(len(alive))[:, None]  # (U, I)
     usual = np.ones(serves.shape)

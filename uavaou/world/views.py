@@ -261,9 +261,9 @@ class Views(RowViews):
         uav = np.arange(self.scenario.uavs)[:, None]
         others = scaled[:, uav % scaled.shape[1], self._others]  # (n, U, U - 1, 2)
         at["other_positions"][...] = others.reshape(*others.shape[:2], -1)
-        ages = world.ages.age_slots[:, None]  # (N, w, I)
-        if not told.true_ages:
-            ages = _estimated_age(world.slot - 1, told.last, world.update_period[:, None])
+        ages, knowledge = world.ages.age_slots[:, None], world.operations.knowledge  # (N, w, I)
+        if knowledge is not None:
+            ages = _estimated_age(world.slot - 1, knowledge.collected, world.update_period[:, None])
         at["age_sum"][...] = np.sqrt(ages) / RECENT_SLOTS
 
     def state(self, world: World) -> Rows:
