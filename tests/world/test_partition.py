@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uavaou import Scenario, World
-from uavaou.world.partition import partition
+from uavaou.world.partition import partition, survivors_parts
 
 SMALL = Scenario.load("quickstart").replace(
     area_x_m=600, area_y_m=600, slots=40, uavs=2, altitudes_m=[80, 90], cds_m=[[0, 0], [600, 0]]
@@ -53,3 +53,15 @@ def test_a_turned_map_has_the_same_parts(seed: int) -> None:
 def test_more_uavs_than_devices() -> None:
     world = placed([[100.0, 100.0], [500.0, 500.0]], uavs=4, altitudes_m=[80, 81, 82, 83], cds_m=[[0, 0]] * 4)
     assert partition(world).shape == (1, 2)
+
+
+def test_survivors_have_the_plan_of_their_fleet_alone() -> None:
+    world = World("paper", 2)
+    for alive in (np.array([True, False, True]), np.array([False, True, False])):
+        of = [u for u in range(3) if alive[u]]
+        own = {name: [getattr(world.scenario, name)[u] for u in of] for name in ("altitudes_m", "cds_m")}
+        alone = partition(World(world.scenario.replace(uavs=len(of), **own)))
+        np.testing.assert_array_equal(survivors_parts(world, alive), np.array(of)[alone])
+    np.testing.assert_array_equal(survivors_parts(world, np.ones(3, dtype=bool)), partition(world))
+    with pytest.raises(ValueError, match="at least one"):
+        survivors_parts(world, np.zeros(3, dtype=bool))

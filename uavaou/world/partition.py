@@ -51,10 +51,43 @@ def parts_in_flight(world: World) -> tuple[Ints, Floats]:
     known = _LAST.get(world)
     if known is not None and known[0] is world.device_positions:
         return known[1], known[2]
-    scenario = world.scenario
+    owner, age_sums = _parts_of(world, np.ones(world.scenario.uavs, dtype=np.bool_))
+    _LAST[world] = world.device_positions, owner, age_sums
+    return owner, age_sums
+
+
+def survivors_parts(world: World, alive: Bools) -> Ints:
+    """Return the UAV whose part each device belongs to where some UAVs are lost, (L, I).
+
+    It is the plan of the fleet without the lost ones, on the same map. So survivors that know of the same losses have
+    the same plan, and need no vote. Plans that have been made are kept.
+
+    Args:
+        world: of the whole fleet.
+        alive: the survivors, (U,); at least one.
+
+    Raises:
+        ValueError: there are none.
+    """
+    if not alive.any():
+        raise ValueError("alive: at least one UAV")
+    return partition(world) if alive.all() else _parts_of(world, alive)[0]
+
+
+def survivors(scenario: Scenario, alive: Bools) -> Scenario:
+    """Return the scenario of the UAVs that are ``alive``, (U,), alone, without losses and links."""
+    left = np.flatnonzero(alive).tolist()
+    kept = {name: tuple(getattr(scenario, name)[u] for u in left) for name in ("altitudes_m", "cds_m")}
+    none = ("uav_names", "failures", "failure_probability_per_slot", "links", "silence_slots")
+    return scenario.model_copy(update={"uavs": len(left), **kept, **dict.fromkeys(none)})
+
+
+def _parts_of(world: World, alive: Bools) -> tuple[Ints, Floats]:
+    """Return what :func:`parts_in_flight` does for the UAVs that are ``alive``, (U,)."""
+    scenario = world.scenario if alive.all() else survivors(world.scenario, alive)
     owner = np.zeros(world.device_positions.shape[:2], dtype=np.int64)  # (L, I)
     age_sums = np.zeros(len(owner))
-    headroom = world.channel.mean_snr_above() / world.channel.snr_min[:, None, :]  # (L, U, I)
+    headroom = (world.channel.mean_snr_above() / world.channel.snr_min[:, None, :])[:, alive]  # (L, U, I)
     for layout, (positions, above) in enumerate(
         zip(world.device_positions / scenario.grid_step_m, headroom, strict=True)
     ):
@@ -62,9 +95,8 @@ def parts_in_flight(world: World) -> tuple[Ints, Floats]:
         order = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=-1))
         # Rows lie one after the other in memory, always: compiled functions are compiled anew for another order.
         devices = positions[order], above[:, order].copy(order="C"), world.update_period[layout, order]
-        owner[layout, order], age_sums[layout] = _known_plan(*devices, world.flight.cds, scenario)
-    _LAST[world] = world.device_positions, owner, age_sums
-    return owner, age_sums
+        owner[layout, order], age_sums[layout] = _known_plan(*devices, world.flight.cds[alive], scenario)
+    return np.flatnonzero(alive)[owner], age_sums
 
 
 def _known_plan(positions: Floats, headroom: Floats, period: Ints, cds: Ints, scenario: Scenario) -> tuple[Ints, float]:
