@@ -17,7 +17,7 @@ from uavaou.arrays import Ints
 from uavaou.planners.expected import ExpectedAge
 from uavaou.planners.greedy import BestFirst
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner, expected_age, expected_mean_aou
-from uavaou.planners.search import anneal, recompute
+from uavaou.planners.search import NO_STATIONS, anneal, recompute
 from uavaou.planners.tour import PartitionTour, Tour
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
@@ -91,6 +91,7 @@ class Anneal(RoutePlanner):
                     best,
                     age,
                     rng,
+                    NO_STATIONS,
                 )
                 recompute(expected)  # removes the rounding errors of many small changes
             if self.time_limit_s is not None:  # without one, the clock must not affect the plan
