@@ -16,6 +16,7 @@ import numpy as np
 from uavaou.arrays import Ints
 from uavaou.planners.expected import ExpectedAge
 from uavaou.planners.greedy import BestFirst
+from uavaou.planners.plain import plain_model
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner, expected_age, expected_mean_aou
 from uavaou.planners.search import NO_STATIONS, anneal, recompute
 from uavaou.planners.tour import PartitionTour, Tour
@@ -102,7 +103,7 @@ class Anneal(RoutePlanner):
 
 def best_first_routes(scenario: Scenario, layout: Layout) -> Ints:
     """Return the routes (K, U, 2) that the best-first greedy planner flies in one mission on this layout."""
-    world, planner, cells = World(scenario.pinned(layout)), BestFirst(), []
+    world, planner, cells = World(plain_model(scenario).pinned(layout)), BestFirst(), []
     planner.reset(world, 0)
     while not world.done:
         cells.append(world.cells[0])

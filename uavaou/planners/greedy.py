@@ -1,8 +1,11 @@
 """The greedy planner with full information: each UAV flies to the cell with the largest expected age per step."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
+from uavaou.planners.plain import ITEMS
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import UNLIMITED, first_moves, first_step, grid_cells, moves_along_legs, steps_from
@@ -35,6 +38,7 @@ class Greedy:
     """
 
     best_first = False
+    lives_with: ClassVar[tuple[str, ...]] = ITEMS
 
     def reset(self, world: World, seed: int) -> None:
         """Compute the coverage of each cell, for each mission if ``layout: resample``; draw nothing from ``seed``."""

@@ -33,6 +33,7 @@ class LocalGreedy:
     """
 
     knows: ClassVar[Knowledge] = "local"
+    lives_with: ClassVar[tuple[str, ...]] = ("uplinks_per_slot", "energy", "links")
 
     def reset(self, world: World, seed: int) -> None:
         """Compute the pull of each device on each cell, for each layout; draw nothing from ``seed``."""

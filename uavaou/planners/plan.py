@@ -18,6 +18,7 @@ from uavaou.field.routes import fleet_routes
 from uavaou.fields import NonNegative, WholeNumbers, validated
 from uavaou.files import read_json
 from uavaou.planners.expected import ExpectedAge
+from uavaou.planners.plain import plain_model
 from uavaou.planners.search import recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
@@ -193,6 +194,7 @@ class AheadPlanner(ABC, Generic[P]):
 
     name: ClassVar[str]
     plans_maps: ClassVar[bool] = True  # each before its first flight
+    lives_with: ClassVar[tuple[str, ...]] = ()  # what it reckons with of uavaou.planners.plain.ITEMS
 
     def __init__(self, time_limit_s: float | None = None) -> None:
         self.time_limit_s = time_limit_s
@@ -244,6 +246,6 @@ class RoutePlanner(AheadPlanner[RoutePlan]):
 
 
 def layout_key(scenario: Scenario, layout: Layout) -> tuple[str | bytes, ...]:
-    """Return what tells one map from another."""
+    """Return what tells one map from another, in the plain model: plans are of nothing else."""
     devices = (layout.positions, layout.bandwidth, layout.transmit_power, layout.update_period)
-    return (scenario.model_dump_json(), *(field.tobytes() for field in devices))
+    return (plain_model(scenario).model_dump_json(), *(field.tobytes() for field in devices))

@@ -9,6 +9,7 @@ from uavaou.planners.absence import Absence, flight_with_swaps, is_beyond, misse
 from uavaou.planners.anneal import Anneal, flown_steps
 from uavaou.planners.base import mission_rngs
 from uavaou.planners.expected import ExpectedAge
+from uavaou.planners.plain import ITEMS
 from uavaou.planners.plan import RoutePlan, expected_age
 from uavaou.planners.search import NO_STATIONS, Grid, anneal, change, follow
 from uavaou.scenario import Layout, Scenario
@@ -34,6 +35,7 @@ class Rolling:
     """
 
     name: ClassVar[str] = "rolling"
+    lives_with: ClassVar[tuple[str, ...]] = ITEMS
 
     def __init__(self, time_limit_s: float | None = None) -> None:
         self._anneal = Anneal(time_limit_s)

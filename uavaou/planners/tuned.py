@@ -63,6 +63,7 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedyParts):
     """
 
     name: ClassVar[str] = "local-greedy-tuned"
+    lives_with: ClassVar[tuple[str, ...]] = LocalGreedyParts.lives_with
 
     def __init__(self, time_limit_s: float | None = None, slots: int | None = None) -> None:
         super().__init__(time_limit_s)
