@@ -4,13 +4,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from uavaou.arrays import Bools, Floats, Ints
+from uavaou.arrays import Bools, Ints
 from uavaou.planners.plain import ITEMS
 from uavaou.world import World
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import UNLIMITED, first_moves, first_step, grid_cells, moves_along_legs, steps_from
-
-_LIKELY = 1e-3  # probability of collecting a device, from which it takes part in more than a UAV serves in a slot
 
 
 class Greedy:
@@ -23,11 +21,14 @@ class Greedy:
     UAV can still return to its CDS. UAVs choose in turn, in the order of their numbers; the devices in range of a
     chosen cell (without fading) do not count for the next UAV.
 
-    With ``uplinks_per_slot: L``, the L largest terms of a cell count, and its L oldest devices do not count for the
-    next UAV. With batteries, a cell must leave enough of them for the way to a station. One that does not is
-    flown to over the station from which it is reached first, and the swap there counts as so many steps; so a UAV at a
-    station swaps when that brings more than what is left in its battery. A failed UAV gets no cell, a silent device
-    has no age, and a UAV that is down chooses by the slots that it still is.
+    With ``uplinks_per_slot`` some devices in range keep their age. To stay for them counts as a step: it takes a slot,
+    as a move to the next cell does. On ``paper`` with 4 and with 1 uplinks that is better on average than to count no
+    more than so many devices of a cell, or to leave the others of a chosen cell to the next UAV.
+
+    With batteries, a cell must leave enough of them for the way to a station. One that does not is flown to over the
+    station from which it is reached first, and the swap there counts as so many steps; so a UAV at a station swaps when
+    that brings more than what is left in its battery. A failed UAV gets no cell, a silent device has no age, and a UAV
+    that is down chooses by the slots that it still is.
 
     Ties go to the lowest UAV, then the lowest column, then the lowest row. A UAV with nothing left to collect stays,
     until the World flies it home. The path to a cell goes along x first, then along y.
@@ -50,10 +51,6 @@ class Greedy:
         self._cells = grid_cells(scenario)  # (C, 2)
         self._steps_home = world.flight.home  # (U, C)
         self._legs = moves_along_legs(scenario)  # (U, C, 5) or None
-        limit = scenario.uplinks_per_slot
-        self._uplinks = None if limit is None or limit >= scenario.devices else limit
-        if self._uplinks is not None:
-            self._crowded = ((self._probability > _LIKELY).sum(axis=-1) > self._uplinks).any(axis=0)  # (U, C)
 
     def act(self, world: World) -> tuple[Ints, Bools | None]:
         """Return the first step of each UAV towards its cell, (N, U)."""
@@ -63,36 +60,27 @@ class Greedy:
         probability = np.broadcast_to(self._probability, (missions, *self._probability.shape[1:]))  # (N, U, C, I)
         steps, via = self._reach(world)  # (N, U, C) each
         candidate = steps < UNLIMITED  # (N, U, C) and back in time
-        age = np.where(
-            world.collecting.any(axis=1), 0.0, world.age_sum
-        )  # (N, I) s, not yet collected by another choice
+        duration = steps if world.scenario.uplinks_per_slot is None else np.maximum(steps, 1)
+        # (N, I) s, not yet collected by another choice
+        age = np.where(world.collecting.any(axis=1), 0.0, world.age_sum)
         if (silent := world.operations.silent(world.slot)) is not None:
             age[:, silent] = 0.0
         targets = world.cells.copy()  # (N, U, 2)
         for turn in range(uavs):
             choosing = candidate if self.best_first else candidate & (np.arange(uavs) == turn)[:, None]
-            value = np.where(choosing, self._collected(age, probability) / (1 + steps), -1.0)  # (N, U, C)
+            # A matrix product may round differently with N; near-ties would then depend on the batch.
+            collected = np.einsum("ni,nuci->nuc", age, probability)  # (N, U, C) s, expected
+            value = np.where(choosing, collected / (1 + duration), -1.0)  # (N, U, C)
             uav, cell = np.divmod(value.reshape(missions, -1).argmax(axis=1), cells)  # (N,), (N,)
             worthwhile = value[mission, uav, cell] > 0.0
             towards = self._cells[via[mission, uav, cell]]  # (N, 2)
             targets[mission[worthwhile], uav[worthwhile]] = towards[worthwhile]
-            taken = _oldest(self._in_radius[layout, uav, cell] & worthwhile[:, None], age, self._uplinks)  # (N, I)
-            age = np.where(taken, 0.0, age)
+            age = np.where(self._in_radius[layout, uav, cell] & worthwhile[:, None], 0.0, age)
             candidate[mission, uav] = False  # this UAV has chosen
         if self._legs is None:
             return first_step(targets - world.cells), None
         after = self._legs[np.arange(uavs), world.cells @ [world.scenario.rows, 1]]  # (N, U, 5) cells
         return first_moves(np.take_along_axis(self._steps(world, targets), after, axis=-1)), None
-
-    def _collected(self, age: Floats, probability: Floats) -> Floats:
-        """The expected age sum, s, (N, U, C), that each UAV would collect in each cell of devices of an age (N, I)."""
-        # A matrix product may round differently with N; near-ties would then depend on the batch.
-        collected = np.einsum("ni,nuci->nuc", age, probability)
-        if self._uplinks is not None:
-            uav, cell = np.nonzero(self._crowded)  # (Q,)
-            each = age[:, None] * probability[:, uav, cell]  # (N, Q, I)
-            collected[:, uav, cell] = np.partition(each, -self._uplinks, axis=-1)[..., -self._uplinks :].sum(axis=-1)
-        return collected
 
     def _reach(self, world: World) -> tuple[Ints, Ints]:
         """Return the slots until each UAV can be over each cell and come home, and the cell to fly to first, (N, U, C).
@@ -114,16 +102,6 @@ class Greedy:
             return np.asarray(np.abs(self._cells - cells[:, :, None, :]).sum(axis=-1))
         number = cells @ [world.scenario.rows, 1]  # (N, U)
         return np.array([[steps_from(*pair) for pair in zip(self._legs, each, strict=True)] for each in number])
-
-
-def _oldest(devices: Bools, age: Floats, limit: int | None) -> Bools:
-    """Of some devices (N, I) the ``limit`` oldest, the lower number first of equally old ones."""
-    if limit is None:
-        return devices
-    order = np.where(devices, -age, np.inf).argsort(axis=-1, kind="stable")[:, :limit]  # (N, L)
-    oldest = np.zeros_like(devices)
-    np.put_along_axis(oldest, order, True, axis=-1)
-    return oldest & devices
 
 
 class BestFirst(Greedy):
