@@ -31,6 +31,7 @@ from uavaou_cli.options import (
     Quiet,
     ScenarioName,
     ScenarioOption,
+    WhatIf,
     needed_scenario,
     number,
     option,
@@ -79,6 +80,7 @@ def fly(
     within: Within = None,
     duration: Duration = None,
     swap: Swap = None,
+    what_if: WhatIf = None,
     set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
@@ -88,11 +90,14 @@ def fly(
     Writes a page that replays both in a browser, the mission as JSON, and its pictures. `uavaou plot trajectories` also
     draws PDFs. --route adds what `uavaou route` writes.
 
+    --what-if loses a UAV on the way, in the rehearsal as in the mission.
+
     SCENARIO may be a map file, such as sensors.geojson: it is imported first, as `uavaou import` does.
     """
     from uavaou.planners import planner_knowledge
     from uavaou.runs.comparison import make_policy
     from uavaou.runs.names import flight_folder, scenario_folder
+    from uavaou.runs.what_if import what_if as happening
     from uavaou.scenario import Scenario
     from uavaou.world.knowledge import within as knows_enough
 
@@ -106,8 +111,9 @@ def fly(
     else:
         options.refuse(source)
         base = Scenario.load(source)
-    flown = overrides.of_scenario(base)
-    place = Path("results") / scenario_folder(base, overrides.scenario) / "fly"
+    flown = happening(overrides.of_scenario(base), what_if or ())
+    changes = overrides.scenario | ({"what_if": "; ".join(what_if)} if what_if else {})
+    place = Path("results") / scenario_folder(base, changes) / "fly"
     folder = out or place / flight_folder([policy])
     writable_folder(folder)
     if route:
@@ -137,7 +143,7 @@ def fly(
             name for name in _REFERENCES if name != policy and knows_enough(planner_knowledge(name), knows)
         )
         policies = {name: make_policy(name, flown, knows=knows) for name in (policy, reference)}
-    _fly(flown, policies, seed, folder, overrides.scenario, quiet)
+    _fly(flown, policies, seed, folder, changes, quiet)
     if ages:
         from uavaou.reports.mission_figures import plot_rehearsal
 

@@ -39,8 +39,8 @@ class Batteries:
         worst = largest_energies(scenario)  # (5,)
         steady = flyable(scenario, largest_air_speeds(scenario))  # (5,)
         self._leg = int(worst[steady].max())
-        self._reserve = round(FULL * scenario.energy.reserve)
-        if self._leg + self._reserve > FULL:
+        self.reserve = round(FULL * scenario.energy.reserve)
+        if self._leg + self.reserve > FULL:
             raise InputError(
                 f"scenario '{scenario.name}': energy: a slot in the air takes {self._leg / FULL:.0%} of a battery, "
                 f"and {scenario.energy.reserve:.0%} stay in it; a larger battery or shorter slots would fit"
@@ -56,10 +56,11 @@ class Batteries:
         self._way: Ints = np.ascontiguousarray(np.moveaxis(np.array(ways), 1, 2))  # (T, C, S) moves to each station
         self._target, self._open, self._stations = target, open_moves(scenario), cells
         self._onward = self._ways_onward()  # (U, S)
+        self._out: Ints = np.array([[steps_from(moves, cell) for cell in cells] for moves in target])  # (T, S, C)
 
     def _ways_onward(self) -> Ints:
         """Slots from each station, with a full battery, until each UAV is at its CDS, (U, S); many without a way."""
-        reach = (FULL - self._reserve) // self._leg
+        reach = (FULL - self.reserve) // self._leg
         onward = np.full((self._shape[1], len(self._stations)), UNLIMITED)
         for u, home in enumerate(self._flight.homes):
             between = self._way[u % len(self._way)][self._stations]  # (S, S)
@@ -93,7 +94,7 @@ class Batteries:
         safe: Ints = np.zeros(self._shape, dtype=np.int64)
         last: Ints = np.array([self._scenario.columns - 1, self._scenario.rows - 1])
         _allowed(
-            cells, last, self.charge, self.down, self.sortie, self._slots - slot, cost, self._leg, self._reserve,
+            cells, last, self.charge, self.down, self.sortie, self._slots - slot, cost, self._leg, self.reserve,
             self._swap, self._flight.budget, self._open, self._target, self._way, self._flight.home, self._onward,
             self._stations, self._flight.step_home, allowed, on_grid, safe,
         )  # fmt: skip
@@ -106,11 +107,62 @@ class Batteries:
             self.sortie, self.sorties,
         )  # fmt: skip
 
+    def at_station(self, cells: Ints) -> Bools:
+        """Which UAVs are over a station, (N, U)."""
+        return np.isin(cells @ np.array([self._rows, 1]), self._stations)
+
+    def reach(self, steps: Ints, cells: Ints, slot: int, failed: Bools) -> tuple[Ints, Ints]:
+        """Return the slots until each UAV can be over each cell and come home, and the cell to fly to first, (N, U, C).
+
+        A cell that the battery does not cover is reached over a station and a swap. The slots are ``UNLIMITED`` where a
+        cell is out of reach, or the UAV failed. A UAV flies to the cell itself first, or to that station.
+
+        Args:
+            steps: moves of each UAV from its cell to each cell, (N, U, C).
+            cells: of the UAVs, (N, U, 2).
+            slot: t.
+            failed: (N, U).
+        """
+        here, uavs = cells @ np.array([self._rows, 1]), np.arange(self._shape[1])  # (N, U)
+        table, swap = uavs % len(self._way), self._swap + 1
+        legs = np.minimum((self.charge - self.reserve) // self._leg, self._flight.budget - self.sortie)  # (N, U)
+        full = np.minimum((FULL - self.reserve) // self._leg, self._flight.budget)  # (U,)
+        down = self.down > 0
+        legs = np.where(down, full, legs)
+        least = np.where(
+            self._comes_home(steps, steps + self.down[..., None], legs, slot), steps + self.down[..., None], UNLIMITED
+        )
+        stays = self.at_station(cells) & ~down & (self.charge < FULL)  # to stay is to swap
+        least[stays[:, :, None] & (steps == 0)] = UNLIMITED
+        first = np.broadcast_to(np.arange(steps.shape[2]), steps.shape).copy()  # (N, U, C)
+        for s, station in enumerate(self._stations):
+            there, out = self._way[table, here, s], self._out[table, s]  # (N, U), (U, C)
+            slots = there[..., None] + swap + out  # (N, U, C)
+            better = slots < least
+            better &= (~down & (there <= legs) & ((there > 0) | (self.charge < FULL)))[..., None]
+            better &= self._comes_home(
+                np.broadcast_to(out, steps.shape), slots, np.broadcast_to(full, legs.shape), slot
+            )
+            least, first = np.where(better, slots, least), np.where(better, station, first)
+        least[failed] = UNLIMITED
+        return least, first
+
+    def _comes_home(self, flown: Ints, slots: Ints, legs: Ints, slot: int) -> Bools:
+        """Whether each UAV comes home from each cell, (N, U, C), after so many steps of its sortie, (N, U, C), of which
+        it can make ``legs`` (N, U), and after so many slots, (N, U, C)."""
+        rest, left = legs[..., None] - flown, self._slots - slot - slots
+        table = np.arange(self._shape[1]) % len(self._way)
+        home = self._flight.home <= np.minimum(rest, left)
+        for s in range(len(self._stations)):
+            there = self._way[table, :, s]  # (U, C)
+            home |= (there <= rest) & (there + self._swap + 1 + self._onward[:, s, None] <= left)
+        return np.asarray(home)
+
     def spare(self, cells: Ints, slot: int) -> Ints:
         """Return the moves that each UAV can make beside its way to the nearest station, (N, U)."""
         spare: Ints = np.empty(self._shape, dtype=np.int64)
         _spare(
-            cells @ np.array([self._rows, 1]), self.charge - self._reserve, self.sortie, self._slots - slot, self._leg,
+            cells @ np.array([self._rows, 1]), self.charge - self.reserve, self.sortie, self._slots - slot, self._leg,
             self._flight.budget, self._way, self._flight.home, spare,
         )  # fmt: skip
         return spare
@@ -120,9 +172,7 @@ class Batteries:
 
         Stations without a way to its CDS do not count.
         """
-        energy = self._scenario.energy
-        assert energy is not None
-        reach = (FULL - round(FULL * energy.reserve)) // self._leg
+        reach = (FULL - self.reserve) // self._leg
         found = []
         for u, onward in enumerate(self._onward):
             table = min(u, len(self._way) - 1)

@@ -20,30 +20,12 @@ from uavaou.world.compiled import compiled
 from uavaou.world.flight import STAY, STEP_OF_MOVE, Flight
 from uavaou.world.measures import Measures
 from uavaou.world.operations import Operations
+from uavaou.world.streams import packed, unpack
 
 _STATE = (
     "cells", "flown", "last_collection", "last_collection_by", "last_in_range",
     "_age_total", "_communications", "_rejected_rate", "_rejected_association",
 )  # fmt: skip
-_WORD = (1 << 64) - 1
-
-
-def _pack_stream(rng: np.random.Generator) -> NDArray[np.uint64]:
-    """Return the state of a PCG64 generator as six 64-bit words."""
-    state = rng.bit_generator.state
-    words = [state["state"]["state"], state["state"]["inc"]]
-    halves = [half for word in words for half in (word >> 64, word & _WORD)]
-    return np.array([*halves, state["has_uint32"], state["uinteger"]], dtype=np.uint64)
-
-
-def _unpack_stream(rng: np.random.Generator, packed: NDArray[np.uint64]) -> None:
-    words = [int(word) for word in packed]
-    rng.bit_generator.state = {
-        "bit_generator": "PCG64",
-        "state": {"state": words[0] << 64 | words[1], "inc": words[2] << 64 | words[3]},
-        "has_uint32": words[4],
-        "uinteger": words[5],
-    }
 
 
 @dataclass(frozen=True)
@@ -334,7 +316,7 @@ class World:
         if self.scenario.uplinks_per_slot is not None:
             arrays["rejected_capacity"] = self._rejected_capacity.copy()
         arrays |= self.operations.state()
-        arrays["streams"] = np.stack([_pack_stream(rng) for rng in self._rngs])  # (N, 6)
+        arrays["streams"] = np.stack([packed(rng) for rng in self._rngs])  # (N, 6)
         if not self._fixed_layout:
             arrays["device_positions"], arrays["update_period"] = self.device_positions, self.update_period
             arrays["bandwidth"], arrays["transmit_power"] = self.channel.bandwidth, self.channel.transmit_power
@@ -346,8 +328,8 @@ class World:
             setattr(self, name, arrays[name].copy())
         self.slot = int(arrays["slot"][0])
         self.ages.pending, self.ages.age_slots = arrays["pending"].copy(), arrays["age_slots"].copy()
-        for rng, packed in zip(self._rngs, arrays["streams"], strict=True):
-            _unpack_stream(rng, packed)
+        for rng, words in zip(self._rngs, arrays["streams"], strict=True):
+            unpack(rng, words)
         if not self._fixed_layout:
             self.device_positions, self.update_period = arrays["device_positions"], arrays["update_period"]
             self.channel.set_devices(self.device_positions, arrays["bandwidth"], arrays["transmit_power"])
