@@ -208,15 +208,6 @@ def test_missions_with_everything_are_the_same_by_every_way(rows: str) -> None:
             np.testing.assert_array_equal(env.step(actions)[0], rows_then)
 
 
-@pytest.mark.parametrize("failures", [[{"uav": 0, "slot": 4}], [{"uav": 0, "slot": 2}, {"uav": 1, "slot": 2}]])
-def test_learners_learn_where_uavs_are_failed(failures: list[dict[str, int]]) -> None:
-    env = flatten(small(failures=failures, uplinks_per_slot=2), 2, seed=3, observation="shared", rows="entities")
-    policy = {"network": "set", "pull": 60.0}
-    model = MAPPO(env=env, seed=0, n_steps=9, batch_size=12, policy_kwargs=policy, device="cpu")
-    model.learn(9 * 2 * 2 * 2)
-    assert all(bool(p.isfinite().all()) for p in model.policy.parameters())
-
-
 def raw(processes: int = 1) -> Any:
     stage = supersuit.pettingzoo_env_to_vec_env_v1(uavaou_v0.parallel_env(small()))
     return supersuit.concat_vec_envs_v1(stage, 4, num_cpus=processes, base_class="stable_baselines3")

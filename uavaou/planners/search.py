@@ -325,8 +325,7 @@ def anneal(
         between: low and high; slots low <= t < high may change.
         temperatures: the first and the last, in slots of total age.
         best, best_age: the best routes, (U, K+1), changed in place; their total age, in slots squared.
-        stations: cells in which a stay is a swap of batteries, (C,), or none: (0,). Cell C is then that of a UAV that
-            is down or failed; no proposal begins a swap, or changes one or what leads to it.
+        stations: cells in which a stay is a swap of batteries, (C,), or none: (0,); cell C is that of an absent UAV.
     """
     uavs, slots = len(e.routes), len(e.cumulative) - 1
     trial = np.empty(2 * slots + 64, dtype=np.int64)  # beyond slot K: space for paths that are too long
