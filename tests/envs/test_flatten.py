@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
+from tests.scenario_files import EVERYTHING
 from uavaou import MAPPO, InputError, Scenario, World, flatten, uavaou_v0
 from uavaou.envs import batched
 from uavaou.envs.batched import BatchedMissions
@@ -27,14 +28,6 @@ WAYS: list[dict[str, Any]] = [
     {"backend": "supersuit", "processes": 1},
     {"backend": "supersuit", "processes": 2},
 ]
-
-
-EVERYTHING = {
-    "uplinks_per_slot": 1, "energy": {"endurance_s": 80}, "swap_time_s": 10, "links": {"probability": 0.5},
-    "failures": [{"uav": 1, "slot": 3, "until": 6}], "failure_probability_per_slot": 0.05, "silence_slots": 2,
-    "devices_silent": [{"device": 0, "from": 5}], "wind": {"east_m_s": 2, "deviation_m_s": 1}, "age_limit_s": 30,
-    "objective": "peak",
-}  # fmt: skip
 
 
 def small(**changes: Any) -> Scenario:
