@@ -353,3 +353,19 @@ def test_an_age_of_the_limit_is_not_above_it(slot_length_s: float, slots: int) -
     assert measures is not None
     assert measures.late_share is not None
     assert measures.late_share[0].tolist() == [(12 - slots) / 12] * 4
+
+
+def test_a_uav_that_cannot_come_home_at_once_steps_to_a_station_along_x_before_y() -> None:
+    """Ten slots in the air: it hovers two steps from the station until it must go, six steps from its CDS."""
+    battery = {"energy": {"endurance_s": 10 * TINY.slot_length_s, "reserve": 0}, "stations_m": [[400, 400]]}
+    big = {"area_x_m": 400, "area_y_m": 400, "slots": 40, "uavs": 1, "altitudes_m": [80], "cds_m": [[0, 0]]}
+    world = World(TINY.replace(flight_time="ignore", **big, **battery))
+    way = [(3, 3), (3, 3), (3, 3), (4, 3), (4, 4)]  # of the cells in slots 7 to 11
+    for move in (3, 3, 3, 1, 1, 1, 0, 0, 0, 0):
+        world.step(np.array([[move]]))
+        if world.slot >= 7:
+            assert tuple(world.cells[0, 0].tolist()) == way[world.slot - 7]
+    assert world.operations.batteries is not None
+    assert world.operations.batteries.charge[0, 0] < 100  # of FULL: a slot is rounded down
+    world.step(STAY[:, :1])  # the swap takes no time
+    assert world.operations.batteries.charge[0, 0] == FULL
