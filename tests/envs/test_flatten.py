@@ -29,14 +29,6 @@ WAYS: list[dict[str, Any]] = [
 ]
 
 
-EVERYTHING = {
-    "uplinks_per_slot": 1, "energy": {"endurance_s": 80}, "swap_time_s": 10, "links": {"probability": 0.5},
-    "failures": [{"uav": 1, "slot": 3, "until": 6}], "failure_probability_per_slot": 0.05, "silence_slots": 2,
-    "devices_silent": [{"device": 0, "from": 5}], "wind": {"east_m_s": 2, "deviation_m_s": 1}, "age_limit_s": 30,
-    "objective": "peak",
-}  # fmt: skip
-
-
 def small(**changes: Any) -> Scenario:
     return Scenario.load("quickstart").replace(slots=9, **changes)
 
@@ -184,37 +176,6 @@ class OneRow(gymnasium.Env[Any, Any]):
 @pytest.mark.parametrize("collection", ["select", "auto"])
 def test_stable_baselines_checks_a_row(collection: str) -> None:
     check_env(OneRow(collection))
-    check_env(OneRow(collection, **EVERYTHING))
-
-
-@pytest.mark.parametrize("rows", ["flat", "entities"])
-def test_missions_with_everything_are_the_same_by_every_way(rows: str) -> None:
-    scenario = small(**EVERYTHING)
-    for collection in ("select", "auto"):
-        way = {"observation": "shared", "rows": rows, "collection": collection}
-        reference = played(scenario, **way)
-        for other in WAYS[:2]:
-            for one, another in zip(reference, played(scenario, **way, **other), strict=True):
-                np.testing.assert_array_equal(one, another)
-        env = flatten(scenario, 2, seed=3, **way)
-        env.reset()
-        actions = random_actions(np.random.default_rng(1), env.num_envs, env)
-        for _ in range(5):
-            env.step(actions)
-        state = env.missions_state()
-        wanted = [env.step(actions)[0].copy() for _ in range(4)]
-        env.load_missions_state(state)
-        for rows_then in wanted:
-            np.testing.assert_array_equal(env.step(actions)[0], rows_then)
-
-
-@pytest.mark.parametrize("failures", [[{"uav": 0, "slot": 4}], [{"uav": 0, "slot": 2}, {"uav": 1, "slot": 2}]])
-def test_learners_learn_where_uavs_are_failed(failures: list[dict[str, int]]) -> None:
-    env = flatten(small(failures=failures, uplinks_per_slot=2), 2, seed=3, observation="shared", rows="entities")
-    policy = {"network": "set", "pull": 60.0}
-    model = MAPPO(env=env, seed=0, n_steps=9, batch_size=12, policy_kwargs=policy, device="cpu")
-    model.learn(9 * 2 * 2 * 2)
-    assert all(bool(p.isfinite().all()) for p in model.policy.parameters())
 
 
 def raw(processes: int = 1) -> Any:

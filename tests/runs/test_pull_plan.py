@@ -146,7 +146,7 @@ def test_where_maps_vary_each_has_a_plan_and_a_longer_one_in_flight(tmp_path: Pa
     np.testing.assert_array_equal(steps[1], planned_steps(World(single), [found[1]])[0])
     env = flatten(varied, 3, seed=5, rows="entities", plan=plans)
     env.reset()
-    np.testing.assert_array_equal(env.venv.vec_envs[0].views._own, [plan.serves for plan in found])
+    np.testing.assert_array_equal(env.venv.vec_envs[0].views._parts.serves, [plan.serves for plan in found])
     large = Scenario.load("paper").replace(grid_step_m=2.5)
     assert plans.for_maps(World(large)) is None
 
