@@ -202,12 +202,11 @@ class Pilot:
             in_range: whether a device's rate to this UAV reaches the minimum in this slot, (I,).
             others_m: positions of the other UAVs in the order of their numbers, (U - 1, 2) m, NaN for a lost one; for
                 "shared" alone. Where mission.json has silence_slots: none, but their ``messages`` of this slot.
-            rates: of the devices, (I,); any numbers in their order. For uplinks_per_slot alone.
+            rates: of the devices, (I,), for uplinks_per_slot alone; of equal ones the lower number comes first.
         """
         cell = np.rint(np.asarray(position_m) / self.step).astype(int)  # (2,)
         in_range, allowed = np.asarray(in_range, dtype=bool), self.allowed_moves(cell)
-        if rates is None and "uplinks_per_slot" in self.mission:
-            raise ValueError("rates: needed for uplinks_per_slot")
+        rates = np.zeros(len(self.period)) if rates is None else np.asarray(rates)
         cells, present, fresh = self.listen(cell, others_m, messages)
         ages = self.ages(self.slot + 1, self.last if self.linked else self.last_in_range)  # (I,)
         self.kept = self.keep(in_range, ages, rates)
@@ -245,7 +244,7 @@ class Pilot:
         """As many of the devices offered, (I,), as it can serve: the largest by ``first``, and then by ``second``."""
         if offered.sum() <= self.most:
             return offered
-        order = np.lexsort((-np.asarray(second), -np.asarray(first), ~offered))
+        order = np.lexsort((-second, -first, ~offered))
         return np.isin(np.arange(len(offered)), order[: self.most])
 
     def message(self, position_m: Any) -> dict[str, Any]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import OrderedDict
 from math import sqrt
 
+import numpy as np
+
 from uavaou.arrays import Bools
 from uavaou.files import read_json
 from uavaou.planners.plan import OnProgress, layout_key
@@ -37,7 +39,10 @@ class PlanOfEachMap:
         """Return the plan of each layout; None where the map is too large."""
         if _too_large(world.scenario):
             return None
-        return [self._plan(world.scenario, world.layout(mission)) for mission in range(len(world.device_positions))]
+        scenario = survivors(
+            world.scenario, np.ones(world.scenario.uavs, dtype=np.bool_)
+        )  # as if no UAV were ever lost
+        return [self._plan(scenario, world.layout(mission)) for mission in range(len(world.device_positions))]
 
     def for_survivors(self, world: World, layout: int, alive: Bools) -> PullPlan | None:
         """Return the plan of the UAVs that are ``alive``, (U,), alone on a layout; None where the map is too large."""
