@@ -200,6 +200,7 @@ def _evaluate_suite(
     from uavaou.csv_tables import write_table
     from uavaou.experiments.suite import Suite
     from uavaou.experiments.suite_flights import plan_suite
+    from uavaou.planners.plain import ignoring
     from uavaou.runs.comparison import make_policy
     from uavaou.runs.folder import RunFolder
     from uavaou.scenario import Scenario
@@ -221,7 +222,8 @@ def _evaluate_suite(
         if out is not None:
             write_table(out, flights.table)
     finally:  # what has been played is shown even where Ctrl-C ended it, or a disk has filled
-        show(_suite_lines(flights, episodes, seed))
+        remarks = (line for one in flights.points if one.scenario for line in ignoring(policies, one.scenario))
+        show([*_suite_lines(flights, episodes, seed), *paragraphs(dict.fromkeys(remarks))])
     say([f"wrote {out}"] if out else [], quiet)
 
 

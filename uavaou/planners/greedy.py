@@ -23,7 +23,8 @@ class Greedy:
 
     With ``uplinks_per_slot`` some devices in range keep their age. To stay for them counts as a step: it takes a slot,
     as a move to the next cell does. On ``paper`` with 4 and with 1 uplinks that is better on average than to count no
-    more than so many devices of a cell, or to leave the others of a chosen cell to the next UAV.
+    more than so many devices of a cell, or to leave the others of a chosen cell to the next UAV. With batteries, a stay
+    counts as much.
 
     With batteries, a cell must leave enough of them for the way to a station. One that does not is flown to over the
     station from which it is reached first, and the swap there counts as so many steps; so a UAV at a station swaps when
@@ -60,7 +61,8 @@ class Greedy:
         probability = np.broadcast_to(self._probability, (missions, *self._probability.shape[1:]))  # (N, U, C, I)
         steps, via = self._reach(world)  # (N, U, C) each
         candidate = steps < UNLIMITED  # (N, U, C) and back in time
-        duration = steps if world.scenario.uplinks_per_slot is None else np.maximum(steps, 1)
+        waits = world.scenario.uplinks_per_slot is not None or world.scenario.energy is not None
+        duration = np.maximum(steps, 1) if waits else steps  # (N, U, C)
         # (N, I) s, not yet collected by another choice
         age = np.where(world.collecting.any(axis=1), 0.0, world.age_sum)
         if (silent := world.operations.silent(world.slot)) is not None:

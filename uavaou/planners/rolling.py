@@ -14,7 +14,7 @@ from uavaou.planners.plan import RoutePlan, expected_age
 from uavaou.planners.search import NO_STATIONS, Grid, anneal, change, follow
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
-from uavaou.world.flight import UNLIMITED, first_step, ways
+from uavaou.world.flight import NO_WAY, UNLIMITED, first_step, ways
 
 _HORIZON = 35  # slots ahead that may change
 _PROPOSALS = 8000  # in each slot; some 10 ms on `paper`
@@ -54,7 +54,10 @@ class Rolling:
         else:
             routes = [flight_with_swaps(scenario, layout) for layout in layouts]
         self._absence = Absence(scenario) if is_beyond(scenario) else None
-        self._grid = scenario.columns, scenario.rows, ways(scenario)
+        moves = ways(scenario)  # (T, C, C)
+        if self._absence is not None and moves.size:  # no way leads to the cell of those that are away
+            moves = np.pad(moves, ((0, 0), (0, 1), (0, 1)), constant_values=NO_WAY)
+        self._grid = scenario.columns, scenario.rows, moves
         miss = [None if self._absence is None else missed(scenario, layout) for layout in layouts]
         each = [expected_age(scenario, *of_layout) for of_layout in zip(layouts, routes, miss, strict=True)]
         self._expected = [_copy(each[mission % len(each)]) for mission in range(world.missions)]
