@@ -50,8 +50,8 @@ class RotaryWing(StrictMapping):
     model: Literal["rotary-wing"]
     battery_wh: Positive
     hover_w: Positive = _HOVER_W
-    tip_speed_m_s: Positive = 120.0
-    induced_velocity_m_s: Positive = 4.03
+    tip_speed_m_s: Annotated[Number, Field(ge=1e-3)] = 120.0
+    induced_velocity_m_s: Annotated[Number, Field(ge=1e-3)] = 4.03
     parasite_w_per_m3_s3: NonNegative = 0.00924  # d0 rho s A / 2
     reserve: Annotated[Fraction, Field(lt=1)] = 0.1
 

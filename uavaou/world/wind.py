@@ -18,6 +18,7 @@ from uavaou.scenario import Scenario
 from uavaou.world.channel import Keys, keys_of_item, uniforms
 
 _ITEM = 3  # of the random streams
+_LIGHT_M_S = 3e8  # slots may be absurdly short; squares of speeds stay finite
 DIRECTIONS: Floats = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]], dtype=np.float64)  # (5, 2) of the moves
 
 
@@ -27,9 +28,13 @@ def mean_wind(scenario: Scenario) -> Floats:
     return np.array((scenario.wind or Wind()).mean_m_s(0.0 if place is None else place.bearing_deg))
 
 
+def _ground_speed(scenario: Scenario) -> float:
+    return min(scenario.grid_step_m / scenario.slot_length_s, _LIGHT_M_S)
+
+
 def air_speeds(scenario: Scenario, wind: Floats) -> Floats:
     """Return the air speed of each of the five moves in a wind (..., 2) m/s, (..., 5) m/s."""
-    speed = scenario.grid_step_m / scenario.slot_length_s
+    speed = _ground_speed(scenario)
     along, across = (speed * DIRECTIONS[:, axis] - wind[..., axis, None] for axis in (0, 1))  # (..., 5) m/s each
     return np.asarray(np.sqrt(along * along + across * across))
 
@@ -44,7 +49,7 @@ def largest_air_speeds(scenario: Scenario) -> Floats:
 def least_air_speeds(scenario: Scenario) -> Floats:
     """Return the least air speed of each move in any wind of the scenario, (5,) m/s."""
     mean, drawn = mean_wind(scenario), DEVIATIONS * (scenario.wind or Wind()).deviation_m_s
-    ground = scenario.grid_step_m / scenario.slot_length_s * DIRECTIONS  # (5, 2) m/s
+    ground = _ground_speed(scenario) * DIRECTIONS  # (5, 2) m/s
     return np.asarray(np.linalg.norm(ground - ground.clip(mean - drawn, mean + drawn), axis=-1))
 
 
