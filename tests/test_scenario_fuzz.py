@@ -54,7 +54,7 @@ EXTREMES_THAT_LOAD: list[dict[str, Any]] = [
     {"slot_length_s": 1e-300},
     {"slot_length_s": 1e-300, "energy": {"model": "rotary-wing", "battery_wh": 1e-15}},
     {"energy": {"model": "rotary-wing", "battery_wh": 80, "induced_velocity_m_s": 1e-200}},
-    {"energy": {"endurance_s": 1e15}, "swap_time_s": 1e15},
+    {"energy": {"endurance_s": 1e15}, "swap_time_s": 1e15, "slot_length_s": 1e-9},
     {"wind": {"east_m_s": 100, "deviation_m_s": 30, "correlation": 1 - 1e-16}, "links": {"range_m": 1e15}},
     {"age_limit_s": 1e-300, "objective": "above-limit", "device_weights": [1e15, 0, 0, 1e-300]},
 ]

@@ -187,8 +187,8 @@ class Scenario(ScenarioFields):
 
     @property
     def swap_slots(self) -> int:
-        """The slots that a swap of batteries takes."""
-        return math.ceil((self.swap_time_s or 0.0) / self.slot_length_s - 1e-9)
+        """The slots that a swap of batteries takes; 10^12 for ever."""
+        return math.ceil(min((self.swap_time_s or 0.0) / self.slot_length_s, 1e12) - 1e-9)
 
     @property
     def station_cells(self) -> Ints:

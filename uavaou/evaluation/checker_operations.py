@@ -81,7 +81,7 @@ class OperationsCheck:
         self._full: Bools = np.ones((missions, uavs), dtype=np.bool_)
         self._down: Ints = np.zeros((missions, uavs), dtype=np.int64)  # slots of a swap that are left
         self._stations = np.array([*scenario.cds_m, *(scenario.stations_m or ())], dtype=np.float64)  # (S, 2) m
-        self._swap = math.ceil((scenario.swap_time_s or 0.0) / scenario.slot_length_s - _SLACK)
+        self._swap = math.ceil(min((scenario.swap_time_s or 0.0) / scenario.slot_length_s, 1e12) - _SLACK)
         speeds = np.linspace(0.0, 150.0, 3001)
         self._cheapest = 0.0 if scenario.energy is None else float(self._spent(speeds).min())
         # Capacity: the slot in which each UAV last kept each device, and what it would keep in the next slot
