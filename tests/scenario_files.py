@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,3 +23,12 @@ def write(folder: Path, text: str, name: str = "mine.yaml") -> Path:
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
+
+
+# All that a small mission may hold (docs/operations.md).
+EVERYTHING: dict[str, Any] = {
+    "uplinks_per_slot": 1, "energy": {"endurance_s": 80}, "swap_time_s": 10, "links": {"probability": 0.5},
+    "failures": [{"uav": 1, "slot": 3, "until": 6}], "failure_probability_per_slot": 0.05, "silence_slots": 2,
+    "devices_silent": [{"device": 0, "from": 5}], "wind": {"east_m_s": 2, "deviation_m_s": 1}, "age_limit_s": 30,
+    "objective": "peak",
+}  # fmt: skip

@@ -142,13 +142,34 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
     heads = [("action", "knows"), ("mean AoU", "(slots)"), ("mean AoU", "(min)"), ("communi-", "cations")]
     heads += [("devices", f"of {scenario.devices}"), ("viola-", "tions")]
     rows = [(name, _cells(result, comparison.policies[name])) for name, result in comparison.results.items()]
-    lines += ["", *two_line_table(heads, rows)]
+    lines += ["", *two_line_table(heads, rows), *_information_lines(comparison)]
     for name, result in comparison.results.items():
         broken = ", ".join(f"{key} {count:,}" for key, count in result.violations.items() if count)
         if broken:
             lines += ["", f"{name} broke constraints: {broken}"]
     note = "below each mean: its 95 % interval over missions" if episodes > 1 else "one mission alone gives no interval"
     return [*lines, "", "below each action: what the policy knows in flight (docs/planners.md)", note]
+
+
+def _information_lines(comparison: Comparison) -> list[str]:
+    """What the scenario asks for beside AoU, where it does."""
+    from uavaou.statistics import interval_over_missions
+
+    scenario, rows = comparison.scenario, []
+    heads = [("mean AoI", "(slots)"), ("mean AoI", "(min)"), ("largest", "AoI (min)")]
+    for name, result in comparison.results.items():
+        if not (found := result.age_of_information):
+            return []
+        columns = [found["mean_aoi_s"] / result.slot_length_s, found["mean_aoi_s"] / 60, found["peak_aoi_s"] / 60]
+        if "late_share" in found:
+            columns.append(100 * found["late_share"])
+        rows.append((name, [interval_figures(interval_over_missions(values)) for values in columns]))
+    if scenario.age_limit_s is not None:
+        heads.append(("% of time", f"> {scenario.age_limit_s / 60:.3g} min"))
+    notes = ["AoI: the age of the newest update that has arrived, over all devices"]
+    notes += ["by device_weights"] if scenario.device_weights is not None else []
+    notes += [f"the reward is that of the objective {scenario.objective}"] if scenario.objective else []
+    return ["", *two_line_table(heads, rows), *paragraphs([", ".join(notes)])]
 
 
 def _cells(result: Evaluation, policy: Planner) -> list[tuple[str, str]]:

@@ -11,12 +11,14 @@ from uavaou.files import write_json
 from uavaou_cli.evaluate import evaluation_lines
 from uavaou_cli.import_ import (
     Crs,
+    Duration,
     Endurance,
     Interval,
     MapOptions,
     Radio,
     Speed,
     Station,
+    Swap,
     Uavs,
     Within,
     is_map,
@@ -29,6 +31,7 @@ from uavaou_cli.options import (
     Quiet,
     ScenarioName,
     ScenarioOption,
+    WhatIf,
     needed_scenario,
     number,
     option,
@@ -40,7 +43,7 @@ from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import RecordingDisplay
 from uavaou_cli.rehearsal import AUTO, rehearsal_lines, rehearse_in
 from uavaou_cli.route import ROUTE_FOLDER, check_routes, write_routes
-from uavaou_cli.tables import show
+from uavaou_cli.tables import bullet, show
 
 if TYPE_CHECKING:
     from uavaou.arrays import Floats
@@ -75,6 +78,9 @@ def fly(
     endurance: Endurance = None,
     interval: Interval = None,
     within: Within = None,
+    duration: Duration = None,
+    swap: Swap = None,
+    what_if: WhatIf = None,
     set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
@@ -84,11 +90,14 @@ def fly(
     Writes a page that replays both in a browser, the mission as JSON, and its pictures. `uavaou plot trajectories` also
     draws PDFs. --route adds what `uavaou route` writes.
 
+    --what-if loses a UAV on the way, in the rehearsal as in the mission.
+
     SCENARIO may be a map file, such as sensors.geojson: it is imported first, as `uavaou import` does.
     """
     from uavaou.planners import planner_knowledge
     from uavaou.runs.comparison import make_policy
     from uavaou.runs.names import flight_folder, scenario_folder
+    from uavaou.runs.what_if import what_if as happening
     from uavaou.scenario import Scenario
     from uavaou.world.knowledge import within as knows_enough
 
@@ -96,14 +105,15 @@ def fly(
     overrides.only_of_scenario("a policy flies as it is")
     source = needed_scenario(scenario, scenario_option)
     field = None
-    options = MapOptions(uavs, station, radio, crs, speed, endurance, interval, within)
+    options = MapOptions(uavs, station, radio, crs, speed, endurance, interval, within, duration, swap)
     if is_map(source):
         field, base = read_map_field([Path(source)], options)
     else:
         options.refuse(source)
         base = Scenario.load(source)
-    flown = overrides.of_scenario(base)
-    place = Path("results") / scenario_folder(base, overrides.scenario) / "fly"
+    flown = happening(overrides.of_scenario(base), what_if or ())
+    changes = overrides.scenario | ({"what_if": "; ".join(what_if)} if what_if else {})
+    place = Path("results") / scenario_folder(base, changes) / "fly"
     folder = out or place / flight_folder([policy])
     writable_folder(folder)
     if route:
@@ -133,7 +143,7 @@ def fly(
             name for name in _REFERENCES if name != policy and knows_enough(planner_knowledge(name), knows)
         )
         policies = {name: make_policy(name, flown, knows=knows) for name in (policy, reference)}
-    _fly(flown, policies, seed, folder, overrides.scenario, quiet)
+    _fly(flown, policies, seed, folder, changes, quiet)
     if ages:
         from uavaou.reports.mission_figures import plot_rehearsal
 
@@ -156,6 +166,7 @@ def _fly(
     """Fly a mission with each policy; print the figures, and write the files of the first."""
     from uavaou.evaluation.recorded_mission import write_mission
     from uavaou.reports.mission_figures import plot_trajectories
+    from uavaou.reports.mission_story import mission_story
     from uavaou.reports.replay.page import by_label, write_replay
     from uavaou.runs.comparison import compare
 
@@ -163,7 +174,10 @@ def _fly(
         comparison = compare(policies, scenario, 1, seed, display)
     show(evaluation_lines(comparison, changes))
     missions = display.missions(scenario, seed)
-    name, chosen = f"mission-{seed}", missions[next(iter(policies))]
+    first = next(iter(policies))
+    name, chosen = f"mission-{seed}", missions[first]
+    if story := mission_story(first, chosen):
+        show(["", story[0], *(line for text in story[1:] for line in bullet(text))])
     written, page = folder / f"{name}.json", folder / f"{name}.html"
     write_mission(written, chosen)
     write_replay(page, by_label(missions.values()))

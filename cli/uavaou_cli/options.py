@@ -153,6 +153,9 @@ Knows = Annotated[
         "everything",
     ),
 ]
+WhatIf = Annotated[
+    list[str] | None, option("What happens, such as 'UAV 1 lost at half time'. Repeatable.", "TEXT", "--what-if")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 
 

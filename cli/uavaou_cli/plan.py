@@ -113,13 +113,14 @@ def gap(
     if certificate is not None:
         writable_file(certificate)
     from uavaou.planners import gap_planners, make_planner
+    from uavaou.planners.plain import bounded
     from uavaou.runs.comparison import compare, make_policy
     from uavaou.runs.folder import RunFolder
 
     limits = dict.fromkeys(("local-greedy-tuned", "anneal", "rolling", "exact"), time_limit)
     policies = {name: make_policy(RunFolder.at(name), chosen) for name in run}
     policies |= {name: make_planner(name, limits.get(name)) for name in gap_planners(chosen)}
-    bound = _bound(chosen, bound_limit, certificate, quiet)
+    bound = _bound(bounded(chosen), bound_limit, certificate, quiet)
     with EvaluationDisplay(quiet, list(policies), episodes * chosen.slots) as display:
         comparison = compare(policies, chosen, episodes, seed, display)
     show(_gap_lines(comparison, bound))
@@ -181,7 +182,9 @@ def _plan_and_report(
 
     layout, begun = scenario.draw_layout(), time.monotonic()
     with Display(quiet, 1.0, "", scenario.slot_length_s) as display:
-        if name != "exact" and (time_limit is None or time_limit >= _BOUND_FROM_S):  # exact brings its own
+        if (
+            name != "exact" and not scenario.devices_silent and (time_limit is None or time_limit >= _BOUND_FROM_S)
+        ):  # exact brings its own
             display.measure_from(0, "lower bound")
             display.bound_s = lower_bound(scenario, layout, _BOUND_S).mean_aou_s
             display.measure_from(0, "routes")
@@ -208,13 +211,19 @@ def _left(limit_s: float, spent_s: float) -> float:
 
 def _plan_lines(scenario: Scenario, plan: Plan, took_s: float, path: Path) -> list[str]:
     """The result of a planning, and its file."""
-    tau = scenario.slot_length_s
+    from uavaou.planners.plain import items
+
+    tau, left_out = scenario.slot_length_s, ", ".join(items(scenario))
     ended = "interrupted after" if plan.interrupted else "in"
     lines = [
         f"planned {scenario.name} with {plan.planner} {ended} {duration(took_s)}",
         f"expected mean AoU: {figure(plan.mean_aou_s / tau)} slots ({figure(plan.mean_aou_s / 60)} min)",
     ]
-    if plan.gap is not None and plan.bound_s is not None:
+    if left_out:
+        lines[1] += f" without {left_out}"
+    if scenario.devices_silent:
+        lines.append("lower bound:       none with devices_silent, who generate less than any plan can serve")
+    elif plan.gap is not None and plan.bound_s is not None:
         proven = "proven optimal" if plan.gap < 1e-9 else f"gap {plan.gap:.1%}"
         lines.append(f"lower bound:       {figure(plan.bound_s / tau)} slots, {proven}")
     else:
@@ -224,6 +233,7 @@ def _plan_lines(scenario: Scenario, plan: Plan, took_s: float, path: Path) -> li
 
 def _gap_lines(comparison: Comparison, bound: Bound) -> list[str]:
     """One row for the bound and one for each policy, the best first."""
+    from uavaou.planners.plain import items
     from uavaou.world.knowledge import knowledge
 
     scenario, episodes, seed = comparison.scenario, comparison.episodes, comparison.seed
@@ -242,6 +252,8 @@ def _gap_lines(comparison: Comparison, bound: Bound) -> list[str]:
         "the expected mean AoU of every policy that does not foresee the channel is at least the bound; knows: what "
         "the policy reads in flight (docs/planners.md)"
     )
+    if left_out := items(scenario):
+        note += f". It is that of the plain model, as {', '.join(left_out)} only take possibilities away"
     return [head, *paragraphs(comparison.remarks()), "", *two_line_table(heads, rows), "", *wrapped(note)]
 
 

@@ -34,6 +34,7 @@ def rehearse_in(scenario: Scenario, seconds: float, knows: str, folder: Path, qu
 
 def rehearsal_lines(rehearsal: Rehearsal) -> list[str]:
     """The candidates, the best first; which one is served, and how sure that is."""
+    from uavaou.planners.plain import ignoring
     from uavaou.runs.comparison import beyond_training
 
     scenario, best = rehearsal.scenario, rehearsal.served
@@ -49,6 +50,7 @@ def rehearsal_lines(rehearsal: Rehearsal) -> list[str]:
     texts = [
         found for one in rehearsal.candidates if one.run is None and (found := beyond_training(one.name, scenario))
     ]
+    texts += ignoring({one.name: one.policy for one in rehearsal.candidates}, scenario)
     if rehearsal.late:
         texts.append(f"Too slow for the time given: {', '.join(rehearsal.late)}; --seconds gives more.")
     lead = "" if len(rehearsal.candidates) == 1 else f" Its lead is {'clear' if rehearsal.is_clear else 'not clear'}."

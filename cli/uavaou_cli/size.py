@@ -16,6 +16,7 @@ from uavaou_cli.options import (
     Quiet,
     ScenarioName,
     ScenarioOption,
+    WhatIf,
     needed_scenario,
     option,
     seconds,
@@ -48,6 +49,7 @@ def size(
     seconds: Annotated[float, seconds("For all rehearsals together. [default: 60]")] = 60.0,
     knows: Knows = "everything",
     out: Annotated[Path | None, option("Where the files go. [default: results/<scenario>/size]", "DIR")] = None,
+    what_if: WhatIf = None,
     set_: Changes = None,
     quiet: Quiet = False,
 ) -> None:
@@ -55,9 +57,12 @@ def size(
 
     Rehearses every fleet in question, and flies the best policy of each on 32 other missions. Writes a table, a picture
     and, with --target, the scenario of the cheapest fleet that holds it, for `uavaou fly`.
+
+    With --what-if 'one UAV lost at half time', each UAV in turn is lost, and the worst of these losses counts.
     """
     from uavaou.runs.names import scenario_folder
     from uavaou.runs.sizing import fleets, read_target
+    from uavaou.runs.what_if import what_ifs
     from uavaou.scenario import Scenario
 
     overrides = parse_overrides(set_ or [])
@@ -69,10 +74,13 @@ def size(
     speeds = [value for text in speed or () if (value := quantity("--speed", text, "speed_m_s", "m/s"))]
     budgets = [value for text in endurance or () if (value := quantity("--endurance", text, "endurance_s", "min"))]
     in_question, problems = fleets(flown, sizes, _stations(flown, station or ()), speeds, budgets)
-    folder = out or Path("results") / scenario_folder(base, overrides.scenario) / "size"
+    for fleet in in_question:
+        what_ifs(fleet.scenario, what_if or ())
+    changes = overrides.scenario | ({"what_if": "; ".join(what_if)} if what_if else {})
+    folder = out or Path("results") / scenario_folder(base, changes) / "size"
     writable_folder(folder)
-    found = _sized(in_question, seconds, knows, quiet)
-    show(_lines(flown, found, target_s, seconds))
+    found = _sized(in_question, seconds, knows, what_if or (), quiet)
+    show(_lines(flown, found, target_s, seconds, what_if or ()))
     if problems:
         show(paragraphs([f"Left out, for they cannot fly: {len(problems)} more fleets, as in {problems[0]}"]))
     _write(found, target_s, folder)
@@ -107,7 +115,9 @@ def _stations(scenario: Scenario, texts: Sequence[str]) -> list[tuple[float, flo
     return [(float(x), float(y)) for x, y in snapped]
 
 
-def _sized(in_question: list[Fleet], seconds: float, knows: str, quiet: bool) -> list[SizedFleet]:
+def _sized(
+    in_question: list[Fleet], seconds: float, knows: str, what_if: Sequence[str], quiet: bool
+) -> list[SizedFleet]:
     from uavaou.runs.sizing import size
 
     with Display(quiet, len(in_question), "") as display:
@@ -117,33 +127,20 @@ def _sized(in_question: list[Fleet], seconds: float, knows: str, quiet: bool) ->
             last = "" if before is None else f"last: mean AoU {before.ages_s.value / 60:,.2f} min"
             display.advance(number, last, f"{uavs} UAV{'s' if uavs > 1 else ''}")
 
-        return size(in_question, seconds, knows, look)
+        return size(in_question, seconds, knows, look, what_if)
 
 
-def _lines(scenario: Scenario, found: list[SizedFleet], target_s: float | None, seconds: float) -> list[str]:
+def _lines(
+    scenario: Scenario, found: list[SizedFleet], target_s: float | None, seconds: float, what_if: Sequence[str]
+) -> list[str]:
     from uavaou.runs.sizing import best_of_each_size, cheapest, knee
-    from uavaou.statistics import Interval
 
     best = best_of_each_size(found)
     shown = found if len(found) <= _MOST_ROWS else list(best.values())
-    head = ("UAVs", "stations", "m/s", "in the air", "mean AoU", "interval", "policy") + (
-        ("holds",) if target_s else ()
-    )
-    units = ("", "", "", "(min)", "(min)", "95 %", "") + (("",) if target_s else ())
-    rows = [head, units]
-    for one in shown:
-        fleet, minutes = one.fleet.scenario, Interval(*(age / 60 for age in one.ages_s))
-        budget = "any" if fleet.flight_time == "ignore" else figure(fleet.flight_time_budget_s / 60)
-        cells = (
-            str(fleet.uavs),
-            one.fleet.places,
-            f"{fleet.speed_m_s:g}",
-            budget,
-            *interval_figures(minutes),
-            one.policy,
-        )
-        rows.append(cells + ((one.verdict(target_s),) if target_s else ()))
+    rows = _rows(scenario, shown, target_s, bool(what_if))
     texts = []
+    if what_if:
+        texts.append(f"With {', '.join(what_if)}: the worst of these losses counts.")
     if len(shown) < len(found):
         texts.append(f"The best of each size of {len(found)} fleets; size.csv has all.")
     if (turn := knee(best)) is not None:
@@ -159,6 +156,29 @@ def _lines(scenario: Scenario, found: list[SizedFleet], target_s: float | None, 
     if seconds / len(found) < _FAST_S:
         texts.append(f"Each fleet had {seconds / len(found):.1f} s of rehearsal; --seconds gives more.")
     return [f"fleets for {scenario.name}", "", *aligned(rows, left=2), *paragraphs(texts)]
+
+
+def _rows(scenario: Scenario, shown: list[SizedFleet], target_s: float | None, by_loss: bool) -> list[tuple[str, ...]]:
+    """The table of fleets, with two lines of headings; AoI where the scenario asks for measures."""
+    from uavaou.statistics import Interval
+
+    heads = [("UAVs", ""), ("stations", ""), ("m/s", ""), ("in the air", "(min)"), ("mean AoU", "(min)")]
+    heads += [("interval", "95 %"), ("policy", "")]
+    measured = shown[0].information
+    heads += [("mean AoI", "(min)"), ("largest", "AoI (min)")] if measured else []
+    heads += [("time above", f"{(scenario.age_limit_s or 0) / 60:.3g} min")] if "late_share" in measured else []
+    heads += ([("worst loss", "")] if by_loss else []) + ([("holds", "")] if target_s else [])
+    rows = [tuple(head[k] for head in heads) for k in (0, 1)]
+    for one in shown:
+        fleet, minutes = one.fleet.scenario, Interval(*(age / 60 for age in one.ages_s))
+        budget = "any" if fleet.flight_time == "ignore" else figure(fleet.flight_time_budget_s / 60)
+        cells = [str(fleet.uavs), one.fleet.places, f"{fleet.speed_m_s:g}", budget, *interval_figures(minutes)]
+        cells.append(one.policy)
+        cells += [figure(one.information[name] / 60) for name in ("mean_aoi_s", "peak_aoi_s") if measured]
+        cells += [f"{one.information['late_share']:.1%}"] if "late_share" in measured else []
+        cells += ([one.worst_loss] if by_loss else []) + ([one.verdict(target_s)] if target_s else [])
+        rows.append(tuple(cells))
+    return rows
 
 
 def _fleet(one: SizedFleet) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uavaou import Family, InputError, Scenario, World, flatten
+from uavaou import MAPPO, Family, InputError, Scenario, World, flatten
 from uavaou.envs.vec_env import MissionVecEnv
 from uavaou.world.entities import make_views
 
@@ -225,3 +225,13 @@ def test_a_state_from_before_uavs_remembered_their_range_is_still_read() -> None
     env.load_missions_state({name: array for name, array in state.items() if "last_in_range" not in name})
     for world, (_, own) in enumerate(known):
         np.testing.assert_array_equal(env.missions_state()[f"{world}.last_in_range"], own)
+
+
+@pytest.mark.parametrize("failures", [[{"uav": 0, "slot": 4}], [{"uav": 0, "slot": 2}, {"uav": 1, "slot": 2}]])
+def test_learners_learn_where_uavs_are_failed(failures: list[dict[str, int]]) -> None:
+    scenario = Scenario.load("quickstart").replace(slots=9, failures=failures, uplinks_per_slot=2)
+    env = flatten(scenario, 2, seed=3, observation="shared", rows="entities")
+    policy = {"network": "set", "pull": 60.0}
+    model = MAPPO(env=env, seed=0, n_steps=9, batch_size=12, policy_kwargs=policy, device="cpu")
+    model.learn(9 * 2 * 2 * 2)
+    assert all(bool(p.isfinite().all()) for p in model.policy.parameters())

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
+from tests.scenario_files import EVERYTHING
 from uavaou import MAPPO, InputError, Scenario, World, flatten, uavaou_v0
 from uavaou.envs import batched
 from uavaou.envs.batched import BatchedMissions
@@ -176,6 +177,28 @@ class OneRow(gymnasium.Env[Any, Any]):
 @pytest.mark.parametrize("collection", ["select", "auto"])
 def test_stable_baselines_checks_a_row(collection: str) -> None:
     check_env(OneRow(collection))
+    check_env(OneRow(collection, **EVERYTHING))
+
+
+@pytest.mark.parametrize("rows", ["flat", "entities"])
+def test_missions_with_everything_are_the_same_by_every_way(rows: str) -> None:
+    scenario = small(**EVERYTHING)
+    for collection in ("select", "auto"):
+        way = {"observation": "shared", "rows": rows, "collection": collection}
+        reference = played(scenario, **way)
+        for other in WAYS[:2]:
+            for one, another in zip(reference, played(scenario, **way, **other), strict=True):
+                np.testing.assert_array_equal(one, another)
+        env = flatten(scenario, 2, seed=3, **way)
+        env.reset()
+        actions = random_actions(np.random.default_rng(1), env.num_envs, env)
+        for _ in range(5):
+            env.step(actions)
+        state = env.missions_state()
+        wanted = [env.step(actions)[0].copy() for _ in range(4)]
+        env.load_missions_state(state)
+        for rows_then in wanted:
+            np.testing.assert_array_equal(env.step(actions)[0], rows_then)
 
 
 def raw(processes: int = 1) -> Any:

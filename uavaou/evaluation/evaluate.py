@@ -4,7 +4,7 @@ Policies are objects here; :func:`uavaou.runs.comparison.evaluate` takes names, 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from uavaou.evaluation.checker import ViolationCounter, total
 from uavaou.planners.base import Planner
 from uavaou.scenario import Scenario
 from uavaou.world import MissionMetrics, World
+from uavaou.world.measures import Measures
 
 MISSIONS_TOGETHER = 128
 PLANNED_TOGETHER = 4  # of missions that each need a plan first: what is done is told after so many
@@ -27,10 +28,21 @@ class Evaluation:
     broken: list[dict[str, int]]  # how often each mission broke each constraint
     aou_over_time_s: NDArray[np.float64]  # (episodes, K) s, sum over devices of the age sums in each slot
     slot_length_s: float  # tau
+    measures: list[Measures] = field(default_factory=list)  # of each batch; none where the scenario asks for none
 
     def values(self, name: str) -> NDArray[Any]:
         """One figure of :class:`~uavaou.world.MissionMetrics` over all missions, (episodes, ...)."""
         return np.concatenate([getattr(batch, name) for batch in self.metrics])
+
+    @property
+    def age_of_information(self) -> dict[str, NDArray[Any]]:
+        """The measures that the scenario asks for beside AoU, over all devices, (episodes,) each.
+
+        ``mean_aoi_s`` and ``peak_aoi_s``, s; with an age limit ``late_share``, of the time above it.
+        """
+        names = [] if not self.measures else ["mean_aoi_s", "peak_aoi_s"]
+        names += ["late_share"] if self.measures and self.measures[0].late_share is not None else []
+        return {name: np.concatenate([batch.over_devices(name) for batch in self.measures]) for name in names}
 
     @property
     def violations(self) -> dict[str, int]:
@@ -56,7 +68,7 @@ def play(
     Raises:
         InputError: the policy refuses the scenario.
     """
-    batches, ages, violations = [], [], []
+    batches, ages, violations, measures = [], [], [], []
     planned = scenario.layout == "resample" and getattr(policy, "plans_maps", False)
     together = PLANNED_TOGETHER if planned else MISSIONS_TOGETHER
     for first in range(0, episodes, together):
@@ -68,11 +80,13 @@ def play(
         while not world.done:
             slot = world.slot
             reward = world.step(*policy.act(world))  # (N,) s
-            aou[:, slot - 1] = -reward
+            aou[:, slot - 1] = scenario.slot_length_s * world.ages.age_slots.sum(axis=1)
             checker.observe(world, reward)
             if after_slot is not None:
                 after_slot(first * scenario.slots + missions * slot, world)
         violations += checker.finish(world)
         batches.append(world.metrics())
         ages.append(aou)
-    return Evaluation(batches, violations, np.concatenate(ages), scenario.slot_length_s)
+        if (measured := world.measures()) is not None:
+            measures.append(measured)
+    return Evaluation(batches, violations, np.concatenate(ages), scenario.slot_length_s, measures)

@@ -42,6 +42,9 @@ FLIGHTS = KEY | {
     "flight_time_s": NUMBER,
     "rejected_rate": NUMBER,
     "rejected_association": NUMBER,
+    "mean_aoi_slots": NUMBER,  # of a scenario that asks for measures beside AoU, else empty: the age of information,
+    "peak_aoi_slots": NUMBER,  # its largest value,
+    "late_share": NUMBER,  # and the share of time in which it is above age_limit_s
     "slots": WHOLE,  # from here on of the training, the same in each of its rows
     "agent_steps": WHOLE,
     "wall_s": NUMBER,

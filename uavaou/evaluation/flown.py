@@ -27,12 +27,15 @@ def flown(evaluation: Evaluation, scenario: Scenario, policy: Planner, first: in
         who: further columns of :data:`~uavaou.evaluation.flights.FLIGHTS`, such as ``policy`` and ``scenario``.
     """
     tau, missions = scenario.slot_length_s, len(evaluation.aou_over_time_s)
+    measured = evaluation.age_of_information
     flights = {
         "mission_seed": np.arange(first, first + missions),
         "mean_aou_slots": evaluation.values("mean_aou_s") / tau,
         "violations": np.array([sum(counts.values()) for counts in evaluation.broken]),
         "flight_time_s": evaluation.values("flight_time_s").sum(axis=1),
         **{name: evaluation.values(name) for name in _COUNTS},
+        "late_share": measured.get("late_share"),
+        **{f"{name}_slots": measured[f"{name}_s"] / tau for name in ("mean_aoi", "peak_aoi") if measured},
         "knows": knowledge(policy),
         "action": getattr(policy, "action", None),  # planners have neither
         "digest": getattr(policy, "digest", None) or None,

@@ -16,8 +16,9 @@ import numpy as np
 from uavaou.arrays import Ints
 from uavaou.planners.expected import ExpectedAge
 from uavaou.planners.greedy import BestFirst
+from uavaou.planners.plain import plain_model
 from uavaou.planners.plan import OnProgress, PlanningStatus, RoutePlan, RoutePlanner, expected_age, expected_mean_aou
-from uavaou.planners.search import anneal, recompute
+from uavaou.planners.search import NO_STATIONS, anneal, recompute
 from uavaou.planners.tour import PartitionTour, Tour
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
@@ -91,6 +92,7 @@ class Anneal(RoutePlanner):
                     best,
                     age,
                     rng,
+                    NO_STATIONS,
                 )
                 recompute(expected)  # removes the rounding errors of many small changes
             if self.time_limit_s is not None:  # without one, the clock must not affect the plan
@@ -101,7 +103,7 @@ class Anneal(RoutePlanner):
 
 def best_first_routes(scenario: Scenario, layout: Layout) -> Ints:
     """Return the routes (K, U, 2) that the best-first greedy planner flies in one mission on this layout."""
-    world, planner, cells = World(scenario.pinned(layout)), BestFirst(), []
+    world, planner, cells = World(plain_model(scenario).pinned(layout)), BestFirst(), []
     planner.reset(world, 0)
     while not world.done:
         cells.append(world.cells[0])

@@ -31,6 +31,7 @@ from uavaou.planners.decomposition import (
 )
 from uavaou.planners.exact import Program, gap_ages, program_size
 from uavaou.planners.fleet import FleetDecomposition
+from uavaou.planners.plain import bounded
 from uavaou.planners.stationary_duals import stationary_duals
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.compiled import compiled_fast
@@ -66,6 +67,9 @@ class BoundSearch:
         time_limit_s: approximate; None for a fixed amount of work, six to sixteen minutes on ``paper``.
         on_round: receives the best bound after each round of an ascent, and the share of the work that is done.
         start: the bound of an earlier search. Its ascent goes on from the multipliers; its value is found anew.
+
+    Raises:
+        InputError: the plain model has no bound for the scenario; see :func:`uavaou.planners.plain.bounded`.
     """
 
     def __init__(
@@ -76,7 +80,7 @@ class BoundSearch:
         on_round: Callable[[Bound, float], None] = lambda bound, share: None,
         start: Bound | None = None,
     ) -> None:
-        self._scenario, self._layout, self._on_round = scenario, layout, on_round
+        self._scenario, self._layout, self._on_round = bounded(scenario), layout, on_round
         self._limit_s, self._started = np.inf if time_limit_s is None else time_limit_s, time.monotonic()
         self._start = start if start is not None and start.method in ("fleet", "copies") else None
         self._rounds, self._most_rounds = 0, _ROUNDS_SHORT

@@ -12,12 +12,13 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from uavaou.arrays import Bools, Ints
+from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError
 from uavaou.field.routes import fleet_routes
 from uavaou.fields import NonNegative, WholeNumbers, validated
 from uavaou.files import read_json
 from uavaou.planners.expected import ExpectedAge
+from uavaou.planners.plain import plain_model
 from uavaou.planners.search import recompute
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
@@ -131,13 +132,16 @@ class PlanFile(BaseModel):
         return {name: getattr(self, name) for name in ("planner", "mean_aou_s", "bound_s", "interrupted")}
 
 
-def expected_age(scenario: Scenario, layout: Layout, routes: Ints) -> ExpectedAge:
-    """Return the expected ages of ``routes`` (K, U, 2), cells by column and row in slots 1 to K."""
+def expected_age(scenario: Scenario, layout: Layout, routes: Ints, miss: Floats | None = None) -> ExpectedAge:
+    """Return the expected ages of ``routes`` (K, U, 2), cells by column and row in slots 1 to K.
+
+    ``miss`` is the probability that a UAV in a cell does not collect a device, (U, C, I); None for that of the channel.
+    """
     slots, devices = scenario.slots, scenario.devices
     generated = np.arange(slots + 1)[:, None] % layout.update_period == 0  # (K+1, I)
     cells = routes[..., 0] * scenario.rows + routes[..., 1]  # (K, U)
     expected = ExpectedAge(
-        miss=np.ascontiguousarray(1.0 - cell_coverage(scenario, layout)),
+        miss=np.ascontiguousarray(1.0 - cell_coverage(scenario, layout) if miss is None else miss),
         generated=generated.astype(np.float64),
         routes=np.ascontiguousarray(np.concatenate([cells[:1], cells]).T),
         fleet_miss=np.ones((slots + 1, devices)),
@@ -190,6 +194,7 @@ class AheadPlanner(ABC, Generic[P]):
 
     name: ClassVar[str]
     plans_maps: ClassVar[bool] = True  # each before its first flight
+    lives_with: ClassVar[tuple[str, ...]] = ()  # what it reckons with of uavaou.planners.plain.ITEMS
 
     def __init__(self, time_limit_s: float | None = None) -> None:
         self.time_limit_s = time_limit_s
@@ -241,6 +246,6 @@ class RoutePlanner(AheadPlanner[RoutePlan]):
 
 
 def layout_key(scenario: Scenario, layout: Layout) -> tuple[str | bytes, ...]:
-    """Return what tells one map from another."""
+    """Return what tells one map from another, in the plain model: plans are of nothing else."""
     devices = (layout.positions, layout.bandwidth, layout.transmit_power, layout.update_period)
-    return (scenario.model_dump_json(), *(field.tobytes() for field in devices))
+    return (plain_model(scenario).model_dump_json(), *(field.tobytes() for field in devices))

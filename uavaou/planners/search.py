@@ -1,7 +1,6 @@
 """The compiled kernels of simulated annealing: the expected age of fixed routes, and changes to the routes.
 
-All compiled functions are in this one file (see :func:`uavaou.world.compiled.compiled`). They copy arrays in loops: for
-``a[:] = b`` Numba also compiles the message of unequal shapes, which takes as long as half of this file.
+They copy arrays in loops: for ``a[:] = b`` Numba also compiles the message of unequal shapes.
 """
 
 from typing import Any
@@ -9,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaou.arrays import Floats, Ints
+from uavaou.arrays import Bools, Floats, Ints
 from uavaou.planners.expected import ExpectedAge
 from uavaou.world.compiled import compiled_fast, uninterrupted
 from uavaou.world.flight import UNLIMITED
 
-Rng = Any  # np.random.Generator, the whole numbers of which are plain ones once compiled
+Rng = Any  # np.random.Generator; its whole numbers are plain ones once compiled
 Pair = tuple[int, int]
+NO_STATIONS: Bools = np.zeros(0, dtype=np.bool_)
 Grid = tuple[int, int, NDArray[np.int32]]  # columns, rows, and where UAVs fly around zones, the moves between cells
 
 _LONGEST_DETOUR = 16  # slots that one detour may rewrite
@@ -312,6 +312,7 @@ def anneal(
     best: Ints,
     best_age: float,
     rng: Rng,
+    stations: Bools,
 ) -> float:
     """Run Metropolis steps under geometric cooling and return the best total age met.
 
@@ -322,7 +323,8 @@ def anneal(
         flown: grid steps of each route, (U,); changed in place.
         between: low and high; slots low <= t < high may change.
         temperatures: the first and the last, in slots of total age.
-        best, best_age: the best routes, (U, K+1), changed in place; their total age, in slots squared.
+        best, best_age: the best routes, (U, K+1), changed in place; their total age, slots squared.
+        stations: cells in which a stay is a swap of batteries, (C,), or none: (0,); cell C is that of an absent UAV.
     """
     uavs, slots = len(e.routes), len(e.cumulative) - 1
     trial = np.empty(2 * slots + 64, dtype=np.int64)  # beyond slot K: space for paths that are too long
@@ -340,6 +342,8 @@ def anneal(
         while first < end and trial[end - 1] == route[end - 1]:
             end -= 1
         if first == end:
+            continue
+        if len(stations) > 0 and not _keeps_swaps(route, trial, first, end, stations):
             continue
         more = _extra_steps(route, trial, first, end, own[2])
         if flown[uav] + more > budget[uav]:
@@ -368,6 +372,19 @@ def _propose(routes: Ints, uav: int, trial: Ints, between: Pair, grid: Grid, rng
         return reverse(routes[uav], trial, low, high, grid, rng)
     other = rng.integers(0, len(routes))
     return copy(routes[other], routes[uav], trial, low, high, grid, rng)
+
+
+@compiled_fast
+def _keeps_swaps(route: Ints, trial: Ints, first: int, end: int, stations: Bools) -> bool:
+    before = route[first - 1]
+    for t in range(first, end + 1):
+        there = trial[t] if t < end else route[t]
+        if there >= len(stations) or route[t] >= len(stations) or before >= len(stations):
+            return False
+        if there == before and stations[there] and (t == end or there != route[t] or before != route[t - 1]):
+            return False
+        before = there
+    return True
 
 
 @compiled_fast

@@ -48,13 +48,13 @@ class RulePlan(Plan):
         return super().to_dict(scenario) | numbers
 
 
-class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
+class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedyParts):
     """The rule of :class:`LocalGreedy` with free weights, reaches and shares for each pair of a UAV and a device.
 
     They are found before take-off, by the mean AoU of simulated missions on common draws of fading. The search begins
     with the numbers of ``local-greedy-parts``, and side by side with those of ``local-greedy`` and with areas of the
     UAVs, and changes the numbers of single pairs. In flight, each UAV remembers when each device was last in its own
-    range. Several UAVs may serve a device.
+    range. Several UAVs may serve a device. One that knows of a loss goes on by the rule of ``local-greedy-parts``.
 
     Args:
         time_limit_s: of the planning.
@@ -63,6 +63,7 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
     """
 
     name: ClassVar[str] = "local-greedy-tuned"
+    lives_with: ClassVar[tuple[str, ...]] = LocalGreedyParts.lives_with
 
     def __init__(self, time_limit_s: float | None = None, slots: int | None = None) -> None:
         super().__init__(time_limit_s)
@@ -93,11 +94,13 @@ class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedy):
 
     def reset(self, world: World, seed: int) -> None:
         """Tune the rule for each layout that has no plan yet; draw nothing from ``seed``."""
+        if world.scenario.links is not None:
+            super().reset(world, seed)  # who hears of a loss goes on by the parts of the survivors
         self._pull = np.stack([plan.pull for plan in self.plan_layouts(world)])  # (L, U, C, I)
         self._target = targets(world.scenario)  # (T, C, 5)
 
     def _last(self, world: World) -> Ints:
-        return np.where(world.in_range, world.slot, world.last_in_range)
+        return np.where(world.collecting, world.slot, world.last_in_range)
 
 
 @cache
@@ -119,7 +122,9 @@ class _Search:
         self._steps = np.concatenate([steps_left(world, share) for share in _SHARES])  # (S, U, C, I)
         best = self._area.probability[..., : scenario.devices].max(axis=1)  # (U, I)
         can = best >= _LEAST_COVERAGE
-        fixed = [rule.owners(world, best[None] > 0.0)[0] for rule in (LocalGreedyParts(), LocalGreedy())]  # (I,) each
+        everybody = np.ones(scenario.uavs, dtype=np.bool_)
+        rules = LocalGreedyParts(), LocalGreedy()
+        fixed = [rule.owners(world, best[None] > 0.0, everybody)[0] for rule in rules]  # (I,) each
         starts = [numbers_of(owner, can, _SHARES.index(SHARE)) for owner in fixed]
         self._chains = [Chain(self._area, self._steps, can, start, seed) for seed, start in enumerate(starts)]
         self._places = layout.positions / [scenario.area_x_m, scenario.area_y_m]  # (I, 2)

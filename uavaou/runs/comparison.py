@@ -15,6 +15,7 @@ from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.family import beyond
 from uavaou.planners import PLAN_AHEAD, PLANNERS, is_plan, make_planner, planner_knowledge
 from uavaou.planners.base import Planner
+from uavaou.planners.plain import ignoring
 from uavaou.planners.plan import PlanFile
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.runs.released import released_names
@@ -222,6 +223,7 @@ class Comparison:
                 fresher = sorted((other for other in means if means[other] < means[name]), key=lambda one: means[one])
                 advice = f"fresher here: --policy {fresher[0]}" if fresher else f"compare it with --policy {_UNTRAINED}"
                 found.append(f"{outside} What it reaches elsewhere says nothing of this map; {advice}.")
+        found += ignoring(self.policies, scenario)
         unserving = [name for name, result in self.results.items() if not result.values("devices_served").any()]
         if unserving and nothing_in_reach(scenario):
             found.append(f"No device can be collected from anywhere: {_AUDIT}.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations_with_replacement, islice, product
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ from uavaou.evaluation.evaluate import play
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.fields import short
 from uavaou.runs.rehearsal import Rehearsal, rehearse
+from uavaou.runs.what_if import what_ifs
 from uavaou.scenario import Scenario
 from uavaou.statistics import Interval, interval_over_missions
 from uavaou.units import MisreadText, in_own_units
@@ -51,6 +52,8 @@ class SizedFleet:
     policy: str  # that rehearsed best
     knows: str
     ages_s: Interval  # mean AoU over the evaluation missions with its 95 % interval, s
+    information: dict[str, float] = field(default_factory=dict)  # the means of Evaluation.age_of_information
+    worst_loss: str = ""  # where losses were asked about: that with the largest mean, which is this one
 
     def row(self, target_s: float | None) -> dict[str, Any]:
         """Its row of a table."""
@@ -68,6 +71,10 @@ class SizedFleet:
             "low_min": low / 60,
             "high_min": high / 60,
         }
+        measured = {"mean_aoi_min": "mean_aoi_s", "peak_aoi_min": "peak_aoi_s"}
+        row |= {name: self.information[of] / 60 for name, of in measured.items() if of in self.information}
+        row |= {"late_share": self.information["late_share"]} if "late_share" in self.information else {}
+        row |= {"worst_loss": self.worst_loss} if self.worst_loss else {}
         return row if target_s is None else row | {"holds": self.verdict(target_s)}
 
     def verdict(self, target_s: float) -> str:
@@ -172,6 +179,7 @@ def size(
     seconds: float,
     knows: str = "everything",
     on_fleet: Callable[[int, SizedFleet | None], None] | None = None,
+    what_if: Sequence[str] = (),
 ) -> list[SizedFleet]:
     """Rehearse each fleet in an equal share of the time, and fly its best policy on the evaluation missions.
 
@@ -180,22 +188,30 @@ def size(
         seconds: of all rehearsals together; each needs a second or two at least.
         knows: the most that a policy may read in flight.
         on_fleet: called before each fleet with its number from 0 on, and the fleet before it.
+        what_if: what happens, such as ``one UAV lost at half time``; see :func:`uavaou.runs.what_if.what_ifs`. The
+            first of these losses is rehearsed, the best policy flies under each of them, and the worst counts.
 
     Raises:
-        InputError: as :func:`uavaou.rehearse`.
+        InputError: as :func:`uavaou.rehearse` and :func:`uavaou.runs.what_if.what_ifs`.
     """
     found: list[SizedFleet] = []
     for number, fleet in enumerate(fleets):
         if on_fleet is not None:
             on_fleet(number, found[-1] if found else None)
-        found.append(_flown(fleet, rehearse(fleet.scenario, seconds / len(fleets), knows)))
+        cases = what_ifs(fleet.scenario, what_if)
+        found.append(_flown(fleet, rehearse(cases[0][1], seconds / len(fleets), knows), cases))
     return found
 
 
-def _flown(fleet: Fleet, rehearsal: Rehearsal) -> SizedFleet:
+def _flown(fleet: Fleet, rehearsal: Rehearsal, cases: list[tuple[str, Scenario]]) -> SizedFleet:
     served = rehearsal.served
-    ages = play(served.policy, fleet.scenario, MISSIONS, EVALUATION_SEED, None).values("mean_aou_s")
-    return SizedFleet(fleet, served.name, served.knows, interval_over_missions(ages))
+    found = []
+    for lost, scenario in cases:
+        flown = play(served.policy, scenario, MISSIONS, EVALUATION_SEED, None)
+        ages = interval_over_missions(flown.values("mean_aou_s"))
+        measured = {name: float(values.mean()) for name, values in flown.age_of_information.items()}
+        found.append(SizedFleet(fleet, served.name, served.knows, ages, measured, lost))
+    return max(found, key=lambda one: one.ages_s.value)
 
 
 def best_of_each_size(found: Sequence[SizedFleet]) -> dict[int, SizedFleet]:

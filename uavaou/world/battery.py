@@ -5,7 +5,7 @@ the CDS can still be reached by slot K: at once, or over stations. So no battery
 UAV that stays at a station with a battery that is not full is down for the time of a swap, and then has a full one.
 
 Charges are whole numbers, and a full battery has ``FULL``. The way to a station is reckoned with the costliest leg in
-the largest wind.
+any wind of the scenario.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError
-from uavaou.operations import FULL
+from uavaou.mission_fields import FULL
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STEP_OF_MOVE, UNLIMITED, Flight, backwards, open_moves, steps_from, targets
-from uavaou.world.wind import air_speeds, energies, flyable, largest_air_speeds, mean_wind
+from uavaou.world.wind import air_speeds, energies, flyable, largest_air_speeds, largest_energies, mean_wind
 
 _MOST_WAYS = 50_000_000  # entries of the table of ways to stations
 
@@ -36,12 +36,15 @@ class Batteries:
         assert scenario.energy is not None
         self._shape, self._flight = (missions, scenario.uavs), flight
         self._slots, self._rows, self._swap = scenario.slots, scenario.rows, scenario.swap_slots
-        worst = energies(scenario, largest_air_speeds(scenario))  # (5,)
+        worst = largest_energies(scenario)  # (5,)
         steady = flyable(scenario, largest_air_speeds(scenario))  # (5,)
         self._leg = int(worst[steady].max())
-        self._reserve = round(FULL * scenario.energy.reserve)
-        if self._leg + self._reserve > FULL:
-            raise InputError(f"scenario '{scenario.name}': energy: a battery does not last for a slot of the mission")
+        self.reserve = round(FULL * scenario.energy.reserve)
+        if self._leg + self.reserve > FULL:
+            raise InputError(
+                f"scenario '{scenario.name}': energy: a slot in the air takes {self._leg / FULL:.0%} of a battery, "
+                f"and {scenario.energy.reserve:.0%} stay in it; a larger battery or shorter slots would fit"
+            )
         self._scenario = scenario
         self.calm: Ints = energies(scenario, air_speeds(scenario, mean_wind(scenario)))[None]  # (1, 5) in constant wind
         cells: Ints = np.asarray(scenario.station_cells @ np.array([scenario.rows, 1]))  # (S,)
@@ -53,10 +56,11 @@ class Batteries:
         self._way: Ints = np.ascontiguousarray(np.moveaxis(np.array(ways), 1, 2))  # (T, C, S) moves to each station
         self._target, self._open, self._stations = target, open_moves(scenario), cells
         self._onward = self._ways_onward()  # (U, S)
+        self._out: Ints = np.array([[steps_from(moves, cell) for cell in cells] for moves in target])  # (T, S, C)
 
     def _ways_onward(self) -> Ints:
         """Slots from each station, with a full battery, until each UAV is at its CDS, (U, S); many without a way."""
-        reach = (FULL - self._reserve) // self._leg
+        reach = (FULL - self.reserve) // self._leg
         onward = np.full((self._shape[1], len(self._stations)), UNLIMITED)
         for u, home in enumerate(self._flight.homes):
             between = self._way[u % len(self._way)][self._stations]  # (S, S)
@@ -90,7 +94,7 @@ class Batteries:
         safe: Ints = np.zeros(self._shape, dtype=np.int64)
         last: Ints = np.array([self._scenario.columns - 1, self._scenario.rows - 1])
         _allowed(
-            cells, last, self.charge, self.down, self.sortie, self._slots - slot, cost, self._leg, self._reserve,
+            cells, last, self.charge, self.down, self.sortie, self._slots - slot, cost, self._leg, self.reserve,
             self._swap, self._flight.budget, self._open, self._target, self._way, self._flight.home, self._onward,
             self._stations, self._flight.step_home, allowed, on_grid, safe,
         )  # fmt: skip
@@ -103,14 +107,79 @@ class Batteries:
             self.sortie, self.sorties,
         )  # fmt: skip
 
+    def at_station(self, cells: Ints) -> Bools:
+        """Which UAVs are over a station, (N, U)."""
+        return np.isin(cells @ np.array([self._rows, 1]), self._stations)
+
+    def reach(self, steps: Ints, cells: Ints, slot: int, failed: Bools) -> tuple[Ints, Ints]:
+        """Return the slots until each UAV can be over each cell and come home, and the cell to fly to first, (N, U, C).
+
+        A cell that the battery does not cover is reached over a station and a swap. The slots are ``UNLIMITED`` where a
+        cell is out of reach, or the UAV failed. A UAV flies to the cell itself first, or to that station.
+
+        Args:
+            steps: moves of each UAV from its cell to each cell, (N, U, C).
+            cells: of the UAVs, (N, U, 2).
+            slot: t.
+            failed: (N, U).
+        """
+        here, uavs = cells @ np.array([self._rows, 1]), np.arange(self._shape[1])  # (N, U)
+        table, swap = uavs % len(self._way), self._swap + 1
+        legs = np.minimum((self.charge - self.reserve) // self._leg, self._flight.budget - self.sortie)  # (N, U)
+        full = np.minimum((FULL - self.reserve) // self._leg, self._flight.budget)  # (U,)
+        down = self.down > 0
+        legs = np.where(down, full, legs)
+        least = np.where(
+            self._comes_home(steps, steps + self.down[..., None], legs, slot), steps + self.down[..., None], UNLIMITED
+        )
+        stays = self.at_station(cells) & ~down & (self.charge < FULL)  # to stay is to swap
+        least[stays[:, :, None] & (steps == 0)] = UNLIMITED
+        first = np.broadcast_to(np.arange(steps.shape[2]), steps.shape).copy()  # (N, U, C)
+        for s, station in enumerate(self._stations):
+            there, out = self._way[table, here, s], self._out[table, s]  # (N, U), (U, C)
+            slots = there[..., None] + swap + out  # (N, U, C)
+            better = slots < least
+            better &= (~down & (there <= legs) & ((there > 0) | (self.charge < FULL)))[..., None]
+            better &= self._comes_home(
+                np.broadcast_to(out, steps.shape), slots, np.broadcast_to(full, legs.shape), slot
+            )
+            least, first = np.where(better, slots, least), np.where(better, station, first)
+        least[failed] = UNLIMITED
+        return least, first
+
+    def _comes_home(self, flown: Ints, slots: Ints, legs: Ints, slot: int) -> Bools:
+        """Whether each UAV comes home from each cell, (N, U, C), after so many steps of its sortie, (N, U, C), of which
+        it can make ``legs`` (N, U), and after so many slots, (N, U, C)."""
+        rest, left = legs[..., None] - flown, self._slots - slot - slots
+        table = np.arange(self._shape[1]) % len(self._way)
+        home = self._flight.home <= np.minimum(rest, left)
+        for s in range(len(self._stations)):
+            there = self._way[table, :, s]  # (U, C)
+            home |= (there <= rest) & (there + self._swap + 1 + self._onward[:, s, None] <= left)
+        return np.asarray(home)
+
     def spare(self, cells: Ints, slot: int) -> Ints:
         """Return the moves that each UAV can make beside its way to the nearest station, (N, U)."""
         spare: Ints = np.empty(self._shape, dtype=np.int64)
         _spare(
-            cells @ np.array([self._rows, 1]), self.charge - self._reserve, self.sortie, self._slots - slot, self._leg,
+            cells @ np.array([self._rows, 1]), self.charge - self.reserve, self.sortie, self._slots - slot, self._leg,
             self._flight.budget, self._way, self._flight.home, spare,
         )  # fmt: skip
         return spare
+
+    def cells_in_a_sortie(self) -> Bools:
+        """Return the cells that each UAV can fly to from some station with a full battery, and then to one, (U, C).
+
+        Stations without a way to its CDS do not count.
+        """
+        reach = (FULL - self.reserve) // self._leg
+        found = []
+        for u, onward in enumerate(self._onward):
+            table = min(u, len(self._way) - 1)
+            starts = self._stations[onward < UNLIMITED]  # (S,)
+            legs = steps_from(self._target[table], starts) + self._way[table].min(axis=1)  # (C,)
+            found.append(legs <= min(reach, self._flight.budget[u]))
+        return np.array(found)
 
     def state(self) -> dict[str, Any]:
         """What the rest of the missions depends on."""
@@ -158,8 +227,10 @@ def _allowed(
             for move in range(5):
                 to_x, to_y = x + STEP_OF_MOVE[move, 0], y + STEP_OF_MOVE[move, 1]
                 on_grid[n, u, move] = 0 <= to_x <= last[0] and 0 <= to_y <= last[1]
-                if move == 0 and (left <= 0 or down[n, u] > 0):
+                if move == 0 and left <= 0:
                     allowed[n, u, move] = True
+                elif move == 0 and down[n, u] > 0:  # too late only if it failed in the meantime
+                    allowed[n, u, move] = home[u, here] == 0 or left - down[n, u] >= onward[u, at]
                 elif left <= 0 or down[n, u] > 0 or not free[u, here, move]:
                     continue
                 elif move == 0 and at >= 0 and charge[n, u] < 1_000_000_000:  # a swap

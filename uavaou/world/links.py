@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.operations import Links
+from uavaou.mission_fields import Links
 from uavaou.scenario import Scenario
 from uavaou.world.channel import Keys, keys_of_item, uniforms
 from uavaou.world.compiled import compiled

@@ -15,6 +15,7 @@ from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 
+_ROUNDING = 1e-9  # of an age limit, by which its quotient with the slot length may miss a whole number of slots
 _STATE = ("_newest", "_delivered", "_total", "_peak", "_late")
 
 
@@ -38,9 +39,10 @@ class AgeOfInformation:
 
     def __init__(self, scenario: Scenario, missions: int) -> None:
         self._shape, self._tau = (missions, scenario.devices), scenario.slot_length_s
-        self._limit = None if scenario.age_limit_s is None else scenario.age_limit_s / scenario.slot_length_s
+        limit = scenario.age_limit_s
+        self._limit = None if limit is None else limit / scenario.slot_length_s * (1 + _ROUNDING)  # slots
         weights = np.ones(scenario.devices) if scenario.device_weights is None else np.array(scenario.device_weights)
-        self.weights: Floats = weights / (weights.mean() or 1.0)  # (I,) of mean 1
+        self.weights: Floats = weights / weights.mean()  # (I,) of mean 1
         self._objective = scenario.objective
 
     def start(self, *_: Any) -> None:
@@ -55,6 +57,11 @@ class AgeOfInformation:
         limit = np.inf if self._limit is None else self._limit
         sums = self._total, self._peak, self._late
         _advance(slot, generated, collected, limit, self._newest, self._delivered, *sums, self._age, self._rise)
+
+    @property
+    def late(self) -> Bools:
+        """Which devices are above the limit after the slot just advanced, (N, I)."""
+        return np.asarray(self._age > (np.inf if self._limit is None else self._limit))
 
     def reward(self, age_slots: Ints) -> Floats:
         """Return the reward of the slot just advanced by the objective of the scenario, (N,) s.
@@ -72,7 +79,7 @@ class AgeOfInformation:
         elif self._objective == "peak":
             each = self._rise
         elif self._objective == "above-limit" and self._limit is not None:
-            each = self._age > self._limit
+            each = self.late
         return np.asarray(each, dtype=np.float64)
 
     def measures(self, played: int) -> Measures:
