@@ -295,13 +295,15 @@ def _write_devices(
     """
     missions, uavs = cells.shape[:2]
     steps = np.empty(uavs)  # until each UAV, seen from where the others know it to be, covers the device
+    common = known.shape[1] == 1 and present.shape[1] == 1  # all know the same
+    apart = int(last.shape[1] > 1)
     for n in range(missions):
         layout = min(n, len(devices) - 1)  # a common one, or one for each mission
         of = min(n, len(known) - 1), min(n, len(present) - 1)
         for i in range(devices.shape[1]):
             device, k = devices[layout, i], period[layout, i]
             for u in range(uavs):
-                if u < known.shape[1] or u < present.shape[1]:  # not what the one before knows, too
+                if u == 0 or not common:
                     knows, counts = min(u, known.shape[1] - 1), min(u, present.shape[1] - 1)
                     for v in range(0 if alone else uavs):
                         steps[v] = _FAR
@@ -318,7 +320,7 @@ def _write_devices(
                 for v in range(uavs):
                     if v != u and not alone:
                         other = min(other, steps[v])
-                own_last, heard = last_by[n, u, i], last[n, min(u, last.shape[1] - 1), i]
+                own_last, heard = last_by[n, u, i], last[n, apart * u, i]
                 total = age_slots[n, i] if true_ages else _estimated_age(slot - 1, heard, k)
                 age = math.sqrt(float(total)) / _AGE
                 token[0] = 1.0

@@ -5,6 +5,7 @@ never the true state. Without any link at all that is what it knows in ``local``
 true state.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from uavaou.world.compiled import compiled
 from uavaou.world.world import World
 
 RECENT_SLOTS = 20.0  # the scaled waiting time has its best resolution around this many slots
+_NONE, _ONE = np.zeros((1, 1)), np.ones((1, 1))
 
 
 class News(NamedTuple):
@@ -26,6 +28,11 @@ class News(NamedTuple):
     lost: Bools | None  # (N, U, U) which others it takes as lost; None: nobody takes anybody as lost
     told: bool  # whether others tell it anything
     true_ages: bool  # whether it knows the true age sums
+
+
+@lru_cache(maxsize=16)
+def _all(uavs: int) -> Floats:
+    return np.ones((1, 1, uavs))
 
 
 def taken_as_lost(world: World, shared: bool = True) -> Bools | None:
@@ -48,12 +55,11 @@ def news(world: World, shared: bool) -> News:
     """Return what UAVs know that observe ``shared``, or else ``local``."""
     knowledge, uavs = world.operations.knowledge, world.scenario.uavs
     if not shared or (knowledge is not None and knowledge.passes_nothing):
-        cds, common = world.flight.cds[None, None], np.ones((1, 1, uavs))
-        return News(cds, common, world.last_collection_by, np.zeros((1, 1)), None, False, False)
+        return News(world.flight.cds[None, None], _all(uavs), world.last_collection_by, _NONE, None, False, False)
     lost = taken_as_lost(world)
     if knowledge is None:
-        present = np.ones((1, 1, uavs)) if lost is None else np.asarray(1.0 - world.failed[:, None])
-        return News(world.cells[:, None], present, world.last_collection[:, None], np.ones((1, 1)), lost, True, True)
+        present = _all(uavs) if lost is None else np.asarray(1.0 - world.failed[:, None])
+        return News(world.cells[:, None], present, world.last_collection[:, None], _ONE, lost, True, True)
     present, fresh = np.empty(knowledge.heard.shape), np.empty(world.failed.shape)  # (N, U, U), (N, U)
     _weigh(knowledge.heard, world.slot, np.zeros((0, 0, 0), dtype=np.bool_) if lost is None else lost, present, fresh)
     return News(knowledge.cells, present, knowledge.collected, fresh, lost, True, False)

@@ -47,6 +47,7 @@ class PartsOfSurvivors:
         self._plan, self._layouts = plan, len(serves)
         self.serves, self.steps = serves, steps
         self._sets: dict[tuple[int, bytes], int] = {}
+        self._whole: Ints = np.zeros((0, 0), dtype=np.int64)  # the answer where nobody is lost
         self._known: tuple[Bools, Ints] | None = None  # the losses of the last call, and its answer
 
     def numbers(self, world: World, lost: Bools | None) -> Ints:
@@ -58,9 +59,12 @@ class PartsOfSurvivors:
         """
         if lost is not None and self._known is not None and np.array_equal(lost, self._known[0]):
             return self._known[1]
+        if lost is None and len(self._whole) == world.missions:
+            return self._whole
         layouts = np.arange(world.missions) % self._layouts  # (N,)
         numbers = np.repeat(layouts[:, None], world.scenario.uavs, axis=1)
         if lost is None:
+            self._whole = numbers
             return numbers
         if len(self._sets) > _MOST_SETS:
             self._sets.clear()
