@@ -48,6 +48,7 @@ PAGES = (
     "docs/figures",
     "docs/model",
     "docs/on-board",
+    "docs/operations",
     "docs/own-field",
     "docs/replay",
     "docs/routes",

@@ -27,14 +27,15 @@ COMMANDS = {
     "import": "FILE --out --uavs --station --radio --crs --speed --endurance --interval --within --altitude "
     "--grid-step --slots --replace",
     "fly": "SCENARIO --scenario --policy --seconds --knows --seed --json --out --route --uavs --station --radio --crs "
-    "--speed --endurance --interval --within --set --quiet",
+    "--speed --endurance --interval --within --what-if --set --quiet",
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --knows --set --quiet",
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
     "route": "SCENARIO --scenario --policy --seconds --knows --format --episodes --seed --out --set --quiet",
     "gap": "SCENARIO RUN --scenario --time-limit --bound-limit --certificate --episodes --seed --set --quiet",
     "audit": "SCENARIO --scenario --out --set",
     "export": "RUN --out --format --scenario",
-    "size": "SCENARIO --scenario --uavs --target --station --speed --endurance --seconds --knows --out --set --quiet",
+    "size": "SCENARIO --scenario --uavs --target --station --speed --endurance --seconds --knows --out --what-if --set "
+    "--quiet",
     "link": "URL --scenario --uav --policy --arm --devices --silence --seed --out",
     "runs": "--out",
     "scenarios": "",

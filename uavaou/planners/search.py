@@ -325,8 +325,7 @@ def anneal(
         between: low and high; slots low <= t < high may change.
         temperatures: the first and the last, in slots of total age.
         best, best_age: the best routes, (U, K+1), changed in place; their total age, in slots squared.
-        stations: cells in which a stay is a swap of batteries, (C,), or none: (0,). Cell C is then that of a UAV that
-            is down or failed; no proposal begins a swap, or changes one or what leads to it.
+        stations: cells in which a stay would be a swap, and cell C, of UAVs that are away, stays, (C,); or none, (0,).
     """
     uavs, slots = len(e.routes), len(e.cumulative) - 1
     trial = np.empty(2 * slots + 64, dtype=np.int64)  # beyond slot K: space for paths that are too long
@@ -378,12 +377,11 @@ def _propose(routes: Ints, uav: int, trial: Ints, between: Pair, grid: Grid, rng
 
 @compiled_fast
 def _keeps_swaps(route: Ints, trial: Ints, first: int, end: int, stations: Bools) -> bool:
-    before = route[first - 1]
+    before, away = route[first - 1], len(stations)
     for t in range(first, end + 1):
         there = trial[t] if t < end else route[t]
-        if there >= len(stations) or route[t] >= len(stations) or before >= len(stations):
-            return False
-        if there == before and stations[there] and (t == end or there != route[t] or before != route[t - 1]):
+        kept = t < end and there == route[t] and before == route[t - 1]
+        if max(before, there, route[t]) >= away or (there == before and stations[there] and not kept):
             return False
         before = there
     return True
