@@ -13,13 +13,14 @@ import torch
 
 from benchmarks.environment import scaling, stepping
 from benchmarks.measure import Measurement, report, write_rows
+from benchmarks.operations import operations
 from benchmarks.training import STOCK, memory, networks, parts, training
 from uavaou.runs.machine import describe_machine
 
 Part = Callable[[], list[Measurement]]
 PARTS: dict[str, Part] = {
     "stepping": stepping, "scaling": scaling, "parts": parts, "training": training, "networks": networks,
-    "memory": memory,
+    "memory": memory, "operations": operations,
 }  # fmt: skip
 QUICK: dict[str, Part] = {
     "stepping": lambda: stepping(slots=20, repeats=1),
@@ -30,6 +31,7 @@ QUICK: dict[str, Part] = {
     "training": lambda: training(repeats=1, rollout_slots=25),
     "networks": lambda: networks(repeats=1, rollout_slots=5),
     "memory": lambda: memory(rollouts=2),
+    "operations": lambda: operations(slots=20, repeats=1),
 }
 REFERENCES = ("supersuit stage, 1 process",)
 

@@ -227,3 +227,15 @@ def test_a_base_that_is_never_drawn_is_beyond() -> None:
     family = Family.from_dict({"base": "paper", "devices": {"low": 40, "high": 60}})
     assert beyond(family, Scenario.load("paper")) == ["devices 25 (in training 40 to 60)"]
     assert beyond(Family.from_dict(family.to_dict() | {"base_share": 0.1}), Scenario.load("paper")) == []
+
+
+def test_missions_as_they_go_are_drawn_over_the_same_maps() -> None:
+    plain, going = Family.load("any"), Family.load("any-mission")
+    names = ("uplinks_per_slot", "energy", "failure_probability_per_slot", "links", "wind", "devices_silent")
+    drawn = [going.draw(n) for n in range(300)]
+    for n, scenario in enumerate(drawn[:50]):
+        without = dict.fromkeys((*names, "swap_time_s"))
+        assert scenario.replace(**without, name=f"any-{n}") == plain.draw(n)
+    shares = {name: np.mean([getattr(scenario, name) is not None for scenario in drawn]) for name in names}
+    assert all(0.1 < share < 0.5 for share in shares.values()), shares
+    assert beyond(plain, Scenario.load("paper").replace(links="none")) == ["links (in training none)"]

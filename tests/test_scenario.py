@@ -154,6 +154,10 @@ def test_scenarios_cannot_be_changed_in_place() -> None:
         TINY.slots = 3  # type: ignore[misc]
 
 
+BATTERY = {"energy": {"endurance_s": 1500}}
+TRIANGLE = [[0, 0], [200, 0], [0, 200]]
+NORTH_EAST = {"georeference": {"latitude": 46, "longitude": 7, "bearing_deg": 45}, "air_speed_max_m_s": 13.5}
+
 BAD_CHANGES: list[tuple[dict[str, Any], list[str]]] = [
     # unknown keys
     ({"slot": 5}, ["'slot'", "did you mean 'slots'"]),
@@ -218,6 +222,38 @@ BAD_CHANGES: list[tuple[dict[str, Any], list[str]]] = [
     ({"carrier_frequency_hz": 1e9, "reference_gain_db": -40}, ["carrier_frequency_hz", "reference_gain_db"]),
     ({"devices_m": [[0, 0], [1, 1], [2, 2]]}, ["devices_m", "3 entries", "devices: 3 would fit"]),
     ({"devices_m": [[0, 0], [1, 1], [2, 2], [201, 1]]}, ["devices_m[3]", "[201, 1]", "outside", "200 m x 200 m"]),
+    # missions as they really go
+    ({"uplinks_per_slot": 0}, ["uplinks_per_slot", "0", "greater than or equal to 1"]),
+    ({"energy": "25 min"}, ["energy = '25 min'", "expected {endurance_s: 25 min} or {model: rotary-wing"]),
+    ({"energy": {"model": "rotary wing", "battery_wh": 80}}, ["rotary wing", "did you mean 'rotary-wing'"]),
+    ({"energy": {"endurance_s": "25 m"}}, ["energy.endurance_s = '25 m'", "s, ms, min, h, d"]),
+    ({"energy": {"endurance_s": 99, "reserve": 1}}, ["energy.reserve = 1", "less than 1"]),
+    ({"energy": {"endurance_s": 99, "reserv": 0.2}}, ["'reserv'", "did you mean 'reserve'"]),
+    ({"swap_time_s": 60}, ["swap_time_s", "energy"]),
+    ({"stations_m": [[100, 100]]}, ["stations_m", "energy"]),
+    (BATTERY | {"stations_m": [[0, 0], [50, 100]]}, ["stations_m[1]", "[50, 100]", "[0, 100] would fit"]),
+    (BATTERY | {"stations_m": [[200, 200]], "outline_m": TRIANGLE}, ["stations_m[0]", "[200, 200]", "no UAV may fly"]),
+    ({"failures": [{"uav": 2, "slot": 3}]}, ["failures[0]", "uav 2", "from 0 to 1"]),
+    ({"failures": [{"uav": 1, "slot": 5, "until": 5}]}, ["failures[0]", "until (5) must be after slot (5)"]),
+    ({"failures": [{"uav": 1, "slot": "noon"}]}, ["failures[0].slot", "'noon'"]),
+    ({"failures": [{"uav": 1, "slots": 3}]}, ["failures[0]", "'slots'", "did you mean 'slot'"]),
+    ({"failure_probability_per_slot": 1.5}, ["failure_probability_per_slot", "1.5", "less than or equal to 1"]),
+    ({"devices_silent": [{"device": 4, "from": 3}]}, ["devices_silent[0]", "device 4", "from 0 to 3"]),
+    ({"devices_silent": [{"device": 1, "form": 3}]}, ["devices_silent[0]", "from is missing"]),
+    ({"links": "perfct"}, ["links = 'perfct'", "did you mean 'perfect'"]),
+    ({"links": {"probabilty": 0.5}}, ["links", "did you mean 'probability'"]),
+    ({"links": {"good_slots": 5}}, ["links", "good_slots and bad_slots: give both or none"]),
+    ({"silence_slots": 5}, ["silence_slots", "links"]),
+    ({"wind": {"east": 3}}, ["wind", "'east'", "did you mean 'east_m_s'"]),
+    ({"wind": {"correlation": 1}}, ["wind.correlation = 1", "less than 1"]),
+    ({"air_speed_max_m_s": 20}, ["air_speed_max_m_s", "wind"]),
+    ({"wind": {"east_m_s": 10}, "air_speed_max_m_s": 5}, ["air_speed_max_m_s = 5", "strongest wind of 10 m/s"]),
+    (NORTH_EAST | {"wind": {"east_m_s": 10, "deviation_m_s": 1}}, ["air_speed_max_m_s = 13.5", "14.24 m/s"]),
+    ({"age_limit_s": 0}, ["age_limit_s", "0", "greater than 0"]),
+    ({"device_weights": [1, 2]}, ["device_weights", "2 entries", "4 devices"]),
+    ({"device_weights": [0, 0, 0, 0]}, ["device_weights", "all are 0"]),
+    ({"objective": "above-limit"}, ["objective", "age_limit_s"]),
+    ({"objective": "abov-limit"}, ["objective", "did you mean 'above-limit'"]),
 ]
 
 

@@ -54,7 +54,8 @@ def test_every_field_of_a_scenario_that_names_a_unit_has_one() -> None:
     plain = {name for name in Scenario.model_fields if not name.endswith(endings)}
     assert plain == {"name", "description", "uavs", "devices", "slots", "rician_factor", "fading", "layout"} | {
         *("layout_seed", "flight_time", "line_of_sight", "path_loss_exponent"),
-        *("no_fly", "uav_names", "device_names", "georeference"),
+        *("no_fly", "uav_names", "device_names", "georeference", "device_weights", "objective"),
+        *("energy", "failures", "devices_silent", "links", "wind", "uplinks_per_slot", "failure_probability_per_slot"),
     }
 
 

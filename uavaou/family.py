@@ -6,17 +6,17 @@ stays that of its base. All draws have ``layout: resample``, so that each missio
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, StrictBool, StrictStr, model_validator
+from pydantic import BeforeValidator, StrictStr
 
 from uavaou.arrays import Floats
+from uavaou.draws import AltitudeDraw, CdsDraw, Draw, LengthDraw, OperationsDraw, WholeDraw, drawn_value
 from uavaou.errors import InputError
-from uavaou.fields import FolderName, Fraction, Length, NonNegative, Positive, PositiveWhole, Strict, validated
+from uavaou.fields import FolderName, Fraction, Strict, validated
 from uavaou.scenario import Scenario
 from uavaou.scenario_fields import Range
 from uavaou.zoo import name_of_file, read_yaml_mapping, zoo_or_file
@@ -25,105 +25,6 @@ _STREAM = 4  # spawn key of the draws, apart from the layouts' (1), the planners
 _TRIED = 64  # draws that are made when a family is read
 _LEAST_SPAN = 0.25  # the part of the range of altitudes that a fleet takes at least
 _CLUSTER = 0.08  # standard deviation of the devices of a cluster along each side, in lengths of the side
-
-Count = Annotated[PositiveWhole, Field(le=100_000)]
-
-
-class Draw(Strict):
-    """A quantity: between two ends, ``{low: 5, high: 120, log: true}``, or one of some values, ``{among: [0, 3]}``."""
-
-    low: NonNegative | None = None
-    high: NonNegative | None = None  # included
-    log: StrictBool = False  # the logarithm is uniform
-    among: Annotated[tuple[NonNegative, ...], Field(min_length=1)] | None = None
-    weights: tuple[Positive, ...] | None = None  # of the values in ``among``; None for equal ones
-    share: Fraction = 1.0  # the other draws keep the value of the base
-
-    @model_validator(mode="after")
-    def _fits_together(self) -> Self:
-        if (self.low is None) != (self.high is None) or (self.low is None) == (self.among is None):
-            raise ValueError("give low and high, or among")
-        if self.low is not None and self.high is not None and self.low > self.high:
-            raise ValueError(f"low ({self.low:.10g}) must not exceed high ({self.high:.10g})")
-        if self.log and not self.low:
-            raise ValueError("log: needs a low above 0")
-        if self.weights is not None and len(self.weights) != len(self.among or ()):
-            raise ValueError(f"weights: has {len(self.weights)} entries, needs one for each value of among")
-        return self
-
-    @property
-    def greatest(self) -> float:
-        """The largest value that is drawn."""
-        return max(self.among) if self.among is not None else float(self.high or 0)
-
-    def value(self, rng: np.random.Generator) -> float:
-        """Draw a value."""
-        unit = rng.random()
-        if self.among is not None:
-            return self.among[_chosen(self.weights or (1,) * len(self.among), unit)]
-        assert self.low is not None
-        assert self.high is not None
-        return self._between(self.low, self.high, unit)
-
-    def _between(self, low: float, high: float, unit: float) -> float:
-        value = low * (high / low) ** unit if self.log else low + (high - low) * unit
-        return float(f"{value:.6g}")  # the same on every machine, whatever the last bits of its powers
-
-
-class LengthDraw(Draw):
-    """A length in m, by the same rules."""
-
-    low: Length | None = None
-    high: Length | None = None
-    among: Annotated[tuple[Length, ...], Field(min_length=1)] | None = None
-
-
-class WholeDraw(Draw):
-    """A whole number, by the same rules."""
-
-    low: Count | None = None
-    high: Count | None = None
-    among: Annotated[tuple[Count, ...], Field(min_length=1)] | None = None
-
-    def _between(self, low: float, high: float, unit: float) -> float:
-        return float(min(math.floor(super()._between(low, high + 1, unit)), high))
-
-
-class AltitudeDraw(Range):
-    """Altitudes of a fleet, evenly apart in a part of the range, in a random order."""
-
-    share: Fraction = 1.0  # the other fleets take the range of the base
-
-
-class CdsDraw(Strict):
-    """How often the CDSs lie in which way; the four numbers are weights."""
-
-    corners: NonNegative = 0.0  # in the corners, in a random order; from the fifth UAV on again
-    edges: NonNegative = 0.0  # anywhere at the edges of the area
-    common: NonNegative = 0.0  # all in one place, anywhere
-    scattered: NonNegative = 0.0  # anywhere
-
-    @model_validator(mode="after")
-    def _some(self) -> Self:
-        if not any(vars(self).values()):
-            raise ValueError("expected a weight above 0")
-        return self
-
-    def cells(self, rng: np.random.Generator, uavs: int, steps: tuple[int, int]) -> list[tuple[int, int]]:
-        """Draw the grid cell of the CDS of each UAV, on a grid of ``steps`` along x and y."""
-        kind = list(vars(self))[_chosen(tuple(vars(self).values()), rng.random())]
-        x, y = steps
-        if kind == "corners":
-            order = rng.permutation(4)
-            return [((0, x)[order[u % 4] % 2], (0, y)[order[u % 4] // 2]) for u in range(uavs)]
-        anywhere = [(int(rng.integers(x + 1)), int(rng.integers(y + 1))) for _ in range(uavs)]
-        if kind == "common":
-            return anywhere[:1] * uavs
-        if kind == "scattered":
-            return anywhere
-        sides = rng.integers(4, size=uavs)  # left, right, below, above
-        ends = (0, x, 0, y)
-        return [(ends[s], b) if s < 2 else (a, ends[s]) for s, (a, b) in zip(sides, anywhere, strict=True)]
 
 
 def _base(value: Any) -> Any:
@@ -154,6 +55,7 @@ class Family(Strict):
     longest_update_period_slots: WholeDraw | None = None  # the periods are drawn from 1 to it
     rate_min_bit_s: Draw | None = None
     rician_factor: Draw | None = None
+    operations: OperationsDraw | None = None
 
     @classmethod
     def load(cls, source: str | Path | Family) -> Family:
@@ -206,8 +108,13 @@ class Family(Strict):
         if not isinstance(n, int | np.integer) or n < 0:
             raise InputError(f"draw = {n!r}: expected a whole number from 0 on")
         rng = np.random.default_rng(np.random.SeedSequence(int(n), spawn_key=(_STREAM,)))
+        streams = dict(zip(_OWN_STREAMS, rng.spawn(len(_OWN_STREAMS)), strict=True))
         changes: dict[str, Any] = {"devices_m": None, "device_names": None, "uav_names": None}
-        changes |= {} if rng.random() < self.base_share else self._changes(rng)
+        changes |= {} if rng.random() < self.base_share else self._changes(streams)
+        if self.operations is not None:
+            names = "uavs", "devices", "slots", "slot_length_s"
+            sizes = [changes.get(name, getattr(self.base, name)) for name in names]
+            changes |= self.operations.changes(streams["operations"], *sizes)
         try:
             return self.base.replace(name=f"{self.name}-{n}", layout="resample", **changes)
         except InputError as error:
@@ -227,14 +134,13 @@ class Family(Strict):
         values = [*own, *(of_base if self.base_share or drawn.share < 1 else ())]
         return min(values), max(values)
 
-    def _changes(self, rng: np.random.Generator) -> dict[str, Any]:
+    def _changes(self, streams: dict[str, np.random.Generator]) -> dict[str, Any]:
         """Draw the fields that differ from the base's; a field more in a file does not shift the others."""
         base = self.base
-        streams = dict(zip(_OWN_STREAMS, rng.spawn(len(_OWN_STREAMS)), strict=True))
         fleet = streams["fleet"]
-        uavs = int(_drawn(self.uavs, fleet, base.uavs))
-        devices = int(_drawn(self.devices, fleet, base.devices))
-        plain = {name: _drawn(getattr(self, name), streams[name], getattr(base, name, None)) for name in _PLAIN}
+        uavs = int(drawn_value(self.uavs, fleet, base.uavs))
+        devices = int(drawn_value(self.devices, fleet, base.devices))
+        plain = {name: drawn_value(getattr(self, name), streams[name], getattr(base, name, None)) for name in _PLAIN}
         step, slots, longest = plain["grid_step_m"], plain["slots"], plain.pop("longest_update_period_slots")
         sides = self._sides(streams["area"], step)
         slot_length_s = base.slot_length_s * step / base.grid_step_m
@@ -262,7 +168,7 @@ class Family(Strict):
 
     def _clustered(self, rng: np.random.Generator, devices: int, sides: Floats) -> list[tuple[float, ...]] | None:
         """Draw positions in m in clusters of an area with these ``sides`` in m, (I, 2); None for anywhere."""
-        clusters = int(_drawn(self.clusters, rng, 0))
+        clusters = int(drawn_value(self.clusters, rng, 0))
         if not clusters:
             return None
         centres = rng.random((clusters, 2))[rng.integers(clusters, size=devices)]  # (I, 2)
@@ -283,18 +189,15 @@ class Family(Strict):
 
 
 _PLAIN = ("grid_step_m", "slots", "longest_update_period_slots", "rate_min_bit_s", "rician_factor")
-_OWN_STREAMS = ("fleet", "area", "cds", "altitudes", *_PLAIN, "clusters")  # of what is drawn; new ones go to the end
-
-
-def _drawn(draw: Draw | None, rng: np.random.Generator, of_base: Any) -> Any:
-    """Draw a value, or keep the base's."""
-    return of_base if draw is None or rng.random() >= draw.share else draw.value(rng)
-
-
-def _chosen(weights: tuple[float, ...], unit: float) -> int:
-    """The index that a uniform number chooses by the weights."""
-    ends = np.cumsum(weights)
-    return min(int(np.searchsorted(ends, unit * ends[-1], side="right")), len(weights) - 1)
+_OWN_STREAMS = (
+    "fleet",
+    "area",
+    "cds",
+    "altitudes",
+    *_PLAIN,
+    "clusters",
+    "operations",
+)  # of what is drawn; new ones go to the end
 
 
 def _range(value: float | tuple[float, ...] | Range | None) -> tuple[float, ...]:
@@ -346,9 +249,27 @@ def beyond(family: Family, scenario: Scenario) -> list[str]:
             found.append(f"{quantity} {_span(min(own), max(own), unit)} (in training {_span(low, high, unit)})")
     if scenario.line_of_sight != family.base.line_of_sight:
         found.append("losses by the line of sight (in training others)")
+    if unknown := [name for name in _OPERATIONS if getattr(scenario, name) and not _draws(family, name)]:
+        found.append(f"{', '.join(unknown)} (in training none)")
     if (scenario.outline_m or scenario.no_fly) and not (family.base.outline_m or family.base.no_fly):
         found.append("outline or zones (in training none)")
     return found
+
+
+# Fields of what missions hold beside the paper's, and the fields of a family that draw them.
+_OPERATIONS = {
+    "uplinks_per_slot": "uplinks_per_slot",
+    "energy": "endurance",
+    "failures": "failures",
+    "failure_probability_per_slot": "failures",
+    "devices_silent": "silent",
+    "links": "link_probability",
+    "wind": "wind_m_s",
+}
+
+
+def _draws(family: Family, name: str) -> bool:
+    return bool(getattr(family.base, name) or getattr(family.operations, _OPERATIONS[name], None))
 
 
 def _span(low: float, high: float, unit: str) -> str:

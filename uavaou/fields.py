@@ -193,6 +193,7 @@ def _unknown_field(name: str, fields: list[str]) -> str:
 
 
 _BRANCHES = ("float", "int", "Range", "WholeRange", "constrained", "tuple", "function")  # of unions, in a place
+_MODELS = ("endurance", "rotary-wing")  # of unions that have a field for it
 
 
 def _faults_of_field(details: list[Any]) -> list[str]:
@@ -216,7 +217,8 @@ def _faults_of_field(details: list[Any]) -> list[str]:
 def _fault(detail: Any, message: str = "") -> str:
     """One error of pydantic's in words: the place, the value, and what is allowed."""
     first, *rest = (str(part) for part in detail["loc"])
-    path = first + "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in rest if not p.startswith(_BRANCHES))
+    inner = [part for part in rest if part not in _MODELS and not part.startswith(_BRANCHES)]
+    path = first + "".join(f"[{part}]" if part.isdigit() else f".{part}" for part in inner)
     if detail["type"] == "missing":
         return f"the field {path} is missing"
     message = message or _message(detail)

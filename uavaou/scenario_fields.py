@@ -26,7 +26,7 @@ from uavaou.fields import (
     Unbounded,
     Whole,
 )
-from uavaou.operations import DEVIATIONS, Energy, Failures, LinksField, Objective, Silences, Wind
+from uavaou.mission_fields import DEVIATIONS, Energy, Failures, LinksField, Objective, Silences, Wind
 from uavaou.radio import PAPER_CHANNEL, Environment, ExcessLoss, PathLossExponent
 from uavaou.zones import Georeference, Names, Polygon, Zones, free_legs
 
@@ -174,10 +174,11 @@ class ScenarioFields(Strict):
             ("uavs uav_names", partial(self._misfits_of_list, "uav_names", "uavs")),
             (f"devices_m {area}", self._misfits_of_devices),
             ("devices device_weights", partial(self._misfits_of_list, "device_weights")),
-            ("energy swap_time_s stations_m wind air_speed_max_m_s age_limit_s objective", self._misfits_of_needs),
+            ("energy swap_time_s stations_m wind air_speed_max_m_s links silence_slots", self._misfits_of_needs),
+            ("age_limit_s objective device_weights", self._misfits_of_measures),
             ("uavs devices failures devices_silent", self._misfits_of_losses),
             (f"stations_m altitudes_m outline_m no_fly {area}", self._misfits_of_swaps),
-            ("wind air_speed_max_m_s", self._misfits_of_wind),
+            ("wind air_speed_max_m_s georeference", self._misfits_of_wind),
         )
         for fields, misfits in checks:
             if sound.issuperset(fields.split()):
@@ -292,10 +293,14 @@ class ScenarioFields(Strict):
         )
 
     def _misfits_of_needs(self) -> Iterator[str]:
-        needs = {"swap_time_s": "energy", "stations_m": "energy", "air_speed_max_m_s": "wind"}
+        needs = {"swap_time_s": "energy", "stations_m": "energy", "air_speed_max_m_s": "wind", "silence_slots": "links"}
         for field, needed in needs.items():
             if getattr(self, field) is not None and getattr(self, needed) is None:
                 yield f"{field}: means nothing without {needed}; give {needed}, or leave {field} out"
+
+    def _misfits_of_measures(self) -> Iterator[str]:
+        if self.device_weights and not any(self.device_weights):
+            yield "device_weights: all are 0; one above 0 or more would fit"
         if self.objective == "above-limit" and self.age_limit_s is None:
             yield "objective = 'above-limit': needs age_limit_s, such as 30 min"
 
@@ -317,10 +322,15 @@ class ScenarioFields(Strict):
         for k in np.flatnonzero(apart.any(axis=1)).tolist():
             near = _full_list(np.minimum(np.maximum(snapped[k], 0), np.floor(area / step) * step))
             yield f"stations_m[{k}] = {_full_list(places[k])}: not a point of the grid; {near} would fit"
+        zones = [[zone for zone in self.no_fly or () if zone.applies(altitude)] for altitude in self.altitudes_m or [0]]
+        free = np.any([free_legs(snapped, snapped, self.outline_m, each) for each in zones], axis=0)  # (S,) to anyone
+        for k in np.flatnonzero(~free).tolist():
+            yield f"stations_m[{k}] = {_full_list(places[k])}: no UAV may fly there; move it or the zone"
 
     def _misfits_of_wind(self) -> Iterator[str]:
         if self.wind is not None and self.air_speed_max_m_s is not None:
-            mean, drawn = (self.wind.east_m_s, self.wind.north_m_s), DEVIATIONS * self.wind.deviation_m_s
+            bearing = 0.0 if self.georeference is None else self.georeference.bearing_deg
+            mean, drawn = self.wind.mean_m_s(bearing), DEVIATIONS * self.wind.deviation_m_s
             strongest = math.hypot(*(abs(part) + drawn for part in mean))
             if strongest > self.air_speed_max_m_s:
                 yield (

@@ -11,12 +11,14 @@ from uavaou.files import write_json
 from uavaou_cli.evaluate import evaluation_lines
 from uavaou_cli.import_ import (
     Crs,
+    Duration,
     Endurance,
     Interval,
     MapOptions,
     Radio,
     Speed,
     Station,
+    Swap,
     Uavs,
     Within,
     is_map,
@@ -41,7 +43,7 @@ from uavaou_cli.overrides import parse_overrides
 from uavaou_cli.progress import RecordingDisplay
 from uavaou_cli.rehearsal import AUTO, rehearsal_lines, rehearse_in
 from uavaou_cli.route import ROUTE_FOLDER, check_routes, write_routes
-from uavaou_cli.tables import show
+from uavaou_cli.tables import bullet, show
 
 if TYPE_CHECKING:
     from uavaou.arrays import Floats
@@ -76,6 +78,8 @@ def fly(
     endurance: Endurance = None,
     interval: Interval = None,
     within: Within = None,
+    duration: Duration = None,
+    swap: Swap = None,
     what_if: WhatIf = None,
     set_: Changes = None,
     quiet: Quiet = False,
@@ -101,7 +105,7 @@ def fly(
     overrides.only_of_scenario("a policy flies as it is")
     source = needed_scenario(scenario, scenario_option)
     field = None
-    options = MapOptions(uavs, station, radio, crs, speed, endurance, interval, within)
+    options = MapOptions(uavs, station, radio, crs, speed, endurance, interval, within, duration, swap)
     if is_map(source):
         field, base = read_map_field([Path(source)], options)
     else:
@@ -162,6 +166,7 @@ def _fly(
     """Fly a mission with each policy; print the figures, and write the files of the first."""
     from uavaou.evaluation.recorded_mission import write_mission
     from uavaou.reports.mission_figures import plot_trajectories
+    from uavaou.reports.mission_story import mission_story
     from uavaou.reports.replay.page import by_label, write_replay
     from uavaou.runs.comparison import compare
 
@@ -169,7 +174,10 @@ def _fly(
         comparison = compare(policies, scenario, 1, seed, display)
     show(evaluation_lines(comparison, changes))
     missions = display.missions(scenario, seed)
-    name, chosen = f"mission-{seed}", missions[next(iter(policies))]
+    first = next(iter(policies))
+    name, chosen = f"mission-{seed}", missions[first]
+    if story := mission_story(first, chosen):
+        show(["", story[0], *(line for text in story[1:] for line in bullet(text))])
     written, page = folder / f"{name}.json", folder / f"{name}.html"
     write_mission(written, chosen)
     write_replay(page, by_label(missions.values()))

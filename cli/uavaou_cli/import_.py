@@ -13,7 +13,7 @@ import typer
 
 from uavaou.errors import InputError, command_line, unknown
 from uavaou_cli.options import number, option, shipped, writable_folder
-from uavaou_cli.tables import show, wrapped
+from uavaou_cli.tables import bullet, show, wrapped
 
 if TYPE_CHECKING:
     from uavaou.field.mission import Field
@@ -36,6 +36,8 @@ Interval = Annotated[str | None, option("Between updates, where a map file has n
 Altitude = Annotated[float | None, number("Of the first UAV, the others 10 m apart. [default: 60]", 1, 10_000, "M")]
 GridStep = Annotated[float | None, number("The grid step. [default: from the radio]", 0.1, 100_000, "M")]
 Slots = Annotated[int | None, number("Slots of a mission. [default: from speed and battery]", 2, 1_000_000)]
+Duration = Annotated[str | None, option("Of the mission on a map file, such as 10h. [default: one battery]", "TIME")]
+Swap = Annotated[str | None, option("To swap a battery at a station, on a map file. [default: 2min]", "TIME")]
 Within = Annotated[str | None, option("Ignore points of a map file beyond KM kilometres of a place.", "LAT,LON,KM")]
 
 
@@ -51,6 +53,8 @@ class MapOptions:
     endurance: str | None = None
     interval: str | None = None
     within: str | None = None
+    duration: str | None = None
+    swap: str | None = None
     altitude: float | None = None
     grid_step: float | None = None
     slots: int | None = None
@@ -74,6 +78,8 @@ def import_(
     endurance: Endurance = None,
     interval: Interval = None,
     within: Within = None,
+    duration: Duration = None,
+    swap: Swap = None,
     altitude: Altitude = None,
     grid_step: GridStep = None,
     slots: Slots = None,
@@ -86,7 +92,9 @@ def import_(
     """
     if (out / "scenario.yaml").exists() and not replace_:
         raise InputError(f"'{out}' already holds a scenario: add --replace to write it anew, or choose another --out")
-    options = MapOptions(uavs, station, radio, crs, speed, endurance, interval, within, altitude, grid_step, slots)
+    options = MapOptions(
+        uavs, station, radio, crs, speed, endurance, interval, within, duration, swap, altitude, grid_step, slots
+    )
     writable_folder(out)
     write_map_field(*read_map_field(files, options), out)
     show(["", f"Next: {command_line(['uavaou', 'fly', out / 'scenario.yaml'])}"])
@@ -141,8 +149,7 @@ def _understood(found: Field) -> list[str]:
         lines += [f"{name:<11}{first.strip()}", *rest]
     lines += ["", "Ignored or guessed:"]
     for note in found.notes:
-        first, *rest = wrapped(note, "    ")
-        lines += ["  - " + first.strip(), *rest]
+        lines += bullet(note)
     return lines
 
 
@@ -161,6 +168,8 @@ def _wishes(options: MapOptions) -> Any:
         interval_s=quantity("--interval", options.interval, "interval_s", "min"),
         grid_step_m=options.grid_step,
         slots=options.slots,
+        duration_s=quantity("--duration", options.duration, "duration_s", "min"),
+        swap_s=quantity("--swap", options.swap, "swap_s", "min"),
     )
 
 

@@ -31,6 +31,12 @@ def wrapped(text: str, indent: str = "") -> list[str]:
     return textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
 
 
+def bullet(text: str) -> list[str]:
+    """A paragraph behind a dash."""
+    first, *rest = wrapped(text, "    ")
+    return ["  - " + first.strip(), *rest]
+
+
 def paragraphs(texts: Iterable[str]) -> list[str]:
     """Texts in lines of 80 columns, an empty line above each."""
     return [line for text in texts for line in ("", *wrapped(text))]

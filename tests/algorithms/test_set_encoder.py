@@ -23,7 +23,8 @@ def entity_rows(
     uavs: int, devices: int, most: tuple[int, int] | None = None, observation: str = "shared"
 ) -> tuple[RowLayout, th.Tensor, th.Tensor]:
     """Local rows (N * U, local) and states (N, global) of missions under way."""
-    scenario = sized(uavs, devices)
+    # News that is old, so that some tokens of teammates are there in part, and others are not.
+    scenario = sized(uavs, devices).replace(links={"probability": 0.05}, silence_slots=30)
     world, rng = World(scenario, missions=6, seed=1), np.random.default_rng(0)
     for _ in range(20):
         world.step(rng.integers(0, 5, (6, uavs)))

@@ -24,10 +24,10 @@ COMMANDS = {
     "tune": "SCENARIO --scenario --algorithm --seconds --slots --trials --from --top --space --jobs --seed --out "
     "--set --search --quiet",
     "eval": "RUN --policy --scenario --episodes --seed --action --suite --time-limit --knows --out --set --quiet",
-    "import": "FILE --out --uavs --station --radio --crs --speed --endurance --interval --within --altitude "
-    "--grid-step --slots --replace",
+    "import": "FILE --out --uavs --station --radio --crs --speed --endurance --interval --within --duration --swap "
+    "--altitude --grid-step --slots --replace",
     "fly": "SCENARIO --scenario --policy --seconds --knows --seed --json --out --route --uavs --station --radio --crs "
-    "--speed --endurance --interval --within --what-if --set --quiet",
+    "--speed --endurance --interval --within --duration --swap --what-if --set --quiet",
     "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --knows --set --quiet",
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
     "route": "SCENARIO --scenario --policy --seconds --knows --format --episodes --seed --out --set --quiet",

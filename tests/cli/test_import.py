@@ -35,6 +35,20 @@ def test_a_field_is_imported_and_flown(capsys: pytest.CaptureFixture[str]) -> No
     assert main(["fly", "field/scenario.yaml", "--seconds", "1", "--quiet"]) == 0
 
 
+def test_a_mission_longer_than_a_battery_has_swaps(capsys: pytest.CaptureFixture[str]) -> None:
+    stations = ["--station", "46.1012,7.2210", "--station", "46.1060,7.2300", "--uavs", "1"]
+    assert main(["import", str(SENSORS), *stations, "--duration", "2h", "--swap", "3min"]) == 0
+    assert "2 h; 25 min in the air a battery, 3 min a swap" in " ".join(capsys.readouterr().out.split())
+    scenario = Scenario.load("field/scenario.yaml")
+    assert (scenario.slots, scenario.swap_time_s, scenario.stations_m) == (720, 180, ((800.0, 600.0),))
+    assert scenario.energy is not None
+    assert main(["import", str(SENSORS), "--duration", "20", "--replace"]) == 0
+    assert Scenario.load("field/scenario.yaml").energy is None
+    for wrong, said in ((["--swap", "2min"], "says nothing without"), (["--slots", "9", "--duration", "1h"], "one of")):
+        assert main(["import", str(SENSORS), *wrong, "--replace"]) == 2
+        assert said in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_map_is_flown_in_one_go(capsys: pytest.CaptureFixture[str]) -> None:
     Path("lake.kml").write_text(TEXTS["map.kml"], encoding="utf-8")

@@ -157,8 +157,8 @@ def test_rows_are_local_then_global_and_the_global_part_is_the_environments_stat
 class OneRow(gymnasium.Env[Any, Any]):
     """The first row of a flattened environment of one mission, the other UAVs staying, as a Gymnasium environment."""
 
-    def __init__(self, collection: str) -> None:
-        self.env = flatten(small(), missions=1, collection=collection)
+    def __init__(self, collection: str, **changes: Any) -> None:
+        self.env = flatten(small(**changes), missions=1, collection=collection)
         row = self.env.observation_space
         self.observation_space = gymnasium.spaces.Box(row.low, row.high, row.shape, np.float32)
         self.action_space = self.env.action_space

@@ -12,11 +12,13 @@ import pytest
 
 from tests.fuzz.targets import seeds
 from tests.onboard.policies import QUICK, lively
-from uavaou import World
+from uavaou import InputError, World
 from uavaou.onboard.export import FILES, write_policy
 from uavaou.onboard.graph import inputs_of
 from uavaou.onboard.runner import Pilot, read_mission, read_policy
 from uavaou.runs.policy import TrainedPolicy
+from uavaou.world.channel import rate
+from uavaou.world.links import Knowledge
 from uavaou.world.pull import PullPlan
 
 SCENARIO = QUICK.replace(slots=60, flight_time_budget_s=140.0)  # shorter than the slots: the budget binds
@@ -33,6 +35,18 @@ class Listening:
         return self.session.run(names, rows)
 
 
+def arrived(world: World) -> Any:
+    """Which messages have passed in this slot, (to, from): drawn anew by a copy of the links."""
+    links = Knowledge(world.scenario, 1, world.flight.cds)
+    links.start(world.channel.keys)
+    passes = (
+        links._passing(world.slot, world.cells)[0]
+        & ~np.eye(world.scenario.uavs, dtype=bool)
+        & (not links.passes_nothing)
+    )
+    return passes & ~world.failed[0] & ~world.failed[0, :, None]
+
+
 def fly(trained: TrainedPolicy, pilots: list[Pilot]) -> list[list[int]]:
     """Play a mission by the pilots, each of which is told what its UAV measures; the moves made in each slot."""
     world = World(trained.views.scenario, 1, seed=3)
@@ -42,10 +56,21 @@ def fly(trained: TrainedPolicy, pilots: list[Pilot]) -> list[list[int]]:
     made = []
     while not world.done:
         at, local = world.positions[0], trained.local_rows(world)
+        at = np.where(world.failed[0, :, None] & (trained.views.layout.rows == "entities"), np.nan, at)
         others = [np.delete(at, pilot.uav, axis=0) if pilot.shared else () for pilot in pilots]
-        decided = [pilot.decide(at[pilot.uav], world.in_range[0, pilot.uav], others[pilot.uav]) for pilot in pilots]
+        sent = [pilot.message(world.positions[0, pilot.uav]) for pilot in pilots] if pilots[0].linked else []
+        decided = [
+            pilot.decide(
+                world.positions[0, pilot.uav], world.in_range[0, pilot.uav], others[pilot.uav],
+                [sent[v] for v in np.flatnonzero(arrived(world)[pilot.uav])] if sent else (),
+                rate(world.channel.bandwidth[0], world.snr[0, pilot.uav]),
+            )
+            for pilot in pilots
+        ]  # fmt: skip
         for name, rows in inputs_of(local, trained.views.layout, trained.model.policy.pull).items():
             for pilot, expected in zip(pilots, rows, strict=True):
+                if world.failed[0, pilot.uav]:
+                    continue
                 given = pilot.session.rows[name][0]
                 if len(expected) < len(given):  # of its part alone: the pilot has tokens of the others, all zero
                     there = pilot.session.rows["devices"][0, :, 0] > 0.5
@@ -54,20 +79,25 @@ def fly(trained: TrainedPolicy, pilots: list[Pilot]) -> list[list[int]]:
                     given, expected = given[there], expected[: there.sum()]
                 np.testing.assert_allclose(given, expected, atol=1e-6, rtol=1e-6)
         moves, selections = trained.act(world)
+        flying = ~world.failed[0]
         wanted = world.flight.resolve(moves, world.cells, world.allowed_moves, world._on_grid)[0]
         if pilots[0].action == "greedy":
-            assert [move for move, _, _ in decided] == wanted.tolist()
-            chosen = world.in_range if selections is None else selections & world.in_range
-            np.testing.assert_array_equal([selected for _, _, selected in decided], chosen[0])
+            assert np.array([move for move, _, _ in decided])[flying].tolist() == wanted[flying].tolist()
+            chosen = world.collecting if selections is None else selections & world.in_range
+            if selections is not None and world.scenario.uplinks_per_slot:
+                chosen = world.operations.kept(chosen, world._snr_in_range)
+            np.testing.assert_array_equal(np.array([selected for _, _, selected in decided])[flying], chosen[0, flying])
         moves = np.array([[move for move, _, _ in decided]])
-        world.step(moves, np.array([[selected for _, _, selected in decided]]))
+        auto = pilots[0].auto and (world.scenario.links or world.scenario.uplinks_per_slot)
+        world.step(moves, None if auto else np.array([[selected for _, _, selected in decided]]))
         made.append(moves[0].tolist())
         for pilot in pilots:
             collected_by = world.stepped.association.collected_by[0]
             own = np.where(collected_by == pilot.uav, collected_by, -1)
             pilot.end_slot(collected_by if pilot.shared else own)
         if not world.done:
-            np.testing.assert_allclose([waypoint for _, waypoint, _ in decided], world.positions[0])
+            at = np.array([waypoint for _, waypoint, _ in decided])
+            np.testing.assert_allclose(at[flying], world.positions[0, flying])
     assert all(pilot.done for pilot in pilots)
     return made
 
@@ -115,6 +145,44 @@ def test_it_flies_around_zones(network: dict[str, Any], tmp_path: Path) -> None:
     (tmp_path / "mission.json").write_text(json.dumps(mission))
     with pytest.raises(ValueError, match="free_moves: expected a number below 32 for each cell"):
         Pilot(tmp_path, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("observation", ["local", "shared", "part"])
+@pytest.mark.parametrize("collection", ["auto", "select"])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"uplinks_per_slot": 1, "failures": [{"uav": 1, "slot": 20}]},
+        {"uplinks_per_slot": 2, "links": {"probability": 0.3}, "silence_slots": 4},
+        {"links": {"probability": 0.3}, "silence_slots": 4, "failures": [{"uav": 0, "slot": 20}]},
+        {"links": "none", "age_limit_s": 60, "objective": "above-limit"},
+    ],
+)
+def test_it_flies_missions_as_they_go(
+    changes: dict[str, Any], collection: str, observation: str, tmp_path: Path
+) -> None:
+    scenario = SCENARIO.replace(**changes)
+    for network in ({"network": "set", "pull": 12.0}, {"network": "mlp"}):
+        if observation == "shared" or network["network"] == "set":
+            trained = lively(scenario=scenario, views=1, observation=observation, collection=collection, **network)
+            fly(trained, pilots_of(trained, tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"energy": {"endurance_s": 300}}, "energy: the runner does not reckon with batteries"),
+        ({"wind": {"east_m_s": 3}}, "wind: the runner does not reckon with wind"),
+        ({"devices_silent": [{"device": 0, "from": 5}]}, "devices_silent: no UAV on board knows the true ages"),
+        ({"links": "perfect", "uavs": 5}, "uavs: plans for all survivors are written for 4 UAVs at most"),
+    ],
+)
+def test_what_a_runner_cannot_know_is_refused(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
+    trained = lively(scenario=SCENARIO.replace(**changes), network="set", observation="shared")
+    with pytest.raises(InputError, match=said):
+        write_policy(trained, "mine", tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 from PIL import Image
 
 from tests.browser import LEFT_OUT, Browser, find_browser
+from tests.documents import blocks, console
 
 ROOT = Path(__file__).resolve().parents[2]
 FIELD = ["examples/field/sensors.geojson", "--uavs", "2", "--station", "46.1012,7.2210", "--radio", "802.15.4"]
@@ -16,6 +17,7 @@ PAGES = {
     "replay": ("docs/gallery/paper.html", 160, (1400, 1000, False, False)),
     "replay-phone": ("docs/gallery/hundred-devices.html", 160, (390, 844, True, True)),
 }
+DAY = (2281, (1200, 900, False, False))  # of docs/a-day.md
 OWN_FIELD = (60, (1200, 760, False, False))
 
 
@@ -26,6 +28,18 @@ def take(browser: Browser, page: Path, slot: int, window: tuple[int, int, bool, 
     browser.value(f"replay.seek({slot})")
     browser.screenshot(picture)
     Image.open(picture).convert("RGB").quantize(256).save(picture, optimize=True)  # a third of the size
+
+
+def fly_a_day(place: Path) -> Path:
+    """Follow docs/a-day.md up to the flight; returns its page."""
+    page = ROOT / "docs" / "a-day.md"
+    imported, _, flown, _ = (line.partition("#")[0].split()[1:] for line in console(page))
+    subprocess.run([sys.executable, "-m", "uavaou", *imported[:-1], str(place / "day-field")], cwd=ROOT, check=True)
+    with open(place / "day-field" / "scenario.yaml", "a", encoding="utf-8") as file:
+        file.write(blocks(page, "yaml")[0])
+    told = ["day-field/scenario.yaml" if word == "field/scenario.yaml" else word for word in flown]
+    subprocess.run([sys.executable, "-m", "uavaou", *told, "--quiet"], cwd=place, check=True)
+    return place / "day" / "mission-10000.html"
 
 
 def main() -> None:
@@ -41,6 +55,8 @@ def main() -> None:
         browser = Browser(executable, Path(place) / "profile")
         for name, (page, slot, window) in PAGES.items():
             take(browser, ROOT / page, slot, window, images / f"{name}.png")
+        day = fly_a_day(Path(place))
+        take(browser, day, *DAY, images / "a-day.png")
         take(browser, out / "mission-10000.html", *OWN_FIELD, images / "own-field.png")
         browser.close()
 

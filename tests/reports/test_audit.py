@@ -12,6 +12,8 @@ from uavaou import Scenario
 from uavaou.reports.audit import Audit, audit, audit_lines
 from uavaou.reports.audit_checks import Finding
 from uavaou.reports.coverage_map import plot_coverage
+from uavaou.world.battery import Batteries
+from uavaou.world.flight import Flight
 from uavaou.zoo import zoo_names
 
 PAPER = Scenario.load("paper")
@@ -101,6 +103,67 @@ def test_the_gravest_finding_of_a_check(scenario: Scenario, check: str, level: s
     found = next((one for one in audit(scenario).findings if one.check == check), None)
     assert (found and found.level) == level
     assert found is None or says in f"{found.message} {found.change}"
+
+
+QUICK = Scenario.load("quickstart")
+ROTARY = {"model": "rotary-wing", "battery_wh": 5}
+OPERATIONS: list[tuple[dict[str, object], str, str, str]] = [
+    (
+        {"uplinks_per_slot": 2},
+        "capacity",
+        "note",
+        "the best cell has 7 devices in range without fading, so that selecting",
+    ),
+    (
+        {"energy": {"endurance_s": 210}},
+        "battery",
+        "note",
+        "28 slots of hovering (3.11 min) or 28 grid steps (2800 m), with 10%",
+    ),
+    ({"energy": ROTARY}, "battery", "note", "Hovering takes 168 W, flying at 15 m/s 139 W"),
+    ({"energy": {"endurance_s": 3}}, "battery", "error", "a battery does not last for a slot"),
+    ({"energy": {"endurance_s": 14}}, "battery", "warning", "less than two slots: no UAV leaves home"),
+    ({"energy": {"endurance_s": 14}}, "sortie", "warning", "all but devices"),
+    ({"energy": {"endurance_s": 200}}, "sortie", "note", "reaches every device"),
+    (
+        {"energy": {"endurance_s": 200}, "swap_time_s": 40},
+        "swaps",
+        "note",
+        "about 1 swap a UAV that stays in the air, each 7",
+    ),
+    ({"failures": [{"uav": 1, "slot": 1}]}, "failures", "warning", "UAV 1: fails in slot 1 and is not repaired"),
+    ({"failures": [{"uav": 1, "slot": 99}]}, "failures", "warning", "after the last slot, 60"),
+    ({"failure_probability_per_slot": 0.001}, "failures", "note", "0.12 drawn"),
+    ({"failure_probability_per_slot": 0.1}, "failures", "warning", "half of the UAVs or more"),
+    ({"devices_silent": [{"device": 3, "from": 1, "until": 31}]}, "silent devices", "note", "device 3: silent for 50%"),
+    ({"devices_silent": [{"device": 3, "from": 0}]}, "silent devices", "warning", "silent in all slots"),
+    ({"links": {"probability": 0.5}}, "links", "note", "50% of the messages pass"),
+    ({"links": {"good_slots": 10, "bad_slots": 30}}, "links", "note", "25% of the messages pass"),
+    ({"links": {"probability": 0.1}}, "links", "warning", "by chance 0.35 of the time"),
+    ({"links": "none"}, "links", "note", "no message passes"),
+    ({"wind": {"east_m_s": 4}}, "wind", "note", "11 to 19 m/s in the mean wind"),
+    ({"wind": {"east_m_s": 4}, "air_speed_max_m_s": 18}, "wind", "warning", "forbids moves to -x"),
+    ({"age_limit_s": 7}, "age limit", "warning", "below what is possible for devices"),
+    ({"age_limit_s": 60}, "age limit", "note", "9 slots; the longest update period is 5 slots"),
+]
+
+
+@pytest.mark.parametrize(("fields", "check", "level", "says"), OPERATIONS)
+def test_what_an_item_of_a_mission_means(fields: dict[str, object], check: str, level: str, says: str) -> None:
+    found = finding(audit(QUICK.replace(**fields)), check)
+    assert (found.level, says in found.message) == (level, True), found.message
+    assert check not in checks(audit(QUICK))
+
+
+def test_a_sortie_reaches_as_far_as_a_flood_of_legs_there_and_back() -> None:
+    scenario = PAPER.replace(energy={"endurance_s": 100}, stations_m=[[500, 500]])
+    within = Batteries(scenario, 1, Flight(scenario)).cells_in_a_sortie()  # (U, C)
+    stations = [(0, 0), (1000, 0), (0, 1000), (500, 500)] if scenario.cds_m[0] == (0, 0) else scenario.cds_m
+    reach = int(0.9 * 100 / scenario.slot_length_s)
+    for cell, near in enumerate(within[0]):
+        x, y = (scenario.grid_step_m * part for part in divmod(cell, scenario.rows))
+        legs = min(abs(x - a) + abs(y - b) for a, b in stations) / scenario.grid_step_m
+        assert near == (2 * legs <= reach), (x, y)
 
 
 @pytest.mark.parametrize("radio", ["lora-sf12", "nb-iot"])

@@ -10,6 +10,7 @@ import pytest
 
 from tests.browser import LEFT_OUT, Browser, find_browser
 from tests.reports.screenshots import take
+from tests.reports.test_mission_events import ITEMS, fly
 from uavaou import Scenario
 from uavaou.evaluation.recorded_mission import RecordedMission, record_mission
 from uavaou.field.geodesy import Projection
@@ -243,6 +244,40 @@ def test_a_real_field_shows_its_zones_names_and_coordinates(replayed: Replay, tm
     assert (latitude, longitude) == pytest.approx(tuple(expected), abs=2e-6)
     assert "slots (" in browser.text(".more")
     assert "red at" in browser.value("replay.maps[0].words(1)")
+    assert browser.errors == []
+
+
+def test_a_mission_with_batteries_losses_links_and_wind_is_shown(replayed: Replay, tmp_path: Path) -> None:
+    _, mission, _ = fly(**ITEMS)
+    write_replay(tmp_path / "day.html", {"one": mission, "two": mission})
+    browser = replayed.browser
+    take(browser, tmp_path / "day.html", 12, (390, 844, False, True), tmp_path / "day.png")
+    assert browser.value("document.documentElement.scrollWidth") == 390
+    unseen = "[...document.querySelectorAll('[data-item]')].filter((one) => one.hidden).length"
+    assert browser.value(unseen) == 0
+    (swap, u), recording, tau = mission.events["swap"][0], mission.recording, mission.scenario.slot_length_s
+    assert recording.battery is not None
+    for slot in (12, int(swap)):
+        browser.value(f"replay.seek({slot})")
+        rows = browser.texts(".fleet li")[: mission.scenario.uavs]
+        assert rows[1].endswith("failed at 1:00 min") == (9 <= slot < 20)
+        for uav in {0, int(u)}:
+            left = int(recording.swap_left[slot - 1, uav])  # type: ignore[index]
+            state = f"swap, {round(left * tau)} s left" if left else f"{100 * recording.battery[slot - 1, uav]:.0f} %"
+            assert rows[uav].endswith(state) or uav == 1
+        late = int(mission.late[slot - 1].sum())  # type: ignore[index]
+        assert f"{late} of 8 above the age limit of 60 s" in browser.texts(".fleet .counts")[0]
+    picture = "replay.maps[0].canvas.toDataURL()"
+    browser.value("replay.seek(8)")  # before the first failure
+    before = browser.value(picture)
+    browser.click('[data-layer="messages"]')
+    assert browser.value(picture) != before
+    marks = browser.value("[...document.querySelectorAll('#marks i')].map((one) => one.className)")
+    assert {kind: marks.count(kind) for kind in set(marks)} == {k: len(v) for k, v in mission.events.items()}
+    assert "UAV 1 is repaired at 2:13 min" in browser.value("document.querySelector('#marks').ariaLabel")
+    browser.open(replayed.page, still=True)  # without all of it
+    assert browser.value(unseen) == browser.value("document.querySelectorAll('[data-item]').length")
+    assert browser.value("[...document.querySelectorAll('.fleet, #marks')].every((one) => one.hidden)")
     assert browser.errors == []
 
 

@@ -18,6 +18,7 @@ from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.runs.pull_plan import plan_of
 from uavaou.runs.start import Start
+from uavaou.world.partition import survivors
 from uavaou.world.pull import PullPlan, planned_steps, steps_left
 
 PAPER = Scenario.load("paper")
@@ -146,7 +147,12 @@ def test_where_maps_vary_each_has_a_plan_and_a_longer_one_in_flight(tmp_path: Pa
     np.testing.assert_array_equal(steps[1], planned_steps(World(single), [found[1]])[0])
     env = flatten(varied, 3, seed=5, rows="entities", plan=plans)
     env.reset()
-    np.testing.assert_array_equal(env.venv.vec_envs[0].views._own, [plan.serves for plan in found])
+    np.testing.assert_array_equal(env.venv.vec_envs[0].views._parts.serves, [plan.serves for plan in found])
+    alive = np.array([False, True])
+    of_one = plans.for_survivors(world, 1, alive)
+    wanted = LocalGreedyTuned(slots=slots).plan(survivors(varied, alive), world.layout(1))
+    np.testing.assert_array_equal(of_one.weight, [np.zeros(8), wanted.weight[0]])
+    np.testing.assert_array_equal(of_one.reach[1], wanted.reach[0])
     large = Scenario.load("paper").replace(grid_step_m=2.5)
     assert plans.for_maps(World(large)) is None
 

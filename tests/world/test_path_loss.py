@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from tests.strategies import scenarios, seeds
 from uavaou import Scenario, World, evaluate
 from uavaou.world.coverage import coverage_radius
-from uavaou.world.entities import told_before_take_off
 from uavaou.world.path_loss import ratio_at, weakened
 from uavaou.world.pull import gain_needed
+from uavaou.world.told import told_before_take_off
 
 PAPER, TINY = Scenario.load("paper"), Scenario.load("tiny")
 CITY = PAPER.replace(radio="802.15.4", line_of_sight="urban", excess_loss_db=2, antenna_gain_db=5)

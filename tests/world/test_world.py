@@ -206,12 +206,13 @@ def test_snapshot_has_the_promised_keys_types_and_copies() -> None:
     shapes = {"positions": (2, 2), "altitudes": (2,), "flight_time": (2,), "devices": (8, 2), "rate": (2, 8)}
     of_devices = ("age_sum", "bandwidth", "transmit_power", "pending", "update_period", "collected_by")
     shapes |= dict.fromkeys(of_devices, (8,)) | {"failed": (2,), "battery": (2,), "heard": (2, 2)}
+    shapes |= {"swap_left": (2,), "wind": (2,), "late": (8,)}
     counts = ("slot", "rejected_rate", "rejected_association", "rejected_capacity")
     assert set(seen) == set(before) == {*shapes, *counts}
     for name, shape in shapes.items():
-        whole = name in ("pending", "update_period", "collected_by", "heard")
+        whole = name in ("pending", "update_period", "collected_by", "heard", "swap_left")
         assert seen[name].shape == shape, name
-        assert seen[name].dtype == (bool if name == "failed" else np.int64 if whole else np.float64), name
+        assert seen[name].dtype == (bool if name in ("failed", "late") else np.int64 if whole else np.float64), name
         seen[name][...] = 0  # a copy: writing to it leaves the world alone
     assert all(type(seen[name]) is int for name in counts)
     again = world.snapshot(1)

@@ -12,19 +12,22 @@ from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LogNorm, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MultipleLocator
+from matplotlib.transforms import Affine2D, ScaledTranslation, offset_copy
 from numpy.typing import ArrayLike, NDArray
 
 from uavaou.arrays import Floats, Ints
 from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import drawn_radius
+from uavaou.world.links import SILENCE_SLOTS
+from uavaou.world.losses import Losses
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart (https://jfly.uni-koeln.de/color/).
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
-TAN, FORBIDDEN = "#A0724A", "#B4232A"
+TAN, FORBIDDEN, FAILED = "#A0724A", "#B4232A", "#9AA1A9"
 UAV_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, TAN, YELLOW)
 UAV_DASHES: tuple[Any, ...] = ("-", (0, (3, 1)), (0, (1, 1)), (0, (4, 1, 1, 1)))
 AGE_COLOURS = "magma_r"  # perceptually uniform; fresh is light, stale is dark
@@ -35,6 +38,7 @@ _TRAIL_SLOTS = 40  # a frame shows the recent past; older slots would hide the m
 _COVERAGE_GREY = "#555555"
 _LONGEST_NAME = 18
 _ARROW_PT = 18  # length of the arrow to the north
+_BATTERY_PT = 18  # length of the bar of a battery
 _MOST_NUMBERS = 3  # of UAVs with one CDS
 
 
@@ -95,8 +99,16 @@ def draw_ground(axes: Axes, scenario: Scenario) -> None:
         # Nested squares show all UAVs that share a CDS.
         side = 7.5 + 3.5 * (scenario.cds_m[:u].count((x, y)))
         axes.plot(x, y, "s", ms=side, mfc="none", mec=uav_colour(u), mew=1.3, zorder=4, clip_on=False)
+    draw_stations(axes, scenario)
     for place in dict.fromkeys(scenario.cds_m):
         _number_cds(axes, place, [u for u, own in enumerate(scenario.cds_m) if own == place])
+
+
+def draw_stations(axes: Axes, scenario: Scenario) -> None:
+    """Where batteries are swapped beside the CDSs, as squares with a plus."""
+    places = [place for place in scenario.stations_m or () if place not in scenario.cds_m]
+    for marker, size in (("s", 8.0), ("+", 5.0)):
+        axes.plot(*np.reshape(places, (-1, 2)).T, marker, ms=size, mfc="white", mec=BLACK, mew=1.1, zorder=4)
 
 
 def draw_zones(axes: Axes, scenario: Scenario) -> None:
@@ -181,13 +193,78 @@ def _draw_trails(axes: Axes, scenario: Scenario, trails: Floats) -> None:
         axes.add_collection(lines, autolim=False)
 
 
-def _draw_uavs(axes: Axes, scenario: Scenario, positions: Floats) -> None:
-    """The UAVs at ``positions`` (U, 2) m, numbered."""
-    for u, (x, y) in enumerate(positions + uav_offset(scenario)):
-        axes.plot(x, y, "^", ms=15, mfc=uav_colour(u), mec="white", mew=1.0, zorder=7, clip_on=False)
-        ink = "black" if uav_colour(u) in (YELLOW, SKY, ORANGE) else "white"
+def _draw_uavs(axes: Axes, scenario: Scenario, snapshot: dict[str, Any]) -> None:
+    """The UAVs, numbered; failed ones grey with a cross, and below the others what is left in the battery."""
+    for u, (x, y) in enumerate(np.asarray(snapshot["positions"]) + uav_offset(scenario)):
+        failed = "failed" in snapshot and bool(snapshot["failed"][u])
+        colour = FAILED if failed else uav_colour(u)
+        axes.plot(x, y, "^", ms=15, mfc=colour, mec="white", mew=1.0, zorder=7, clip_on=False)
+        if failed:
+            axes.plot(x, y, "x", ms=15, mec=BLACK, mew=2.0, zorder=7.5, clip_on=False)
+        elif scenario.energy is not None and "battery" in snapshot:
+            swaps = "swap_left" in snapshot and bool(snapshot["swap_left"][u] > 0)
+            _draw_battery(axes, (x, y), float(snapshot["battery"][u]), swaps)
+        ink = "black" if colour in (YELLOW, SKY, ORANGE) else "white"
         number = axes.annotate(str(u), (x, y), (0, -2), textcoords="offset points", color=ink, fontsize=7.5)
         number.set(ha="center", va="center", zorder=8, fontweight="bold", annotation_clip=False)
+        if failed:
+            number.set(color=BLACK, path_effects=[withStroke(linewidth=4, foreground="white")])
+
+
+def _draw_battery(axes: Axes, place: tuple[float, float], share: float, swaps: bool) -> None:
+    """A bar below a UAV; while the battery is swapped it is empty, and says so."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    to_screen: Any = axes.transData
+    points = Affine2D().scale(1 / 72) + figure.dpi_scale_trans + ScaledTranslation(*place, to_screen)
+    low: dict[str, Any] = {"transform": points, "zorder": 8, "clip_on": False}
+    axes.add_patch(Rectangle((-_BATTERY_PT / 2, -14), _BATTERY_PT, 3.5, fc="white", ec=BLACK, lw=0.8, **low))
+    if swaps:
+        text = axes.annotate("swap", place, (0, -15), textcoords="offset points", fontsize=6.5, annotation_clip=False)
+        text.set(ha="center", va="top", zorder=8, path_effects=[withStroke(linewidth=2, foreground="white")])
+    else:
+        axes.add_patch(Rectangle((-_BATTERY_PT / 2, -14), share * _BATTERY_PT, 3.5, fc=BLACK, lw=0, **low))
+
+
+def _draw_news(axes: Axes, scenario: Scenario, snapshot: dict[str, Any]) -> None:
+    """Lines between UAVs: the half at each one is fainter the older its news of the other is, dashed from one slot on.
+
+    There is none where it takes the other as lost.
+    """
+    places = np.asarray(snapshot["positions"]) + uav_offset(scenario)  # (U, 2) m
+    silence = scenario.silence_slots or SILENCE_SLOTS
+    old = snapshot["slot"] - np.asarray(snapshot["heard"])  # (U, U) slots
+    for u, v in np.argwhere((old < silence) & ~np.eye(len(old), dtype=np.bool_)).tolist():
+        half = np.stack([places[u], (places[u] + places[v]) / 2])  # (2 ends, 2) m
+        look = ("-", 1.2) if old[u, v] == 0 else ((0, (2, 2)), 1.0)
+        axes.plot(*half.T, ls=look[0], lw=look[1], color=BLACK, alpha=0.6 * (1 - old[u, v] / silence), zorder=3.5)
+
+
+def _draw_wind(axes: Axes, wind: Floats) -> None:
+    """An arrow in the upper left corner that points to where the wind blows, with its speed."""
+    speed = float(np.hypot(*wind))
+    tip = _ARROW_PT / 2 * wind / max(speed, 1e-9)  # (2,) points from the middle
+    arrow = {"arrowstyle": "-|>", "color": BLACK, "shrinkA": 0, "shrinkB": 0, "lw": 1.5}
+    root = axes.get_figure(root=True)
+    middle = offset_copy(axes.transAxes, root, 16, -16, "points")
+    held: dict[str, Any] = {"xycoords": middle, "textcoords": "offset points", "annotation_clip": False, "zorder": 9}
+    for end, start in ((tip, -tip),) if speed > 0.05 else ():
+        at = offset_copy(middle, root, float(end[0]), float(end[1]), "points")
+        axes.annotate("", (0, 1), tuple(start - end), arrowprops=arrow, **held | {"xycoords": at})
+    text = axes.annotate(f"wind {speed:.1f} m/s", (0, 1), (14, 0), fontsize=7.5, va="center", **held)
+    text.set_path_effects([withStroke(linewidth=2, foreground="white")])
+
+
+def _mark_devices(axes: Axes, scenario: Scenario, layout: Layout, snapshot: dict[str, Any]) -> None:
+    """Silent devices are hollow; a diamond is around those above the age limit."""
+    late: dict[str, Any] = {"marker": "D", "facecolors": "none", "edgecolors": FORBIDDEN, "linewidths": 1.2}
+    if scenario.age_limit_s is not None and "late" in snapshot:
+        x, y = layout.positions[np.asarray(snapshot["late"], dtype=np.bool_)].T
+        axes.scatter(x, y, s=95, zorder=5.2, **late)
+    if scenario.devices_silent and (silent := Losses(scenario, 1).silent(snapshot["slot"])) is not None:
+        look: dict[str, Any] = {"facecolors": "white", "edgecolors": BLACK, "linewidths": 1.2, "zorder": 5.1}
+        x, y = layout.positions[silent].T
+        axes.scatter(x, y, s=32, **look)
 
 
 def _draw_links(axes: Axes, scenario: Scenario, layout: Layout, positions: Floats, uavs: Ints) -> None:
@@ -221,7 +298,12 @@ def render_frame(
     _draw_links(axes, scenario, layout, positions, np.asarray(snapshot["collected_by"]))
     ages = np.asarray(snapshot["age_sum"]) / scenario.slot_length_s  # (I,) slots
     draw_devices(axes, layout, ages, age_scale(scenario, layout))
-    _draw_uavs(axes, scenario, positions)
+    _mark_devices(axes, scenario, layout, snapshot)
+    if scenario.links is not None and "heard" in snapshot:
+        _draw_news(axes, scenario, snapshot)
+    if scenario.wind is not None and "wind" in snapshot:
+        _draw_wind(axes, np.asarray(snapshot["wind"]))
+    _draw_uavs(axes, scenario, snapshot)
     axes.set_title(f"slot {snapshot['slot']} of {scenario.slots}     AoU {ages.sum():,.0f} slots", fontsize=11)
     return _pixels(figure)[..., :3].copy()
 

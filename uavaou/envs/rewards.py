@@ -4,6 +4,8 @@ The age sum of a device grows with the square of the time since its last visit. 
 five orders of magnitude between an untrained and a trained fleet.
 """
 
+from typing import Any
+
 import numpy as np
 
 from uavaou.arrays import Singles
@@ -23,12 +25,20 @@ def training_reward(world: World, name: str) -> Singles:
     slots; both are divided by the number of devices and a constant. ``relative`` is -sum_i S_i divided by the mean that
     the rule ``local-greedy-parts`` leaves on this map in simulation, each UAV alone and without the way home: the
     maps of a family count about alike, within a factor of two.
+
+    Where a scenario has an ``objective``, w_i x_i takes the place of S_i, and w_i sqrt(x_i) that of its root: x_i is
+    what the objective counts of device i in the slot, and w_i its weight. Of AoI, peaks and lateness the rule leaves no
+    known mean, so that ``relative`` is ``aou`` there.
     """
-    ages = world.ages.age_slots  # (N, I) slots
-    if name == "relative":
-        value = ages.sum(axis=1) / np.maximum(parts_in_flight(world)[1], _LEAST)  # (N,)
+    objective, information = world.scenario.objective, world.operations.information
+    ages: Any = world.ages.age_slots  # (N, I) slots
+    weights: Any = 1.0
+    if objective is not None and information is not None:
+        ages, weights = information.objective(ages), information.weights
+    if name == "relative" and objective in (None, "aou"):
+        value = (ages * weights).sum(axis=1) / np.maximum(parts_in_flight(world)[1], _LEAST)  # (N,)
     else:
-        scaled = ages / _AOU_SCALE if name == "aou" else np.sqrt(ages) / _ROOT_SCALE
-        value = scaled.sum(axis=1) / world.scenario.devices
+        scaled = np.sqrt(ages) / _ROOT_SCALE if name == "root" else ages / _AOU_SCALE
+        value = (scaled * weights).sum(axis=1) / world.scenario.devices
     reward: Singles = (-value).astype(np.float32)
     return reward

@@ -1,8 +1,9 @@
 """The PettingZoo environment: one mission, a view on a World of one.
 
 Agents ``uav_0`` ... act at the same time. An observation is the UAV's local observation, a flat float32 vector;
-:meth:`UavAouEnv.state` is the global state. The reward is the paper's r[t] in seconds, the same for all UAVs. All
-UAVs live to slot K, where the mission terminates. Infos hold ``action_mask`` in the form that
+:meth:`UavAouEnv.state` is the global state. The reward is the paper's r[t] in seconds, or that of the scenario's
+``objective``, the same for all UAVs. All UAVs live to slot K, where the mission terminates; one that is failed, or down
+for a swap of batteries, may only stay and has nothing in range. Infos hold ``action_mask`` in the form that
 ``action_space.sample(mask)`` takes (int8; in ``select`` a tuple: the five moves, then leave and select for each
 device), and in the last slot ``mission``, the mission's metrics.
 """

@@ -14,6 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaou.evaluation.checker_measures import MeasuresCheck
+from uavaou.evaluation.checker_operations import ITEMS, OperationsCheck, goes_beyond_the_paper
+from uavaou.evaluation.checker_streams import uniform
 from uavaou.scenario import Scenario
 from uavaou.zones import free_legs
 
@@ -23,16 +26,13 @@ if TYPE_CHECKING:  # the checker reads a World's attributes and runs none of its
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-CONSTRAINTS = ("rate", "association", "flight_time", "bounds", "cds", "layout", "ages", "metrics")
+CONSTRAINTS = ("rate", "association", "flight_time", "bounds", "cds", "layout", "ages", "metrics", *ITEMS)
 
 _TIME_SLACK_S = 1e-6  # docs/model.md: flight times are compared with this slack
 _RELATIVE_SLACK = 1e-9  # of rates, SNRs, ages and grid coordinates: far above rounding, far below any real breach
 _LIGHT_M_S = 299_792_458.0
 _AUDITED_EVERY = 64  # slots: in one of so many, the SNRs of all pairs are computed, not only those of collections
 _BLOCK = 20_000  # pairs whose SNRs are computed together
-# SplitMix64 (Steele, Lea and Flood, OOPSLA 2014), and the numbers in (0, 1] of its words' first 53 bits
-_GOLDEN, _MIX_1, _MIX_2 = (np.uint64(k) for k in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
-_UNIT = 2.0**-53
 _MOST_LEGS = 2_000_000  # coordinates of legs that are checked together
 _OUTSIDE_M = 1e-5  # of the outline, that rounding may put a leg
 
@@ -59,9 +59,16 @@ class ViolationCounter:
     slots without exactly one collecting UAV where a collection is claimed), ``flight_time`` (UAVs over zeta_max),
     ``bounds`` (UAVs and slots off the area, off the grid, more than one grid step along one axis from the slot before,
     or on a leg from it that leaves the outline or meets a zone grown by its margin), ``cds`` (UAVs away from their CDS
-    in slot 1 or in slot K), ``layout`` (values of devices that are not the scenario's), ``ages`` (devices and slots
-    whose age sum is not what eq. (1) gives for the collections) and ``metrics`` (rewards and figures of the mission
-    that do not follow from these).
+    in slot 1 or in slot K, other than failed ones), ``layout`` (values of devices that are not the scenario's),
+    ``ages`` (devices and slots whose age sum is not what eq. (1) gives for the collections) and ``metrics`` (rewards
+    and figures of the mission that do not follow from these).
+
+    Those of :mod:`uavaou.evaluation.checker_operations` are 0 in missions of the paper:
+    ``capacity`` (UAVs that serve more devices than they can, or others than the first ones), ``battery`` (charges that
+    do not follow from the way and the swaps, or that leave no way to a station; collections and moves during a swap),
+    ``losses`` (failures that are not the scenario's, failed UAVs that move, and collections by them or from silent
+    devices), ``links`` (pieces of knowledge that were not measured or heard) and ``wind`` (winds that are not the
+    scenario's, and moves faster than a UAV can fly).
 
     Args:
         scenario: what the world claims to simulate.
@@ -101,6 +108,8 @@ class ViolationCounter:
         self._age: Ints = np.zeros(shape, dtype=np.int64)  # (N, I) slots, their sum
         self._age_total: Ints = np.zeros(self.missions, dtype=np.int64)  # (N,) slots
         self._communications: Ints = np.zeros(shape, dtype=np.int64)  # (N, I)
+        self._operations: OperationsCheck | None = None  # of missions beyond the paper
+        self._measures: MeasuresCheck | None = None
 
     def _draw(self) -> None:
         """Draw what the missions begin with: the devices, and the keys of their fading."""
@@ -108,6 +117,11 @@ class ViolationCounter:
         layouts = [self.scenario.draw_layout(rng) for rng in self._rngs] if drawn else [self.scenario.draw_layout()]
         self._layout = {name: np.stack([getattr(one, name) for one in layouts]) for name in vars(layouts[0])}  # (L, I)
         self._keys = np.array([rng.integers(2**64, dtype=np.uint64) for rng in self._rngs])  # (N,)
+        if goes_beyond_the_paper(self.scenario):
+            own = self._layout["update_period"], self._layout["bandwidth"]
+            self._operations = OperationsCheck(self.scenario, self._counts, self._keys, *own)
+            self._measures = MeasuresCheck(self.scenario, self.missions)
+            self._pending[:, self._operations.silent] = 0
 
     def observe(self, world: World, reward: Floats | None = None) -> None:
         """Look at the slot that ``world`` has just stepped.
@@ -127,15 +141,21 @@ class ViolationCounter:
         if stepped.slot == 1:
             self._draw()
             self._check_layout(world)
+        if self._operations is not None:
+            self._operations.open(stepped)
         self._note_pairs(stepped.positions, stepped.snr, stepped.association.collected_by)
         self._check_ages(world.ages.age_slots, self._known(stepped.association.collected_by))
         if reward is not None:
-            self._differ(reward, -self.scenario.slot_length_s * self._age.sum(axis=1))
+            own = -self.scenario.slot_length_s * self._age.sum(axis=1)  # (N,) s
+            self._differ(reward, own if self._measures is None else self._measures.reward(self._age))
         self._check_association(world.last_collection_by == stepped.slot, stepped.association.collected_by)
         self._check_bounds(stepped.positions)
         if stepped.slot in (1, self.scenario.slots):
-            away = np.abs(stepped.positions - self._cds) > _RELATIVE_SLACK * self._area  # (N, U, 2)
-            self._counts["cds"] += away.any(axis=-1).sum(axis=-1)
+            apart = np.abs(stepped.positions - self._cds) > _RELATIVE_SLACK * self._area  # (N, U, 2)
+            away = apart.any(axis=-1) if self._operations is None else apart.any(axis=-1) & ~self._operations.failed
+            self._counts["cds"] += away.sum(axis=-1)
+        if self._operations is not None:
+            self._operations.close(world, stepped)
         self._last_positions = stepped.positions.copy()
 
     def finish(self, world: World) -> list[dict[str, int]]:
@@ -152,9 +172,12 @@ class ViolationCounter:
         self._check_pairs()
         self._check_legs()
         self._check_metrics(world.metrics())
+        for claimed, own in () if self._measures is None else self._measures.compared(world.measures()):
+            self._differ(claimed, own)
         if self.scenario.flight_time == "enforce":
-            # zeta_u = (2 H_u + distance flown) / nu (eq. flighttime)
-            zeta = (2 * self._altitude + self._distance) / self.scenario.speed_m_s  # (N, U) s
+            # zeta_u = (2 H_u + distance flown) / nu (eq. flighttime), of the longest sortie
+            distance = self._distance if self._operations is None else self._operations.longest_sortie_m  # (N, U) m
+            zeta = (2 * self._altitude + distance) / self.scenario.speed_m_s  # (N, U) s
             self._counts["flight_time"] += (zeta > self.scenario.flight_time_budget_s + _TIME_SLACK_S).sum(axis=-1)
         counts = [{name: int(self._counts[name][j]) for name in CONSTRAINTS} for j in range(self.missions)]
         self._start()
@@ -183,6 +206,9 @@ class ViolationCounter:
         if self._last_slot % _AUDITED_EVERY == 1:
             mission, uav, device = (axis.ravel() for axis in np.indices(snr.shape))
             collected = collected_by[mission, device] == uav
+            if self._operations is not None:  # others have no link, whatever the channel
+                linked = np.flatnonzero(collected | ~self._operations.cut_off[mission, uav, device])
+                mission, uav, device, collected = mission[linked], uav[linked], device[linked], collected[linked]
         else:
             mission, device = np.nonzero(self._known(collected_by))
             uav, collected = collected_by[mission, device], np.ones(len(mission), dtype=np.bool_)
@@ -243,13 +269,17 @@ class ViolationCounter:
             return np.ones(len(pairs.slot))
         uavs, devices, factor = self.scenario.uavs, self.scenario.devices, self.scenario.rician_factor
         index = (2 * ((pairs.slot * uavs + pairs.uav) * devices + pairs.device)).astype(np.uint64)
-        first, second = (_uniform(self._keys[pairs.mission], index + np.uint64(k)) for k in (0, 1))
+        first, second = (uniform(self._keys[pairs.mission], index + np.uint64(k)) for k in (0, 1))
         scattered = np.sqrt(-2.0 * np.log(first)) * np.exp(2j * np.pi * second)
         return np.asarray(np.abs(math.sqrt(factor) + scattered / math.sqrt(2.0)) ** 2 / (factor + 1.0))
 
     def _check_ages(self, age_slots: Ints, collected: NDArray[np.bool_]) -> None:
         """Eq. (1): an update is generated every k_i slots, and all that wait age by a slot or are delivered."""
-        waiting = self._pending + (self._last_slot % self._layout["update_period"] == 0)  # (N, I)
+        generated = self._last_slot % self._layout["update_period"] == 0  # (L, I)
+        if self._operations is not None and self._measures is not None:
+            generated &= ~self._operations.silent
+            self._measures.advance(generated, collected)
+        waiting = self._pending + generated  # (N, I)
         self._communications += collected & (waiting > 0)
         self._pending = np.where(collected, 0, waiting)
         self._age = np.where(collected, 0, self._age + waiting)
@@ -263,7 +293,8 @@ class ViolationCounter:
         self._differ(metrics.mean_aou_s, tau * self._age_total / slots)
         self._differ(metrics.communications, self._communications.sum(axis=1))
         self._differ(metrics.devices_served, (self._communications > 0).sum(axis=1))
-        zeta = (2 * self._altitude + self._distance) / self.scenario.speed_m_s  # (N, U) s
+        sorties = 1 if self._operations is None else self._operations.sorties  # each with take-off and landing
+        zeta = (sorties * 2 * self._altitude + self._distance) / self.scenario.speed_m_s  # (N, U) s
         self._differ(metrics.flight_time_s.T, zeta.T)
 
     def _differ(self, values: NDArray[Any], expected: NDArray[Any]) -> None:
@@ -317,15 +348,6 @@ class ViolationCounter:
 def total(violations: Sequence[dict[str, int]]) -> dict[str, int]:
     """Sum the counts of several missions."""
     return {name: sum(mission[name] for mission in violations) for name in CONSTRAINTS}
-
-
-def _uniform(key: NDArray[np.uint64], index: NDArray[np.uint64]) -> Floats:
-    """Numbers in (0, 1] from the words ``index`` of the SplitMix64 streams with seeds ``key``, (M,) each."""
-    bits = key + _GOLDEN * (index + np.uint64(1))  # modulo 2^64
-    bits = (bits ^ (bits >> np.uint64(30))) * _MIX_1
-    bits = (bits ^ (bits >> np.uint64(27))) * _MIX_2
-    bits ^= bits >> np.uint64(31)
-    return np.asarray(((bits >> np.uint64(11)).astype(np.float64) + 1.0) * _UNIT)
 
 
 def _reference_gain(scenario: Scenario) -> float:

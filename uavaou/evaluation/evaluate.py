@@ -80,7 +80,7 @@ def play(
         while not world.done:
             slot = world.slot
             reward = world.step(*policy.act(world))  # (N,) s
-            aou[:, slot - 1] = -reward
+            aou[:, slot - 1] = scenario.slot_length_s * world.ages.age_slots.sum(axis=1)
             checker.observe(world, reward)
             if after_slot is not None:
                 after_slot(first * scenario.slots + missions * slot, world)

@@ -19,8 +19,12 @@ from uavaou.files import read_json, write_text
 from uavaou.planners.base import Planner
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
+from uavaou.world.losses import Losses
 
 SCHEMA = 1
+_OPERATIONS = ("failed", "battery", "swap_left", "heard", "wind", "rejected_capacity")
+_USUAL = {"battery": 1.0}  # what a mission without the item shows; of the others 0
+_DIGITS = 4
 _MOST_BYTES = 50_000_000
 
 
@@ -32,12 +36,23 @@ class Recording:
     collected_by: Ints  # (K, I), the u with alpha_iu = 1; -1 for none
     age_sum: Floats  # (K, I) s, sum_n A_i^n at the slot's end
     layout: Layout
+    # What a mission holds beside the paper's; None where nothing of it was to be seen.
+    failed: Ints | None = None  # (K, U) 1 for a failed UAV
+    battery: Floats | None = None  # (K, U) from 0 to 1, at the beginning of the slot
+    swap_left: Ints | None = None  # (K, U) slots that the swap of a UAV that is down still takes, with this one
+    heard: Ints | None = None  # (K, U, U) the slot that each UAV's news of each other one is of, 0 for never
+    wind: Floats | None = None  # (K, 2) m/s towards +x and +y
+    rejected_capacity: Ints | None = None  # (K,) devices in range beyond the capacity
 
     @classmethod
     def from_snapshots(cls, snapshots: Sequence[dict[str, Any]]) -> Recording:
         """Stack what :meth:`uavaou.world.World.snapshot` gave after each slot, from the first on."""
         first = snapshots[0]
+        stacked = {name: np.stack([shot[name] for shot in snapshots]) + 0 for name in _OPERATIONS}
         return cls(
+            **{
+                name: values.round(_DIGITS) for name, values in stacked.items() if (values != _USUAL.get(name, 0)).any()
+            },
             positions=np.stack([shot["positions"] for shot in snapshots]),
             collected_by=np.stack([shot["collected_by"] for shot in snapshots]),
             age_sum=np.stack([shot["age_sum"] for shot in snapshots]),
@@ -76,6 +91,46 @@ class RecordedMission:
         """sum_n A_i^n at each slot's end in slots, which are whole, (K, I)."""
         return np.rint(self.recording.age_sum / self.scenario.slot_length_s).astype(np.int64)
 
+    @cached_property
+    def silent(self) -> Bools:
+        """Which devices are silent, (K, I)."""
+        slots, losses = range(1, self.scenario.slots + 1), Losses(self.scenario, 1)
+        none = np.zeros(self.scenario.devices, dtype=np.bool_)
+        return np.stack([none if (silent := losses.silent(slot)) is None else silent for slot in slots])
+
+    @cached_property
+    def aoi_slots(self) -> Ints:
+        """The age of information of each device at each slot's end, in slots, (K, I)."""
+        slot = np.arange(1, self.scenario.slots + 1)[:, None]  # (K, 1)
+        generated = (slot % self.recording.layout.update_period == 0) & ~self.silent  # (K, I)
+        newest = np.maximum.accumulate(np.where(generated, slot, 0))  # (K, I)
+        delivered = np.maximum.accumulate(np.where(self.recording.collected_by >= 0, newest, 0))  # (K, I)
+        return np.asarray(slot - delivered)
+
+    @cached_property
+    def late(self) -> Bools | None:
+        """Which devices are above the age limit, (K, I); None without one."""
+        limit = self.scenario.age_limit_s
+        return None if limit is None else np.asarray(self.aoi_slots > limit / self.scenario.slot_length_s * (1 + 1e-9))
+
+    @cached_property
+    def events(self) -> dict[str, Ints]:
+        """``failure``, ``repair`` and ``swap``, each with its slots and UAVs, (E, 2)."""
+        none = np.zeros((self.scenario.slots, self.scenario.uavs), dtype=np.int64)
+        failed, swaps = (
+            (none if kept is None else kept) > 0 for kept in (self.recording.failed, self.recording.swap_left)
+        )
+        before_failed, before_swaps = (np.concatenate([none[:1] > 0, now[:-1]]) for now in (failed, swaps))  # (K, U)
+        kinds = {"failure": failed & ~before_failed, "repair": before_failed & ~failed, "swap": swaps & ~before_swaps}
+        return {kind: np.add(np.argwhere(begins), [1, 0]) for kind, begins in kinds.items()}
+
+    def snapshot(self, slot: int) -> dict[str, Any]:
+        """What :meth:`uavaou.world.World.snapshot` gave of a slot, as far as it was kept."""
+        kept = {name: values for name, values in vars(self.recording).items() if isinstance(values, np.ndarray)}
+        if (late := self.late) is not None:
+            kept["late"] = late
+        return {"slot": slot} | {name: values[slot - 1] for name, values in kept.items()}
+
 
 def record_mission(scenario: Scenario, policy: Planner, seed: int) -> Recording:
     """Play one mission, seeded, and keep what every slot looked like."""
@@ -111,6 +166,7 @@ def write_mission(path: Path, mission: RecordedMission) -> None:
         "collected_by": recording.collected_by.tolist(),
         "age_sum_slots": mission.age_slots.tolist(),
     }
+    content |= {name: values.tolist() for name in _OPERATIONS if (values := getattr(recording, name)) is not None}
     parts = [f"{json.dumps(name)}: {_lines(part)}" for name, part in content.items()]
     write_text(path, "{\n" + ",\n".join(parts) + "\n}\n")
 
@@ -148,6 +204,12 @@ class _Content(BaseModel):
     positions_m: _Reals  # (K, U, 2)
     collected_by: WholeNumbers  # (K, I)
     age_sum_slots: _Reals  # (K, I)
+    failed: WholeNumbers | None = None  # (K, U)
+    battery: _Reals | None = None  # (K, U)
+    swap_left: WholeNumbers | None = None  # (K, U)
+    heard: WholeNumbers | None = None  # (K, U, U)
+    wind: _Reals | None = None  # (K, 2)
+    rejected_capacity: WholeNumbers | None = None  # (K,)
 
 
 def read_mission(path: Path) -> RecordedMission:
@@ -167,10 +229,14 @@ def read_mission(path: Path) -> RecordedMission:
         "bandwidth_hz": (devices,),
         "transmit_power_w": (devices,),
         "update_period_slots": (devices,),
+        **dict.fromkeys(("failed", "battery", "swap_left"), (slots, uavs)),
+        "heard": (slots, uavs, uavs),
+        "wind": (slots, 2),
+        "rejected_capacity": (slots,),
     }
     arrays = vars(content) | vars(layout)
     for field, shape in shapes.items():
-        if arrays[field].shape != shape:
+        if arrays[field] is not None and arrays[field].shape != shape:
             raise InputError(f"{path}: {field}: expected an array of shape {shape}, not {arrays[field].shape}")
     if not -1 <= content.collected_by.min() <= content.collected_by.max() < uavs:
         raise InputError(f"{path}: collected_by: names UAVs outside 0 to {uavs - 1}")
@@ -179,5 +245,6 @@ def read_mission(path: Path) -> RecordedMission:
     ages = content.age_sum_slots * scenario.slot_length_s  # (K, I) s
     periods = layout.update_period_slots.astype(np.int64)  # (I,)
     flown = Layout(layout.devices_m, layout.bandwidth_hz, layout.transmit_power_w, periods)
-    recording = Recording(content.positions_m, content.collected_by, ages, flown)
+    operations = {name: arrays[name] for name in _OPERATIONS}
+    recording = Recording(content.positions_m, content.collected_by, ages, flown, **operations)
     return RecordedMission(scenario, content.policy, content.training_seed, content.mission_seed, recording)

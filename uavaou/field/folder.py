@@ -25,6 +25,7 @@ _PARTS = {  # of the file: its first field -> a comment above
     "no_fly": "UAVs stay out of these. A zone may have floor_m, ceiling_m and margin_m.",
     "uavs": "The fleet. A CDS is the station of a UAV, on the grid; altitudes must differ.",
     "speed_m_s": "A slot is the time for one grid step. The budget is the time in the air with one battery.",
+    "energy": "A battery, and the time to swap it at a station: a CDS, or a place of stations_m.",
     "radio": "A preset: lora-sf7 to lora-sf12, 802.15.4, ble, nb-iot, wifi, paper. Fields beside it change it.",
 }
 
@@ -82,7 +83,10 @@ def _features(projection: Projection, scenario: Scenario) -> Iterator[dict[str, 
     for zone in scenario.no_fly or ():
         said = zone.model_dump(exclude={"polygon_m"}, exclude_none=True)
         shapes.append(({"type": "no-fly zone", **said}, shapely.Polygon(zone.polygon_m)))
-    shapes += [({"type": "station"}, shapely.Point(station)) for station in dict.fromkeys(scenario.cds_m)]
+    shapes += [
+        ({"type": "station"}, shapely.Point(station))
+        for station in dict.fromkeys((*scenario.cds_m, *(scenario.stations_m or ())))
+    ]
     for properties, shape in shapes:
         shape = shapely.transform(shape, lambda metres: projection.to_degrees(metres)[:, ::-1].round(8))
         if shape.geom_type == "Polygon":

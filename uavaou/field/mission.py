@@ -37,6 +37,8 @@ class Wishes:
     interval_s: float | None = None
     grid_step_m: float | None = None
     slots: int | None = None
+    duration_s: float | None = None
+    swap_s: float | None = None
 
 
 _DEFAULTS: dict[str, tuple[Any, str, str]] = {
@@ -46,6 +48,8 @@ _DEFAULTS: dict[str, tuple[Any, str, str]] = {
     "altitude_m": (60.0, "altitudes from {:g} m, 10 m apart", "--altitude"),
 }
 _INTERVAL_S = 300.0
+_SWAP_S = 120.0
+_RESERVE = 0.1  # of a battery, the default of a scenario
 
 
 @dataclass
@@ -88,18 +92,12 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
     ground.align(step)
     devices, extent = ground.metres(survey.devices), ground.extent
     free, borders = draw_borders(ground, step, notes)
-    if unused := len(survey.stations[uavs:]):
-        notes.append(f"{unused} stations are not used: there are {uavs} UAVs")
-    stations, snapped = _stations(
-        ground, survey.stations[:uavs], np.asarray(np.argwhere(free) * step, dtype=np.float64), notes
-    )
     speed, tau = said["speed_m_s"], step / said["speed_m_s"]
-    budget = said["endurance_s"] or wishes.slots * tau
-    slots = wishes.slots or min(math.floor(budget / tau + 1e-9), _MOST_SLOTS)
-    if slots < 2:
-        raise InputError(
-            f"a battery for {budget:g} s lasts for less than 2 slots of {tau:g} s: --grid-step, --endurance, --speed"
-        )
+    slots, budget, battery = _times(wishes, said["endurance_s"], tau, notes)
+    used = survey.stations if battery else survey.stations[:uavs]
+    if unused := len(survey.stations) - len(used):
+        notes.append(f"{unused} stations are not used: there are {uavs} UAVs")
+    stations, snapped = _stations(ground, used, np.asarray(np.argwhere(free) * step, dtype=np.float64), notes)
     periods, updates = _periods(survey.devices, wishes.interval_s, tau, notes)
     fields: dict[str, Any] = {
         **({} if ground.projection is None else {"georeference": ground.projection.georeference.model_dump()}),
@@ -114,8 +112,13 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
         "slots": slots,
         "slot_length_s": tau,
         "flight_time_budget_s": budget,
+        **battery,
+        **({"stations_m": others} if (others := stations[uavs:]) else {}),
         **channel,
     }
+    in_the_air = f"{budget / 60:.3g} min in the air"
+    if battery:
+        in_the_air = f"{slots * tau / 3600:.3g} h; {in_the_air} a battery, {battery['swap_time_s'] / 60:.3g} min a swap"
     x, y = ([f"{value:.2f}" for value in values] for values in devices.clip(0).T)
     names = [device.name for device in survey.devices]
     names = _distinct(names, notes) if any(names) else []
@@ -136,10 +139,34 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
         ("zones", f"{len(borders.get('no_fly', []))}"),
         ("stations", snapped),
         ("fleet", f"{uavs} UAV{'s' if uavs > 1 else ''} at {speed:g} m/s"),
-        ("mission", f"{slots:,} slots of {tau:g} s (a grid step at that speed), {budget / 60:.3g} min in the air"),
+        ("mission", f"{slots:,} slots of {tau:g} s (a grid step at that speed), {in_the_air}"),
         ("updates", updates),
     ]
     return Field(fields, columns, ground.projection, radius, understood, _grouped(notes))
+
+
+def _times(
+    wishes: Wishes, endurance_s: float | None, tau: float, notes: list[str]
+) -> tuple[int, float, dict[str, Any]]:
+    """The slots of a mission, the time in the air with one battery in s, and the fields of batteries that are swapped.
+
+    There are swaps where the duration asked for is longer than a battery lasts, or where a swap has a time.
+    """
+    if wishes.slots and wishes.duration_s:
+        raise InputError(f"--slots {wishes.slots} and --duration {wishes.duration_s:g} s: give one of the two")
+    if wishes.swap_s is not None and not (wishes.slots or wishes.duration_s):
+        raise InputError(f"--swap {wishes.swap_s:g} s: says nothing without --duration, such as 10h")
+    budget = endurance_s or (wishes.slots or 0) * tau
+    slots = wishes.slots or min(math.floor((wishes.duration_s or budget) / tau + 1e-9), _MOST_SLOTS)
+    if slots < 2:
+        raise InputError(
+            f"a battery for {budget:g} s lasts for less than 2 slots of {tau:g} s: --grid-step, --endurance, --speed"
+        )
+    if wishes.swap_s is None and (wishes.duration_s or 0.0) <= budget:
+        return slots, budget, {}
+    if wishes.swap_s is None:
+        notes.append(f"guessed: a swap of batteries takes {_SWAP_S / 60:g} min (--swap)")
+    return slots, budget, {"energy": {"endurance_s": budget}, "swap_time_s": wishes.swap_s or _SWAP_S}
 
 
 def _grouped(notes: list[str]) -> list[str]:
@@ -184,11 +211,14 @@ def _note_reach(fields: dict[str, Any], devices: Floats, radius: float, notes: l
     """Note the devices that a UAV cannot hear from any cell, and those that it cannot fly to and come home from."""
     step = fields["grid_step_m"]
     unheard = np.linalg.norm(devices - np.rint(devices / step) * step, axis=1) > radius  # (I,)
-    stations = np.array(fields["cds_m"])  # (U, 2) m
+    stations = np.array([*fields["cds_m"], *fields.get("stations_m", ())])  # (S, 2) m
+    moves = fields["slots"] - 1
+    if "energy" in fields:
+        moves = min(moves, math.floor((1 - _RESERVE) * fields["flight_time_budget_s"] / fields["slot_length_s"]))
     away = abs(devices[:, None] - stations).sum(axis=2).min(axis=1) - math.sqrt(2) * radius  # (I,) m
     for which, problem in (
         (unheard, "are out of range of every cell: --radio, --grid-step, --within"),
-        (2 * away > (fields["slots"] - 1) * step, "lie beyond what a battery reaches: --endurance, --speed, --station"),
+        (2 * away > moves * step, "lie beyond what a battery reaches: --endurance, --speed, --station"),
     ):
         if which.any():
             notes.append(f"{which.sum()} of {len(devices)} devices {problem}")

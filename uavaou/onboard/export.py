@@ -6,6 +6,7 @@ The folder holds ``policy.onnx`` (:mod:`uavaou.onboard.graph`), ``policy.json`` 
 
 import json
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import torch as th
 
 from uavaou import __version__
-from uavaou.arrays import Floats, Ints, Singles
+from uavaou.arrays import Bools, Floats, Ints, Singles
 from uavaou.errors import InputError
 from uavaou.evaluation.seeds import EVALUATION_SEED
 from uavaou.files import replacing, write_text, writing
@@ -25,14 +26,17 @@ from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy, load_run
 from uavaou.scenario import Scenario
 from uavaou.world import World
-from uavaou.world.entities import told_before_take_off
 from uavaou.world.flight import free_moves, grid_cells
-from uavaou.world.pull import SHARE, Plans, steps_left
+from uavaou.world.links import SILENCE_SLOTS
+from uavaou.world.pull import Plans, steps_left
+from uavaou.world.told import rule_plan
+from uavaou.world.views import RowViews
 
 SCHEMA = 1
 FILES = ("policy.onnx", "policy.json", "mission.json", "runner.py")
 _MISSIONS, _SLOTS = 8, 60  # of the comparison with torch: the first slots of as many missions
 _MOVE_BITS = 2 ** np.arange(5)  # a cell's free moves as one number
+_MOST_SURVIVORS = 4  # UAVs whose sets all have a plan
 _LEAST_SAME = 0.99  # of its rows; where two logits are equal but for rounding, either may win
 
 
@@ -66,7 +70,7 @@ def write_policy(trained: TrainedPolicy, name: str, folder: Path) -> Exported:
 
     Raises:
         InputError: ONNX is not installed, the policy has networks of its own, the scenario draws its devices anew for
-            each mission, or the files cannot be written.
+            each mission or holds what no runner can know, or the files cannot be written.
     """
     flown, policy = trained.views.scenario, trained.model.policy
     if flown.layout == "resample":
@@ -74,13 +78,14 @@ def write_policy(trained: TrainedPolicy, name: str, folder: Path) -> Exported:
             f"scenario '{flown.name}' draws its devices anew for each mission (layout: resample): name the map to fly "
             "with --scenario"
         )
+    _check_known(trained.views)
     graph = make_graph(policy)
     rows, same = compare(graph, trained)
     if same < _LEAST_SAME * rows:
         raise InputError(f"'{name}': its policy acts otherwise than its networks ({same:,} of {rows:,} rows agree)")
     texts = {
         "policy.json": _to_json(_describe(name, trained)),
-        "mission.json": _to_json(describe_mission(flown, getattr(trained.views, "plan", None))),
+        "mission.json": _to_json(describe_mission(flown, getattr(trained.views, "plan", None), _learns(trained.views))),
         "runner.py": Path(runner.__file__).read_text(encoding="utf-8"),
     }
     with writing(folder):
@@ -122,13 +127,56 @@ def compare(graph: bytes, trained: TrainedPolicy) -> tuple[int, int]:
     return rows, same
 
 
-def describe_mission(scenario: Scenario, plan: Plans | None = None) -> dict[str, Any]:
-    """What the UAVs are told before take-off: the map, the fleet, and what the mean channel and the ``plan`` say."""
+def _learns(views: RowViews) -> bool:
+    """Whether UAVs learn of losses, and then go by plans for the survivors."""
+    scenario = views.scenario
+    may_lose = scenario.failures or scenario.failure_probability_per_slot or scenario.links
+    return bool(may_lose) and _told(views) and views.layout.rows == "entities"
+
+
+def _told(views: RowViews) -> bool:
+    """Whether others tell a UAV anything: without any link, what it sees as tokens is ``local``."""
+    links = views.scenario.links
+    silent = links is not None and links.probability == 0.0 and views.layout.rows == "entities"
+    return views.observation == "shared" and not silent
+
+
+def _check_known(views: RowViews) -> None:
+    """Refuse missions whose rows the runner cannot write.
+
+    Raises:
+        InputError: it names the field and says why.
+    """
+    scenario = views.scenario
+    unknown = {
+        "energy": "the runner does not reckon with batteries" if scenario.energy else "",
+        "wind": "the runner does not reckon with wind" if scenario.wind else "",
+        "devices_silent": "no UAV on board knows the true ages, which observation 'shared' without links has"
+        if scenario.devices_silent and views.observation == "shared" and scenario.links is None
+        else "",
+        "uavs": f"plans for all survivors are written for {_MOST_SURVIVORS} UAVs at most, where UAVs learn of losses"
+        if _learns(views) and scenario.uavs > _MOST_SURVIVORS
+        else "",
+    }
+    for field, why in unknown.items():
+        if why:
+            raise InputError(f"scenario '{scenario.name}': {field}: {why}")
+
+
+def describe_mission(scenario: Scenario, plan: Plans | None = None, learns: bool = False) -> dict[str, Any]:
+    """What the UAVs are told before take-off: the map, the fleet, and what the mean channel and the ``plan`` say.
+
+    Where UAVs learn of losses, there is a plan for each set of survivors.
+    """
     world = World(scenario)
-    radius, own, _ = told_before_take_off(world, plan)
-    usual = np.ones(own[0].shape)  # (U, I)
-    plans = None if plan is None else plan.for_maps(world)
-    weight, reach, share = plans[0].numbers if plans else (usual, usual, SHARE * usual)
+    whole = np.ones(scenario.uavs, dtype=np.bool_)
+    sets = [np.array(alive) for alive in product((True, False), repeat=scenario.uavs)][1:-1] if learns else []
+    optional_fields = {name: getattr(scenario, name) for name in ("uplinks_per_slot",) if getattr(scenario, name)}
+    if scenario.links is not None:
+        optional_fields["silence_slots"] = scenario.silence_slots or SILENCE_SLOTS
+    if sets:
+        plans = {" ".join(map(str, np.flatnonzero(alive))): _plan_of(world, plan, alive) for alive in sets}
+        optional_fields["survivors"] = plans
     return {
         "schema": SCHEMA,
         "scenario": scenario.name,
@@ -144,12 +192,28 @@ def describe_mission(scenario: Scenario, plan: Plans | None = None) -> dict[str,
         "devices_m": world.device_positions[0].tolist(),
         "update_period_slots": world.update_period[0].tolist(),
         "longest_update_period_slots": scenario.longest_update_period,
-        "coverage_radius_m": (radius[0] * scenario.grid_step_m).tolist(),
+        "coverage_radius_m": (
+            world.channel.coverage_radius()[0] / scenario.grid_step_m * scenario.grid_step_m
+        ).tolist(),
+        **_plan_of(world, plan, whole),
+        **optional_fields,
+        **({} if (free := free_moves(scenario)) is None else {"free_moves": (free @ _MOVE_BITS).tolist()}),
+    }
+
+
+def _plan_of(world: World, plan: Plans | None, alive: Bools) -> dict[str, Any]:
+    """The numbers by which survivors (U,) go."""
+    found = rule_plan(world, 0, alive)
+    if alive.all() and plan is not None:
+        found = (plan.for_maps(world) or [found])[0]
+    elif plan is not None:
+        found = plan.for_survivors(world, 0, alive) or found
+    weight, reach, share = found.numbers
+    return {
         "collection_radius_m": _collection_radius(world, share).tolist(),
-        "own_devices": own[0].astype(int).tolist(),
+        "own_devices": found.serves.astype(int).tolist(),
         "pull_weight": weight.tolist(),
         "pull_reach_steps": reach.tolist(),
-        **({} if (free := free_moves(scenario)) is None else {"free_moves": (free @ _MOVE_BITS).tolist()}),
     }
 
 
@@ -187,11 +251,15 @@ def _describe(name: str, trained: TrainedPolicy) -> dict[str, Any]:
         "weights_sha256": trained.digest,
         "uavaou": __version__,
         "rows": layout.rows,
-        "observation": views.observation,
+        "observation": "local" if views.observation == "shared" and not _told(views) else views.observation,
         "collection": views.collection,
         "action": trained.action,
         "epsilon": None if epsilon is None else float(epsilon),
-        **describe_inputs(layout, views.observation, getattr(policy, "pull", False)),
+        **describe_inputs(
+            layout,
+            "shared" if _told(views) else views.observation.replace("shared", "local"),
+            getattr(policy, "pull", False),
+        ),
         "outputs": outputs,
     }
 

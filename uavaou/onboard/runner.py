@@ -38,7 +38,9 @@ MISSION = {  # name: shape for U UAVs and I devices, least, whole numbers
     "pull_weight": (("U", "I"), 1e-9, False),
     "pull_reach_steps": (("U", "I"), 1e-9, False),
 }  # fmt: skip
-ZONES = {"free_moves": (("U", "C"), 0, True)}  # where some legs are closed: of each cell, bit m for move m
+OPTIONAL = {"free_moves": (("U", "C"), 0, True),  # where some legs are closed: of each cell, bit m for move m
+            "uplinks_per_slot": ((), 1, True), "silence_slots": ((), 1, True)}  # fmt: skip
+PLAN = ("own_devices", "collection_radius_m", "pull_weight", "pull_reach_steps")  # of each set of survivors, too
 CHOICES = {
     "schema": (1,),
     "rows": ("flat", "entities"),
@@ -68,9 +70,15 @@ def read(path: Path) -> dict[str, Any]:
 def read_mission(path: Path) -> dict[str, Any]:
     """Read mission.json and check every number that the pilot uses."""
     mission, sizes = read(path), dict[str, int]()
-    for name, (shape, least, whole) in (MISSION | (ZONES if "free_moves" in mission else {})).items():
+    fields = {name: (mission.get(name), *MISSION[name]) for name in MISSION}
+    fields |= {name: (mission[name], *OPTIONAL[name]) for name in OPTIONAL if name in mission}
+    plans = mission.setdefault("survivors", {})
+    if not isinstance(plans, dict) or not all(isinstance(plan, dict) for plan in plans.values()):
+        raise ValueError(f"{path}: survivors: expected a plan for each set of UAVs")
+    fields |= {f"survivors {key} {name}": (plans[key].get(name), *MISSION[name]) for key in plans for name in PLAN}
+    for name, (value, shape, least, whole) in fields.items():
         try:
-            array = np.array(mission.get(name))
+            array = np.array(value)
         except (ValueError, OverflowError):  # lists of several lengths, or an integer beyond all floats
             array = np.array(None)
         most = MOST_SLOTS if name == "slots" else MOST
@@ -141,14 +149,15 @@ class Pilot:
         if self.zones:
             self.read_zones(np.array(mission["free_moves"])[uav], folder)
         self.pulled = "pulls" in self.policy["inputs"]
-        if self.pulled:
-            of_device = ("collection_radius_m", "pull_weight", "pull_reach_steps")
-            radius, weight, reach = (np.array(mission[name], dtype=float)[uav] for name in of_device)  # (I,) each
-            self.steps = np.minimum(self.steps_left(radius) / reach - np.log(weight), MOST_STEPS)  # (X, Y, I)
+        self.plans: dict[str, tuple[Any, Any]] = {}  # by survivors: whether each device is in its part, and steps
+        self.linked, self.most = "silence_slots" in mission, mission.get("uplinks_per_slot", len(self.period))
+        self.heard, self.known = np.zeros(len(self.cds), dtype=int), self.cds.copy()  # (U,) slots of news, (U, 2) cells
         self.last_own = np.zeros(len(self.period), dtype=int)  # (I,) slot of this UAV's last collection, 0: none yet
-        self.last = self.last_own.copy()  # (I,) the same of any UAV
-        self.last_in_range = self.last_own.copy()  # (I,) slot in which this UAV had each device in range, 0: none yet
-        self.in_range = self.last_own > 0  # (I,) in this slot
+        self.last, self.last_in_range = (
+            self.last_own.copy(),
+            self.last_own.copy(),
+        )  # of any UAV; in its range, if served
+        self.kept = self.last_own > 0  # (I,) devices in range that it can serve in this slot
 
     def read_zones(self, bits: Any, folder: Path) -> None:
         """Prepare the ways by free legs, from the free moves (C,) of each cell: column * rows + row."""
@@ -183,31 +192,37 @@ class Pilot:
         """Whether the mission is over."""
         return bool(self.slot > self.mission["slots"])
 
-    def decide(self, position_m: Any, in_range: Any, others_m: Any = ()) -> tuple[int, Any, Any]:
+    def decide(
+        self, position_m: Any, in_range: Any, others_m: Any = (), messages: Any = (), rates: Any = None
+    ) -> tuple[int, Any, Any]:
         """Return the move of this slot, where it leads, (2,) m, and the devices to collect from, bool (I,).
 
         Args:
             position_m: of this UAV, (2,) m from the corner of the area.
             in_range: whether a device's rate to this UAV reaches the minimum in this slot, (I,).
-            others_m: positions of the other UAVs in the order of their numbers, (U - 1, 2) m; for "shared" alone.
+            others_m: positions of the other UAVs in the order of their numbers, (U - 1, 2) m, NaN for a lost one; for
+                "shared" alone. Where mission.json has silence_slots: none, but their ``messages`` of this slot.
+            rates: of the devices, (I,), for uplinks_per_slot alone; of equal ones the lower number comes first.
         """
         cell = np.rint(np.asarray(position_m) / self.step).astype(int)  # (2,)
         in_range, allowed = np.asarray(in_range, dtype=bool), self.allowed_moves(cell)
-        self.in_range = in_range
+        rates = np.zeros(len(self.period)) if rates is None else np.asarray(rates)
+        cells, present, fresh = self.listen(cell, others_m, messages)
+        ages = self.ages(self.slot + 1, self.last if self.linked else self.last_in_range)  # (I,)
+        self.kept = self.keep(in_range, ages, rates)
         if self.policy["rows"] == "flat":
-            values = self.flat_row(cell, allowed, in_range, np.reshape(others_m, (-1, 2)))
+            values = self.flat_row(cell, allowed, in_range, cells[self.others] * self.step)
             inputs = [np.concatenate([np.ravel(values[name]) for name in self.policy["inputs"]["local"]["columns"]])]
         else:
-            cells = self.cds.astype(float)  # (U, 2) where each UAV is, or is known to have started
-            if self.shared:
-                cells[self.others] = np.rint(np.reshape(others_m, (-1, 2)) / self.step)
-            inputs = self.tokens(cell, allowed, in_range, cells)
+            self.mine, self.steps = self.plan(present)
+            inputs = self.tokens(cell, allowed, in_range, cells, present, fresh)
         rows = {
             name: np.asarray(row, dtype=np.float32)[None]
             for name, row in zip(self.policy["inputs"], inputs, strict=True)
         }
         logits = [row[0] for row in self.session.run(None, rows)]
         move, selected = self.choose(logits[0], logits[1] if len(logits) > 1 else None, allowed, in_range)
+        selected = self.kept = self.kept if self.auto else self.keep(selected, rates, rates)
         move = move if self.on_grid(cell)[move] else STAY
         move = move if allowed[move] else self.step_home(cell)
         self.flown += int(move != STAY)
@@ -220,10 +235,49 @@ class Pilot:
             collected_by: the number of the UAV that collected each device in it, (I,), -1 for none. A policy with
                 "local" observation needs this UAV's own number alone.
         """
-        self.last[np.asarray(collected_by) >= 0] = self.slot
-        self.last_in_range[self.in_range] = self.slot
-        self.last_own[np.asarray(collected_by) == self.uav] = self.slot
+        own, by_any = np.asarray(collected_by) == self.uav, np.asarray(collected_by) >= 0  # (I,)
+        known = by_any if not self.linked else self.kept if self.auto else own
+        self.last[known] = self.last_in_range[self.kept] = self.last_own[own] = self.slot
         self.slot += 1
+
+    def keep(self, offered: Any, first: Any, second: Any) -> Any:
+        """As many of the devices offered, (I,), as it can serve: the largest by ``first``, and then by ``second``."""
+        if offered.sum() <= self.most:
+            return offered
+        order = np.lexsort((-second, -first, ~offered))
+        return np.isin(np.arange(len(offered)), order[: self.most])
+
+    def message(self, position_m: Any) -> dict[str, Any]:
+        """What it tells the others in this slot, before it decides: all that it knows."""
+        self.heard[self.uav], self.known[self.uav] = self.slot, np.rint(np.asarray(position_m) / self.step)
+        return {"heard": self.heard.tolist(), "cells": self.known.tolist(), "collected": self.last.tolist()}
+
+    def listen(self, cell: Any, others_m: Any, messages: Any) -> tuple[Any, Any, float]:
+        """Cells (U, 2) where it knows UAVs to be, how fresh that is, 0 for lost ones, (U,), and the news of devices."""
+        if not self.linked:
+            cells = self.cds.astype(float)
+            if self.shared:
+                cells[self.others] = np.rint(np.reshape(others_m, (-1, 2)) / self.step)
+            return cells, 1.0 - np.isnan(cells[:, 0]), float(self.shared)
+        self.message(cell * self.step)
+        for message in messages:
+            heard, newer = np.array(message["heard"]), np.array(message["heard"]) > self.heard
+            self.heard[newer], self.known[newer] = heard[newer], np.array(message["cells"])[newer]
+            self.last = np.maximum(self.last, message["collected"])
+        age = (self.slot - self.heard) * self.shared
+        present = np.where(age < self.mission["silence_slots"], 20 / (20 + age), 0)
+        fresh = [present[v] * (self.heard[v] > 0) for v in self.others if present[v] > 0] or [1.0]
+        return self.known if self.shared else self.cds, present, float(np.mean(fresh)) * self.shared
+
+    def plan(self, present: Any) -> tuple[Any, Any]:
+        """Whether each device is in its part, (I,), and the steps to it, (X, Y, I), where those present are left."""
+        key = " ".join(map(str, np.flatnonzero(present)))
+        if key not in self.plans:
+            of = self.mission["survivors"].get(key, self.mission)
+            own, radius, weight, reach = (np.array(of[name], dtype=float)[self.uav] for name in PLAN)  # (I,) each
+            steps = np.minimum(self.steps_left(radius) / reach - np.log(weight), MOST_STEPS) if self.pulled else 0
+            self.plans[key] = own == 1, steps
+        return self.plans[key]
 
     def on_grid(self, cell: Any) -> Any:
         """The moves (5,) that stay on the grid."""
@@ -306,27 +360,25 @@ class Pilot:
             "age_sum": np.sqrt(self.ages(self.slot, self.last)) / 20,
         }
 
-    def tokens(self, cell: Any, allowed: Any, in_range: Any, cells: Any) -> list[Any]:
+    def tokens(self, cell: Any, allowed: Any, in_range: Any, cells: Any, present: Any, fresh: float) -> list[Any]:
         """The tokens of this UAV (8,), its allowed moves (5,), its teammates (U - 1, 7) and the devices (I, 15)."""
         slots, uav, others, ones = self.mission["slots"], self.uav, self.others, np.ones(len(self.period))
         left, home = slots + 1 - self.slot, self.cds - cell  # slots, (U, 2) grid steps
         spare = min(slots - self.slot, self.mission["budget_steps"][uav] - self.flown) - self.moves_home(cell)
-        mine = np.array(self.mission["own_devices"])[uav] == 1  # (I,)
-        known, uavs = (max(mine.sum(), 1), 1) if self.alone else (len(ones), len(home))
-        sizes = np.log(known / 25), np.log(uavs / 3)
+        mine, there = self.mine, (present[others] > 0) & (not self.alone)  # (I,), (U - 1,)
+        sizes = np.log((max(mine.sum(), 1) if self.alone else len(ones)) / 25), np.log((1 + there.sum()) / 3)
         own = np.array([1, *home[uav] / 5, left / (left + 100), np.clip(spare, 0, 40) / 20, self.altitude[uav] / 100,
                         *sizes])  # fmt: skip
         to_mates = cells[others] - cell if self.shared else np.zeros((len(others), 2))
         mates = np.column_stack([
-            np.ones(len(others)), to_mates / 5, np.linalg.norm(to_mates, axis=1) / 5,
+            present[others], to_mates / 5, np.linalg.norm(to_mates, axis=1) / 5,
             (self.altitude[others] - self.altitude[uav]) / 20, home[others] / 5,
         ])  # fmt: skip
         to_device, radius = self.devices / self.step - cell, self.radius[uav]  # (I, 2), (I,) grid steps
         distance = np.linalg.norm(to_device, axis=1)
         away = np.maximum(distance - radius, 0)  # grid steps until this UAV covers the device
         steps = np.linalg.norm(self.devices / self.step - cells[others, None], axis=2) - self.radius[others]
-        other = np.maximum(steps, 0).min(axis=0, initial=20)  # (I,) until the nearest other UAV does
-        other = np.full_like(other, 20) if self.alone else other
+        other = np.maximum(steps[there], 0).min(axis=0, initial=20)  # (I,) until the nearest other UAV does
         last = self.last if self.shared else self.last_own
         age = np.sqrt(self.ages(self.slot, last)) / 20
         devices = np.column_stack([
@@ -334,15 +386,14 @@ class Pilot:
             self.waiting(self.last_own), age, self.waiting(last), other / 5, np.clip(away - other, -10, 10) / 5,
             age / (1 + away), mine,
         ])  # fmt: skip
-        if self.alone:
-            mates[:], devices[~mine] = 0, 0
+        mates[~there], devices[~mine & self.alone] = 0, 0
         tokens = [own, allowed, mates, devices]
         if self.pulled:
             open_to = self.free[self.number(cell)] if self.zones else self.on_grid(cell)  # (5,)
             moved = np.where(open_to[:, None], cell + STEPS, cell)  # (5, 2)
             last = self.last_in_range if self.auto and not self.shared else last
-            age = np.where(in_range, 0, self.ages(self.slot + 1, last))
-            pulls = np.column_stack([age, self.steps[moved[:, 0], moved[:, 1]].T, ones * self.shared])
+            age = np.where(self.kept, 0, self.ages(self.slot + 1, last))
+            pulls = np.column_stack([age, self.steps[moved[:, 0], moved[:, 1]].T, ones * fresh])
             pulls[~mine & self.alone] = 0
             tokens.append(pulls)
         return tokens

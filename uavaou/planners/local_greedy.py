@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.operations import FULL
+from uavaou.mission_fields import FULL
 from uavaou.world import World
 from uavaou.world.flight import STAY, targets
 from uavaou.world.knowledge import Knowledge

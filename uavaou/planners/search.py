@@ -1,7 +1,6 @@
 """The compiled kernels of simulated annealing: the expected age of fixed routes, and changes to the routes.
 
-All compiled functions are in this one file (see :func:`uavaou.world.compiled.compiled`). They copy arrays in loops: for
-``a[:] = b`` Numba also compiles the message of unequal shapes, which takes as long as half of this file.
+They copy arrays in loops: for ``a[:] = b`` Numba also compiles the message of unequal shapes.
 """
 
 from typing import Any
@@ -14,7 +13,7 @@ from uavaou.planners.expected import ExpectedAge
 from uavaou.world.compiled import compiled_fast, uninterrupted
 from uavaou.world.flight import UNLIMITED
 
-Rng = Any  # np.random.Generator, the whole numbers of which are plain ones once compiled
+Rng = Any  # np.random.Generator; its whole numbers are plain ones once compiled
 Pair = tuple[int, int]
 NO_STATIONS: Bools = np.zeros(0, dtype=np.bool_)
 Grid = tuple[int, int, NDArray[np.int32]]  # columns, rows, and where UAVs fly around zones, the moves between cells
@@ -324,8 +323,8 @@ def anneal(
         flown: grid steps of each route, (U,); changed in place.
         between: low and high; slots low <= t < high may change.
         temperatures: the first and the last, in slots of total age.
-        best, best_age: the best routes, (U, K+1), changed in place; their total age, in slots squared.
-        stations: cells in which a stay would be a swap, and cell C, of UAVs that are away, stays, (C,); or none, (0,).
+        best, best_age: the best routes, (U, K+1), changed in place; their total age, slots squared.
+        stations: cells in which a stay is a swap of batteries, (C,), or none: (0,); cell C is that of an absent UAV.
     """
     uavs, slots = len(e.routes), len(e.cumulative) - 1
     trial = np.empty(2 * slots + 64, dtype=np.int64)  # beyond slot K: space for paths that are too long

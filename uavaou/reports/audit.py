@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavaou.reports.audit_checks import Finding, Level, findings, plain
+from uavaou.reports.audit_operations import operations_findings
 from uavaou.reports.link_budget import LinkBudget, link_budget
 from uavaou.scenario import Layout, Scenario
 
@@ -36,7 +37,8 @@ def audit(scenario: Scenario) -> Audit:
     """
     layout = scenario.draw_layout()
     budget = link_budget(scenario, layout)
-    found = sorted(findings(scenario, layout, budget), key=lambda finding: _LEVELS.index(finding.level))
+    every = [*findings(scenario, layout, budget), *operations_findings(scenario, layout, budget)]
+    found = sorted(every, key=lambda finding: _LEVELS.index(finding.level))
     return Audit(scenario, layout, budget, tuple(found))
 
 

@@ -198,32 +198,37 @@ def _check_flight_time(scenario: Scenario) -> Iterator[Finding]:
     if scenario.flight_time == "ignore":
         yield Finding("note", "flight time", limit, "flight_time: ignore: constraint (Time) is not enforced.")
         return
+    if scenario.energy is not None:
+        yield Finding("note", "flight time", limit, f"zeta_max = {plain(limit)} s holds for each sortie.")
+        return
     if abs(limit - mission) > ZETA_TOLERANCE_S:
         than = "longer" if limit > mission else "shorter"
         message = f"zeta_max = {plain(limit)} s is {than} than the mission, K tau = {plain(mission)} s."
         yield Finding("note", "flight time", limit - mission, message)
     moves, last = Flight(scenario).budget, scenario.slots - 1  # (U,)
     if (moves < last).any():
-        fewest, short = int(moves.min()), _uavs(scenario, np.flatnonzero(moves < last))
+        fewest, short = int(moves.min()), listed_uavs(scenario, np.flatnonzero(moves < last))
         message = f"zeta_max binds: it affords {short} as few as {fewest} of the {last} moves of a mission."
         yield Finding("note", "flight time", fewest, message)
 
 
 def _check_round_trips(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
-    """Whether UAVs can fly to every cell, and to within range of every device, and come home."""
+    """Whether UAVs can fly to every cell, and to within range of every device, and come home without a swap."""
+    if scenario.energy is not None:
+        return
     beyond = ~there_and_back(scenario)  # (U, X, Y)
     if (closed := closed_cells(scenario)) is not None:
         beyond &= ~closed.reshape(beyond.shape)
     cells = int(beyond.sum(axis=(1, 2)).max())
     if cells:
         message = (
-            f"{_uavs(scenario, np.flatnonzero(beyond.any(axis=(1, 2))))} cannot fly to the farthest cells and come "
-            f"home in one mission, up to {cells} of {scenario.columns * scenario.rows}."
+            f"{listed_uavs(scenario, np.flatnonzero(beyond.any(axis=(1, 2))))} cannot fly to the farthest cells and "
+            f"come home in one mission, up to {cells} of {scenario.columns * scenario.rows}."
         )
         yield Finding("note", "round trip", cells, message)
     missed = np.flatnonzero(budget.in_range.any(axis=0) & ~budget.in_range_and_back)
     if len(missed):
-        message = f"{_devices(scenario, missed)}: no UAV can come within range and fly home in one mission."
+        message = f"{listed_devices(scenario, missed)}: no UAV can come within range and fly home in one mission."
         change = "raise slots and flight_time_budget_s, or move a CDS nearer"
         yield Finding("warning", "round trip", len(missed), message, change)
 
@@ -247,8 +252,8 @@ def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     lucky, shut_off = nowhere & ~hopeless, hopeless & budget.shut_off
     if shut_off.any():
         message = (
-            f"{_devices(scenario, np.flatnonzero(shut_off))}: no free cell can serve it: outline and zones close every "
-            "cell within its range, or the way there."
+            f"{listed_devices(scenario, np.flatnonzero(shut_off))}: no free cell can serve it: outline and zones "
+            "close every cell within its range, or the way there."
         )
         change = "shrink the zones or their margins, widen the outline, or let a UAV fly above or below"
         yield Finding("error" if shut_off.all() else "warning", "zones", int(shut_off.sum()), message, change)
@@ -257,24 +262,24 @@ def _check_devices(scenario: Scenario, budget: LinkBudget) -> Iterator[Finding]:
     change = f"raise {_strength(scenario)}, lower altitudes_m or {_threshold_field(scenario)}, or {places}"
     if hopeless.any():
         message = (
-            f"cannot reach these: {_devices(scenario, np.flatnonzero(hopeless))} can never be served. From every cell "
-            f"out of every UAV's range without fading, and with it {_threshold_name(scenario)} is met with probability "
-            f"{best[hopeless].max():.2g} a slot at best."
+            f"cannot reach these: {listed_devices(scenario, np.flatnonzero(hopeless))} can never be served. From every "
+            f"cell out of every UAV's range without fading, and with it {_threshold_name(scenario)} is met with "
+            f"probability {best[hopeless].max():.2g} a slot at best."
         )
         level: Level = "error" if hopeless.all() else "warning"
         yield Finding(level, "never served", int(hopeless.sum()), message, change)
     if lucky.any():
         message = (
-            f"{_devices(scenario, np.flatnonzero(lucky))}: from every cell out of every UAV's range without fading; a "
-            f"lucky fade alone serves them, with probability {_span(best[lucky])} a slot at the best cell."
+            f"{listed_devices(scenario, np.flatnonzero(lucky))}: from every cell out of every UAV's range without "
+            f"fading; a lucky fade alone serves them, with probability {_span(best[lucky])} a slot at the best cell."
         )
         yield Finding("warning", "out of range", int(lucky.sum()), message, change)
     for u, altitude in enumerate(scenario.altitudes_m):
         partly = np.flatnonzero(~budget.in_range[u] & ~nowhere)
         if len(partly):
             message = (
-                f"{_devices(scenario, partly)}: from every cell out of range of UAV {u} ({plain(altitude)} m) without "
-                "fading, in range of another UAV."
+                f"{listed_devices(scenario, partly)}: from every cell out of range of UAV {u} ({plain(altitude)} m) "
+                "without fading, in range of another UAV."
             )
             yield Finding("note", "out of range", len(partly), message)
 
@@ -283,7 +288,7 @@ def _check_places(scenario: Scenario, layout: Layout) -> Iterator[Finding]:
     """Devices that stand at one place, and devices so near to each other that their positions may not be in metres."""
     _, place, devices_at = np.unique(layout.positions, axis=0, return_inverse=True, return_counts=True)
     for shared in np.flatnonzero(devices_at > 1)[:_PLACES_SHOWN]:
-        message = f"{_devices(scenario, np.flatnonzero(place.ravel() == shared))} stand at one place."
+        message = f"{listed_devices(scenario, np.flatnonzero(place.ravel() == shared))} stand at one place."
         yield Finding("note", "places", int(devices_at[shared]), message)
     span = float(np.ptp(layout.positions, axis=0).max())
     if len(devices_at) > 1 and span < scenario.grid_step_m / 10:
@@ -339,12 +344,12 @@ def _probability(value: float) -> str:
     return f"{value:.4f} (1 - {missing:.1g})" if 0 < missing < 5e-5 else f"{value:.4f}"
 
 
-def _devices(scenario: Scenario, indices: Ints) -> str:
+def listed_devices(scenario: Scenario, indices: Ints) -> str:
     """E.g. ``device 3``, ``devices 1, 2``, or their names; long lists are cut."""
     return _listed("device", indices, scenario.device_names)
 
 
-def _uavs(scenario: Scenario, indices: Ints) -> str:
+def listed_uavs(scenario: Scenario, indices: Ints) -> str:
     """The same of UAVs."""
     return _listed("UAV", indices, scenario.uav_names)
 

@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from uavaou.envs.map import BLACK, BLUE, FORBIDDEN, draw_north, draw_zones, short_name
+from uavaou.envs.map import BLACK, BLUE, FORBIDDEN, draw_north, draw_stations, draw_zones, short_name
 from uavaou.reports import style
+from uavaou.reports.mission_events import STATION_MARK
 from uavaou.scenario import Scenario
 
 _MOST_NAMES = 40
@@ -53,6 +54,9 @@ def _draw(figure: Figure, axes: Axes, scenario: Scenario, radius_m: float) -> No
         axes.annotate(short_name(scenario.device_name(i)), place, (3, 3), textcoords="offset points", fontsize=6)
     axes.plot(*np.array(scenario.cds_m).T, "s", ms=9, mfc="none", mec=BLUE, mew=1.6, zorder=4)
     handles.append(Line2D([], [], ls="", marker="s", mfc="none", mec=BLUE, ms=7, label="station"))
+    draw_stations(axes, scenario)
+    if scenario.stations_m:
+        handles.append(STATION_MARK)
     turns = np.linspace(0, 2 * np.pi, 90)
     axes.plot(
         places[0, 0] + radius_m * np.cos(turns), places[0, 1] + radius_m * np.sin(turns), "--", color=BLACK, lw=0.6

@@ -21,6 +21,7 @@ from uavaou.evaluation.recorded_mission import RecordedMission, Recording
 from uavaou.reports import style
 from uavaou.reports.drawing import Line, Measure, measure_figure
 from uavaou.reports.markdown import rounded
+from uavaou.reports.mission_events import draw_events, draw_information, draw_losses, event_handles, loss_handles
 from uavaou.scenario import Scenario
 from uavaou.statistics import band_over_missions
 
@@ -84,8 +85,10 @@ def _in_parts(ages: Floats) -> Line:
 
 def _map(mission: RecordedMission) -> Figure:
     scenario, recording = mission.scenario, mission.recording
-    figure, axes, visit_bar, age_bar = _map_places(scenario)
+    marks = loss_handles(mission)
+    figure, axes, visit_bar, age_bar = _map_places(scenario, len(marks))
     _draw_map(axes, mission)
+    draw_losses(axes, mission)
     _shade_visits(figure, axes, visit_bar, scenario, recording)
     mean_age = mission.age_slots.mean(axis=0)  # (I,) slots
     counts = recording.communications.sum(axis=0)  # (I,)
@@ -93,7 +96,7 @@ def _map(mission: RecordedMission) -> Figure:
     maps.draw_devices(axes, recording.layout, mean_age, scale, _device_area(counts, int(counts.max())))
     maps.add_age_bar(axes, scale, "mean age sum (slots)", cax=age_bar)
     style.label_log_axis(age_bar.yaxis, *age_bar.get_ylim())
-    handles = _fleet_handles(scenario)
+    handles = _fleet_handles(scenario) + marks
     figure.legend(handles=handles, loc="upper center", ncols=_LEGEND_COLUMNS, borderpad=0, title=_ROUTES)
     title = "communications of the device"
     figure.legend(handles=_count_handles(counts), loc="lower center", ncols=3, title=title, borderpad=0)
@@ -108,7 +111,7 @@ def _draw_map(axes: Axes, mission: RecordedMission) -> None:
         _draw_steps(axes, mission.scenario, mission.recording.positions[:, u], u)
 
 
-def _map_places(scenario: Scenario) -> tuple[Figure, Axes, Axes, Axes]:
+def _map_places(scenario: Scenario, marks: int) -> tuple[Figure, Axes, Axes, Axes]:
     """The figure and its axes: map, colour bar of the visits, colour bar of the ages.
 
     Places are set by hand: matplotlib's layouts let a colour bar below a map of equal scales run into its labels.
@@ -116,7 +119,7 @@ def _map_places(scenario: Scenario) -> tuple[Figure, Axes, Axes, Axes]:
     left, map_width, bottom, bar_size = 0.62, 2.2, 1.2, 0.09  # in
     step = scenario.grid_step_m
     map_height = float(np.clip(map_width * (scenario.area_y_m + step) / (scenario.area_x_m + step), 1.2, 5.5))
-    legend = 0.3 + _legend_height(scenario)
+    legend = 0.3 + _legend_height(scenario, marks)
     height = bottom + map_height + legend
     figure = style.new_figure(height, layout=None)
 
@@ -182,9 +185,9 @@ def _fleet_handles(scenario: Scenario, **marks: Any) -> list[Line2D]:
     return [Line2D([], [], label=maps.short_name(named(u)), **look, **drawn) for u, look in looks]
 
 
-def _legend_height(scenario: Scenario) -> float:
-    """The height of the fleet's entries in inches."""
-    return 0.17 * math.ceil(scenario.uavs / _LEGEND_COLUMNS)
+def _legend_height(scenario: Scenario, marks: int = 0) -> float:
+    """The height of the fleet's entries, and of so many others, in inches."""
+    return 0.17 * math.ceil((scenario.uavs + marks) / _LEGEND_COLUMNS)
 
 
 def _count_handles(counts: Ints) -> list[Line2D]:
@@ -202,8 +205,11 @@ def _ages(mission: RecordedMission) -> Figure:
     ages, scenario = mission.age_slots, mission.scenario  # (K, I) slots
     devices = ages.shape[1]
     strip_in = float(np.clip(0.085 * devices, 1.4, 6))
-    figure = style.new_figure(height_in=strip_in + 1.73 + _legend_height(scenario))
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.1, strip_in])
+    limited, events = scenario.age_limit_s is not None, event_handles(mission)
+    height = strip_in + 1.73 + _legend_height(scenario, len(events)) + 1.2 * limited
+    figure = style.new_figure(height_in=height)
+    ratios = [1.1, *([1.0] if limited else []), strip_in]
+    upper, *middle, lower = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
     slots = np.arange(1, len(ages) + 1)
     total = ages.sum(axis=1)  # (K,) slots
     upper.plot(slots, total, color=maps.BLACK, linewidth=0.8)
@@ -215,15 +221,22 @@ def _ages(mission: RecordedMission) -> Figure:
     upper.set_xlim(0.5, len(slots) + 0.5)
     scale = maps.age_scale(scenario, mission.recording.layout, ages)
     _draw_strip(lower, mission, scale)
+    for axes in middle:
+        draw_information(axes, mission)
+    draw_events(upper, mission, "swap")
+    for axes in (upper, *middle, lower):
+        draw_events(axes, mission, "failure", "repair")
     bar = maps.add_age_bar(lower, scale, "age sum (slots)")
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
-    _legend_of_communications(figure, scenario)
+    _legend_of_communications(figure, scenario, events)
     return figure
 
 
-def _legend_of_communications(figure: Figure, scenario: Scenario) -> None:
-    """The legend of the ticks that :func:`_draw_strip` draws."""
-    handles, title = _fleet_handles(scenario, lw=1.5), "tick: communication with"
+def _legend_of_communications(figure: Figure, scenario: Scenario, events: Sequence[Line2D] = ()) -> None:
+    """The legend of the ticks that :func:`_draw_strip` draws, and of events."""
+    handles = _fleet_handles(scenario, lw=1.5)
+    title = "tick: communication with" if not events else "tick: communication with; lines: events of the UAV"
+    handles += events
     figure.legend(handles=handles, loc="outside lower center", ncols=_LEGEND_COLUMNS, title=title)
 
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections import OrderedDict
 from math import sqrt
 
+import numpy as np
+
+from uavaou.arrays import Bools
 from uavaou.files import read_json
 from uavaou.planners.plan import OnProgress, layout_key
 from uavaou.planners.tuned import LocalGreedyTuned
 from uavaou.runs.folder import RunConfig, RunFolder
 from uavaou.scenario import Layout, Scenario
 from uavaou.world import World
+from uavaou.world.partition import survivors
 from uavaou.world.pull import Plans, PullPlan
 
 _BUDGET = 500_000  # slots of a training
@@ -33,10 +37,19 @@ class PlanOfEachMap:
 
     def for_maps(self, world: World) -> list[PullPlan] | None:
         """Return the plan of each layout; None where the map is too large."""
-        scenario = world.scenario
-        if scenario.uavs * scenario.devices * scenario.columns * scenario.rows > _LARGEST:
+        if _too_large(world.scenario):
             return None
+        scenario = survivors(
+            world.scenario, np.ones(world.scenario.uavs, dtype=np.bool_)
+        )  # as if no UAV were ever lost
         return [self._plan(scenario, world.layout(mission)) for mission in range(len(world.device_positions))]
+
+    def for_survivors(self, world: World, layout: int, alive: Bools) -> PullPlan | None:
+        """Return the plan of the UAVs that are ``alive``, (U,), alone on a layout; None where the map is too large."""
+        if _too_large(world.scenario):
+            return None
+        plan = self._plan(survivors(world.scenario, alive), world.layout(layout))
+        return plan.in_fleet(alive, world.flight.cds)
 
     def _plan(self, scenario: Scenario, layout: Layout) -> PullPlan:
         key = layout_key(scenario, layout)
@@ -49,6 +62,10 @@ class PlanOfEachMap:
             if len(self._plans) > _KEPT:
                 self._plans.popitem(last=False)
         return self._plans[key]
+
+
+def _too_large(scenario: Scenario) -> bool:
+    return scenario.uavs * scenario.devices * scenario.columns * scenario.rows > _LARGEST
 
 
 def plan_of(

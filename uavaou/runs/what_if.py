@@ -8,7 +8,7 @@ from itertools import product
 
 from uavaou.errors import InputError, unknown
 from uavaou.fields import short
-from uavaou.operations import Failure
+from uavaou.mission_fields import Failure
 from uavaou.scenario import Scenario
 from uavaou.units import MisreadText, in_own_units
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
+from uavaou.world.ages import age_by_estimate
 from uavaou.world.compiled import compiled
 
 
@@ -48,6 +49,40 @@ def within_capacity(offered: Bools, limit: int, first: Floats, second: Floats) -
     kept = np.zeros_like(offered)
     _keep(offered, limit, first, second, kept)
     return kept
+
+
+def oldest_within_capacity(
+    offered: Bools, limit: int, slot: int, known: Ints, period: Ints, snr: Floats, bandwidth: Floats
+) -> Bools:
+    """Return what :func:`within_capacity` does by the estimate of the age, and then by the rate, (N, U, I).
+
+    Args:
+        offered, limit: as there.
+        slot: t.
+        known: the latest slot of a collection of each device that each UAV knows of, (N, U, I).
+        period, bandwidth: of the devices, (L, I) slots and Hz.
+        snr: Gamma_iu, (N, U, I).
+    """
+    age, rates = np.zeros((2, *offered.shape))  # (N, U, I) slots, bit/s; of devices that are offered alone
+    _weigh(offered, slot, known, period, snr, bandwidth, age, rates)
+    return within_capacity(offered, limit, age, rates)
+
+
+_estimated_age = compiled(age_by_estimate)  # here, where a compiled function calls it
+
+
+@compiled
+def _weigh(
+    offered: Bools, slot: int, known: Ints, period: Ints, snr: Floats, bandwidth: Floats, age: Floats, rates: Floats
+) -> None:
+    missions, uavs, devices = offered.shape
+    for n in range(missions):
+        layout = min(n, len(period) - 1)
+        for u in range(uavs):
+            for i in range(devices):
+                if offered[n, u, i]:
+                    age[n, u, i] = _estimated_age(slot, known[n, u, i], period[layout, i])
+                    rates[n, u, i] = bandwidth[layout, i] * np.log2(1.0 + snr[n, u, i])
 
 
 @compiled

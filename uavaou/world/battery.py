@@ -5,7 +5,7 @@ the CDS can still be reached by slot K: at once, or over stations. So no battery
 UAV that stays at a station with a battery that is not full is down for the time of a swap, and then has a full one.
 
 Charges are whole numbers, and a full battery has ``FULL``. The way to a station is reckoned with the costliest leg in
-the largest wind.
+any wind of the scenario.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError
-from uavaou.operations import FULL
+from uavaou.mission_fields import FULL
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STEP_OF_MOVE, UNLIMITED, Flight, backwards, open_moves, steps_from, targets
-from uavaou.world.wind import air_speeds, energies, flyable, largest_air_speeds, mean_wind
+from uavaou.world.wind import air_speeds, energies, flyable, largest_air_speeds, largest_energies, mean_wind
 
 _MOST_WAYS = 50_000_000  # entries of the table of ways to stations
 
@@ -36,12 +36,15 @@ class Batteries:
         assert scenario.energy is not None
         self._shape, self._flight = (missions, scenario.uavs), flight
         self._slots, self._rows, self._swap = scenario.slots, scenario.rows, scenario.swap_slots
-        worst = energies(scenario, largest_air_speeds(scenario))  # (5,)
+        worst = largest_energies(scenario)  # (5,)
         steady = flyable(scenario, largest_air_speeds(scenario))  # (5,)
         self._leg = int(worst[steady].max())
         self.reserve = round(FULL * scenario.energy.reserve)
         if self._leg + self.reserve > FULL:
-            raise InputError(f"scenario '{scenario.name}': energy: a battery does not last for a slot of the mission")
+            raise InputError(
+                f"scenario '{scenario.name}': energy: a slot in the air takes {self._leg / FULL:.0%} of a battery, "
+                f"and {scenario.energy.reserve:.0%} stay in it; a larger battery or shorter slots would fit"
+            )
         self._scenario = scenario
         self.calm: Ints = energies(scenario, air_speeds(scenario, mean_wind(scenario)))[None]  # (1, 5) in constant wind
         cells: Ints = np.asarray(scenario.station_cells @ np.array([scenario.rows, 1]))  # (S,)
@@ -157,12 +160,26 @@ class Batteries:
 
     def spare(self, cells: Ints, slot: int) -> Ints:
         """Return the moves that each UAV can make beside its way to the nearest station, (N, U)."""
-        cell = cells @ np.array([self._rows, 1])  # (N, U)
-        table = np.arange(self._shape[1]) % len(self._way)
-        way = self._way[table, cell].min(axis=-1)  # (N, U)
-        moves = np.minimum((self.charge - self.reserve) // self._leg, self._flight.budget - self.sortie)
-        home = self._flight.home[np.arange(self._shape[1]), cell]  # (N, U)
-        return np.asarray(np.clip(np.minimum(moves - way, self._slots - slot - home), 0, None))
+        spare: Ints = np.empty(self._shape, dtype=np.int64)
+        _spare(
+            cells @ np.array([self._rows, 1]), self.charge - self.reserve, self.sortie, self._slots - slot, self._leg,
+            self._flight.budget, self._way, self._flight.home, spare,
+        )  # fmt: skip
+        return spare
+
+    def cells_in_a_sortie(self) -> Bools:
+        """Return the cells that each UAV can fly to from some station with a full battery, and then to one, (U, C).
+
+        Stations without a way to its CDS do not count.
+        """
+        reach = (FULL - self.reserve) // self._leg
+        found = []
+        for u, onward in enumerate(self._onward):
+            table = min(u, len(self._way) - 1)
+            starts = self._stations[onward < UNLIMITED]  # (S,)
+            legs = steps_from(self._target[table], starts) + self._way[table].min(axis=1)  # (C,)
+            found.append(legs <= min(reach, self._flight.budget[u]))
+        return np.array(found)
 
     def state(self) -> dict[str, Any]:
         """What the rest of the missions depends on."""
@@ -210,8 +227,10 @@ def _allowed(
             for move in range(5):
                 to_x, to_y = x + STEP_OF_MOVE[move, 0], y + STEP_OF_MOVE[move, 1]
                 on_grid[n, u, move] = 0 <= to_x <= last[0] and 0 <= to_y <= last[1]
-                if move == 0 and (left <= 0 or down[n, u] > 0):
+                if move == 0 and left <= 0:
                     allowed[n, u, move] = True
+                elif move == 0 and down[n, u] > 0:  # too late only if it failed in the meantime
+                    allowed[n, u, move] = home[u, here] == 0 or left - down[n, u] >= onward[u, at]
                 elif left <= 0 or down[n, u] > 0 or not free[u, here, move]:
                     continue
                 elif move == 0 and at >= 0 and charge[n, u] < 1_000_000_000:  # a swap
@@ -239,6 +258,19 @@ def _allowed(
                     if allowed[n, u, move] and nearer:
                         nearest, safe[n, u] = way[table, here, s], move
                         break
+
+
+@compiled
+def _spare(
+    here: Ints, charge: Ints, sortie: Ints, left: int, leg: int, budget: Ints, way: Ints, home: Ints, spare: Ints
+) -> None:
+    for n in range(here.shape[0]):
+        for u in range(here.shape[1]):
+            cell, nearest = here[n, u], 1_000_000_000_000
+            for s in range(way.shape[2]):
+                nearest = min(nearest, way[min(u, len(way) - 1), cell, s])
+            moves = min(charge[n, u] // leg, budget[u] - sortie[n, u])
+            spare[n, u] = max(min(moves - nearest, left - home[u, cell]), 0)
 
 
 @compiled

@@ -12,16 +12,17 @@ import numpy as np
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError, unknown
 from uavaou.scenario import Scenario
+from uavaou.world.ages import age_by_estimate
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STAY, targets
-from uavaou.world.partition import partition
-from uavaou.world.pull import MOST_STEPS, Plans, planned_steps, steps_left, write_pulls
+from uavaou.world.news import RECENT_SLOTS, news
+from uavaou.world.pull import MOST_STEPS, Plans, write_pulls
+from uavaou.world.told import PartsOfSurvivors, told_before_take_off
 from uavaou.world.views import (
     DEVICE,
     MOVES,
     OWN,
     PULL,
-    RECENT_SLOTS,
     ROW_FORMATS,
     TEAMMATE,
     Columns,
@@ -49,6 +50,8 @@ _FAR = 20.0  # grid steps from which another UAV is as good as absent
 _LEAD = 2.0  # the most that a token says of the lead of another UAV
 _LEFT_SLOTS = 100.0  # the slots left have their best resolution around this many
 _AGE = RECENT_SLOTS  # the root of an age sum in slots that becomes 1
+
+_estimated_age = compiled(age_by_estimate)  # here, where compiled functions call it
 
 
 def make_views(
@@ -87,22 +90,6 @@ def local_columns(uavs: int, devices: int) -> tuple[Columns, ...]:
     )  # fmt: skip
 
 
-def told_before_take_off(world: World, plan: Plans | None) -> tuple[Floats, Bools, Floats]:
-    """Return the map as UAVs know it, by the ``plan`` that there is for it, and else by its parts.
-
-    Returns:
-        The coverage radius by the mean channel, (L, U, I) grid steps: that of :func:`coverage.coverage_radius`, and 0
-        where that is NaN. Which devices each UAV serves, (L, U, I). What :func:`planned_steps`, or without a plan
-        :func:`steps_left`, returns, (L, U, C, I).
-    """
-    scenario, channel = world.scenario, world.channel
-    radius = channel.coverage_radius() / scenario.grid_step_m
-    plans = None if plan is None else plan.for_maps(world)
-    if plans is not None:
-        return radius, np.stack([each.serves for each in plans]), planned_steps(world, plans)
-    return radius, partition(world)[:, None] == np.arange(scenario.uavs)[:, None], steps_left(world)
-
-
 class EntityViews(RowViews):
     """Views of tokens, float32.
 
@@ -125,8 +112,7 @@ class EntityViews(RowViews):
     _devices: Floats  # (L, I, 2) grid steps
     _middle: Floats  # (L, 2) of the devices, grid steps
     _radius: Floats  # (L, U, I) grid steps
-    _steps: Floats  # (L, U, C, I) grid steps to where a UAV collects a device well
-    _own: Bools  # (L, U, I) whether a device is in a UAV's part of the map
+    _parts: PartsOfSurvivors  # whether a device is in a UAV's part of the map, and grid steps to where it collects it
     _places: Ints  # (L, U, I) of a device's token in a row, or -1
 
     def __init__(
@@ -166,27 +152,35 @@ class EntityViews(RowViews):
         at = {columns.name: out[:, :, columns.slice] for columns in layout.local}
         at["allowed_moves"][:, :uavs] = world.allowed_moves
         at["allowed_moves"][:, uavs:, STAY] = 1.0
-        shared, alone, cds = self.observation == "shared", self.observation == "part", world.flight.cds
+        alone, cds, heard = self.observation == "part", world.flight.cds, news(world, self.observation == "shared")
+        table = self._parts.numbers(world, heard.lost if self.renews_parts else None)  # (N, U)
+        serves, steps = self._parts.serves, self._parts.steps  # (T, U, I), (T, U, C, I)
         _write_own(world.cells, cds, self._spare(world), self._altitudes, self._mission(world), at["own"])
+        own = at["own"][:, :uavs]  # (N, U, features)
+        if world.operations.losses is not None:
+            own[world.failed, OWN.index("present")] = 0.0
+        if heard.lost is not None:
+            own[..., OWN.index("uavs")] = np.log((uavs - heard.lost.sum(axis=-1)) / _PAPER_UAVS)
         if alone:
-            own = at["own"][:, :uavs]  # (N, U, features)
-            members = self._own.sum(axis=-1)  # (L, U)
+            members = serves.sum(axis=-1)  # (L, U)
             own[..., OWN.index("devices")] = np.log(np.maximum(members, 1) / _PAPER_DEVICES)
             own[..., OWN.index("uavs")] = np.log(1 / _PAPER_UAVS)
             for name in ("teammates", "devices", "pulls"):  # most of them are of others
                 at[name][:, :uavs] = 0.0
         else:
-            _write_teammates(world.cells, cds, self._altitudes, shared, at["teammates"])
+            told = heard.cells, heard.present, heard.told
+            _write_teammates(world.cells, *told, cds, self._altitudes, at["teammates"])
         _write_devices(
-            self._devices, world.cells, cds, self._radius, self._own, self._places, world.in_range, world.update_period,
-            world.slot, world.last_collection_by, world.last_collection, world.ages.age_slots, self._waiting, shared,
-            alone, at["devices"],
+            self._devices, world.cells, heard.cells, heard.present, self._radius, serves, table, self._places,
+            world.in_range, world.update_period, world.slot, world.last_collection_by, heard.last,
+            world.ages.age_slots, heard.true_ages, self._waiting, alone, at["devices"],
         )  # fmt: skip
         # Where every device in range is collected, by whichever UAV, all that have it in range know.
-        last = world.last_in_range if self.collection == "auto" else world.last_collection_by
+        last = world.last_in_range if self.collection == "auto" and not heard.told else heard.last
         write_pulls(
-            self._steps, self._target, world.cells @ np.array([self.scenario.rows, 1]), self._places, world.in_range,
-            world.update_period, world.slot, last, world.pending, world.ages.age_slots, shared, at["pulls"],
+            steps, table, self._target, world.cells @ np.array([self.scenario.rows, 1]), self._places,
+            world.collecting, world.update_period, world.slot, last, world.pending, world.ages.age_slots,
+            heard.true_ages, heard.fresh, at["pulls"],
         )  # fmt: skip
         return out
 
@@ -197,6 +191,8 @@ class EntityViews(RowViews):
         at = {columns.name: out[:, columns.slice] for columns in self.layout.state}
         at["mission"][...] = self._mission(world)
         _write_uavs(world.cells, world.flight.cds, self._spare(world), self._altitudes, self._middle, at["uavs"])
+        if world.operations.losses is not None:
+            at["uavs"].reshape(world.missions, -1, _STATE_UAV)[:, : self.scenario.uavs, 0] = ~world.failed
         _write_state(
             self._devices, self._middle, world.cells, self._radius, world.in_range, world.update_period, world.slot,
             world.last_collection, world.pending, world.ages.age_slots, self._waiting, at["devices"],
@@ -223,9 +219,9 @@ class EntityViews(RowViews):
         self._placed = world.device_positions
         self._devices = world.device_positions / self.scenario.grid_step_m
         self._middle = self._devices.mean(axis=1)
-        self._radius, self._own, steps = told_before_take_off(world, self.plan)
-        self._steps = np.minimum(steps, MOST_STEPS)
-        shown = self._own if self.observation == "part" else np.ones_like(self._own)
+        self._radius, own, steps = told_before_take_off(world, self.plan)
+        self._parts = PartsOfSurvivors(self.plan, own, np.minimum(steps, MOST_STEPS))
+        shown = own if self.observation == "part" else np.ones_like(own)
         count, room = self.scenario.devices, self.layout.devices
         self._places = np.where(shown, shown.cumsum(axis=-1) - 1 if room < count else np.arange(count), -1)
 
@@ -247,20 +243,30 @@ def _write_own(cells: Ints, cds: Ints, spare: Floats, altitude: Floats, mission:
 
 
 @compiled
-def _write_teammates(cells: Ints, cds: Ints, altitude: Floats, shared: bool, tokens: Rows) -> None:
-    """Write (N, U, (U - 1) * features): where the others are, if that is shared, and where their CDSs are."""
+def _write_teammates(
+    cells: Ints, known: Ints, present: Floats, told: bool, cds: Ints, altitude: Floats, tokens: Rows
+) -> None:
+    """Write (N, U, (U - 1) * features): where the others are, as far as that is told, and where their CDSs are.
+
+    The token of one that is taken as lost is zero. ``known`` and ``present`` are of :class:`uavaou.world.news.News`.
+    """
     uavs = cells.shape[1]
     for n in range(len(cells)):
+        of = min(n, len(known) - 1), min(n, len(present) - 1)
         for u in range(uavs):
-            at = 0
+            at, knows, counts = 0, min(u, known.shape[1] - 1), min(u, present.shape[1] - 1)
             for v in range(uavs):
                 if v == u:
                     continue
                 token = tokens[n, u, at : at + _TEAMMATE]
                 at += _TEAMMATE
-                x = float(cells[n, v, 0] - cells[n, u, 0]) if shared else 0.0
-                y = float(cells[n, v, 1] - cells[n, u, 1]) if shared else 0.0
-                token[0] = 1.0
+                here = present[of[1], counts, v]
+                if here == 0.0:
+                    token[:] = 0.0
+                    continue
+                x = float(known[of[0], knows, v, 0] - cells[n, u, 0]) if told else 0.0
+                y = float(known[of[0], knows, v, 1] - cells[n, u, 1]) if told else 0.0
+                token[0] = here
                 token[1] = x / _STEPS
                 token[2] = y / _STEPS
                 token[3] = math.sqrt(x * x + y * y) / _STEPS
@@ -277,31 +283,30 @@ def _steps_to_coverage(device: Floats, cell: Ints, radius: float) -> float:
 
 
 @compiled
-def _own_age(slot: int, last: int, period: int) -> float:
-    """The age sum in slots, before a slot, of a device that only this UAV collects, which it did in slot ``last``.
-
-    By eq. (1): of the pending updates, generated in slots n k, each has aged slot - n k; update 0 counts from slot 1.
-    """
-    first, newest = last // period, (slot - 1) // period
-    total = (newest - first) * slot - period * (newest * (newest + 1) - first * (first + 1)) // 2
-    return float(total + (slot - 1 if last == 0 else 0))
-
-
-@compiled
 def _write_devices(
-    devices: Floats, cells: Ints, cds: Ints, radius: Floats, own: Bools, places: Ints, in_range: Bools, period: Ints,
-    slot: int, last_by: Ints, last: Ints, age_slots: Ints, waiting: Rows, shared: bool, alone: bool, tokens: Rows,
+    devices: Floats, cells: Ints, known: Ints, present: Floats, radius: Floats, own: Bools, table: Ints, places: Ints,
+    in_range: Bools, period: Ints, slot: int, last_by: Ints, last: Ints, age_slots: Ints, true_ages: bool,
+    waiting: Rows, alone: bool, tokens: Rows,
 ) -> None:  # fmt: skip
-    """Write (N, U, I * features): what each UAV knows of each device that has a place in its row, (L, U, I)."""
+    """Write (N, U, I * features): what each UAV knows of each device that has a place in its row, (L, U, I).
+
+    ``known``, ``present``, ``last`` and ``true_ages`` are of :class:`uavaou.world.news.News`; ``table`` (N, U) says
+    which of the parts ``own`` (T, U, I) a UAV goes by.
+    """
     missions, uavs = cells.shape[:2]
     steps = np.empty(uavs)  # until each UAV, seen from where the others know it to be, covers the device
     for n in range(missions):
         layout = min(n, len(devices) - 1)  # a common one, or one for each mission
+        of = min(n, len(known) - 1), min(n, len(present) - 1)
         for i in range(devices.shape[1]):
             device, k = devices[layout, i], period[layout, i]
-            for v in range(0 if alone else uavs):
-                steps[v] = _steps_to_coverage(device, cells[n, v] if shared else cds[v], radius[layout, v, i])
             for u in range(uavs):
+                if u < known.shape[1] or u < present.shape[1]:  # not what the one before knows, too
+                    knows, counts = min(u, known.shape[1] - 1), min(u, present.shape[1] - 1)
+                    for v in range(0 if alone else uavs):
+                        steps[v] = _FAR
+                        if present[of[1], counts, v] > 0.0:
+                            steps[v] = _steps_to_coverage(device, known[of[0], knows, v], radius[layout, v, i])
                 place = places[layout, u, i]
                 if place < 0:
                     continue
@@ -313,8 +318,9 @@ def _write_devices(
                 for v in range(uavs):
                     if v != u and not alone:
                         other = min(other, steps[v])
-                own_last = last_by[n, u, i]
-                age = math.sqrt(float(age_slots[n, i]) if shared else _own_age(slot, own_last, k)) / _AGE
+                own_last, heard = last_by[n, u, i], last[n, min(u, last.shape[1] - 1), i]
+                total = age_slots[n, i] if true_ages else _estimated_age(slot - 1, heard, k)
+                age = math.sqrt(float(total)) / _AGE
                 token[0] = 1.0
                 token[1] = x / _STEPS
                 token[2] = y / _STEPS
@@ -325,11 +331,11 @@ def _write_devices(
                 token[7] = k / 5.0
                 token[8] = waiting[min(slot - own_last, len(waiting) - 1)]
                 token[9] = age
-                token[10] = waiting[min(slot - (last[n, i] if shared else own_last), len(waiting) - 1)]
+                token[10] = waiting[min(slot - heard, len(waiting) - 1)]
                 token[11] = other / _STEPS
                 token[12] = min(max(away - other, -_LEAD * _STEPS), _LEAD * _STEPS) / _STEPS
                 token[13] = age / (1.0 + away)
-                token[14] = own[layout, u, i]
+                token[14] = own[table[n, u], u, i]
 
 
 @compiled

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.operations import Links
+from uavaou.mission_fields import Links
 from uavaou.scenario import Scenario
 from uavaou.world.channel import Keys, keys_of_item, uniforms
 from uavaou.world.compiled import compiled
@@ -35,6 +35,7 @@ class Knowledge:
         self._step, self._altitudes = scenario.grid_step_m, scenario.altitudes
         self._devices = scenario.devices
         self._silence = scenario.silence_slots or SILENCE_SLOTS
+        self._itself = np.arange(scenario.uavs)
 
     @property
     def passes_nothing(self) -> bool:
@@ -63,14 +64,12 @@ class Knowledge:
         if slot <= self._slot:
             return
         self._slot = slot
-        for u in range(self._shape[1]):
-            here = ~absent[:, u]
-            self.heard[here, u, u], self.cells[here, u, u] = slot, cells[here, u]
-        passes = self._passing(slot, cells) & ~absent[:, :, None] & ~absent[:, None, :]
-        if passes.any():
-            _pass_on(passes, self.heard.copy(), self.cells.copy(), self.collected.copy(), *self._own())
+        _measure(slot, cells, absent, self.heard, self.cells)
+        if not self.passes_nothing:
+            passes, before = self._passing(slot, cells), [known.copy() for known in self._known()]
+            _pass_on(passes, absent, before[0], before[1], before[2], *self._known())
 
-    def _own(self) -> tuple[Ints, Ints, Ints]:
+    def _known(self) -> tuple[Ints, Ints, Ints]:
         return self.heard, self.cells, self.collected
 
     def _passing(self, slot: int, cells: Ints) -> Bools:
@@ -85,13 +84,11 @@ class Knowledge:
                 passes &= self._good
             if links.probability < 1.0:
                 passes &= drawn[..., 1] <= links.probability
-        if links.probability == 0.0:
-            passes[:] = False
         if links.range_m is not None:
             apart = (cells[:, :, None] - cells[:, None, :]) * self._step  # (N, U, U, 2) m
             height = self._altitudes[:, None] - self._altitudes  # (U, U) m
             passes &= (apart**2).sum(axis=-1) + height**2 <= links.range_m**2
-        return np.asarray(passes & ~np.eye(self._shape[1], dtype=np.bool_))
+        return passes
 
     def note(self, slot: int, known: Bools) -> None:
         """Keep the collections of a slot that UAVs know of by themselves, (N, U, I)."""
@@ -104,7 +101,8 @@ class Knowledge:
         if self.passes_nothing:
             return np.zeros_like(self._good)
         lost = slot - self.heard >= self._silence
-        return np.asarray(lost & ~np.eye(self._shape[1], dtype=np.bool_))
+        lost[:, self._itself, self._itself] = False
+        return np.asarray(lost)
 
     def state(self) -> dict[str, Any]:
         """What the rest of the missions depends on beside their keys."""
@@ -125,14 +123,24 @@ class Knowledge:
 
 
 @compiled
+def _measure(slot: int, cells: Ints, absent: Bools, heard: Ints, known: Ints) -> None:
+    for n in range(cells.shape[0]):
+        for u in range(cells.shape[1]):
+            if not absent[n, u]:
+                heard[n, u, u] = slot
+                known[n, u, u, 0], known[n, u, u, 1] = cells[n, u, 0], cells[n, u, 1]
+
+
+@compiled
 def _pass_on(
-    passes: Bools, heard: Ints, cells: Ints, collected: Ints, new_heard: Ints, new_cells: Ints, new_collected: Ints
-) -> None:
+    passes: Bools, absent: Bools, heard: Ints, cells: Ints, collected: Ints, new_heard: Ints, new_cells: Ints,
+    new_collected: Ints,
+) -> None:  # fmt: skip
     missions, uavs, devices = collected.shape
     for n in range(missions):
         for u in range(uavs):
             for v in range(uavs):
-                if not passes[n, u, v]:
+                if u == v or not passes[n, u, v] or absent[n, u] or absent[n, v]:
                     continue
                 for w in range(uavs):
                     if heard[n, v, w] > new_heard[n, u, w]:

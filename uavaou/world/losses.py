@@ -27,6 +27,7 @@ class Losses:
         self._devices = scenario.devices
         self._failures = _table([(one.uav, one.slot, one.until) for one in scenario.failures or ()])
         self._silences = _table([(one.device, one.start, one.until) for one in scenario.devices_silent or ()])
+        self._silent: tuple[int, Bools] = -1, np.zeros(0, dtype=np.bool_)  # in the slot that was asked for last
 
     def start(self, keys: Keys) -> None:
         """Start missions with these keys."""
@@ -45,9 +46,11 @@ class Losses:
         """Return which devices are silent in a slot, (I,); None where no device ever is."""
         if not len(self._silences):
             return None
-        silent = np.zeros(self._devices, dtype=np.bool_)
-        silent[_at(self._silences, slot)] = True
-        return silent
+        if self._silent[0] != slot:
+            silent = np.zeros(self._devices, dtype=np.bool_)
+            silent[_at(self._silences, slot)] = True
+            self._silent = slot, silent
+        return self._silent[1]
 
     def state(self) -> dict[str, Any]:
         """What the rest of the missions depends on beside their keys."""

@@ -13,7 +13,9 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.scenario import Scenario
+from uavaou.world.compiled import compiled
 
+_ROUNDING = 1e-9  # of an age limit, by which its quotient with the slot length may miss a whole number of slots
 _STATE = ("_newest", "_delivered", "_total", "_peak", "_late")
 
 
@@ -37,9 +39,10 @@ class AgeOfInformation:
 
     def __init__(self, scenario: Scenario, missions: int) -> None:
         self._shape, self._tau = (missions, scenario.devices), scenario.slot_length_s
-        self._limit = None if scenario.age_limit_s is None else scenario.age_limit_s / scenario.slot_length_s
+        limit = scenario.age_limit_s
+        self._limit = None if limit is None else limit / scenario.slot_length_s * (1 + _ROUNDING)  # slots
         weights = np.ones(scenario.devices) if scenario.device_weights is None else np.array(scenario.device_weights)
-        self._weights: Floats = weights / (weights.mean() or 1.0)
+        self.weights: Floats = weights / weights.mean()  # (I,) of mean 1
         self._objective = scenario.objective
 
     def start(self, *_: Any) -> None:
@@ -51,14 +54,14 @@ class AgeOfInformation:
 
     def advance(self, slot: int, generated: Bools, collected: Bools) -> None:
         """Advance by a slot: generate an update of some devices, (N, I) or (1, I), and collect some, (N, I)."""
-        self._newest = np.where(generated, slot, self._newest)
-        highest = np.maximum(self._peak, slot - self._delivered)  # just before the delivery
-        self._rise, self._peak = highest - self._peak, highest
-        self._delivered = np.where(collected, self._newest, self._delivered)
-        self._age = slot - self._delivered
-        self._total += self._age
-        if self._limit is not None:
-            self._late += self._age > self._limit
+        limit = np.inf if self._limit is None else self._limit
+        sums = self._total, self._peak, self._late
+        _advance(slot, generated, collected, limit, self._newest, self._delivered, *sums, self._age, self._rise)
+
+    @property
+    def late(self) -> Bools:
+        """Which devices are above the limit after the slot just advanced, (N, I)."""
+        return np.asarray(self._age > (np.inf if self._limit is None else self._limit))
 
     def reward(self, age_slots: Ints) -> Floats:
         """Return the reward of the slot just advanced by the objective of the scenario, (N,) s.
@@ -66,20 +69,24 @@ class AgeOfInformation:
         ``aou`` is the paper's with weights, ``aoi`` -sum_i w_i AoI_i, ``peak`` minus the rise of the largest AoI of
         each device so far, and ``above-limit`` minus the time of the slot for each device whose AoI is above the limit.
         """
+        return np.asarray(-self._tau * (self.objective(age_slots) * self.weights).sum(axis=1))
+
+    def objective(self, age_slots: Ints) -> Floats:
+        """Return what the objective counts of each device in the slot just advanced, without weights, (N, I) slots."""
         each: Any = age_slots
         if self._objective == "aoi":
             each = self._age
         elif self._objective == "peak":
             each = self._rise
         elif self._objective == "above-limit" and self._limit is not None:
-            each = self._age > self._limit
-        return np.asarray(-self._tau * (each * self._weights).sum(axis=1))
+            each = self.late
+        return np.asarray(each, dtype=np.float64)
 
     def measures(self, played: int) -> Measures:
         """Return what there is after so many slots."""
         tau = self._tau
         late = None if self._limit is None else self._late / played
-        return Measures(tau * self._total / played, tau * self._peak.astype(np.float64), late, self._weights)
+        return Measures(tau * self._total / played, tau * self._peak.astype(np.float64), late, self.weights)
 
     def state(self) -> dict[str, Any]:
         """What the rest of the missions depends on."""
@@ -89,3 +96,20 @@ class AgeOfInformation:
         """Go on from a :meth:`state`."""
         for name in _STATE:
             setattr(self, name, state[f"aoi{name}"].copy())
+
+
+@compiled
+def _advance(
+    slot: int, generated: Bools, collected: Bools, limit: float, newest: Ints, delivered: Ints, total: Ints, peak: Ints,
+    late: Ints, age: Ints, rise: Ints,
+) -> None:  # fmt: skip
+    for n in range(collected.shape[0]):
+        layout = min(n, len(generated) - 1)
+        for i in range(collected.shape[1]):
+            newest[n, i] = slot if generated[layout, i] else newest[n, i]
+            highest = max(peak[n, i], slot - delivered[n, i])  # just before the delivery
+            rise[n, i], peak[n, i] = highest - peak[n, i], highest
+            delivered[n, i] = newest[n, i] if collected[n, i] else delivered[n, i]
+            age[n, i] = slot - delivered[n, i]
+            total[n, i] += age[n, i]
+            late[n, i] += age[n, i] > limit

@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.operations import FULL
+from uavaou.mission_fields import FULL
 from uavaou.scenario import Scenario
-from uavaou.world.ages import age_by_estimate
-from uavaou.world.association import within_capacity
+from uavaou.world.association import oldest_within_capacity, within_capacity
 from uavaou.world.battery import Batteries
 from uavaou.world.channel import Channel, rate
 from uavaou.world.flight import STAY, STEP_OF_MOVE, Flight
 from uavaou.world.links import Knowledge
 from uavaou.world.losses import Losses
 from uavaou.world.measures import AgeOfInformation
-from uavaou.world.wind import Weather, flyable
+from uavaou.world.wind import Weather
 
 
 class Operations:
@@ -51,10 +50,24 @@ class Operations:
 
     # -- UAVs
 
+    def seen(self) -> tuple[Bools, Ints, Floats | None, Ints | None, Ints | None, Floats | None]:
+        """What there is to see of the slot, from ``failed`` to ``wind`` of :class:`uavaou.world.world.Stepped`."""
+        batteries, knowledge = self.batteries, self.knowledge
+        return (
+            self.failed,
+            self.sorties,
+            None if batteries is None else batteries.charge / FULL,
+            None if batteries is None else batteries.down.copy(),
+            None if knowledge is None else knowledge.heard.copy(),
+            None if self.weather is None else self.weather.wind,
+        )
+
     @property
-    def battery(self) -> Floats | None:
-        """What is left in each battery, from 0 to 1, (N, U); None without batteries."""
-        return None if self.batteries is None else self.batteries.charge / FULL
+    def late(self) -> Bools:
+        """Which devices are above the age limit after the slot last played, (N, I)."""
+        if self.information is None:
+            return np.zeros((self._shape[0], self._scenario.devices), dtype=np.bool_)
+        return self.information.late
 
     @property
     def absent(self) -> Bools:
@@ -95,13 +108,15 @@ class Operations:
             drawn = self.weather if self.weather is not None and self.weather.varies else None
             self._cost = self.batteries.calm if drawn is None else self.batteries.cost(drawn.air_speed)  # (N, 5)
             allowed, on_grid, self._safe = self.batteries.allowed(cells, slot, self._cost)
-        if self.weather is not None:
-            allowed &= flyable(self._scenario, self.weather.air_speed)[:, None]
         if self.losses is not None:
             failed = self.losses.failed(slot)
-            self.losses.lost |= self.failed & ~failed & ~allowed.any(axis=-1)  # repaired too late to come home
+            late = ~allowed.any(axis=-1)  # (N, U) to come home
+            if slot == self._scenario.slots:
+                late |= (cells != self._flight.cds).any(axis=-1)
+            self.losses.lost |= self.failed & ~failed & late
             self.failed = failed | self.losses.lost
-            allowed[self.failed] = np.arange(len(STEP_OF_MOVE)) == STAY
+            if self.failed.any():
+                allowed[self.failed] = np.arange(len(STEP_OF_MOVE)) == STAY
             if (silent := self.losses.silent(slot)) is not None:
                 snr[:, :, silent] = 0.0
         if self.losses is not None or self.batteries is not None:
@@ -156,17 +171,14 @@ class Operations:
         """
         assert self._scenario.uplinks_per_slot is not None
         known = own if self.knowledge is None else self.knowledge.collected  # (N, U, I)
-        age = age_by_estimate(slot, known, period[:, None]).astype(np.float64)  # (N, U, I) slots
-        return within_capacity(in_range, self._scenario.uplinks_per_slot, age, self._rates(snr))
+        limit, bandwidth = self._scenario.uplinks_per_slot, self._channel.bandwidth
+        return oldest_within_capacity(in_range, limit, slot, known, period, snr, bandwidth)
 
     def kept(self, offered: Bools, snr: Floats) -> Bools:
         """Return what UAVs keep of the devices that they selected and have in range, (N, U, I)."""
         assert self._scenario.uplinks_per_slot is not None
-        rates = self._rates(snr)
+        rates = rate(self._channel.bandwidth[:, None], snr)  # (N, U, I) bit/s
         return within_capacity(offered, self._scenario.uplinks_per_slot, rates, rates)
-
-    def _rates(self, snr: Floats) -> Floats:
-        return rate(self._channel.bandwidth[:, None], snr)  # (N, U, I) bit/s
 
     # -- state
 

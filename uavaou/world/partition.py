@@ -56,7 +56,7 @@ def parts_in_flight(world: World) -> tuple[Ints, Floats]:
     return owner, age_sums
 
 
-def survivors_parts(world: World, alive: Bools) -> Ints:
+def survivors_parts(world: World, alive: Bools, layouts: slice = slice(None)) -> Ints:
     """Return the UAV whose part each device belongs to where some UAVs are lost, (L, I).
 
     It is the plan of the fleet without the lost ones, on the same map. So survivors that know of the same losses have
@@ -65,13 +65,14 @@ def survivors_parts(world: World, alive: Bools) -> Ints:
     Args:
         world: of the whole fleet.
         alive: the survivors, (U,); at least one.
+        layouts: those of the L that are asked for.
 
     Raises:
         ValueError: there are none.
     """
     if not alive.any():
         raise ValueError("alive: at least one UAV")
-    return partition(world) if alive.all() else _parts_of(world, alive)[0]
+    return partition(world)[layouts] if alive.all() else _parts_of(world, alive, layouts)[0]
 
 
 def survivors(scenario: Scenario, alive: Bools) -> Scenario:
@@ -82,19 +83,19 @@ def survivors(scenario: Scenario, alive: Bools) -> Scenario:
     return scenario.model_copy(update={"uavs": len(left), **kept, **dict.fromkeys(none)})
 
 
-def _parts_of(world: World, alive: Bools) -> tuple[Ints, Floats]:
-    """Return what :func:`parts_in_flight` does for the UAVs that are ``alive``, (U,)."""
+def _parts_of(world: World, alive: Bools, layouts: slice = slice(None)) -> tuple[Ints, Floats]:
+    """Return what :func:`parts_in_flight` does for the UAVs that are ``alive``, (U,), on some layouts."""
     scenario = world.scenario if alive.all() else survivors(world.scenario, alive)
-    owner = np.zeros(world.device_positions.shape[:2], dtype=np.int64)  # (L, I)
+    places = world.device_positions[layouts] / scenario.grid_step_m  # (L, I, 2)
+    owner = np.zeros(places.shape[:2], dtype=np.int64)  # (L, I)
     age_sums = np.zeros(len(owner))
-    headroom = (world.channel.mean_snr_above() / world.channel.snr_min[:, None, :])[:, alive]  # (L, U, I)
-    for layout, (positions, above) in enumerate(
-        zip(world.device_positions / scenario.grid_step_m, headroom, strict=True)
-    ):
+    headroom = (world.channel.mean_snr_above() / world.channel.snr_min[:, None, :])[layouts, alive]  # (L, U, I)
+    periods = world.update_period[layouts]  # (L, I)
+    for layout, (positions, above) in enumerate(zip(places, headroom, strict=True)):
         # The plan depends neither on the order of the devices nor on the side that the map is seen from.
         order = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=-1))
         # Rows lie one after the other in memory, always: compiled functions are compiled anew for another order.
-        devices = positions[order], above[:, order].copy(order="C"), world.update_period[layout, order]
+        devices = positions[order], above[:, order].copy(order="C"), periods[layout, order]
         owner[layout, order], age_sums[layout] = _known_plan(*devices, world.flight.cds[alive], scenario)
     return np.flatnonzero(alive)[owner], age_sums
 

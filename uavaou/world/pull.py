@@ -41,6 +41,9 @@ class Plans(Protocol):
     def for_maps(self, world: World) -> list[PullPlan] | None:
         """Return the plan of each of the L layouts; None where there is none."""
 
+    def for_survivors(self, world: World, layout: int, alive: Bools) -> PullPlan | None:
+        """Return the plan of the fleet on a layout without the UAVs that are not ``alive``, (U,); None: the rule's."""
+
 
 @dataclass(frozen=True)
 class PullPlan:
@@ -74,6 +77,16 @@ class PullPlan:
         places = world.device_positions
         same = len(places) == 1 and all(map(np.array_equal, (world.flight.cds, places[0]), (self.cds, self.devices_m)))
         return [self] if same else None
+
+    def for_survivors(self, world: World, layout: int, alive: Bools) -> PullPlan | None:
+        """Return None: it is a plan of the whole fleet."""
+        return None
+
+    def in_fleet(self, alive: Bools, cds: Ints) -> PullPlan:
+        """Return the same for a fleet whose UAVs that are ``alive``, (U,), alone serve devices; ``cds`` (U, 2)."""
+        weight, reach, share = (np.full((len(alive), len(self.devices_m)), usual) for usual in (0.0, 1.0, SHARE))
+        weight[alive], reach[alive], share[alive] = self.weight, self.reach, self.share
+        return PullPlan(weight, reach, share, cds, self.devices_m)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for a JSON file."""
@@ -109,17 +122,18 @@ def exceedance(fading: str, rician_factor: float) -> tuple[Floats, Floats]:
     return gain, rician_exceedance(gain, rician_factor)
 
 
-def steps_left(world: World, share: float | Floats = SHARE) -> Floats:
+def steps_left(world: World, share: float | Floats = SHARE, layouts: slice = slice(None)) -> Floats:
     """Return the grid steps from each cell to the nearest from which a UAV collects a device well, (L, U, C, I).
 
     Well is with a ``share`` of the UAV's best probability or more; one for all, or (L, U, I). Infinite where it never
-    collects the device.
+    collects the device. L are the ``layouts`` that are asked for.
     """
     scenario = world.scenario
     with np.errstate(divide="ignore"):
         above = world.channel.snr_min[:, None, :] / world.channel.mean_snr_above()  # (L, U, I) power gain needed there
+    above = above[layouts]
     shares = np.broadcast_to(share, above.shape)
-    each = zip(world.device_positions / scenario.grid_step_m, above, shares, strict=True)
+    each = zip(world.device_positions[layouts] / scenario.grid_step_m, above, shares, strict=True)
     tables = [steps_where(scenario, gain_needed(scenario, at, least), fair) for at, least, fair in each]
     return np.stack(tables).astype(np.float32)
 
@@ -174,14 +188,14 @@ def steps_where(scenario: Scenario, needed: Floats, share: float | Floats) -> Fl
     return steps_to(good.reshape(grid)).reshape(good.shape)
 
 
-def planned_steps(world: World, plans: Sequence[PullPlan]) -> Floats:
-    """Return what takes the place of :func:`steps_left` where each layout has a plan, (L, U, C, I).
+def planned_steps(world: World, plans: Sequence[PullPlan], layouts: slice = slice(None)) -> Floats:
+    """Return what takes the place of :func:`steps_left` where each of the ``layouts`` has a plan, (L, U, C, I).
 
     They are steps / reach - log weight, so that the rule with exp(-steps) flies the plan; the steps themselves, where a
     UAV does not serve a device.
     """
     weight, reach, share = np.stack([plan.numbers for plan in plans], axis=1)  # (L, U, I) each
-    steps: Floats = steps_left(world, share) / reach[:, :, None] - np.log(weight)[:, :, None]
+    steps: Floats = steps_left(world, share, layouts) / reach[:, :, None] - np.log(weight)[:, :, None]
     return steps.astype(np.float32)
 
 
@@ -211,32 +225,33 @@ estimated_age = compiled(age_by_estimate)  # here, where compiled functions call
 
 @compiled
 def write_pulls(
-    steps: Floats, target: Ints, cells: Ints, places: Ints, in_range: Bools, period: Ints, slot: int, last_by: Ints,
-    pending: Ints, age_slots: Ints, shared: bool, pulls: Rows,
+    steps: Floats, table: Ints, target: Ints, cells: Ints, places: Ints, collecting: Bools, period: Ints, slot: int,
+    last: Ints, pending: Ints, age_slots: Ints, true_ages: bool, fresh: Floats, pulls: Rows,
 ) -> None:  # fmt: skip
     """Write (N, U, I * features): what the pull of each device is made of, for UAVs in ``cells`` (N, U).
 
-    ``target`` (T, C, 5) is that of :func:`uavaou.world.flight.targets`.
-    ``places`` (L, U, I) says which of the pulls in a row is that of a device; those below 0 are left out.
+    ``steps`` (T, U, C, I) are of T tables, and ``table`` (N, U) says by which one a UAV goes. ``target`` is that of
+    :func:`uavaou.world.flight.targets`. ``places`` (L, U, I) says which of the pulls in a row is that of a device;
+    those below 0 are left out. ``last``, ``true_ages`` and ``fresh`` are of :class:`uavaou.world.news.News`.
     """
     missions, uavs = cells.shape
     moves = target.shape[2]
     for n in range(missions):
-        layout = min(n, len(steps) - 1)
+        layout, of = min(n, len(places) - 1), min(n, len(fresh) - 1)
         for u in range(uavs):
-            table = min(u, len(target) - 1)
+            by, moved, knows = table[n, u], min(u, len(target) - 1), min(u, last.shape[1] - 1)
             for i in range(steps.shape[3]):
                 place = places[layout, u, i]
                 if place < 0:
                     continue
                 pull = pulls[n, u, (2 + moves) * place : (2 + moves) * (place + 1)]
                 k = period[layout, i]
-                if in_range[n, u, i]:  # collected in this slot
+                if collecting[n, u, i]:
                     pull[0] = 0.0
-                elif shared:
+                elif true_ages:
                     pull[0] = age_slots[n, i] + pending[n, i] + (slot % k == 0)
                 else:
-                    pull[0] = estimated_age(slot, last_by[n, u, i], k)
+                    pull[0] = estimated_age(slot, last[n, knows, i], k)
                 for move in range(moves):
-                    pull[1 + move] = steps[layout, u, target[table, cells[n, u], move], i]
-                pull[1 + moves] = shared
+                    pull[1 + move] = steps[by, u, target[moved, cells[n, u], move], i]
+                pull[1 + moves] = fresh[of, min(u, fresh.shape[1] - 1)]

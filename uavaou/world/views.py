@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import unknown
 from uavaou.scenario import Scenario
+from uavaou.world.ages import age_by_estimate
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import STEP_OF_MOVE
+from uavaou.world.news import RECENT_SLOTS, News, news
 from uavaou.world.world import World
 
 Observation = Literal["location", "local", "shared"]
@@ -31,7 +33,6 @@ ROW_FORMATS: tuple[RowFormat, ...] = ("flat", "entities")
 
 Rows = NDArray[np.float32]
 MOVES = len(STEP_OF_MOVE)
-RECENT_SLOTS = 20.0  # the scaled waiting time has its best resolution around this many slots
 
 # The features of the tokens in a local observation of entities; distances in grid steps, times in slots, scaled.
 OWN = (
@@ -46,8 +47,8 @@ DEVICE = (
     "age_over_steps", "own_part",
 )  # fmt: skip
 # What the pull of a device is made of, not scaled: the age sum in slots at the end of this slot, and the grid steps to
-# where the UAV collects the device well that each move leaves; and whether that age is the true one, which a radio link
-# tells (:mod:`uavaou.world.pull`).
+# where the UAV collects the device well that each move leaves; and how fresh its news of the others' collections is: 1
+# where that age is the true one, which a radio link tells, and 0 where it knows of its own alone (:mod:`.news`).
 PULL = ("age", "steps_stay", "steps_up", "steps_down", "steps_right", "steps_left", "shared")
 _LOCAL_TOKENS = {"own": OWN, "teammates": TEAMMATE, "devices": DEVICE, "pulls": PULL}
 
@@ -161,6 +162,7 @@ class RowViews(ABC):
     """
 
     layout: RowLayout
+    renews_parts = True  # whether UAVs that take others as lost go by the parts of the survivors (rows of entities)
 
     def __init__(self, scenario: Scenario, observation: str, collection: str, known: Sequence[str]) -> None:
         if observation not in known:
@@ -250,10 +252,19 @@ class Views(RowViews):
             at["update_period"], at["in_range"], at["since_own_collection"],
         )  # fmt: skip
         if self.observation == "shared":
-            scaled = world.positions / self._area  # (N, U, 2)
-            at["other_positions"][...] = scaled[:, self._others].reshape(world.missions, uavs, -1)
-            at["age_sum"][...] = self._age_sum(world)[:, None]
+            self._write_others(world, news(world, shared=True), at)
         return out
+
+    def _write_others(self, world: World, told: News, at: dict[str, Rows]) -> None:
+        """Write what a UAV knows of the others and of all devices."""
+        scaled = told.cells * self.scenario.grid_step_m / self._area  # (n, w, U, 2)
+        uav = np.arange(self.scenario.uavs)[:, None]
+        others = scaled[:, uav % scaled.shape[1], self._others]  # (n, U, U - 1, 2)
+        at["other_positions"][...] = others.reshape(*others.shape[:2], -1)
+        ages, knowledge = world.ages.age_slots[:, None], world.operations.knowledge  # (N, w, I)
+        if knowledge is not None:
+            ages = _estimated_age(world.slot - 1, knowledge.collected, world.update_period[:, None])
+        at["age_sum"][...] = np.sqrt(ages) / RECENT_SLOTS
 
     def state(self, world: World) -> Rows:
         """Return the global state, (N, global): positions, slots left, and age sum, pending updates, wait by device."""
@@ -273,6 +284,9 @@ class Views(RowViews):
     def _age_sum(self, world: World) -> Floats:
         # An age sum grows with the square of the waiting time; its root is linear.
         return np.sqrt(world.ages.age_slots) / RECENT_SLOTS
+
+
+_estimated_age = compiled(age_by_estimate)
 
 
 @compiled

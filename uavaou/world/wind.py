@@ -1,7 +1,8 @@
 """Wind: UAVs keep their speed over the ground, so that it changes their speed in the air.
 
 The air speed of a move along e is |nu e - w|, that of staying |w|. A move whose air speed exceeds the largest one is
-not allowed. What the way home needs is reckoned with the largest wind of the scenario.
+not allowed: directions that cannot be flown in the largest wind of the scenario are closed, so that every way out has a
+way home. What that needs is reckoned with the costliest wind.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.operations import DEVIATIONS, Wind
+from uavaou.mission_fields import DEVIATIONS, Wind
 from uavaou.scenario import Scenario
 from uavaou.world.channel import Keys, keys_of_item, uniforms
 
@@ -22,21 +23,15 @@ DIRECTIONS: Floats = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]], dtype=
 
 def mean_wind(scenario: Scenario) -> Floats:
     """The mean wind towards +x and +y, (2,) m/s; +y points to the bearing of the georeference."""
-    wind = scenario.wind or Wind()
-    bearing = 0.0 if scenario.georeference is None else math.radians(scenario.georeference.bearing_deg)
-    east, north = wind.east_m_s, wind.north_m_s
-    return np.array(
-        [
-            east * math.cos(bearing) - north * math.sin(bearing),
-            east * math.sin(bearing) + north * math.cos(bearing),
-        ]
-    )
+    place = scenario.georeference
+    return np.array((scenario.wind or Wind()).mean_m_s(0.0 if place is None else place.bearing_deg))
 
 
 def air_speeds(scenario: Scenario, wind: Floats) -> Floats:
     """Return the air speed of each of the five moves in a wind (..., 2) m/s, (..., 5) m/s."""
     speed = scenario.grid_step_m / scenario.slot_length_s
-    return np.asarray(np.linalg.norm(speed * DIRECTIONS - wind[..., None, :], axis=-1))
+    along, across = (speed * DIRECTIONS[:, axis] - wind[..., axis, None] for axis in (0, 1))  # (..., 5) m/s each
+    return np.asarray(np.sqrt(along * along + across * across))
 
 
 def largest_air_speeds(scenario: Scenario) -> Floats:
@@ -44,6 +39,22 @@ def largest_air_speeds(scenario: Scenario) -> Floats:
     mean, drawn = mean_wind(scenario), DEVIATIONS * (scenario.wind or Wind()).deviation_m_s
     corners = [mean + drawn * np.array([x, y]) for x in (-1, 1) for y in (-1, 1)]
     return np.asarray(air_speeds(scenario, np.array(corners)).max(axis=0))
+
+
+def least_air_speeds(scenario: Scenario) -> Floats:
+    """Return the least air speed of each move in any wind of the scenario, (5,) m/s."""
+    mean, drawn = mean_wind(scenario), DEVIATIONS * (scenario.wind or Wind()).deviation_m_s
+    ground = scenario.grid_step_m / scenario.slot_length_s * DIRECTIONS  # (5, 2) m/s
+    return np.asarray(np.linalg.norm(ground - ground.clip(mean - drawn, mean + drawn), axis=-1))
+
+
+def largest_energies(scenario: Scenario) -> Ints:
+    """Return the largest charge that a slot of each move costs in any wind of the scenario, (5,).
+
+    The power of a rotary wing falls with the air speed and then rises, so that it is largest at an end of a range.
+    """
+    ends = energies(scenario, least_air_speeds(scenario)), energies(scenario, largest_air_speeds(scenario))
+    return np.maximum(*ends)
 
 
 def flyable(scenario: Scenario, air_speed: Floats) -> Bools:
@@ -55,8 +66,7 @@ def flyable(scenario: Scenario, air_speed: Floats) -> Bools:
 def energies(scenario: Scenario, air_speed: Floats) -> Ints:
     """Return the charge that a slot at each air speed costs, elementwise."""
     assert scenario.energy is not None
-    cost, tau = scenario.energy.slot_energy, scenario.slot_length_s
-    return np.array([cost(float(speed), tau) for speed in air_speed.ravel()], dtype=np.int64).reshape(air_speed.shape)
+    return scenario.energy.slot_energy(air_speed, scenario.slot_length_s)
 
 
 class Weather:

@@ -20,30 +20,12 @@ from uavaou.world.compiled import compiled
 from uavaou.world.flight import STAY, STEP_OF_MOVE, Flight
 from uavaou.world.measures import Measures
 from uavaou.world.operations import Operations
+from uavaou.world.streams import packed, unpack
 
 _STATE = (
     "cells", "flown", "last_collection", "last_collection_by", "last_in_range",
     "_age_total", "_communications", "_rejected_rate", "_rejected_association",
 )  # fmt: skip
-_WORD = (1 << 64) - 1
-
-
-def _pack_stream(rng: np.random.Generator) -> NDArray[np.uint64]:
-    """Return the state of a PCG64 generator as six 64-bit words."""
-    state = rng.bit_generator.state
-    words = [state["state"]["state"], state["state"]["inc"]]
-    halves = [half for word in words for half in (word >> 64, word & _WORD)]
-    return np.array([*halves, state["has_uint32"], state["uinteger"]], dtype=np.uint64)
-
-
-def _unpack_stream(rng: np.random.Generator, packed: NDArray[np.uint64]) -> None:
-    words = [int(word) for word in packed]
-    rng.bit_generator.state = {
-        "bit_generator": "PCG64",
-        "state": {"state": words[0] << 64 | words[1], "inc": words[2] << 64 | words[3]},
-        "has_uint32": words[4],
-        "uinteger": words[5],
-    }
 
 
 @dataclass(frozen=True)
@@ -56,6 +38,9 @@ class Stepped:
     failed: Bools  # (N, U)
     sorties: Ints  # (N, U) that have begun
     battery: Floats | None  # (N, U) from 0 to 1, at the beginning of the slot; None without batteries
+    swap_left: Ints | None  # (N, U) slots that the swap of a UAV that is down still takes, with this one; or None
+    heard: Ints | None  # (N, U, U), as of World.snapshot; None without links
+    wind: Floats | None  # (N, 2) m/s; None without wind
     snr: Floats  # (N, U, I) Gamma_iu if R_iu >= R_min, else 0
     association: Association
 
@@ -186,7 +171,7 @@ class World:
             self._rejected_capacity += association.rejected_capacity
         last = self.last_collection, self.last_collection_by, self.last_in_range
         _record_collections(association.collected_by, kept, self.slot, *last)
-        fleet = self.positions, self.flown, self.failed, self.operations.sorties, self.operations.battery
+        fleet = self.positions, self.flown, *self.operations.seen()
         self.stepped = Stepped(self.slot, *fleet, self._snr_in_range, association)
         reward: Floats = -self.scenario.slot_length_s * self.ages.age_slots.sum(axis=1)
         if not self.operations.off:
@@ -209,8 +194,8 @@ class World:
         offered = self.in_range if selections is None else self.in_range & selections
         kept = self.collecting if selections is None else self.operations.kept(offered, self._snr_in_range)
         association = associate(self.in_range, self._snr_in_range, kept)
-        refused = ((offered if selections is None else selections) & ~offered).sum(axis=(1, 2))  # (N,)
-        beyond = (offered & ~kept).sum(axis=(1, 2))  # (N,)
+        refused = association.rejected_rate if selections is None else _count(selections & ~offered)  # (N,)
+        beyond = _count(offered & ~kept)  # (N,)
         return replace(association, rejected_rate=refused, rejected_capacity=beyond), kept
 
     def _check_actions(self, moves: Ints, selections: Bools | None) -> None:
@@ -283,18 +268,18 @@ class World:
             ``transmit_power`` (I,) W. Arrays are float64 or int64, and copies.
 
             Also what missions hold beside the paper's: ``failed`` (U,) bool; ``battery`` (U,) from 0 to 1 at the
-            beginning of that slot; ``heard`` (U, U) the slot that each UAV's news of each other one is of, 0 for never;
-            ``rejected_capacity`` int.
+            beginning of that slot; ``swap_left`` (U,) the slots that a swap still takes, with that one; ``heard``
+            (U, U) the slot that each UAV's news of each other one is of, 0 for never; ``wind`` (2,) m/s towards +x and
+            +y; ``rejected_capacity`` int; ``late`` (I,) bool, above the age limit.
         """
         layout, last = self.layout(mission), self.stepped
         if last is None:
             snr, none = self.snr, np.zeros(self.missions, dtype=np.int64)
             association = Association(np.full_like(self.pending, -1), none, none, none)
-            fleet = self.positions, self.flown, self.failed, self.operations.sorties, self.operations.battery
-            last = Stepped(0, *fleet, snr, association)
+            last = Stepped(0, self.positions, self.flown, *self.operations.seen(), snr, association)
         else:
             snr, association = self.channel.snr(last.positions, last.slot), last.association
-        knowledge, uavs = self.operations.knowledge, self.scenario.uavs
+        uavs = self.scenario.uavs
         return {
             "slot": last.slot,
             "positions": last.positions[mission].copy(),
@@ -312,8 +297,11 @@ class World:
             "transmit_power": layout.transmit_power,
             "failed": last.failed[mission].copy(),
             "battery": np.ones(uavs) if last.battery is None else last.battery[mission].copy(),
-            "heard": np.zeros((uavs, uavs), dtype=np.int64) if knowledge is None else knowledge.heard[mission].copy(),
+            "swap_left": np.zeros(uavs, np.int64) if last.swap_left is None else last.swap_left[mission].copy(),
+            "heard": np.zeros((uavs, uavs), np.int64) if last.heard is None else last.heard[mission].copy(),
+            "wind": np.zeros(2) if last.wind is None else last.wind[mission].copy(),
             "rejected_capacity": int(association.rejected_capacity[mission]),
+            "late": self.operations.late[mission].copy(),
         }
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
@@ -328,7 +316,7 @@ class World:
         if self.scenario.uplinks_per_slot is not None:
             arrays["rejected_capacity"] = self._rejected_capacity.copy()
         arrays |= self.operations.state()
-        arrays["streams"] = np.stack([_pack_stream(rng) for rng in self._rngs])  # (N, 6)
+        arrays["streams"] = np.stack([packed(rng) for rng in self._rngs])  # (N, 6)
         if not self._fixed_layout:
             arrays["device_positions"], arrays["update_period"] = self.device_positions, self.update_period
             arrays["bandwidth"], arrays["transmit_power"] = self.channel.bandwidth, self.channel.transmit_power
@@ -340,8 +328,8 @@ class World:
             setattr(self, name, arrays[name].copy())
         self.slot = int(arrays["slot"][0])
         self.ages.pending, self.ages.age_slots = arrays["pending"].copy(), arrays["age_slots"].copy()
-        for rng, packed in zip(self._rngs, arrays["streams"], strict=True):
-            _unpack_stream(rng, packed)
+        for rng, words in zip(self._rngs, arrays["streams"], strict=True):
+            unpack(rng, words)
         if not self._fixed_layout:
             self.device_positions, self.update_period = arrays["device_positions"], arrays["update_period"]
             self.channel.set_devices(self.device_positions, arrays["bandwidth"], arrays["transmit_power"])
@@ -377,6 +365,11 @@ class World:
         if self._limited:
             known = self.in_range, snr, self.last_in_range, self.update_period
             self.collecting = self.operations.collecting(slot, *known)
+
+
+def _count(flags: Bools) -> Ints:
+    """How many of the flags (N, U, I) of each mission are set, (N,)."""
+    return np.asarray(np.count_nonzero(flags.reshape(len(flags), -1), axis=1))
 
 
 @compiled

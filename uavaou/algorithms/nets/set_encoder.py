@@ -70,7 +70,7 @@ class SetEncoder(nn.Module):
         """Return the same for own columns (B, own), tokens of UAVs (B, V, uav) and devices (B, I, device)."""
         width = self.width
         context = th.relu(self.own(own))  # (B, w)
-        most = (th.relu(self.uav(mates)) * mates[..., :1]).amax(dim=1)  # (B, w / 2)
+        most = (th.relu(self.uav(mates)) * (mates[..., :1] > 0.5)).amax(dim=1)  # (B, w / 2)
         context = th.cat([context, most], dim=1)  # (B, 3 w / 2)
         there = tokens[..., :1]  # (B, I, 1)
         hidden = th.relu(self.device_2(th.relu(self.device(tokens)))) * there  # (B, I, w)

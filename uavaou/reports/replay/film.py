@@ -62,9 +62,7 @@ def film_frame(missions: Mapping[str, RecordedMission], slot: int) -> NDArray[np
 
 def _map(mission: RecordedMission, slot: int) -> NDArray[np.uint8]:
     recording = mission.recording
-    fields = ("positions", "collected_by", "age_sum")
-    snapshot: dict[str, Any] = {"slot": slot} | {name: getattr(recording, name)[slot - 1] for name in fields}
-    return render_frame(mission.scenario, recording.layout, snapshot, recording.positions)
+    return render_frame(mission.scenario, recording.layout, mission.snapshot(slot), recording.positions)
 
 
 def _label(text: str) -> NDArray[np.uint8]:

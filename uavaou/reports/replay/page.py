@@ -25,12 +25,21 @@ from uavaou.files import read_text, write_text
 from uavaou.reports import style
 from uavaou.scenario import Scenario
 from uavaou.world.coverage import drawn_radius
+from uavaou.world.links import SILENCE_SLOTS
 
 STUDY_REPLAY = "replay.html"
 _CONTENT = re.compile(r'<script type="application/json" id="mission">(.*?)</script>', re.DOTALL)
 _MOST_BYTES = 100_000_000
 _WEB = Path(__file__).parent / "web"
-_SCRIPTS = ("mission", "colours", "map", "chart", "table", "player")  # each uses what those before it define
+_SCRIPTS = (
+    "mission",
+    "operations",
+    "colours",
+    "map",
+    "chart",
+    "table",
+    "player",
+)  # each uses what those before it define
 
 
 def write_replay(path: Path, missions: Mapping[str, RecordedMission]) -> None:
@@ -107,6 +116,7 @@ def replay_content(missions: Mapping[str, RecordedMission]) -> dict[str, Any]:
             "coverage_m": _rounded(drawn_radius(scenario, layout)),
         },
         **_field(scenario),
+        **({"operations": operations} if (operations := _operations(scenario)) else {}),
         "policies": [{"name": label} | _packed_mission(mission) for label, mission in missions.items()],
     }
 
@@ -125,6 +135,22 @@ def _field(scenario: Scenario) -> dict[str, Any]:
         with suppress(InputError):  # pyproj is not installed: the page has metres alone
             field["corners_deg"] = Projection(scenario.georeference).to_degrees(corners).round(9).tolist()
     return {name: value for name, value in field.items() if value not in (None, [], ())}
+
+
+def _operations(scenario: Scenario) -> dict[str, Any]:
+    """Which items of a mission beside the paper's are on, with their limits; empty where none is."""
+    items = {
+        "batteries": scenario.energy is not None,
+        "stations_m": [place for place in scenario.stations_m or () if place not in scenario.cds_m],
+        "failures": bool(scenario.failures or scenario.failure_probability_per_slot),
+        "silent": bool(scenario.devices_silent),
+        "links": scenario.links is not None,
+        "wind": scenario.wind is not None,
+        "capacity": scenario.uplinks_per_slot,
+        "age_limit_s": scenario.age_limit_s,
+    }
+    shown = {name: value for name, value in items.items() if value}
+    return shown | ({"silence_slots": scenario.silence_slots or SILENCE_SLOTS} if "links" in shown else {})
 
 
 def check_one_mission(missions: Mapping[str, RecordedMission]) -> None:
@@ -174,7 +200,27 @@ def _packed_mission(mission: RecordedMission) -> dict[str, str]:
     # Most ages grow by the same number as in the slot before, so that second differences are mostly 0.
     start = np.zeros((2, mission.age_slots.shape[1]), dtype=np.int64)  # (2, I)
     bends = np.diff(np.concatenate([start, mission.age_slots]), n=2, axis=0)  # (K, I)
-    return {"cells": _packed(cells), "carried_by": _packed(carried_by), "age_bends": _packed(bends)}
+    packed = {"cells": cells, "carried_by": carried_by, "age_bends": bends} | _packed_operations(mission)
+    return {name: _packed(values) for name, values in packed.items()}
+
+
+def _packed_operations(mission: RecordedMission) -> dict[str, ArrayLike]:
+    """What ``web/operations.js`` shows: batteries in thousandths, wind in dm/s, the age of news in slots."""
+    scenario, recording = mission.scenario, mission.recording
+    silence = scenario.silence_slots or SILENCE_SLOTS
+    found: dict[str, Any] = {
+        "battery": None if recording.battery is None else np.rint(1000 * recording.battery),  # (K, U)
+        "swap_left": recording.swap_left,  # (K, U)
+        "failed": recording.failed,  # (K, U)
+        "wind": None if recording.wind is None else np.rint(10 * recording.wind),  # (K, 2)
+        "beyond": recording.rejected_capacity,  # (K,)
+        "late": mission.late,  # (K, I)
+        "silent": mission.silent if scenario.devices_silent else None,  # (K, I)
+    }
+    if recording.heard is not None:
+        slot = np.arange(1, scenario.slots + 1)[:, None, None]  # (K, 1, 1)
+        found["news"] = np.minimum(slot - recording.heard, silence)  # (K, U, U)
+    return {name: values for name, values in found.items() if values is not None}
 
 
 def _packed(values: ArrayLike) -> str:

@@ -93,13 +93,21 @@ class AouChart {
     this.holder.innerHTML = `<svg role="img" aria-labelledby="chart-title" viewBox="0 0 ${width} ${height}" style="height: ${height}px">
       <clipPath id="past"><rect x="0" y="-10" width="0" height="${height + 10}"/></clipPath>
       <clipPath id="ahead"><rect x="0" y="-10" width="${width}" height="${height + 10}"/></clipPath>
-      ${rows.join("")}${below.join("")}${lines.join("")}${labels.join("")}
+      ${rows.join("")}${below.join("")}${this.events()}${lines.join("")}${labels.join("")}
       <line class="cursor" y1="0" y2="${this.base}"/>${dots.join("")}</svg>`;
     if (roomy) this.holder.querySelectorAll(".label").forEach((label, k) => { label.textContent = short(this.flights[k].name); });
     [this.past, this.ahead] = ["#past", "#ahead"].map((side) => this.holder.querySelector(`${side} rect`));
     this.cursor = this.holder.querySelector(".cursor");
     this.dots = [...this.holder.querySelectorAll(".at")];
     if (this.time) this.show(this.time);
+  }
+
+  /** A line at each failure and repair. */
+  events() {
+    const all = this.flights.flatMap((flight) => flight.seen.events).filter((one) => one.kind !== "swap");
+    const slots = new Map(all.map((one) => [`${one.kind} ${one.slot}`, one])).values();
+    return [...slots].map(({ kind, slot }) => `<line class="event ${kind}" x1="${this.x(slot)}" x2="${this.x(slot)}" y1="0" y2="${this.base}"/>
+      <text x="${this.x(slot) + 3}" y="9">${kind}</text>`).join("");
   }
 
   /** Heights for the labels at the right end: near their lines, and apart from each other. */

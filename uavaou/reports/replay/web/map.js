@@ -63,9 +63,11 @@ class FleetMap {
     if (view.chosen >= 0) this.drawReach(pen, view.chosen);
     if (view.layers.trails) this.drawTrails(pen, time);
     if (view.layers.links) this.drawLinks(pen, time, view);
+    if (this.mission.operations.links && view.layers.messages) drawNews(this, pen, time);
     this.drawDevices(pen, slot, view);
     this.drawPulses(pen, time, view);
-    for (let u = 0; u < this.mission.uavs; u++) this.drawUav(pen, u, this.spot(time, u));
+    for (let u = 0; u < this.mission.uavs; u++) this.drawUav(pen, u, this.spot(time, u), slot);
+    if (this.mission.operations.wind) drawWind(this, pen, slot);
     if (view.chosen >= 0) this.drawName(pen, view.chosen, slot);
   }
 
@@ -84,6 +86,7 @@ class FleetMap {
     this.drawGrid(pen);
     this.drawZones(pen);
     this.drawStations(pen);
+    drawSwapStations(this, pen);
     this.drawScale(pen);
     this.drawNorth(pen);
     return this.ground;
@@ -288,13 +291,15 @@ class FleetMap {
       const at = [this.x(x[i]), this.y(y[i])];
       pen.beginPath();
       pen.arc(...at, radius, 0, 2 * Math.PI);
-      pen.fillStyle = this.theme.age(age);
+      const silent = this.flight.seen.isSilent(slot, i);
+      pen.fillStyle = silent ? this.theme.field : this.theme.age(age);
       pen.fill();
       pen.strokeStyle = this.theme.rim;
       pen.globalAlpha = 0.8;
-      pen.lineWidth = 0.9;
+      pen.lineWidth = silent ? 1.6 : 0.9;
       pen.stroke();
       pen.globalAlpha = 1;
+      if (this.flight.seen.isLate(slot, i)) drawLate(this, pen, at, radius);
       if (!view.layers.numbers) continue;
       pen.fillStyle = this.theme.soft;
       pen.fillText(this.mission.named ? this.mission.deviceName(i) : String(i), at[0] + radius + 2, at[1] - radius + 1);
@@ -322,15 +327,16 @@ class FleetMap {
     pen.globalAlpha = 1;
   }
 
-  /** A quadcopter with its number. */
-  drawUav(pen, u, [x, y]) {
+  /** A quadcopter with its number; a failed one is grey. */
+  drawUav(pen, u, [x, y], slot) {
+    const failed = this.flight.seen.hasFailed(slot, u);
     const size = this.unit;
     pen.save();
     pen.translate(x, y);
     pen.shadowColor = this.theme.dark ? "#000a" : "#0005";
     pen.shadowBlur = 5 * this.dense;
     pen.shadowOffsetY = 2 * this.dense;
-    pen.fillStyle = pen.strokeStyle = this.theme.uav(u);
+    pen.fillStyle = pen.strokeStyle = failed ? this.theme.soft : this.theme.uav(u);
     pen.lineWidth = 2.4 * size;
     pen.beginPath();
     for (const [dx, dy] of [[1, 1], [-1, 1]]) {
@@ -354,12 +360,13 @@ class FleetMap {
     pen.strokeStyle = this.theme.field;
     pen.lineWidth = 1.3 * size;
     pen.stroke();
-    pen.fillStyle = this.theme.onUav(u);
+    pen.fillStyle = failed ? this.theme.field : this.theme.onUav(u);
     pen.font = `700 ${Math.round(10.5 * size)}px system-ui, sans-serif`;
     pen.textAlign = "center";
     pen.textBaseline = "middle";
     pen.fillText(String(u), 0, 0.6 * size);
     pen.restore();
+    drawCondition(this, pen, slot, u, [x, y]);
   }
 
   // -- the chosen device ---------------------------------------------------------------------------------
@@ -415,7 +422,8 @@ class FleetMap {
     const { uavs, slots } = this.mission;
     const places = Array.from({ length: uavs }, (_, u) => {
       const [x, y] = this.flight.place(slot, u);
-      return `${this.mission.uavName(u)} at ${whole.format(x)}, ${whole.format(y)} m`;
+      const state = this.flight.seen.state(slot, u);
+      return `${this.mission.uavName(u)} at ${whole.format(x)}, ${whole.format(y)} m${state && `, ${state}`}`;
     });
     return `Map of ${this.flight.name}, slot ${slot} of ${slots}: ${places.join("; ")}`;
   }

@@ -33,7 +33,7 @@ class Flight {
     const [cells, carriedBy, bends] = await Promise.all(
       [content.cells, content.carried_by, content.age_bends].map(unpack));
     const ages = sumDown(sumDown(bends, mission.devices), mission.devices);
-    return new Flight(content.name, mission, cells, carriedBy, ages);
+    return Object.assign(new Flight(content.name, mission, cells, carriedBy, ages), { seen: await Seen.read(content, mission) });
   }
 
   constructor(name, mission, cells, carriedBy, ages) {
@@ -107,7 +107,7 @@ async function readMission() {
     altitudes: content.altitudes_m, uavs: content.cds_m.length, devices: content.devices.x_m.length,
     x: content.devices.x_m, y: content.devices.y_m, periods: content.devices.update_period_slots,
     coverage: content.devices.coverage_m, outline: content.outline_m, zones: content.zones ?? [],
-    bearing: content.bearing_deg, corners: content.corners_deg,
+    bearing: content.bearing_deg, corners: content.corners_deg, operations: content.operations ?? {},
   };
   mission.deviceName = (i) => content.device_names?.[i] ?? `Device ${i}`;
   mission.uavName = (u) => content.uav_names?.[u] ?? `UAV ${u}`;

@@ -14,7 +14,7 @@ class Player {
     this.playing = false;
     this.loop = false;
     this.speed = SPEEDS.find((speed) => mission.slots / speed <= WATCHED_S) ?? SPEEDS.at(-1);
-    this.view = { layers: { coverage: true, trails: true, links: true, numbers: false }, chosen: -1 };
+    this.view = { layers: { coverage: true, trails: true, links: true, messages: true, numbers: false }, chosen: -1 };
     this.describe();
     this.maps = mission.flights.map((flight, k) => this.addMap(flight, k));
     this.chart = new AouChart(byId("chart"), mission, (slot) => this.seek(slot));
@@ -42,6 +42,8 @@ class Player {
     ].join(" · ");
     byId("scrub").max = slots;
     byId("of").textContent = `of ${whole.format(slots)}`;
+    markEvents(byId("marks"), this.mission);
+    for (const element of document.querySelectorAll("[data-item]")) element.hidden = !this.mission.operations[element.dataset.item];
     for (const speed of SPEEDS) append(byId("speed"), "option", "", `${speed} ${speed === 1 ? "slot" : "slots"}/s`).value = speed;
   }
 
@@ -54,6 +56,7 @@ class Player {
     const aou = append(head, "p", "aou", "AoU ");
     const now = append(aou, "strong");
     const more = append(card, "p", "more");
+    const fleet = new FleetRows(card, flight);
     const ground = append(card, "div", "ground");
     const canvas = append(ground, "canvas");
     canvas.setAttribute("role", "img");
@@ -69,7 +72,7 @@ class Player {
       where.textContent = map.where(event.clientX - box.left, event.clientY - box.top);
     });
     canvas.addEventListener("pointerleave", () => { where.textContent = ""; });
-    return Object.assign(map, { now, more });
+    return Object.assign(map, { now, more, fleet });
   }
 
   connect() {
@@ -202,6 +205,7 @@ class Player {
   showFigures(map, slot) {
     const { flight } = map;
     map.slot = slot;
+    map.fleet.show(slot);
     map.now.textContent = whole.format(flight.aou[slot - 1]);
     map.more.textContent = `mean so far ${inWords(flight.aouSum[slot - 1] / slot)}, whole mission ${inWords(flight.meanAou)} slots (${inTime(this.mission, flight.meanAou)})\n`
       + `${flight.served[slot - 1]} of ${this.mission.devices} devices, ${whole.format(flight.communications[slot - 1])} communications`;
@@ -245,7 +249,7 @@ class Player {
     bar.replaceChildren();
     bar.style.background = this.theme.gradient();
     bar.setAttribute("aria-label", `from 1 to ${whole.format(oldest)} slots, on a scale of ratios; larger with age`);
-    for (const age of [1, ...powers.filter((power) => this.theme.share(power) < 0.8), oldest]) {
+    for (const age of [1, ...powers.filter((power) => this.theme.share(power) < (oldest < 1e5 ? 0.8 : 0.7)), oldest]) {
       const dot = append(bar, "i");
       dot.style.width = dot.style.height = `${2 * this.theme.radius(age)}px`;
       dot.style.background = this.theme.age(age);

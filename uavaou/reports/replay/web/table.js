@@ -55,7 +55,9 @@ class DeviceTable {
     this.slot = slot;
     const found = this.flight.devicesAt(slot);
     for (const one of found) {
-      const { cells, chip } = this.rows[one.device];
+      const { row, cells, chip } = this.rows[one.device];
+      row.classList.toggle("late", this.flight.seen.isLate(slot, one.device));
+      row.classList.toggle("silent", this.flight.seen.isSilent(slot, one.device));
       COLUMNS.forEach((column, k) => { if (column.text) cells[k].textContent = column.text(one); });
       chip.style.background = this.theme.age(one.age);
     }

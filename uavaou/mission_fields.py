@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
+from uavaou.arrays import Floats, Ints
 from uavaou.errors import nearest
 from uavaou.fields import Fraction, NonNegative, Number, Positive, PositiveWhole, Whole
 from uavaou.zones import StrictMapping
@@ -18,7 +20,14 @@ FULL = 10**9  # of a battery; charges are whole numbers, so that what is left is
 DEVIATIONS = 3.0  # from its mean, to which drawn wind is cut
 _MOST_LISTED = 100_000
 _HOVER_W = 168.49  # Zeng, Xu and Zhang 2019: blade profile and induced power of a hovering rotary-wing UAV
+_FASTEST_M_S = 1e4  # a power that no battery has
 _BLADE_SHARE = 79.86 / _HOVER_W  # of it; the rest is induced
+
+
+def _charge(share: Floats) -> Ints:
+    """Shares of a battery in parts of ``FULL``, rounded down: an endurance of whole slots is one of so many."""
+    most = 2.0  # batteries: too much anyway
+    return np.asarray(np.maximum(np.floor(FULL * np.minimum(share, most)), 1), dtype=np.int64)
 
 
 class Endurance(StrictMapping):
@@ -28,9 +37,9 @@ class Endurance(StrictMapping):
     endurance_s: Positive
     reserve: Annotated[Fraction, Field(lt=1)] = 0.1  # of a full battery, that stays in it
 
-    def slot_energy(self, air_speed_m_s: float, slot_length_s: float) -> int:
-        """The charge that a slot in the air costs, of ``FULL``."""
-        return math.ceil(FULL * slot_length_s / self.endurance_s)
+    def slot_energy(self, air_speed_m_s: Floats, slot_length_s: float) -> Ints:
+        """The charge that a slot in the air costs, of ``FULL``, elementwise."""
+        return _charge(np.full_like(air_speed_m_s, slot_length_s / self.endurance_s))
 
 
 class RotaryWing(StrictMapping):
@@ -46,22 +55,32 @@ class RotaryWing(StrictMapping):
     parasite_w_per_m3_s3: NonNegative = 0.00924  # d0 rho s A / 2
     reserve: Annotated[Fraction, Field(lt=1)] = 0.1
 
-    def power_w(self, air_speed_m_s: float) -> float:
-        """The power in flight at an air speed."""
+    def power_w(self, air_speed_m_s: Floats) -> Floats:
+        """The power in flight at air speeds, elementwise."""
+        air_speed_m_s = np.minimum(air_speed_m_s, _FASTEST_M_S)
         square = air_speed_m_s**2
         half = square / (2 * self.induced_velocity_m_s**2)
         blades = _BLADE_SHARE * (1 + 3 * square / self.tip_speed_m_s**2)
-        induced = (1 - _BLADE_SHARE) * math.sqrt(math.sqrt(1 + half**2) - half)
-        return self.hover_w * (blades + induced) + self.parasite_w_per_m3_s3 * air_speed_m_s**3
+        induced = (1 - _BLADE_SHARE) * np.sqrt(np.sqrt(1 + half**2) - half)
+        return np.asarray(self.hover_w * (blades + induced) + self.parasite_w_per_m3_s3 * (square * air_speed_m_s))
 
-    def slot_energy(self, air_speed_m_s: float, slot_length_s: float) -> int:
-        """The charge that a slot in the air costs, of ``FULL``."""
-        return math.ceil(FULL * self.power_w(air_speed_m_s) * slot_length_s / (3600 * self.battery_wh))
+    def slot_energy(self, air_speed_m_s: Floats, slot_length_s: float) -> Ints:
+        """The charge that a slot in the air costs, of ``FULL``, elementwise."""
+        return _charge(self.power_w(air_speed_m_s) * slot_length_s / (3600 * self.battery_wh))
 
 
 def _model_named(value: Any) -> Any:
-    named = isinstance(value, dict) and "model" not in value and "endurance_s" in value
-    return {"model": "endurance"} | value if named else value
+    if value is None or isinstance(value, Endurance | RotaryWing):
+        return value
+    expected = "expected {endurance_s: 25 min} or {model: rotary-wing, battery_wh: 80}"
+    if not isinstance(value, dict):
+        raise ValueError(expected)
+    model = value.get(
+        "model", "endurance" if "endurance_s" in value else "rotary-wing" if "battery_wh" in value else ""
+    )
+    if model not in ("endurance", "rotary-wing"):
+        raise ValueError(f"{expected}{nearest(str(model), ('endurance', 'rotary-wing'))}")
+    return {"model": model} | value
 
 
 Energy = Annotated[
@@ -83,7 +102,10 @@ class Failure(StrictMapping):
 
 
 class Silence(StrictMapping):
-    """A device that is silent from a slot on, until another one or for ever; from slot 0 on, it appears later."""
+    """A device that is silent from a slot on, until another one or for ever; from slot 0 on, it appears later.
+
+    In files, ``start`` is called ``from``.
+    """
 
     device: Annotated[Whole, Field(ge=0)]
     start: Annotated[Whole, Field(ge=0)]
@@ -92,8 +114,11 @@ class Silence(StrictMapping):
     @model_validator(mode="before")
     @classmethod
     def _as_in_files(cls, value: Any) -> Any:
-        named = isinstance(value, dict) and "from" in value and "start" not in value
-        return {"start" if name == "from" else name: part for name, part in value.items()} if named else value
+        if not isinstance(value, dict) or "start" in value:
+            return value
+        if "from" not in value:
+            raise ValueError("from is missing, such as in {device: 3, from: 100, until: 200}")
+        return {"start" if name == "from" else name: part for name, part in value.items()}
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -146,6 +171,12 @@ class Wind(StrictMapping):
     north_m_s: Annotated[Number, Field(ge=-100, le=100)] = 0.0
     deviation_m_s: Annotated[NonNegative, Field(le=30)] = 0.0  # of each component
     correlation: Annotated[NonNegative, Field(lt=1)] = 0.9  # from slot to slot
+
+    def mean_m_s(self, bearing_deg: float) -> tuple[float, float]:
+        """The mean wind towards +x and +y of a map whose +y points to a bearing."""
+        bearing, east, north = math.radians(bearing_deg), self.east_m_s, self.north_m_s
+        cosine, sine = math.cos(bearing), math.sin(bearing)
+        return east * cosine - north * sine, east * sine + north * cosine
 
 
 Objective = Literal["aou", "aoi", "peak", "above-limit"]
