@@ -49,6 +49,7 @@ PAGES = (
     "docs/figures",
     "docs/model",
     "docs/on-board",
+    "docs/operations",
     "docs/own-field",
     "docs/replay",
     "docs/routes",

@@ -51,7 +51,7 @@ def test_cells_in_reach_are_those_of_a_search_over_all_flights() -> None:
     full = int(24 * 0.9)
     stations = [tuple(cell) for cell in scenario.station_cells.tolist()]
     for u, home in enumerate(map(tuple, scenario.cds_cells.tolist())):
-        legs = int(float(world.operations.battery[0, u]) * 24 - 0.1 * 24)  # type: ignore[index]
+        legs = int(float(world.operations.batteries.charge[0, u]) * 24e-9 - 0.1 * 24)  # type: ignore[union-attr]
         begin = (*world.cells[0, u].tolist(), legs, int(state["down"][0, u]))
         first: dict[tuple[int, int], int] = {}
         front, seen, slot = {begin}, set(), 0

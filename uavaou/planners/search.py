@@ -376,12 +376,11 @@ def _propose(routes: Ints, uav: int, trial: Ints, between: Pair, grid: Grid, rng
 
 @compiled_fast
 def _keeps_swaps(route: Ints, trial: Ints, first: int, end: int, stations: Bools) -> bool:
-    before = route[first - 1]
+    before, away = route[first - 1], len(stations)
     for t in range(first, end + 1):
         there = trial[t] if t < end else route[t]
-        if there >= len(stations) or route[t] >= len(stations) or before >= len(stations):
-            return False
-        if there == before and stations[there] and (t == end or there != route[t] or before != route[t - 1]):
+        kept = t < end and there == route[t] and before == route[t - 1]
+        if max(before, there, route[t]) >= away or (there == before and stations[there] and not kept):
             return False
         before = there
     return True

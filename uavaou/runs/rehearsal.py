@@ -24,6 +24,7 @@ from uavaou.evaluation.seeds import REHEARSAL_SEEDS
 from uavaou.planners import make_planner
 from uavaou.planners.anneal import Anneal
 from uavaou.planners.base import Planner
+from uavaou.planners.plain import ignored
 from uavaou.planners.plan import RoutePlan
 from uavaou.planners.rolling import Rolling
 from uavaou.planners.tuned import LocalGreedyTuned, load_kernels
@@ -171,8 +172,8 @@ class _Rehearsal:
 
     def result(self, folder: Path | None) -> Rehearsal:
         fixed = self.scenario.layout == "fixed"
-        for name in AT_ONCE:
-            self._enter_by_name(name)
+        for name in sorted(AT_ONCE, key=lambda name: bool(ignored(make_planner(name), self.scenario))):
+            self._enter_by_name(name)  # one that lives with all that the missions hold comes first, at any time
         for name, share in _AHEAD.items() if fixed else ():
             self._plan_ahead(name, share)
         self._roll()
