@@ -130,44 +130,6 @@ def test_named_rewards_by_hand() -> None:
     assert training_reward(world, "root")[0] == pytest.approx(-np.sqrt(ages).sum() / 8 / 5, rel=1e-6)
 
 
-EVERYTHING = {
-    "slots": 40, "uplinks_per_slot": 1, "energy": {"endurance_s": 120}, "swap_time_s": 20,
-    "links": {"probability": 0.5}, "silence_slots": 3,
-    "failures": [{"uav": 1, "slot": 8, "until": 20}, {"uav": 0, "slot": 30}],
-    "devices_silent": [{"device": 0, "from": 5}], "wind": {"east_m_s": 2, "deviation_m_s": 1}, "age_limit_s": 60,
-    "air_speed_max_m_s": 25, "device_weights": [1, 2, 3, 4],
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("objective", ["aou", "aoi", "peak", "above-limit"])
-def test_missions_with_everything_keep_the_interface(objective: str) -> None:
-    scenario = Scenario.load("tiny").replace(**EVERYTHING, objective=objective)
-    settings = {"scenario": scenario, "observation": "shared", "rows": ("flat", "entities")[objective == "aoi"]}
-    parallel_api_test(uavaou_v0.parallel_env(**settings), num_cycles=60)
-    parallel_seed_test(lambda: uavaou_v0.parallel_env(**settings))
-    api_test(uavaou_v0.env(**settings), num_cycles=90)
-    env = uavaou_v0.parallel_env(**settings, collection="auto")
-    env.reset(seed=1)
-    world, rng, rewards, absent = env.world, np.random.default_rng(0), [], 0
-    while env.agents:
-        for u in range(2):
-            mask = np.array(env.views.local(world)[0, u, env.views.layout.local_columns("allowed_moves")])
-            assert mask.any()
-            if world.operations.absent[0, u]:
-                absent += 1
-                np.testing.assert_array_equal(mask, [1, 0, 0, 0, 0])
-                assert not world.in_range[0, u].any()
-        moves = {agent: int(rng.integers(5)) for agent in env.agents}
-        given = env.step(moves)[1]
-        rewards.append(given["uav_0"])
-        x, w = world.operations.information.objective(world.ages.age_slots), world.operations.information.weights
-        assert given["uav_1"] == pytest.approx(-world.scenario.slot_length_s * (x * w).sum())
-        assert training_reward(world, "root")[0] == pytest.approx(-(np.sqrt(x) * w).sum() / 4 / 5, rel=1e-5)
-        assert training_reward(world, "aou")[0] == pytest.approx(-(x * w).sum() / 4 / 20, rel=1e-5)
-    assert len(rewards) == 40
-    assert absent > 20
-
-
 @pytest.mark.parametrize(
     ("name", "draws", "most"),
     [
