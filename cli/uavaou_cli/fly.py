@@ -125,7 +125,7 @@ def fly(
         writable_file(json)
     notes: list[Path] = []
     ages: dict[str, Floats] = {}
-    planned: dict[str, float] = {}
+    planned: dict[str, Planner] = {}
     if policy == AUTO:
         rehearsal = rehearse_in(flown, seconds, knows, folder, quiet)
         show(rehearsal_lines(rehearsal))

@@ -107,7 +107,7 @@ def write_routes(
     scenario: Scenario,
     name: str,
     policy: Planner,
-    planned: Mapping[str, float],
+    planned: Mapping[str, Planner],
     forms: Sequence[str],
     folder: Path,
     episodes: int = EPISODES,
@@ -120,7 +120,8 @@ def write_routes(
         scenario: of one layout.
         name: of the policy.
         policy: that flies.
-        planned: the mean AoU in slots of policies that were planned to be flown open loop, by name.
+        planned: policies that were planned to be flown open loop, by name. Where the routes of one of them have a lower
+            expected mean AoU than those of the policy, they are written.
         forms: of ``uavaou.field.route_files.FORMATS``.
         folder: of the files.
         episodes: missions that policy and routes fly.
@@ -134,21 +135,32 @@ def write_routes(
 
     with EvaluationDisplay(quiet, [name], MISSIONS * scenario.slots) as display:
         display.start(name)
-        plan = best_routes(policy, name, scenario, display.after_slot)
+        own = best_routes(policy, name, scenario, display.after_slot)
+    plans = {_OPEN_LOOP: own} | {
+        f"routes of {other}": best_routes(planner, other, scenario)
+        for other, planner in planned.items()
+        if other != name
+    }
+    routes, plan = min(plans.items(), key=lambda item: item[1].mean_aou_s)
     policies: dict[str, Planner] = {name: policy}
-    if not isinstance(policy, RoutePlanner):
-        policies[_OPEN_LOOP] = SavedRoutes(plan, scenario, folder / _PLAN)
+    if plan is not own or not isinstance(policy, RoutePlanner):
+        policies[routes] = SavedRoutes(plan, scenario, folder / _PLAN)
     with EvaluationDisplay(quiet, list(policies), episodes * scenario.slots) as display:
         results = compare(policies, scenario, episodes, seed, display).results
     show([f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}", ""])
-    show(_cost_lines(results, scenario.slot_length_s / 60, planned))
+    show(_cost_lines(results, scenario.slot_length_s / 60))
+    if plan is not own:
+        worse = figure(own.mean_aou_s / scenario.slot_length_s)
+        show(
+            [*paragraphs([f"The files hold the {routes}: those of {name} would have {worse} slots open loop."])[1:], ""]
+        )
     _write(scenario, plan, forms, folder)
 
 
 def _policy(
     policy: str, scenario: Scenario, seconds: float, knows: str, folder: Path, quiet: bool
-) -> tuple[str, Planner, dict[str, float]]:
-    """The policy, with its name, and the mean AoU in slots of what was planned for open loop in a rehearsal."""
+) -> tuple[str, Planner, dict[str, Planner]]:
+    """The policy, with its name, and what was planned for open loop in a rehearsal."""
     from uavaou.runs.comparison import beyond_training, make_policy
 
     if policy != AUTO:
@@ -161,7 +173,7 @@ def _policy(
     return rehearsal.served.name, rehearsal.served.policy, rehearsal.open_loop
 
 
-def _cost_lines(results: Mapping[str, Evaluation], minutes: float, planned: Mapping[str, float]) -> list[str]:
+def _cost_lines(results: Mapping[str, Evaluation], minutes: float) -> list[str]:
     """The mean AoU of the policy and of its routes, and their difference in common missions; a slot has ``minutes``."""
     from uavaou.statistics import interval_over_missions
 
@@ -179,12 +191,7 @@ def _cost_lines(results: Mapping[str, Evaluation], minutes: float, planned: Mapp
         ends = "" if isnan(cost.low) else f"; 95 % interval of the difference {figure(cost.low)} to {figure(cost.high)}"
         word = "lower" if cost.value < 0 else "higher"
         texts.append(f"Open loop, without what the policy hears, the mean AoU is {much} {word}{ends}.")
-        texts += [
-            f"{name} plans routes for open loop and had {figure(mean)} slots in the rehearsal: --policy {name}."
-            for name, mean in planned.items()
-            if mean < interval_over_missions(routes).low
-        ]
-        if not planned and cost.low > 0:
+        if cost.low > 0 and _OPEN_LOOP in ages:
             texts.append("anneal plans routes for open loop: compare --policy anneal.")
     return [*aligned(rows), *paragraphs(texts or ["The policy flies these routes in every mission."]), ""]
 

@@ -106,9 +106,9 @@ class Rehearsal:
         return len(self.candidates) == 1 or _is_behind(self.candidates[1], self.served)
 
     @property
-    def open_loop(self) -> dict[str, float]:
-        """The mean AoU in slots of those whose routes were planned to be flown without hearing anything."""
-        return {one.name: one.mean.value for one in self.candidates if one.knows == "nothing"}
+    def open_loop(self) -> dict[str, Planner]:
+        """Those whose routes were planned to be flown without hearing anything, by name."""
+        return {one.name: one.policy for one in self.candidates if one.knows == "nothing"}
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for a JSON file."""
