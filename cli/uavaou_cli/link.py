@@ -26,7 +26,7 @@ def link(
         str, typer.Argument(metavar="URL", help="Of the autopilot: udp://0.0.0.0:14540, serial:///dev/ttyACM0:57600.")
     ],
     scenario: Annotated[str, option("The map: a YAML file with a georeference.")],
-    uav: Annotated[int, number("Which UAV of the scenario this aircraft is, from 1.", 1)] = 1,
+    uav: Annotated[int, number("Which UAV of the scenario this aircraft is, from 0 as in its route files.", 0)] = 0,
     policy: Annotated[
         str, option("A released policy, a run's folder, or a folder that `uavaou export` wrote.", "RUN")
     ] = "any-map",
@@ -65,13 +65,13 @@ def link(
     projection = Projection.of(flown)
     folder = out or Path("results") / scenario_folder(flown) / "link"
     writable_folder(folder)
-    path = folder / f"uav-{uav}.csv"
-    if uav > flown.uavs:
-        raise InputError(f"--uav {uav}: scenario '{flown.name}' has UAVs from 1 to {flown.uavs}")
-    pilot = make_pilot(policy, flown, uav - 1, folder / "policy")
+    path = folder / f"uav_{uav}.csv"
+    if uav >= flown.uavs:
+        raise InputError(f"--uav {uav}: scenario '{flown.name}' has UAVs from 0 to {flown.uavs - 1}")
+    pilot = make_pilot(policy, flown, uav, folder / "policy")
     names = [flown.device_name(device) for device in range(flown.devices)]
     simulated, entries = devices == "simulated", list[Entry]()
-    radio = simulated_radio(flown, uav - 1, seed) if simulated else reported_radio(sys.stdin, names)
+    radio = simulated_radio(flown, uav, seed) if simulated else reported_radio(sys.stdin, names)
 
     def note(entry: Entry) -> None:
         entries.append(entry)

@@ -27,7 +27,7 @@ def test_a_field_is_imported_and_flown(capsys: pytest.CaptureFixture[str]) -> No
     assert "guessed: a radio of 802.15.4 (--radio)" in out
     assert "guessed: a battery" not in out
     scenario = Scenario.load("field/scenario.yaml")
-    assert (scenario.uavs, scenario.devices, scenario.slots, len(scenario.no_fly or ())) == (2, 18, 90, 2)
+    assert (scenario.uavs, scenario.devices, scenario.slots, len(scenario.no_fly or ())) == (2, 18, 88, 2)
     assert scenario.device_name(6) == "greenhouse"
     assert min(Image.open("field/map.png").size) > 500
     assert main(["import", str(SENSORS)]) == 2

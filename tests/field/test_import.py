@@ -131,9 +131,12 @@ def test_swapped_degrees_are_named_and_mended(tmp_path: Path) -> None:
     survey = survey_of(tmp_path, taipei, "a.geojson")
     assert latitudes(survey) == [(25.04, 121.51), (25.05, 121.52)]
     assert "swapped back (feature 1: latitude = 121.51" in survey.notes[0]
-    survey = survey_of(tmp_path, "lat,lon\n7.2210,46.1012\n7.2215,46.1013\n", stations=[(46.1, 7.2)])
-    assert latitudes(survey)[0] == (46.1012, 7.221)
+    taipei = json.dumps({"type": "MultiPoint", "coordinates": [[25.04, 51.51], [25.05, 51.52]]})
+    survey = survey_of(tmp_path, taipei, "a.geojson", stations=[(25.04, 51.5)])
+    assert latitudes(survey)[0] == (25.04, 51.51)
     assert "they lie far from the others" in survey.notes[0]
+    with pytest.raises(InputError, match=r"one of the two has latitude and longitude swapped: 7\.2,46\.1 would lie"):
+        survey_of(tmp_path, "lat,lon\n7.2210,46.1012\n7.2215,46.1013\n", stations=[(46.1, 7.2)])
 
 
 def test_a_field_across_the_antimeridian(tmp_path: Path) -> None:
@@ -185,7 +188,11 @@ def test_the_grid_fits_radio_stations_and_zones(tmp_path: Path) -> None:
     found = field_of(survey, radius_m=260.0, uavs=3, speed_m_s=20.0, endurance_s=1200.0)
     fields = found.fields
     assert fields["grid_step_m"] == 100  # at most 0.4 radii
-    assert (fields["slot_length_s"], fields["slots"], fields["flight_time_budget_s"]) == (5, 240, 1200)
+    assert (fields["slot_length_s"], fields["slots"], fields["flight_time_budget_s"]) == (
+        5,
+        238,
+        1200,
+    )  # with climb and landing
     assert fields["cds_m"][0] == fields["cds_m"][2]
     assert np.allclose(np.array(fields["cds_m"]) % 100, 0)
     assert found.projection is not None

@@ -261,6 +261,7 @@ def zigzags(draw: st.DrawFn) -> tuple[int, NDArray[np.int64]]:
 def test_limits_of_apps_are_told(drawn: tuple[int, NDArray[np.int64]]) -> None:
     turns, cells = drawn
     lone = FIELD.replace(uavs=1, altitudes_m=[80], cds_m=[(0, 0)], uav_names=["a"], no_fly=None, outline_m=None)
+    lone = lone.replace(flight_time_budget_s=1e6)
     cells = cells if turns else np.repeat(cells, 2, axis=0)
     told = warnings(lone, fleet_routes(lone, cells[:, None]))
     count = turns + 1
@@ -271,7 +272,8 @@ def test_limits_of_apps_are_told(drawn: tuple[int, NDArray[np.int64]]) -> None:
 
 
 def test_a_speed_beyond_the_scenarios_and_a_common_station_are_told() -> None:
-    hasty = FIELD.replace(speed_m_s=12, cds_m=[(0, 0), (0, 0)])
-    speed, station = warnings(hasty, fleet_routes(hasty, np.zeros((4, 2, 2), dtype=np.int64)))
+    hasty = FIELD.replace(speed_m_s=12, cds_m=[(0, 0), (0, 0)], flight_time_budget_s=30)
+    speed, aloft, station = warnings(hasty, fleet_routes(hasty, np.zeros((4, 2, 2), dtype=np.int64)))
     assert "needs 15 m/s, more than speed_m_s = 12" in speed
+    assert "In the air for longer than flight_time_budget_s, 30 s, with holds, climb and landing: " in aloft
     assert "share a station" in station

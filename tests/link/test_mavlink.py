@@ -108,7 +108,7 @@ def test_without_arm_nothing_is_commanded(
     assert "the devices are simulated" in printed
     assert "dry run: nothing is armed and nothing commanded" in printed
     assert "m from the station (200, 100) m of UAV 1" in printed
-    assert len(read_table(Path("log/uav-1.csv"), {"slot": TEXT})) == 32
+    assert len(read_table(Path("log/uav_0.csv"), {"slot": TEXT})) == 32
 
 
 @pytest.mark.slow
@@ -127,7 +127,7 @@ def test_an_interrupt_brings_it_home(
     assert fake.landed
     assert np.hypot(fake.x, fake.y) < 10
     assert link.MAV_CMD_NAV_LAND in fake.commands
-    log = read_table(Path("log/uav-1.csv"), {"slot": TEXT, "event": TEXT}).fillna("")
+    log = read_table(Path("log/uav_0.csv"), {"slot": TEXT, "event": TEXT}).fillna("")
     assert log["event"].iloc[-1] == "the motors are off"
     assert "coming home: interrupted" in set(log["event"])
     assert len(set(log["slot"])) < 32
@@ -137,7 +137,7 @@ def test_an_interrupt_brings_it_home(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--uav", "2"], "--uav 2: scenario 'quickstart' has UAVs from 1 to 1"),
+        (["--uav", "1"], "--uav 1: scenario 'quickstart' has UAVs from 0 to 0"),
         (["--scenario", "finer.yaml"], "was exported for another map than 'quickstart': grid_step_m differs"),
         (["--scenario", "nowhere.yaml"], "does not say where it lies"),
         (["--devices", "radio"], "unknown --devices 'radio'"),

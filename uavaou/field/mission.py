@@ -48,6 +48,8 @@ _DEFAULTS: dict[str, tuple[Any, str, str]] = {
     "altitude_m": (60.0, "altitudes from {:g} m, 10 m apart", "--altitude"),
 }
 _INTERVAL_S = 300.0
+_FARTHEST_STEPS = 10  # grid steps that a station is moved
+_APART_M = 10.0  # between the altitudes of two UAVs
 _SWAP_S = 120.0
 _RESERVE = 0.1  # of a battery, the default of a scenario
 
@@ -93,11 +95,12 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
     devices, extent = ground.metres(survey.devices), ground.extent
     free, borders = draw_borders(ground, step, notes)
     speed, tau = said["speed_m_s"], step / said["speed_m_s"]
-    slots, budget, battery = _times(wishes, said["endurance_s"], tau, notes)
+    vertical = 2 * (said["altitude_m"] + _APART_M * (uavs - 1)) / speed  # s, take-off and landing of the highest
+    slots, budget, battery = _times(wishes, said["endurance_s"], vertical, tau, notes)
     used = survey.stations if battery else survey.stations[:uavs]
     if unused := len(survey.stations) - len(used):
         notes.append(f"{unused} stations are not used: there are {uavs} UAVs")
-    stations, snapped = _stations(ground, used, np.asarray(np.argwhere(free) * step, dtype=np.float64), notes)
+    stations, snapped = _stations(ground, used, np.asarray(np.argwhere(free) * step, dtype=np.float64), step, notes)
     periods, updates = _periods(survey.devices, wishes.interval_s, tau, notes)
     fields: dict[str, Any] = {
         **({} if ground.projection is None else {"georeference": ground.projection.georeference.model_dump()}),
@@ -107,7 +110,7 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
         **borders,
         "uavs": uavs,
         "cds_m": [stations[u % len(stations)] for u in range(uavs)],
-        "altitudes_m": [said["altitude_m"] + 10.0 * u for u in range(uavs)],
+        "altitudes_m": [said["altitude_m"] + _APART_M * u for u in range(uavs)],
         "speed_m_s": speed,
         "slots": slots,
         "slot_length_s": tau,
@@ -146,23 +149,27 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
 
 
 def _times(
-    wishes: Wishes, endurance_s: float | None, tau: float, notes: list[str]
+    wishes: Wishes, endurance_s: float | None, vertical: float, tau: float, notes: list[str]
 ) -> tuple[int, float, dict[str, Any]]:
     """The slots of a mission, the time in the air with one battery in s, and the fields of batteries that are swapped.
 
-    There are swaps where the duration asked for is longer than a battery lasts, or where a swap has a time.
+    A battery lasts for the slots, which may be all of hovering, and for ``vertical``, the seconds of take-off and
+    landing. There are swaps where the duration asked for is longer than a battery lasts, or where a swap has a time.
     """
     if wishes.slots and wishes.duration_s:
         raise InputError(f"--slots {wishes.slots} and --duration {wishes.duration_s:g} s: give one of the two")
     if wishes.swap_s is not None and not (wishes.slots or wishes.duration_s):
         raise InputError(f"--swap {wishes.swap_s:g} s: says nothing without --duration, such as 10h")
     budget = endurance_s or (wishes.slots or 0) * tau
-    slots = wishes.slots or min(math.floor((wishes.duration_s or budget) / tau + 1e-9), _MOST_SLOTS)
+    swaps = wishes.swap_s is not None or (wishes.duration_s or 0.0) > budget
+    wanted = wishes.duration_s or budget
+    over = wanted if swaps else min(wanted, budget - vertical)  # s over the area
+    slots = wishes.slots or min(math.floor(over / tau + 1e-9), _MOST_SLOTS)
     if slots < 2:
         raise InputError(
             f"a battery for {budget:g} s lasts for less than 2 slots of {tau:g} s: --grid-step, --endurance, --speed"
         )
-    if wishes.swap_s is None and (wishes.duration_s or 0.0) <= budget:
+    if not swaps:
         return slots, budget, {}
     if wishes.swap_s is None:
         notes.append(f"guessed: a swap of batteries takes {_SWAP_S / 60:g} min (--swap)")
@@ -189,7 +196,7 @@ def _radius(channel: dict[str, Any], altitude: float, coverage: Callable[[Scenar
 
 
 def _stations(
-    ground: Ground, stations: Sequence[Feature], cells: Floats, notes: list[str]
+    ground: Ground, stations: Sequence[Feature], cells: Floats, step: float, notes: list[str]
 ) -> tuple[list[list[float]], str]:
     """The stations on the free cells, (C, 2) m, and how far they were moved from where they are wanted."""
     if not len(cells):
@@ -200,6 +207,12 @@ def _stations(
         notes.append("guessed: a station in the middle of the devices (--station)")
     away = np.array([np.linalg.norm(cells - place, axis=1) for place in wanted])  # (C, cells) m
     found, metres = cells[away.argmin(axis=1)].astype(float).tolist(), away.min(axis=1)
+    for place, moved in zip(stations, metres, strict=False):
+        if moved > _FARTHEST_STEPS * step:
+            raise InputError(
+                f"{place.where}: lies {moved:,.0f} m from the nearest cell that UAVs may fly to: a place inside of the "
+                "outline and outside of the zones would fit"
+            )
     far = [f"{f.where} by {moved:.0f} m" for f, moved in zip(stations, metres, strict=False) if moved > 0.5]
     if far:
         notes.append(f"stations moved to a free cell: {listed(far)}")
@@ -255,6 +268,11 @@ def _periods(
         if default_s is None:
             which = "" if missing.all() else f" of {missing.sum()} devices"
             notes.append(f"guessed: an update every {seconds / 60:g} min{which} (--interval)")
+        unread = [
+            f"{d.where} '{text}'" for d, gone in zip(devices, missing, strict=True) if gone and (text := _said(d))
+        ]
+        if unread:
+            notes.append(f"intervals that are none are ignored: {listed(unread)}")
         slots[missing] = seconds / slot_s
     whole = np.rint(slots).clip(1, 1_000_000).astype(int)
     if (off := float((abs(whole - slots) / slots).max())) > 0.005:
@@ -265,6 +283,12 @@ def _periods(
 
 
 _DURATION = re.compile(r"\s*([\d.,]+(?:e[-+]?\d+)?)\s*[^\W\d_]*\.?\s*", re.IGNORECASE)
+
+
+def _said(device: Feature) -> str:
+    """What stands for an interval, as text; empty where nothing does."""
+    value = device.value("interval")
+    return "" if value is None else str(value).strip()[:_LONGEST]
 
 
 def _interval(device: Feature) -> tuple[float, float]:

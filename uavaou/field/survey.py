@@ -79,6 +79,8 @@ def understand(
     near = np.array([within[1], within[0]]) if within else coordinates(given)[0] if given else None
     for reading, features in located.items():
         if survey.geographic and features:
+            if given and not within and reading.path.suffix.lower() in _TABLES:
+                _check_order(reading, features, given[0])
             features = on_one_map(reading, features, near, notes)
             near = np.median(coordinates(features), axis=0) if near is None else near
         counts = Counter(feature.geometry.geom_type.lower() for feature in features)
@@ -206,6 +208,22 @@ def _refuse_too_wide(survey: Survey, path: Path) -> None:
         )
 
 
+_TABLES = (".csv", ".tsv", ".txt", ".xlsx")  # whose columns say which is the latitude
+
+
+def _check_order(reading: Reading, features: list[Feature], station: Feature) -> None:
+    """Refuse a station whose latitude and longitude seem swapped: the columns of a table are named."""
+    place, middle = coordinates([station])[0], np.median(coordinates(features), axis=0)  # longitude, latitude
+    apart, swapped = km_from(place, middle)[0], km_from(place[::-1], middle)[0]
+    if apart > _FAR_KM and swapped < _NEAR_KM:
+        given, fits = (f"{latitude:.9g},{longitude:.9g}" for longitude, latitude in (place, place[::-1]))
+        raise InputError(
+            f"--station {given}: lies {apart:,.0f} km from the places of {reading.path.name}, and one of the two has "
+            f"latitude and longitude swapped: {fits} would lie {swapped:,.0f} km from them; or correct the columns"
+        )
+
+
+_FAR_KM, _NEAR_KM = 500.0, 100.0
 _OF_DEVICES = {"latitude", "longitude", "x", "y", "place", "id", "name", "interval", "role"}
 _OF_ZONES = {"id", "name", "role", "floor", "ceiling", "margin"}
 
