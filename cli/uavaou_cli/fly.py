@@ -58,11 +58,9 @@ def fly(
     scenario_option: ScenarioOption = None,
     policy: Annotated[
         str,
-        option(
-            "auto: the best in rehearsal; or a released policy, a run's folder or a planner. [default: auto]", "NAME"
-        ),
+        option("auto: the best in rehearsal; or a released policy, a run's folder or a planner.", "NAME"),
     ] = AUTO,
-    seconds: Annotated[float, seconds("For the rehearsal; from 30 on it also trains a policy. [default: 10]")] = 10.0,
+    seconds: Annotated[float, seconds("For the rehearsal; from 30 on it also trains a policy.")] = 10.0,
     knows: Knows = "everything",
     seed: Annotated[int, number("Seed of the mission.", 0, LARGEST_SEED)] = EVALUATION_SEED,
     json: Annotated[Path | None, option("Write what the rehearsal has found as JSON.", "FILE")] = None,
@@ -87,8 +85,8 @@ def fly(
     """Rehearse a scenario in simulation, and fly one mission with the policy that is best there.
 
     Prints how fresh each policy keeps the data, which one is served, and its mission beside that of the next best.
-    Writes a page that replays both in a browser, the mission as JSON, and its pictures. `uavaou plot trajectories` also
-    draws PDFs. --route adds what `uavaou route` writes.
+    Writes a page that replays both in a browser, the mission as JSON, and its pictures. --route adds what
+    `uavaou route` writes.
 
     --what-if loses a UAV on the way, in the rehearsal as in the mission.
 

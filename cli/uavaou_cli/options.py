@@ -147,7 +147,7 @@ Knows = Annotated[
     str,
     choice(
         "The most that a policy may know in flight: what its UAV measures, what all measure and tell by radio, or the "
-        "whole simulation. [default: everything]",
+        "whole simulation.",
         "local",
         "shared",
         "everything",

@@ -47,12 +47,11 @@ def route(
     policy: Annotated[
         str,
         option(
-            "auto: the best in rehearsal; or a released policy, a run's folder, a planner or the file of a plan. "
-            "[default: auto]",
+            "auto: the best in rehearsal; or a released policy, a run's folder, a planner or the file of a plan.",
             "NAME",
         ),
     ] = AUTO,
-    seconds: Annotated[float, seconds("For the rehearsal; from 30 on it also trains a policy. [default: 10]")] = 10.0,
+    seconds: Annotated[float, seconds("For the rehearsal; from 30 on it also trains a policy.")] = 10.0,
     knows: Knows = "everything",
     format: Annotated[
         list[str] | None, option("plan, wpl, kml, geojson or csv. Repeatable. [default: plan]", "FORMAT")

@@ -38,7 +38,7 @@ _FAST_S = 2.0  # of each fleet's rehearsal, below which planners have no time
 def size(
     scenario: ScenarioName = None,
     scenario_option: ScenarioOption = None,
-    uavs: Annotated[str, option("Numbers of UAVs, such as 1-6 or 1,2,4. [default: 1-6]", "NUMBERS")] = "1-6",
+    uavs: Annotated[str, option("Numbers of UAVs, such as 1-6 or 1,2,4.", "NUMBERS")] = "1-6",
     target: Annotated[str | None, option("What the fleet must hold, such as 'mean age 10 min'.", "TEXT")] = None,
     station: Annotated[
         list[str] | None,
@@ -46,7 +46,7 @@ def size(
     ] = None,
     speed: Annotated[list[str] | None, option("To try, such as 36km/h. Repeatable.", "M/S")] = None,
     endurance: Annotated[list[str] | None, option("Time in the air to try. Repeatable.", "MIN")] = None,
-    seconds: Annotated[float, seconds("For all rehearsals together. [default: 60]")] = 60.0,
+    seconds: Annotated[float, seconds("For all rehearsals together.")] = 60.0,
     knows: Knows = "everything",
     out: Annotated[Path | None, option("Where the files go. [default: results/<scenario>/size]", "DIR")] = None,
     what_if: WhatIf = None,

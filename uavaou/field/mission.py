@@ -44,7 +44,7 @@ class Wishes:
 _DEFAULTS: dict[str, tuple[Any, str, str]] = {
     "radio": ("802.15.4", "a radio of {}", "--radio"),
     "speed_m_s": (10.0, "a speed of {:g} m/s", "--speed"),
-    "endurance_s": (1500.0, "a battery for {:g} s in the air", "--endurance"),
+    "endurance_s": (1500.0, "a battery for {:.3g} min in the air", "--endurance"),
     "altitude_m": (60.0, "altitudes from {:g} m, 10 m apart", "--altitude"),
 }
 _INTERVAL_S = 300.0
@@ -82,7 +82,8 @@ def lay_out(survey: Survey, wishes: Wishes, coverage: Callable[[Scenario], Float
     for name, (value, text, flag) in _DEFAULTS.items():
         if said[name] is None and not (name == "endurance_s" and wishes.slots):
             said[name] = value
-            notes.append(f"guessed: {text.format(value)} ({flag})")
+            shown = value / 60 if name == "endurance_s" else value
+            notes.append(f"guessed: {text.format(shown)} ({flag})")
     uavs = wishes.uavs or min(max(len(survey.stations), 1), _MOST_UAVS)
     if wishes.uavs is None:
         notes.append(f"guessed: {uavs} UAV{'s' if uavs > 1 else ''}, one a station (--uavs)")
@@ -228,6 +229,8 @@ def _note_reach(fields: dict[str, Any], devices: Floats, radius: float, notes: l
     moves = fields["slots"] - 1
     if "energy" in fields:
         moves = min(moves, math.floor((1 - _RESERVE) * fields["flight_time_budget_s"] / fields["slot_length_s"]))
+    if math.hypot(fields["area_x_m"], fields["area_y_m"]) <= radius:
+        notes.append("the radio hears all devices from everywhere: a UAV at its station does as well")
     away = abs(devices[:, None] - stations).sum(axis=2).min(axis=1) - math.sqrt(2) * radius  # (I,) m
     for which, problem in (
         (unheard, "are out of range of every cell: --radio, --grid-step, --within"),
