@@ -33,6 +33,8 @@ def test_fleets_are_spread_over_stations_in_every_way_and_the_cheapest_come_firs
     assert [fleet.cost for fleet in found] == sorted(fleet.cost for fleet in found)
     assert [(fleet.scenario.uavs, len(fleet.stations)) for fleet in found] == [(1, 1), (1, 1), (2, 1), (2, 1), (2, 2)]
     assert all(len(set(fleet.scenario.altitudes_m)) == fleet.scenario.uavs for fleet in found)
+    uneven, _ = fleets(TINY, [3], [(0.0, 0.0), (100.0, 0.0)])
+    assert [fleet.places for fleet in uneven] == ["0,0", "100,0", "0,0 x2 100,0 x1", "0,0 x1 100,0 x2"]
     many, _ = fleets(TINY, [4], [(100.0 * k, 0.0) for k in range(3)])  # 15 ways: each station alone, and evenly
     assert len(many) == 4
     with pytest.raises(InputError, match="flight_time_budget_s"):

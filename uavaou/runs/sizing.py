@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement, islice, product
@@ -34,8 +35,10 @@ class Fleet(NamedTuple):
 
     @property
     def places(self) -> str:
-        """Its stations in m, as a table has them."""
-        return " ".join(f"{x:g},{y:g}" for x, y in self.stations)
+        """Its stations in m, as a table has them, with the UAVs of each where they differ: ``0,0 x2 300,0``."""
+        counts = Counter(tuple(place) for place in self.scenario.cds_m)
+        alike = len(set(counts.values())) < 2
+        return " ".join(f"{x:g},{y:g}" + ("" if alike else f" x{n}") for (x, y), n in counts.items())
 
     @property
     def cost(self) -> tuple[float, ...]:
