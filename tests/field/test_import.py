@@ -139,6 +139,16 @@ def test_swapped_degrees_are_named_and_mended(tmp_path: Path) -> None:
         survey_of(tmp_path, "lat,lon\n7.2210,46.1012\n7.2215,46.1013\n", stations=[(46.1, 7.2)])
 
 
+def test_stations_far_from_free_cells_and_intervals_that_are_none_are_named(tmp_path: Path) -> None:
+    survey = survey_of(tmp_path, TEXTS["map.geojson"], "a.geojson", stations=[(46.15, 7.30)])
+    with pytest.raises(InputError, match=r"^--station: lies [\d,]+ m from the nearest cell that UAVs may fly to"):
+        field_of(survey)
+    survey = survey_of(tmp_path, "lat,lon,interval (min)\n46.1012,7.221,often\n46.1013,7.222,-3\n46.1014,7.223,5\n")
+    (noted,) = (note for note in field_of(survey).notes if note.startswith("intervals that are none are ignored: "))
+    assert "line 2 'often'" in noted
+    assert "line 3 '-3'" in noted
+
+
 def test_a_field_across_the_antimeridian(tmp_path: Path) -> None:
     found = field_of(survey_of(tmp_path, "lat,lon\n-16.8,179.999\n-16.8,-179.999\n"))
     assert float(found.devices["x_m"][1]) == pytest.approx(GEOD.inv(179.999, -16.8, -179.999, -16.8)[2], abs=0.02)

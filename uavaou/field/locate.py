@@ -15,6 +15,7 @@ from uavaou.field.features import DEGREES, GEOD, METRES, UNSTATED, Feature, Read
 from uavaou.fields import short
 
 _LEAST_M, _LEAST_DEGREES = 20.0, 0.5  # across a field
+_FAR_KM, _NEAR_KM = 500.0, 100.0  # between places that do not belong to one map, and that do
 
 
 def in_one_frame(reading: Reading, crs: str, notes: list[str]) -> list[Feature]:
@@ -78,7 +79,7 @@ def on_one_map(reading: Reading, features: list[Feature], near: Floats | None, n
     if there.any() and abs(coordinates(features)).max() > 1:
         features = kept(features, there, notes, f"places at 0, 0 of {reading.path.name} are ignored")
     fault, middle = fault_of(features), np.median(coordinates(features), axis=0)
-    if near is not None and not fault and km_from(near, middle)[0] > 500 and km_from(near, middle[::-1])[0] < 100:
+    if near is not None and not fault and seems_swapped(near, middle):
         fault = "as given, they lie far from the others"
     if fault:
         features = moved(features, lambda places: places[:, ::-1])
@@ -87,6 +88,11 @@ def on_one_map(reading: Reading, features: list[Feature], near: Floats | None, n
         notes.append(f"{reading.path.name}: latitude and longitude are swapped back ({fault})")
     first = coordinates(features)[0, 0] if near is None else near[0]
     return moved(features, lambda places: places + np.rint((first - places) / 360) * [360, 0])
+
+
+def seems_swapped(place: Floats, other: Floats) -> bool:
+    """Whether two places (longitude, latitude) lie far apart as given, and near each other with one of them swapped."""
+    return bool(km_from(place, other)[0] > _FAR_KM and km_from(place, other[::-1])[0] < _NEAR_KM)
 
 
 def fault_of(features: Sequence[Feature]) -> str:

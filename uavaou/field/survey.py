@@ -15,7 +15,7 @@ import shapely
 
 from uavaou.errors import InputError
 from uavaou.field.features import DEGREES, METRES, Feature, Reading, Role, coordinates, kept, listed, moved
-from uavaou.field.locate import fault_of, in_one_frame, km_from, on_one_map
+from uavaou.field.locate import fault_of, in_one_frame, km_from, on_one_map, seems_swapped
 from uavaou.field.words import meanings, words
 from uavaou.fields import short
 
@@ -214,8 +214,8 @@ _TABLES = (".csv", ".tsv", ".txt", ".xlsx")  # whose columns say which is the la
 def _check_order(reading: Reading, features: list[Feature], station: Feature) -> None:
     """Refuse a station whose latitude and longitude seem swapped: the columns of a table are named."""
     place, middle = coordinates([station])[0], np.median(coordinates(features), axis=0)  # longitude, latitude
-    apart, swapped = km_from(place, middle)[0], km_from(place[::-1], middle)[0]
-    if apart > _FAR_KM and swapped < _NEAR_KM:
+    if seems_swapped(place, middle):
+        apart, swapped = km_from(place, middle)[0], km_from(place[::-1], middle)[0]
         given, fits = (f"{latitude:.9g},{longitude:.9g}" for longitude, latitude in (place, place[::-1]))
         raise InputError(
             f"--station {given}: lies {apart:,.0f} km from the places of {reading.path.name}, and one of the two has "
@@ -223,7 +223,6 @@ def _check_order(reading: Reading, features: list[Feature], station: Feature) ->
         )
 
 
-_FAR_KM, _NEAR_KM = 500.0, 100.0
 _OF_DEVICES = {"latitude", "longitude", "x", "y", "place", "id", "name", "interval", "role"}
 _OF_ZONES = {"id", "name", "role", "floor", "ceiling", "margin"}
 

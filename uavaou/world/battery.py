@@ -19,7 +19,20 @@ from uavaou.errors import InputError
 from uavaou.mission_fields import FULL
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
-from uavaou.world.flight import STEP_OF_MOVE, UNLIMITED, Flight, backwards, open_moves, steps_from, targets
+from uavaou.world.flight import (
+    DOWN,
+    LEFT,
+    RIGHT,
+    STAY,
+    STEP_OF_MOVE,
+    UNLIMITED,
+    UP,
+    Flight,
+    backwards,
+    open_moves,
+    steps_from,
+    targets,
+)
 from uavaou.world.wind import air_speeds, energies, flyable, largest_air_speeds, largest_energies, mean_wind
 
 _MOST_WAYS = 50_000_000  # entries of the table of ways to stations
@@ -45,6 +58,7 @@ class Batteries:
                 f"scenario '{scenario.name}': energy: a slot in the air takes {self._leg / FULL:.0%} of a battery, "
                 f"and {scenario.energy.reserve:.0%} stay in it; a larger battery or shorter slots would fit"
             )
+        self._full: Ints = np.minimum((FULL - self.reserve) // self._leg, flight.budget)  # (U,) legs of a full battery
         self._scenario = scenario
         self.calm: Ints = energies(scenario, air_speeds(scenario, mean_wind(scenario)))[None]  # (1, 5) in constant wind
         cells: Ints = np.asarray(scenario.station_cells @ np.array([scenario.rows, 1]))  # (S,)
@@ -60,11 +74,10 @@ class Batteries:
 
     def _ways_onward(self) -> Ints:
         """Slots from each station, with a full battery, until each UAV is at its CDS, (U, S); many without a way."""
-        reach = (FULL - self.reserve) // self._leg
         onward = np.full((self._shape[1], len(self._stations)), UNLIMITED)
         for u, home in enumerate(self._flight.homes):
             between = self._way[u % len(self._way)][self._stations]  # (S, S)
-            between = np.where(between <= min(reach, self._flight.budget[u]), between, UNLIMITED)
+            between = np.where(between <= self._full[u], between, UNLIMITED)
             onward[u] = between[:, self._stations == home].min(axis=1)
             for _ in self._stations:
                 onward[u] = np.minimum(onward[u], (between + self._swap + 1 + onward[u]).min(axis=1))
@@ -126,9 +139,8 @@ class Batteries:
         here, uavs = cells @ np.array([self._rows, 1]), np.arange(self._shape[1])  # (N, U)
         table, swap = uavs % len(self._way), self._swap + 1
         legs = np.minimum((self.charge - self.reserve) // self._leg, self._flight.budget - self.sortie)  # (N, U)
-        full = np.minimum((FULL - self.reserve) // self._leg, self._flight.budget)  # (U,)
         down = self.down > 0
-        legs = np.where(down, full, legs)
+        legs = np.where(down, self._full, legs)
         least = np.where(
             self._comes_home(steps, steps + self.down[..., None], legs, slot), steps + self.down[..., None], UNLIMITED
         )
@@ -141,7 +153,7 @@ class Batteries:
             better = slots < least
             better &= (~down & (there <= legs) & ((there > 0) | (self.charge < FULL)))[..., None]
             better &= self._comes_home(
-                np.broadcast_to(out, steps.shape), slots, np.broadcast_to(full, legs.shape), slot
+                np.broadcast_to(out, steps.shape), slots, np.broadcast_to(self._full, legs.shape), slot
             )
             least, first = np.where(better, slots, least), np.where(better, station, first)
         least[failed] = UNLIMITED
@@ -172,13 +184,12 @@ class Batteries:
 
         Stations without a way to its CDS do not count.
         """
-        reach = (FULL - self.reserve) // self._leg
         found = []
         for u, onward in enumerate(self._onward):
             table = min(u, len(self._way) - 1)
             starts = self._stations[onward < UNLIMITED]  # (S,)
             legs = steps_from(self._target[table], starts) + self._way[table].min(axis=1)  # (C,)
-            found.append(legs <= min(reach, self._flight.budget[u]))
+            found.append(legs <= self._full[u])
         return np.array(found)
 
     def state(self) -> dict[str, Any]:
@@ -233,7 +244,7 @@ def _allowed(
                     allowed[n, u, move] = home[u, here] == 0 or left - down[n, u] >= onward[u, at]
                 elif left <= 0 or down[n, u] > 0 or not free[u, here, move]:
                     continue
-                elif move == 0 and at >= 0 and charge[n, u] < 1_000_000_000:  # a swap
+                elif move == 0 and at >= 0 and charge[n, u] < FULL:  # a swap
                     allowed[n, u, move] = home[u, here] == 0 or left - swap - 1 >= onward[u, at]
                 else:
                     rest = charge[n, u] - price[move] - reserve
@@ -248,11 +259,11 @@ def _allowed(
             if allowed[n, u, step_home[u, here]]:
                 safe[n, u] = step_home[u, here]
                 continue
-            nearest = 1_000_000_000_000
+            nearest = UNLIMITED
             for s in range(len(stations)):
                 if way[table, here, s] >= nearest:
                     continue
-                for move in (3, 4, 1, 2, 0):  # along x before y
+                for move in (RIGHT, LEFT, UP, DOWN, STAY):  # along x before y
                     there = target[min(u, len(target) - 1), here, move]
                     nearer = way[table, there, s] < way[table, here, s] or (move == 0 and here == stations[s])
                     if allowed[n, u, move] and nearer:
@@ -266,7 +277,7 @@ def _spare(
 ) -> None:
     for n in range(here.shape[0]):
         for u in range(here.shape[1]):
-            cell, nearest = here[n, u], 1_000_000_000_000
+            cell, nearest = here[n, u], UNLIMITED
             for s in range(way.shape[2]):
                 nearest = min(nearest, way[min(u, len(way) - 1), cell, s])
             moves = min(charge[n, u] // leg, budget[u] - sortie[n, u])
@@ -291,12 +302,12 @@ def _fly(
                 at_station = False
                 for s in range(len(stations)):
                     at_station = at_station or stations[s] == here[n, u]
-                if made[n, u] == 0 and at_station and charge[n, u] < 1_000_000_000:
+                if made[n, u] == 0 and at_station and charge[n, u] < FULL:
                     down[n, u] = swap
                     swaps = swap == 0
                 else:
                     charge[n, u] -= price[made[n, u]]
                     sortie[n, u] += made[n, u] != 0
             if swaps:
-                charge[n, u], sortie[n, u] = 1_000_000_000, 0
+                charge[n, u], sortie[n, u] = FULL, 0
                 sorties[n, u] += 1
