@@ -167,8 +167,8 @@ def all_is_known(world: World, patch: pytest.MonkeyPatch) -> None:
 def positions_are_known(world: World, patch: pytest.MonkeyPatch) -> None:
     knowledge, open_ = world.operations.knowledge, world.operations.knowledge.open
 
-    def opened(slot: int, cells: Any, absent: Any) -> None:
-        open_(slot, cells, absent)
+    def opened(slot: int, cells: Any, absent: Any, down: Any) -> None:
+        open_(slot, cells, absent, down)
         knowledge.cells[:] = cells[:, None]
 
     patch.setattr(knowledge, "open", opened)
@@ -176,13 +176,15 @@ def positions_are_known(world: World, patch: pytest.MonkeyPatch) -> None:
 
 def messages_go_on_in_the_same_slot(world: World, patch: pytest.MonkeyPatch) -> None:
     pass_on = links._pass_on
-    patch.setattr(links, "_pass_on", lambda *to: [pass_on(*to[:-6], *to[-3:], *to[-3:]) for _ in range(3)])
+    patch.setattr(links, "_pass_on", lambda *to: [pass_on(*to[:-8], *to[-4:], *to[-4:]) for _ in range(3)])
 
 
 def the_failed_talk(world: World, patch: pytest.MonkeyPatch) -> None:
     open_ = world.operations.knowledge.open
     patch.setattr(
-        world.operations.knowledge, "open", lambda slot, cells, absent: open_(slot, cells, np.zeros_like(absent))
+        world.operations.knowledge,
+        "open",
+        lambda slot, cells, absent, down: open_(slot, cells, np.zeros_like(absent), down),
     )
 
 

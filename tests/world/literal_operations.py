@@ -38,6 +38,7 @@ class LiteralOperations(LiteralMission):
         self.ways = {cell: self.ways_to(cell) for cell in {*self.stations}}
         self.heard = [[0 for _ in uavs] for _ in uavs]
         self.seen_at = [[self.home[v] for v in uavs] for _ in uavs]
+        self.until = [[0 for _ in uavs] for _ in uavs]
         self.collections = [[0 for _ in devices] for _ in uavs]
         self.kept = [[0 for _ in devices] for _ in uavs]
         self.burst_good = [[True for _ in uavs] for _ in uavs]  # [to][from]
@@ -258,8 +259,9 @@ class LiteralOperations(LiteralMission):
         for u in self.fleet:
             if not self.failed[u]:
                 self.heard[u][u], self.seen_at[u][u] = self.slot, self.cells[u]
+                self.until[u][u] = self.slot + self.down[u] - 1 if self.down[u] else 0
         heard, seen_at = [list(line) for line in self.heard], [list(line) for line in self.seen_at]
-        collections = [list(line) for line in self.collections]
+        until, collections = [list(line) for line in self.until], [list(line) for line in self.collections]
         for to in self.fleet:
             for sender in self.fleet:
                 if not self.passes(to, sender):
@@ -267,6 +269,7 @@ class LiteralOperations(LiteralMission):
                 for w in self.fleet:
                     if heard[sender][w] > self.heard[to][w]:
                         self.heard[to][w], self.seen_at[to][w] = heard[sender][w], seen_at[sender][w]
+                        self.until[to][w] = until[sender][w]
                 for i in self.things:
                     self.collections[to][i] = max(self.collections[to][i], collections[sender][i])
 

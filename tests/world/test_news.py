@@ -10,7 +10,7 @@ from uavaou.arrays import Bools
 from uavaou.world.ages import age_by_estimate
 from uavaou.world.entities import EntityViews, make_views
 from uavaou.world.news import news
-from uavaou.world.partition import survivors, survivors_parts
+from uavaou.world.partition import partition, survivors, survivors_parts
 from uavaou.world.views import DEVICE, OWN, PULL, TEAMMATE, RowViews
 
 PAPER = Scenario.load("paper").replace(slots=60)
@@ -33,8 +33,11 @@ def tokens(views: RowViews, world: World, name: str, features: tuple[str, ...], 
 
 @pytest.mark.parametrize("collection", ["auto", "select"])
 @pytest.mark.parametrize("capacity", [None, 1])
-def test_perfect_links_are_shared_and_none_are_local(collection: str, capacity: int | None) -> None:
-    plain = PAPER.replace(uplinks_per_slot=capacity)
+@pytest.mark.parametrize("swaps", [{}, {"energy": {"endurance_s": 100}, "swap_time_s": 30}])
+def test_perfect_links_are_shared_and_none_are_local(
+    collection: str, capacity: int | None, swaps: dict[str, Any]
+) -> None:
+    plain = PAPER.replace(uplinks_per_slot=capacity, **swaps)
     perfect, none = plain.replace(links="perfect"), plain.replace(links="none")
     for slots in (0, 1, 25):
         # With own estimates of ages, UAVs that serve few devices choose by what they know.
@@ -70,7 +73,7 @@ def test_news_grows_old_and_who_is_silent_is_lost() -> None:
     world = flown(scenario, 14)
     views, knowledge, told = EntityViews(scenario, "shared", "auto"), world.operations.knowledge, news(world, True)
     assert knowledge is not None
-    assert told.lost is not None
+    assert told.absent is not None
     present, fresh = (
         tokens(views, world, *of) for of in (("teammates", TEAMMATE, "present"), ("pulls", PULL, "shared"))
     )
@@ -81,7 +84,7 @@ def test_news_grows_old_and_who_is_silent_is_lost() -> None:
             np.testing.assert_allclose(present[n, u], list(wanted.values()), rtol=1e-6)
             counted = [value for value in wanted.values() if value] or [1.0]
             np.testing.assert_allclose(fresh[n, u], np.mean(counted), rtol=1e-6)
-    assert 0.0 < told.lost.mean() < 0.6
+    assert 0.0 < told.absent.mean() < 0.6
 
 
 @pytest.mark.parametrize("alive", [[True, False, True], [False, True, False]])
@@ -116,6 +119,44 @@ def test_survivors_see_a_mission_of_their_fleet_alone(alive: list[bool]) -> None
     local = EntityViews(world.scenario, "local", "auto")
     np.testing.assert_array_equal(tokens(local, world, "devices", DEVICE, "own_part"), whole)
     assert tokens(local, world, "teammates", TEAMMATE, "present").all()
+
+
+def test_the_others_go_by_the_parts_without_one_that_they_know_to_be_down() -> None:
+    swaps = {"energy": {"endurance_s": 600}, "swap_time_s": 30}
+    for links in (None, "perfect", "none"):
+        world = World(PAPER.replace(links=links, **swaps), 1, 0)
+        views = EntityViews(world.scenario, "shared", "auto")
+        whole, present = partition(world)[0], []
+        for moves in ([3, 1, 3], [4, 3, 1], [0, 1, 1], [0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]):
+            down = world.operations.batteries.down[0] > 0  # type: ignore[union-attr]
+            own = tokens(views, world, "devices", DEVICE, "own_part")[0]  # (U, I)
+            with_others = survivors_parts(world, ~down)[0] if links != "none" else whole
+            np.testing.assert_array_equal(own[1], with_others == 1)
+            present.append(tokens(views, world, "teammates", TEAMMATE, "present")[0, 1, 0])
+            world.step(np.array([moves]))
+        assert (np.array(present) == 0.0).tolist() == [False] * 3 + [links != "none"] * 4
+
+
+def test_fleets_swap_in_turns() -> None:
+    together = []
+    for turns in (False, True):
+        world = World(PAPER.replace(slots=200, energy={"endurance_s": 400}, swap_time_s=60), 4, 0)
+        views, batteries, down = EntityViews(world.scenario, "shared", "auto"), world.operations.batteries, 0
+        views.takes_turns = turns
+        columns, rng = views.layout.local_columns("allowed_moves"), np.random.default_rng(0)
+        assert batteries is not None
+        while not world.done:
+            allowed = views.local(world)[..., columns]
+            assert (allowed <= world.allowed_moves).all()
+            world.step((allowed * [0.1, *rng.uniform(0.5, 1.0, 4)]).argmax(axis=-1))  # in the air as long as it may
+            down += int(((batteries.down > 0).sum(axis=-1) > 1).sum())
+        together.append(down)
+    assert together[0] > 5 * together[1]
+
+
+def test_a_battery_that_lasts_for_the_mission_has_no_turn() -> None:
+    world = flown(PAPER.replace(energy={"endurance_s": 600}, swap_time_s=60), 30)
+    assert not world.operations.batteries.in_turn(world.slot).any()  # type: ignore[union-attr]
 
 
 def test_a_repaired_uav_has_its_part_again() -> None:

@@ -36,6 +36,7 @@ def assert_same_slot(world: World, mission: LiteralOperations, lane: int) -> Non
     if (knowledge := operations.knowledge) is not None:
         assert knowledge.heard[lane].tolist() == mission.heard
         assert [[tuple(cell) for cell in of] for of in knowledge.cells[lane].tolist()] == mission.seen_at
+        assert knowledge.until[lane].tolist() == mission.until
         assert knowledge.collected[lane].tolist() == mission.collections
         fleet = range(scenario.uavs)
         assert knowledge.lost(world.slot)[lane].tolist() == [

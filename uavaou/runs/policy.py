@@ -41,7 +41,7 @@ class TrainedPolicy:
     action: str = "greedy"  # the likeliest; or "sample"
     digest: str = ""  # SHA-256 of the weights in the checkpoint that they were loaded from; empty where none was
     fit: Fit | None = None  # the same weights for another scenario; None: for that of ``views`` alone
-    renews_parts: bool = True  # whether its UAVs make the plan of parts anew when they take others as lost
+    renews_parts: bool = True  # whether its UAVs make the plan of parts anew when others are lost, or down for a swap
     _rngs: list[np.random.Generator] = field(default_factory=list)
 
     @property
@@ -64,6 +64,7 @@ class TrainedPolicy:
             assert self.fit is not None
             self.model, self.views = self.fit(world.scenario)
         self.views.renews_parts = self.renews_parts
+        self.views.takes_turns = self.renews_parts and self.plans_maps
         lanes = range(world.missions)
         self._rngs = [np.random.default_rng(np.random.SeedSequence(seed + j, spawn_key=(_STREAM,))) for j in lanes]
 

@@ -170,6 +170,17 @@ class Batteries:
             home |= (there <= rest) & (there + self._swap + 1 + self._onward[:, s, None] <= left)
         return np.asarray(home)
 
+    def in_turn(self, slot: int) -> Bools:
+        """Return which UAVs of a fleet should swap now, (N, U), so that as few as possible are down at the same time.
+
+        UAV u swaps its first battery when (u + 1) / U of it is used, and later ones when they are low. None does whose
+        battery lasts for the mission, or where a swap takes no time.
+        """
+        uavs = self._shape[1]
+        used = (FULL - self.charge) * uavs >= FULL * (np.arange(uavs) + 1)
+        lasts = self.charge - self.reserve >= self._leg * (self._slots - slot)
+        return np.asarray((self.sorties == 1) & used & ~lasts & (self.down == 0) & (self._swap > 0))
+
     def spare(self, cells: Ints, slot: int) -> Ints:
         """Return the moves that each UAV can make beside its way to the nearest station, (N, U)."""
         spare: Ints = np.empty(self._shape, dtype=np.int64)

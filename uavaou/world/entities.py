@@ -150,17 +150,18 @@ class EntityViews(RowViews):
         layout, uavs = self.layout, self.scenario.uavs
         out = self._new(world.missions, layout.uavs, layout.local_size) if out is None else out
         at = {columns.name: out[:, :, columns.slice] for columns in layout.local}
-        at["allowed_moves"][:, :uavs] = world.allowed_moves
+        allowed = world.allowed_moves
+        at["allowed_moves"][:, :uavs] = world.operations.in_turn(allowed, world.slot) if self.takes_turns else allowed
         at["allowed_moves"][:, uavs:, STAY] = 1.0
         alone, cds, heard = self.observation == "part", world.flight.cds, news(world, self.observation == "shared")
-        table = self._parts.numbers(world, heard.lost if self.renews_parts else None)  # (N, U)
+        table = self._parts.numbers(world, heard.absent if self.renews_parts else None)  # (N, U)
         serves, steps = self._parts.serves, self._parts.steps  # (T, U, I), (T, U, C, I)
         _write_own(world.cells, cds, self._spare(world), self._altitudes, self._mission(world), at["own"])
         own = at["own"][:, :uavs]  # (N, U, features)
         if world.operations.losses is not None:
             own[world.failed, OWN.index("present")] = 0.0
-        if heard.lost is not None:
-            own[..., OWN.index("uavs")] = np.log((uavs - heard.lost.sum(axis=-1)) / _PAPER_UAVS)
+        if heard.absent is not None:
+            own[..., OWN.index("uavs")] = np.log((uavs - heard.absent.sum(axis=-1)) / _PAPER_UAVS)
         if alone:
             members = serves.sum(axis=-1)  # (L, U)
             own[..., OWN.index("devices")] = np.log(np.maximum(members, 1) / _PAPER_DEVICES)
@@ -248,7 +249,7 @@ def _write_teammates(
 ) -> None:
     """Write (N, U, (U - 1) * features): where the others are, as far as that is told, and where their CDSs are.
 
-    The token of one that is taken as lost is zero. ``known`` and ``present`` are of :class:`uavaou.world.news.News`.
+    The token of one that is not counted on is zero. ``known`` and ``present`` are of :class:`uavaou.world.news.News`.
     """
     uavs = cells.shape[1]
     for n in range(len(cells)):

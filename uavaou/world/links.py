@@ -1,8 +1,8 @@
 """Links between UAVs, and what each knows of others and of devices: the newest of what it measured and heard.
 
 Before acting in slot t, each ordered pair (v -> u) may pass a message with all that v knows: for each UAV the latest
-position and the slot that it is of, for each device the latest slot of a collection by anybody. Messages pass on what
-was heard, a link a slot.
+position, the slot that it is of and the slot until which it is down for a swap, for each device the latest slot of a
+collection by anybody. Messages pass on what was heard, a link a slot.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ class Knowledge:
 
     heard: Ints  # (N, U, U) the slot that u's newest news of v is of, 0 for never; of itself the present slot
     cells: Ints  # (N, U, U, 2) where v was then; its CDS without news
+    until: Ints  # (N, U, U) the last slot of the swap that v was in then, 0 without one
     collected: Ints  # (N, U, I) the latest slot of a collection by anybody that u knows of, 0 for never
 
     def __init__(self, scenario: Scenario, missions: int, cds: Ints) -> None:
@@ -46,7 +47,7 @@ class Knowledge:
         """Start missions with these keys; links in bursts begin as they are in the long run."""
         missions, uavs = self._shape
         self._keys, self._slot = keys_of_item(keys, _ITEM), 0
-        self.heard = np.zeros((missions, uavs, uavs), dtype=np.int64)
+        self.heard, self.until = np.zeros((2, missions, uavs, uavs), dtype=np.int64)
         self.cells = np.broadcast_to(self._cds, (missions, uavs, uavs, 2)).copy()
         self.collected = np.zeros((missions, uavs, self._devices), dtype=np.int64)
         self._good: Bools = np.ones((missions, uavs, uavs), dtype=np.bool_)  # (N, to, from)
@@ -59,18 +60,21 @@ class Knowledge:
         missions, uavs = self._shape
         return uniforms(self._keys, 2 * slot * uavs * uavs, 2 * uavs * uavs).reshape(missions, uavs, uavs, 2)
 
-    def open(self, slot: int, cells: Ints, absent: Bools) -> None:
-        """Measure own positions, (N, U, 2), and pass messages in a slot; who is ``absent``, (N, U), says nothing."""
+    def open(self, slot: int, cells: Ints, failed: Bools, down: Ints | None = None) -> None:
+        """Measure own positions, (N, U, 2), and pass messages in a slot; who has ``failed``, (N, U), says nothing.
+
+        ``down`` are the slots of a swap that are left to each UAV, (N, U), the present one among them.
+        """
         if slot <= self._slot:
             return
         self._slot = slot
-        _measure(slot, cells, absent, self.heard, self.cells)
+        _measure(slot, cells, failed, np.zeros_like(cells[..., 0]) if down is None else down, *self._known()[:3])
         if not self.passes_nothing:
             passes, before = self._passing(slot, cells), [known.copy() for known in self._known()]
-            _pass_on(passes, absent, before[0], before[1], before[2], *self._known())
+            _pass_on(passes, failed, before[0], before[1], before[2], before[3], *self._known())
 
-    def _known(self) -> tuple[Ints, Ints, Ints]:
-        return self.heard, self.cells, self.collected
+    def _known(self) -> tuple[Ints, Ints, Ints, Ints]:
+        return self.heard, self.cells, self.until, self.collected
 
     def _passing(self, slot: int, cells: Ints) -> Bools:
         """Which messages pass, (N, to, from)."""
@@ -104,11 +108,18 @@ class Knowledge:
         lost[:, self._itself, self._itself] = False
         return np.asarray(lost)
 
+    def down(self, slot: int) -> Bools:
+        """Return which others each UAV knows to be down for a swap, (N, U, U)."""
+        down = self.until >= slot
+        down[:, self._itself, self._itself] = False
+        return down
+
     def state(self) -> dict[str, Any]:
         """What the rest of the missions depends on beside their keys."""
         return {
             "links_heard": self.heard,
             "links_cells": self.cells,
+            "links_until": self.until,
             "links_collected": self.collected,
             "links_good": self._good,
         }
@@ -117,35 +128,37 @@ class Knowledge:
         """Go on from a :meth:`state` of this slot."""
         self.start(keys)
         self._slot = slot
-        self.heard, self.cells, self.collected, self._good = (
-            state[f"links_{name}"].copy() for name in ("heard", "cells", "collected", "good")
+        self.heard, self.cells, self.until, self.collected, self._good = (
+            state[f"links_{name}"].copy() for name in ("heard", "cells", "until", "collected", "good")
         )
 
 
 @compiled
-def _measure(slot: int, cells: Ints, absent: Bools, heard: Ints, known: Ints) -> None:
+def _measure(slot: int, cells: Ints, failed: Bools, down: Ints, heard: Ints, known: Ints, until: Ints) -> None:
     for n in range(cells.shape[0]):
         for u in range(cells.shape[1]):
-            if not absent[n, u]:
+            if not failed[n, u]:
                 heard[n, u, u] = slot
+                until[n, u, u] = slot + down[n, u] - 1 if down[n, u] > 0 else 0
                 known[n, u, u, 0], known[n, u, u, 1] = cells[n, u, 0], cells[n, u, 1]
 
 
 @compiled
 def _pass_on(
-    passes: Bools, absent: Bools, heard: Ints, cells: Ints, collected: Ints, new_heard: Ints, new_cells: Ints,
-    new_collected: Ints,
+    passes: Bools, failed: Bools, heard: Ints, cells: Ints, until: Ints, collected: Ints, new_heard: Ints,
+    new_cells: Ints, new_until: Ints, new_collected: Ints,
 ) -> None:  # fmt: skip
     missions, uavs, devices = collected.shape
     for n in range(missions):
         for u in range(uavs):
             for v in range(uavs):
-                if u == v or not passes[n, u, v] or absent[n, u] or absent[n, v]:
+                if u == v or not passes[n, u, v] or failed[n, u] or failed[n, v]:
                     continue
                 for w in range(uavs):
                     if heard[n, v, w] > new_heard[n, u, w]:
                         new_heard[n, u, w] = heard[n, v, w]
                         new_cells[n, u, w, 0] = cells[n, v, w, 0]
                         new_cells[n, u, w, 1] = cells[n, v, w, 1]
+                        new_until[n, u, w] = until[n, v, w]
                 for i in range(devices):
                     new_collected[n, u, i] = max(new_collected[n, u, i], collected[n, v, i])

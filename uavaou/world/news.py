@@ -22,10 +22,10 @@ class News(NamedTuple):
     """What UAVs know in N missions; an axis of size 1 in the place of missions n or of UAVs w is common to all."""
 
     cells: Ints  # (n, w, U, 2) where it knows each UAV to be, or to have started
-    present: Floats  # (n, w, U) 20 / (20 + age of the news in slots); 0 for a UAV that it takes as lost
+    present: Floats  # (n, w, U) 20 / (20 + age of the news in slots); 0 for a UAV that it does not count on
     last: Ints  # (N, w, I) the latest slot of a collection that it knows of, 0 for never
-    fresh: Floats  # (n, w) the mean of that over the others not taken as lost, never heard ones as 0; without any, 1
-    lost: Bools | None  # (N, U, U) which others it takes as lost; None: nobody takes anybody as lost
+    fresh: Floats  # (n, w) the mean of that over the others that it counts on, never heard ones as 0; without any, 1
+    absent: Bools | None  # (N, U, U) which others it does not count on; None: everybody counts on everybody
     told: bool  # whether others tell it anything
     true_ages: bool  # whether it knows the true age sums
 
@@ -35,20 +35,21 @@ def _all(uavs: int) -> Floats:
     return np.ones((1, 1, uavs))
 
 
-def taken_as_lost(world: World, shared: bool = True) -> Bools | None:
-    """Return which others each UAV takes as lost, (N, U, U); None where nobody takes anybody as lost.
+def known_absent(world: World) -> Bools | None:
+    """Return which others each UAV that observes ``shared`` does not count on, (N, U, U); None where that is nobody.
 
-    With ``shared`` observations, these are the failed ones, or with links those without news for too long. With
-    ``local`` ones, nobody ever knows. Who is failed itself takes nobody as lost.
+    These are the ones that failed, or with links those without news for too long, and those that it knows to be down
+    for a swap of batteries. Who failed itself counts on everybody.
     """
-    knowledge, failed = world.operations.knowledge, world.failed
-    if not shared or (knowledge is None and world.operations.losses is None):
+    operations, failed = world.operations, world.failed
+    if operations.knowledge is not None:
+        absent = operations.knowledge.lost(world.slot) | operations.knowledge.down(world.slot)
+    elif operations.losses is not None or operations.batteries is not None:
+        absent = operations.absent[:, None] & ~np.eye(failed.shape[1], dtype=np.bool_)
+    else:
         return None
-    lost = (
-        failed[:, None] & ~np.eye(failed.shape[1], dtype=np.bool_) if knowledge is None else knowledge.lost(world.slot)
-    )
-    lost = lost & ~failed[:, :, None]
-    return lost if lost.any() else None
+    absent = absent & ~failed[:, :, None]
+    return absent if absent.any() else None
 
 
 def news(world: World, shared: bool) -> News:
@@ -56,23 +57,24 @@ def news(world: World, shared: bool) -> News:
     knowledge, uavs = world.operations.knowledge, world.scenario.uavs
     if not shared or (knowledge is not None and knowledge.passes_nothing):
         return News(world.flight.cds[None, None], _all(uavs), world.last_collection_by, _NONE, None, False, False)
-    lost = taken_as_lost(world)
+    absent = known_absent(world)
     if knowledge is None:
-        present = _all(uavs) if lost is None else np.asarray(1.0 - world.failed[:, None])
-        return News(world.cells[:, None], present, world.last_collection[:, None], _ONE, lost, True, True)
+        present = _all(uavs) if absent is None else np.asarray(1.0 - world.operations.absent[:, None])
+        return News(world.cells[:, None], present, world.last_collection[:, None], _ONE, absent, True, True)
     present, fresh = np.empty(knowledge.heard.shape), np.empty(world.failed.shape)  # (N, U, U), (N, U)
-    _weigh(knowledge.heard, world.slot, np.zeros((0, 0, 0), dtype=np.bool_) if lost is None else lost, present, fresh)
-    return News(knowledge.cells, present, knowledge.collected, fresh, lost, True, False)
+    nobody = np.zeros((0, 0, 0), dtype=np.bool_)
+    _weigh(knowledge.heard, world.slot, nobody if absent is None else absent, present, fresh)
+    return News(knowledge.cells, present, knowledge.collected, fresh, absent, True, False)
 
 
 @compiled
-def _weigh(heard: Ints, slot: int, lost: Bools, present: Floats, fresh: Floats) -> None:
-    """Write ``present`` and ``fresh`` of :class:`News`; ``lost`` is empty where nobody is."""
+def _weigh(heard: Ints, slot: int, absent: Bools, present: Floats, fresh: Floats) -> None:
+    """Write ``present`` and ``fresh`` of :class:`News`; ``absent`` is empty where nobody is."""
     for n in range(heard.shape[0]):
         for u in range(heard.shape[1]):
             total, count = 0.0, 0
             for v in range(heard.shape[1]):
-                if len(lost) and lost[n, u, v]:
+                if len(absent) and absent[n, u, v]:
                     present[n, u, v] = 0.0
                     continue
                 present[n, u, v] = RECENT_SLOTS / (RECENT_SLOTS + (slot - heard[n, u, v]))

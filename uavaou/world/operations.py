@@ -122,8 +122,16 @@ class Operations:
         if self.losses is not None or self.batteries is not None:
             snr[self.absent] = 0.0
         if self.knowledge is not None:
-            self.knowledge.open(slot, cells, self.failed)
+            self.knowledge.open(slot, cells, self.failed, None if self.batteries is None else self.batteries.down)
         return allowed, on_grid
+
+    def in_turn(self, allowed: Bools, slot: int) -> Bools:
+        """Return the allowed moves, (N, U, 5), of UAVs that swap batteries in turns: the way to a station alone of one
+        whose turn it is in a slot."""
+        if self.batteries is None or self._safe is None:
+            return allowed
+        way = self._safe[..., None] == np.arange(len(STEP_OF_MOVE))
+        return np.where(self.batteries.in_turn(slot)[..., None] & ~self.failed[..., None], way, allowed)
 
     def fly(self, moves: Ints, cells: Ints, allowed: Bools, on_grid: Bools) -> Ints:
         """Return the moves that are made for those requested, (N, U), and charge the batteries for them."""

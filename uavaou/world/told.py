@@ -47,32 +47,32 @@ class PartsOfSurvivors:
         self._plan, self._layouts = plan, len(serves)
         self.serves, self.steps = serves, steps
         self._sets: dict[tuple[int, bytes], int] = {}
-        self._whole: Ints = np.zeros((0, 0), dtype=np.int64)  # the answer where nobody is lost
+        self._whole: Ints = np.zeros((0, 0), dtype=np.int64)  # the answer where nobody is absent
         self._known: tuple[Bools, Ints] | None = None  # the losses of the last call, and its answer
 
-    def numbers(self, world: World, lost: Bools | None) -> Ints:
+    def numbers(self, world: World, absent: Bools | None) -> Ints:
         """Return which of the T tables each UAV goes by, (N, U).
 
         Args:
             world: over the layouts that the tables are of.
-            lost: of :func:`uavaou.world.news.taken_as_lost`.
+            absent: of :func:`uavaou.world.news.known_absent`.
         """
-        if lost is not None and self._known is not None and np.array_equal(lost, self._known[0]):
+        if absent is not None and self._known is not None and np.array_equal(absent, self._known[0]):
             return self._known[1]
-        if lost is None and len(self._whole) == world.missions:
+        if absent is None and len(self._whole) == world.missions:
             return self._whole
         layouts = np.arange(world.missions) % self._layouts  # (N,)
         numbers = np.repeat(layouts[:, None], world.scenario.uavs, axis=1)
-        if lost is None:
+        if absent is None:
             self._whole = numbers
             return numbers
         if len(self._sets) > _MOST_SETS:
             self._sets.clear()
             self._known = None
             self.serves, self.steps = self.serves[: self._layouts], self.steps[: self._layouts]
-        for n, u in np.argwhere(lost.any(axis=-1)):
-            numbers[n, u] = self._number(world, int(layouts[n]), ~lost[n, u])
-        self._known = lost, numbers
+        for n, u in np.argwhere(absent.any(axis=-1)):
+            numbers[n, u] = self._number(world, int(layouts[n]), ~absent[n, u])
+        self._known = absent, numbers
         return numbers
 
     def _number(self, world: World, layout: int, alive: Bools) -> int:

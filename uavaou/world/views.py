@@ -162,7 +162,8 @@ class RowViews(ABC):
     """
 
     layout: RowLayout
-    renews_parts = True  # whether UAVs that take others as lost go by the parts of the survivors (rows of entities)
+    renews_parts = True  # whether UAVs that cannot count on others go by the parts of the rest (rows of entities)
+    takes_turns = False  # whether UAVs see the way to a station alone when it is their turn to swap (rows of entities)
 
     def __init__(self, scenario: Scenario, observation: str, collection: str, known: Sequence[str]) -> None:
         if observation not in known:
