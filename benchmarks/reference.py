@@ -35,6 +35,7 @@ from uavaou.scenario_fields import Range, ScenarioFields, WholeRange
 from uavaou.units import UNITS, unit_of
 from uavaou.world import knowledge
 from uavaou.world.entities import make_views
+from uavaou.world.views import COLLECTIONS
 from uavaou.world.world import MissionMetrics
 from uavaou.zones import Georeference, Zone
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
@@ -47,7 +48,7 @@ PARTS = (Range, WholeRange, Georeference, Zone, LineOfSight, Endurance, RotaryWi
 DRAWS = (Draw, LengthDraw, WholeDraw, AltitudeDraw, CdsDraw, OperationsDraw)
 POLICY_GRADIENT, VALUE_BASED = ("mappo", "mappo-paper", "mappo-family", "ippo"), ("vdn", "qmix", "iql")
 _REMARK = re.compile(r'^ {4}(?:"?([\w-]+)"?[:,]? .*?)?# (.+)$')
-_UNLIMITED = 1e12  # from which on a limit of a number only prevents overflows
+_UNLIMITED = 1e9  # from which on a limit of a number only prevents overflows
 _LOW = {"start": False, "ge": False, "minimum": False, "gt": True, "exclusiveMinimum": True}  # whether it is excluded
 _HIGH = {"end": False, "le": False, "maximum": False, "lt": True, "exclusiveMaximum": True}
 
@@ -206,14 +207,17 @@ def spaces() -> str:
     rows = []
     for form, kinds in (("flat", ("location", "local", "shared")), ("entities", ("part", "local", "shared"))):
         for seen in kinds:
-            for collection in ("select", "auto"):
-                layout = make_views(Scenario.load("paper"), seen, collection, form).layout
-                sizes = vector_space(layout.local_size), row_space(layout), vector_space(layout.global_size)
-                actions = str(action_space(layout)).replace(" 2" * (layout.devices - 1), " 2 ...")
-                rows.append((form, seen, collection, *(str(space.shape) for space in sizes), f"`{actions}`"))
-    return table(
-        ("rows", "observation", "collection", "observation space", "row of the `VecEnv`", "state", "action space"), rows
-    )
+            layout = make_views(Scenario.load("paper"), seen, rows=form).layout
+            sizes = vector_space(layout.local_size), row_space(layout), vector_space(layout.global_size)
+            rows.append((f"`{form}`", f"`{seen}`", *(str(space.shape) for space in sizes)))
+    return table(("rows", "observation", "observation space", "row of the `VecEnv`", "state"), rows)
+
+
+def actions() -> str:
+    """The spaces of actions on ``paper``."""
+    layouts = {word: make_views(Scenario.load("paper"), collection=word).layout for word in COLLECTIONS}
+    rows = [(f"`{word}`", f"`{action_space(layout)}`") for word, layout in layouts.items()]
+    return table(("collection", "action space"), rows)
 
 
 _TEXTS = read_yaml_mapping(Path(columns.__file__).with_suffix(".yaml"))
@@ -253,6 +257,7 @@ def metrics() -> str:
 
 ENVIRONMENT: dict[str, Callable[[], str]] = {
     "spaces": spaces,
+    "actions": actions,
     "rewards": lambda: named(("reward", "value"), of_constant(rewards, "REWARDS")),
     "metrics": metrics,
     "notation": notation,
@@ -286,17 +291,21 @@ def knows() -> str:
     return named(("knows", "what it reads in flight"), of_constant(knowledge, "Knowledge"))
 
 
+_ALL = ", ".join(f"`{item}`" for item in ITEMS)
+
+
 def planners() -> str:
     """What each planner is, knows, and reckons with of the items of missions."""
     rows = []
     for name, place in PLANNERS.items():
         kind = resolve_name(place)
-        honoured = getattr(kind, "lives_with", ITEMS)  # those that plan nothing have nothing to reckon with
-        ignored = [item for item in ITEMS if item not in honoured]
-        cells = (", ".join(f"`{item}`" for item in items) or "–" for items in (honoured, ignored))
+        honoured = getattr(kind, "lives_with", None)  # those that plan nothing have nothing to reckon with
+        ignored = [item for item in ITEMS if honoured is not None and item not in honoured]
+        items = (", ".join(f"`{item}`" for item in found or ()) for found in (honoured, ignored))
+        cells = (text.replace(_ALL, "all items") or "–" for text in items)
         ahead = "yes" if name in PLAN_AHEAD else "–"
         rows.append((f"`{name}`", planner_knowledge(name), ahead, first_sentence(kind), *cells))
-    return table(("planner", "knows", "`--time-limit`", "what it does", "reckons with", "ignores"), rows)
+    return table(("planner", "knows", "plans ahead", "what it does", "reckons with", "ignores"), rows)
 
 
 # -- commands ------------------------------------------------------------------------------------------

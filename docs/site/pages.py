@@ -9,13 +9,14 @@ import os
 import re
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
     *("*.md", "docs/**/*.md", "results/README.md", "results/studies/*/README.md"),
-    *("results/studies/*/best/**/README.md", "zoo_configs/policies/*/README.md"),
+    *("results/studies/*/best/**/README.md", "zoo_configs/policies/*/README.md", "docs/site/*.css"),
 )
 NOTES = ROOT / "docs" / "notes"  # for those who change the project
 GLOSSARY = ROOT / "docs" / "reference" / "glossary.md"
@@ -26,7 +27,7 @@ _LINK = re.compile(r"\]\(([^)\s#]+)(#[^)]*)?\)")
 def links(page: Path) -> set[Path]:
     """The files and folders of the repository that a page links to."""
     targets = (target for target, _ in _LINK.findall(page.read_text(encoding="utf-8")) if "://" not in target)
-    return {(page.parent / target).resolve() for target in targets}
+    return {(page.parent / unquote(target)).resolve() for target in targets}
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -50,7 +51,7 @@ def _is_left_out(path: Path) -> bool:
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Links to what the site lacks become plain text, and the first use of each term a link to the glossary."""
     path = ROOT / page.file.src_uri
-    of_file = re.compile(r"\[([^\]]+)\]\(([^)\s#]+)\)")
+    of_file = re.compile(r"\[([^\]]+)\]\(([^)\s#]+)(?:#[^)\s]*)?\)")
     text = of_file.sub(lambda link: link[1] if _is_left_out((path.parent / link[2]).resolve()) else link[0], markdown)
     if path == GLOSSARY:
         return re.sub(
