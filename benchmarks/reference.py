@@ -114,12 +114,9 @@ def _limits(schema: dict[str, Any]) -> str:
     schema = {"start": -_UNLIMITED, "end": _UNLIMITED} | schema
     low, above = max((schema[key], strict) for key, strict in _LOW.items() if key in schema)
     high, included = min((schema[key], not strict) for key, strict in _HIGH.items() if key in schema)
-    text = "whole number" if schema["type"] == "integer" else "number"
-    if low > -_UNLIMITED:
-        text += f" {'above' if above else 'from'} {plain(low)}"
-    if high < _UNLIMITED:
-        return f"{text} to {'' if included else 'below '}{plain(high)}"
-    return text if above or low <= -_UNLIMITED else f"{text} on"
+    start = f"{'above' if above else 'from'} {plain(low)}" if low > -_UNLIMITED else "any"
+    end = f" to {'' if included else 'below '}{plain(high)}" if high < _UNLIMITED else ""
+    return f"{'whole, ' if schema['type'] == 'integer' else ''}{start}{end}".replace("any to", "up to")
 
 
 def plain(value: Any) -> str:
@@ -153,8 +150,8 @@ def fields(kind: type[BaseModel], names: Iterable[str], usual: Mapping[str, Any]
         meaning, _, source = said[name].removesuffix("]").partition(" [")
         unit = next(iter(UNITS[unit_of(name)][1])) if unit_of(name) else ""
         shown = "–" if default is None else plain(default)
-        rows.append((f"`{name}`", unit, shown, in_words(schema[name]), meaning, source))
-    head = ("field", "unit", "default", "allowed", "meaning", "source")
+        rows.append((f"`{name}`", meaning, unit, shown, in_words(schema[name]), source))
+    head = ("field", "meaning", "unit", "default", "allowed", "source")
     if not any(row[-1] for row in rows):
         head, rows = head[:-1], [row[:-1] for row in rows]
     return table(head, rows)
@@ -282,8 +279,8 @@ def settings(names: Sequence[str]) -> str:
     rows = []
     for name in (name for name in schema if name != "name"):
         values = (plain(getattr(config, name)) if hasattr(config, name) else "–" for config in published.values())
-        rows.append((f"`{name}`", in_words(schema[name]), *values, said[name]))
-    return table(("setting", "allowed", *(f"`{name}`" for name in names), "meaning"), rows)
+        rows.append((f"`{name}`", said[name], *values, in_words(schema[name])))
+    return table(("setting", "meaning", *(f"`{name}`" for name in names), "allowed"), rows)
 
 
 def knows() -> str:
@@ -304,8 +301,8 @@ def planners() -> str:
         items = (", ".join(f"`{item}`" for item in found or ()) for found in (honoured, ignored))
         cells = (text.replace(_ALL, "all items") or "–" for text in items)
         ahead = "yes" if name in PLAN_AHEAD else "–"
-        rows.append((f"`{name}`", planner_knowledge(name), ahead, first_sentence(kind), *cells))
-    return table(("planner", "knows", "plans ahead", "what it does", "reckons with", "ignores"), rows)
+        rows.append((f"`{name}`", first_sentence(kind), planner_knowledge(name), ahead, *cells))
+    return table(("planner", "what it does", "knows", "plans ahead", "reckons with", "ignores"), rows)
 
 
 # -- commands ------------------------------------------------------------------------------------------

@@ -48,8 +48,8 @@ class Family(Strict):
     description: StrictStr = ""  # a line for people
     base: Annotated[Scenario, BeforeValidator(_base)]  # by name, by path, or its fields
     base_share: Fraction = 0.0  # share of the draws that are the base itself, on new layouts
-    uavs: WholeDraw | None = None  # U, their number
-    devices: WholeDraw | None = None  # I, their number
+    uavs: WholeDraw | None = None  # U, the number of UAVs
+    devices: WholeDraw | None = None  # I, the number of devices
     clusters: WholeDraw | None = None  # clusters that the devices lie in; left out: they lie anywhere
     grid_step_m: LengthDraw | None = None  # delta; a slot takes as long for each step as in the base
     area_m: LengthDraw | None = None  # a side of the area, rounded to whole grid steps
