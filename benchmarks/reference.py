@@ -142,19 +142,18 @@ def fields(kind: type[BaseModel], names: Iterable[str], usual: Mapping[str, Any]
         usual: values where there is no default, shown in italics.
     """
     said, schema = of_class(kind), kind.model_json_schema()["properties"]
-    rows = []
+    rows: list[Sequence[str]] = []
     for name in names:
         default = schema[name].get("default", "required")
         if default in (None, "required") and name in usual:
             default = f"*{plain(usual[name])}*"
         meaning, _, source = said[name].removesuffix("]").partition(" [")
         unit = next(iter(UNITS[unit_of(name)][1])) if unit_of(name) else ""
-        shown = "–" if default is None else plain(default)
-        rows.append((f"`{name}`", meaning, unit, shown, in_words(schema[name]), source))
+        default = "–" if default is None else plain(default)
+        rows.append((f"`{name}`", meaning, unit, default, in_words(schema[name]), source))
+    shown = 6 if any(row[-1] for row in rows) else 5  # without the sources, where there are none
     head = ("field", "meaning", "unit", "default", "allowed", "source")
-    if not any(row[-1] for row in rows):
-        head, rows = head[:-1], [row[:-1] for row in rows]
-    return table(head, rows)
+    return table(head[:shown], [row[:shown] for row in rows])
 
 
 def scenario() -> str:
@@ -310,7 +309,8 @@ def planners() -> str:
 
 def commands(group: Any = None, before: str = "") -> Iterator[tuple[str, Any]]:
     """Every command with its words."""
-    for name, command in (group or typer.main.get_command(app)).commands.items():
+    root: Any = typer.main.get_command(app)
+    for name, command in (group or root).commands.items():
         words = f"{before}{name}"
         yield from commands(command, f"{words} ") if hasattr(command, "commands") else [(words, command)]
 

@@ -73,9 +73,13 @@ def _forms(term: str) -> str:
     return forms if term != term.lower() else f"(?i:{forms})"
 
 
-# Where no term is linked: code, headings, directives, links, tags.
-_KEPT = r"^```.*?^```|^#[^\n]*|^:::[^\n]*|`[^`\n]*`|\[!\[[^\]]*\]\([^)]*\)\]\([^)]*\)|\[[^\]]*\]\([^)]*\)|<[^>]*>"
-_WORDS = re.compile("|".join([_KEPT, *(rf"\b({_forms(term)})\b" for term in TERMS)]), re.DOTALL | re.MULTILINE)
+_KEPT = (  # where no term is linked
+    *(r"^```.*?^```", r"`[^`\n]*`", r"^#[^\n]*", r"^:::[^\n]*", r"<[^>]*>", r'"[^"\n]*"'),
+    *(r"\[!\[[^\]]*\]\([^)]*\)\]\([^)]*\)", r"\[[^\]]*\]\([^)]*\)"),
+)
+_WORDS = re.compile(
+    "|".join([*_KEPT, *(rf"(?<![\w-])({_forms(term)})(?![\w-])" for term in TERMS)]), re.DOTALL | re.MULTILINE
+)
 
 
 def with_terms(text: str, glossary: str) -> str:
