@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
@@ -31,6 +31,7 @@ from uavaou.planners.plain import ITEMS
 from uavaou.radio import THRESHOLDS, LineOfSight, with_radio
 from uavaou.reports.markdown import table
 from uavaou.runs import folder
+from uavaou.runs.folder import RunFolder
 from uavaou.scenario_fields import Range, ScenarioFields, WholeRange
 from uavaou.units import UNITS, unit_of
 from uavaou.world import knowledge
@@ -82,10 +83,8 @@ def named(head: Sequence[str], said: Mapping[str, str]) -> str:
 
 def first_sentence(of: Any) -> str:
     """How a docstring begins, in Markdown."""
-    text = re.sub(
-        r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"`\1`", " ".join((inspect.getdoc(of) or "").split("\n\n")[0].split())
-    )
-    return re.split(r"(?<=\w{2}[.)])\s(?=[A-Z])", text.replace("``", "`"))[0]
+    paragraph = " ".join((inspect.getdoc(of) or "").partition("\n\n")[0].split())
+    return re.split(r"(?<=\w{2}[.)])\s(?=[A-Z])", paragraph.replace("``", "`"))[0]
 
 
 def in_words(schema: dict[str, Any]) -> str:
@@ -114,8 +113,8 @@ def _limits(schema: dict[str, Any]) -> str:
     schema = {"start": -_UNLIMITED, "end": _UNLIMITED} | schema
     low, above = max((schema[key], strict) for key, strict in _LOW.items() if key in schema)
     high, included = min((schema[key], not strict) for key, strict in _HIGH.items() if key in schema)
-    start = f"{'above' if above else 'from'} {plain(low)}" if low > -_UNLIMITED else "any"
-    end = f" to {'' if included else 'below '}{plain(high)}" if high < _UNLIMITED else ""
+    start = f"{'above' if above else 'from'} {low:,.10g}" if low > -_UNLIMITED else "any"
+    end = f" to {'' if included else 'below '}{high:,.10g}" if high < _UNLIMITED else ""
     return f"{'whole, ' if schema['type'] == 'integer' else ''}{start}{end}".replace("any to", "up to")
 
 
@@ -127,7 +126,7 @@ def plain(value: Any) -> str:
         return f"[{', '.join(map(plain, value))}]"
     if isinstance(value, float):
         return f"{value:.6g}"
-    return str(value).lower() if isinstance(value, bool) else f"{value:,}" if isinstance(value, int) else str(value)
+    return str(value).lower() if isinstance(value, bool) else f"{value:_}" if isinstance(value, int) else str(value)
 
 
 # -- scenarios -----------------------------------------------------------------------------------------
@@ -287,7 +286,9 @@ def knows() -> str:
     return named(("knows", "what it reads in flight"), of_constant(knowledge, "Knowledge"))
 
 
-_ALL = ", ".join(f"`{item}`" for item in ITEMS)
+def _items(found: Collection[str]) -> str:
+    names = ", ".join(f"`{item}`" for item in found)
+    return "all items" if set(ITEMS) <= set(found) else names or "–"
 
 
 def planners() -> str:
@@ -295,12 +296,12 @@ def planners() -> str:
     rows = []
     for name, place in PLANNERS.items():
         kind = resolve_name(place)
-        honoured = getattr(kind, "lives_with", None)  # those that plan nothing have nothing to reckon with
-        ignored = [item for item in ITEMS if honoured is not None and item not in honoured]
-        items = (", ".join(f"`{item}`" for item in found or ()) for found in (honoured, ignored))
-        cells = (text.replace(_ALL, "all items") or "–" for text in items)
+        honoured = getattr(kind, "lives_with", ())
+        plans = hasattr(kind, "lives_with")  # the others have nothing to reckon with
+        ignored = [item for item in ITEMS if plans and item not in honoured]
         ahead = "yes" if name in PLAN_AHEAD else "–"
-        rows.append((f"`{name}`", first_sentence(kind), planner_knowledge(name), ahead, *cells))
+        known = planner_knowledge(name)
+        rows.append((f"`{name}`", first_sentence(kind), known, ahead, _items(honoured), _items(ignored)))
     return table(("planner", "what it does", "knows", "plans ahead", "reckons with", "ignores"), rows)
 
 
@@ -323,7 +324,7 @@ def described_command(words: str, command: Any) -> str:
     for parameter in command.params:
         names, text = parameter.get_help_record(context)
         meaning, default = re.match(r"(.*?)\s*(?:\[default: (.*)\])?$", text, re.DOTALL).groups()  # type: ignore[union-attr]
-        rows.append((f"`{names.removesuffix(' <str>')}`", _safe(meaning), default or ""))
+        rows.append((f"`{names.partition(' <')[0]}`", _safe(meaning), _safe(default or "")))
     options = table(("argument or option", "meaning", "default"), rows)
     return f"### {words}\n\n```text\n{synopsis}\n```\n\n{_safe(command.help)}\n\n{options}"
 
@@ -344,11 +345,8 @@ def columns_of(module: Any, *names: str) -> str:
 
 def run_folder() -> str:
     """The files of a run folder."""
-    said = of_class(folder.RunFolder)
-    own = vars(folder.RunFolder)
-    return named(
-        ("file", "content"), {str(getattr(folder.RunFolder(Path()), name)): said[name] for name in said if name in own}
-    )
+    said, run = of_class(RunFolder), RunFolder(Path())
+    return named(("file", "content"), {str(getattr(run, name)): said[name] for name in said if hasattr(run, name)})
 
 
 def routes() -> str:
