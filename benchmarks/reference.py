@@ -324,7 +324,8 @@ def described_command(words: str, command: Any) -> str:
     for parameter in command.params:
         names, text = parameter.get_help_record(context)
         meaning, default = re.match(r"(.*?)\s*(?:\[default: (.*)\])?$", text, re.DOTALL).groups()  # type: ignore[union-attr]
-        rows.append((f"`{names.partition(' <')[0]}`", _safe(meaning), _safe(default or "")))
+        written = names.partition(" <")[0].replace("|", "&#124;")  # not all readers take a bar in a cell of code
+        rows.append((f"<code>{written}</code>", _safe(meaning), _safe(default or "")))
     options = table(("argument or option", "meaning", "default"), rows)
     return f"### {words}\n\n```text\n{synopsis}\n```\n\n{_safe(command.help)}\n\n{options}"
 

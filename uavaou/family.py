@@ -44,7 +44,7 @@ class Family(Strict):
         'resample'
     """
 
-    name: FolderName = "custom"  # of the folders of results; of a file, its own name
+    name: FolderName = "custom"  # names the folders of results; the name of the file if left out
     description: StrictStr = ""  # a line for people
     base: Annotated[Scenario, BeforeValidator(_base)]  # by name, by path, or its fields
     base_share: Fraction = 0.0  # share of the draws that are the base itself, on new layouts

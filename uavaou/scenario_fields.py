@@ -66,7 +66,7 @@ class WholeRange(Range):
 class ScenarioFields(Strict):
     """Area, fleet, devices, channel and mission."""
 
-    name: FolderName = "custom"  # of the folders of results; of a file, its own name
+    name: FolderName = "custom"  # names the folders of results; the name of the file if left out
     description: str = ""  # a line for people
     area_x_m: Length  # side of the area along x [Table I]
     area_y_m: Length  # side of the area along y [Table I]
@@ -90,7 +90,7 @@ class ScenarioFields(Strict):
     update_period_slots: Period | tuple[Period, ...] | WholeRange  # k_i: slots between two updates [Table I]
     devices_m: tuple[Point, ...] | None = None  # place of each device; drawn uniformly where left out [Table I]
     layout: Literal["fixed", "resample"] = "fixed"  # resample: what is drawn of devices is new in each mission
-    layout_seed: Annotated[Whole, Field(ge=0)] = 0  # of what is drawn of devices on a fixed layout
+    layout_seed: Annotated[Whole, Field(ge=0)] = 0  # seed of what is drawn of devices on a fixed layout
     flight_time: Literal["enforce", "ignore"] = "enforce"  # ignore: drops (Time), keeps (CDS) [(Time)]
     # Places and names; off by default.
     georeference: Georeference | None = None  # where the area lies on the earth [WGS 84]
@@ -108,17 +108,17 @@ class ScenarioFields(Strict):
     # Missions as they really go; off by default.
     uplinks_per_slot: PositiveWhole | None = None  # L: devices that a UAV serves in a slot at most
     energy: Energy = None  # battery of each UAV, by its endurance or as a rotary wing [Zeng 2019]
-    swap_time_s: NonNegative | None = None  # at a station, for a full battery; 0 without
+    swap_time_s: NonNegative | None = None  # how long a swap at a station takes; 0 if left out
     stations_m: tuple[Point, ...] | None = None  # where batteries are swapped, beside the CDSs; on the grid
     failures: Failures | None = None  # UAVs that fail in a known slot
-    failure_probability_per_slot: Fraction | None = None  # of each UAV, for ever
+    failure_probability_per_slot: Fraction | None = None  # that a UAV fails in a slot, for ever
     devices_silent: Silences | None = None  # devices that generate nothing for a while
     links: LinksField = None  # messages between UAVs; left out: what the policy's observation says
-    silence_slots: PositiveWhole | None = None  # without news from which on a UAV is taken as lost; 10 with links
-    wind: Wind | None = None  # changes the speed in the air, and so the energy
+    silence_slots: PositiveWhole | None = None  # without news, after which a UAV is taken as lost; 10 if left out
+    wind: Wind | None = None  # over the area; changes the speed in the air, and so the energy
     air_speed_max_m_s: Positive | None = None  # moves that need more in the air are not allowed
     age_limit_s: Positive | None = None  # AoI above it counts as late
-    device_weights: tuple[NonNegative, ...] | None = None  # of each device in the objective
+    device_weights: tuple[NonNegative, ...] | None = None  # weight of each device in the objective
     objective: Objective | None = None  # what the reward counts; left out: the paper's AoU without weights
 
     @property
