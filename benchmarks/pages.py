@@ -1,4 +1,5 @@
-"""Numbers of the pages, from the committed tables: ``make results`` writes them between the markers of each block.
+"""Numbers of the pages from the committed tables, and the reference from the code: ``make results`` writes them between
+the markers of each block.
 
 ``python -m benchmarks.pages --check`` changes nothing, and ends with code 1 where a block is not that of the tables.
 """
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from benchmarks import reference
 from benchmarks.measure import kept_rows
 from uavaou.evaluation.flights import VALIDATION
 from uavaou.experiments.results import StudyResults, read_study
@@ -25,7 +27,7 @@ from uavaou.statistics import Interval, interval_over_trainings
 
 ROOT = Path(__file__).resolve().parents[1]
 CARD = "zoo_configs/policies/any-map/README.md"
-PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md", CARD)
+PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md", CARD, *reference.PAGES)
 RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
 LEAST = 1.0  # slots: where the other has less, a ratio says nothing
 HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")
@@ -172,6 +174,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "unseen": unseen,
     "networks": networks,
     "levels": levels,
+    **reference.BLOCKS,
 }
 
 
@@ -185,7 +188,7 @@ def main() -> int:
             if "--check" not in sys.argv:
                 (ROOT / page).write_text(now, encoding="utf-8")
     for page in stale:
-        print(f"{page}: its numbers are not those of the tables: make results" if "--check" in sys.argv else page)
+        print(f"{page}: is not what tables and code say: make results" if "--check" in sys.argv else page)
     return int(bool(stale) and "--check" in sys.argv)
 
 

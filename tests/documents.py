@@ -9,10 +9,8 @@ from typing import Any
 import typer
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = (
-    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "results/README.md")),
-    *sorted((ROOT / "docs").glob("*.md")),
-)
+PAGES = (*sorted(ROOT.glob("*.md")), ROOT / "results" / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
+SITE = tuple(page for page in PAGES if page.parent != ROOT / "docs" / "notes")  # those of the documentation site
 
 
 def blocks(page: Path, language: str) -> list[str]:

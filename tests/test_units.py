@@ -7,7 +7,7 @@ import pytest
 
 from tests.scenario_files import refusal, write
 from uavaou import Scenario
-from uavaou.units import _UNITS, in_own_units
+from uavaou.units import UNITS, in_own_units
 from uavaou_cli.overrides import parse_overrides
 
 TINY = Scenario.load("tiny")  # slots of 20/3 s
@@ -50,7 +50,7 @@ def test_a_quantity_is_read_in_the_unit_of_its_field(field: str, given: Any, mea
 
 
 def test_every_field_of_a_scenario_that_names_a_unit_has_one() -> None:
-    endings = tuple(f"_{unit}" for unit in _UNITS)
+    endings = tuple(f"_{unit}" for unit in UNITS)
     plain = {name for name in Scenario.model_fields if not name.endswith(endings)}
     assert plain == {"name", "description", "uavs", "devices", "slots", "rician_factor", "fading", "layout"} | {
         *("layout_seed", "flight_time", "line_of_sight", "path_loss_exponent"),

@@ -30,12 +30,12 @@ def chosen(weights: tuple[float, ...], unit: float) -> int:
 class Draw(Strict):
     """A quantity: between two ends, ``{low: 5, high: 120, log: true}``, or one of some values, ``{among: [0, 3]}``."""
 
-    low: NonNegative | None = None
-    high: NonNegative | None = None  # included
+    low: NonNegative | None = None  # least value
+    high: NonNegative | None = None  # largest value, included
     log: StrictBool = False  # the logarithm is uniform
-    among: Annotated[tuple[NonNegative, ...], Field(min_length=1)] | None = None
-    weights: tuple[Positive, ...] | None = None  # of the values in ``among``; None for equal ones
-    share: Fraction = 1.0  # the other draws keep the value of the base
+    among: Annotated[tuple[NonNegative, ...], Field(min_length=1)] | None = None  # values, in place of the ends
+    weights: tuple[Positive, ...] | None = None  # of the values in among; left out: equal ones
+    share: Fraction = 1.0  # of the draws; the others keep the value of the base
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -90,7 +90,7 @@ class WholeDraw(Draw):
 class AltitudeDraw(Range):
     """Altitudes of a fleet, evenly apart in a part of the range, in a random order."""
 
-    share: Fraction = 1.0  # the other fleets take the range of the base
+    share: Fraction = 1.0  # of the fleets; the others take the range of the base
 
 
 class CdsDraw(Strict):
@@ -125,15 +125,15 @@ class CdsDraw(Strict):
 
 
 class OperationsDraw(Strict):
-    """How often and how much of what missions hold beside the paper's (docs/operations.md); on the base itself too."""
+    """How often and how much of what missions hold beside the paper's; on the base itself too."""
 
-    uplinks_per_slot: WholeDraw | None = None
+    uplinks_per_slot: WholeDraw | None = None  # devices that a UAV serves in a slot at most
     endurance: Draw | None = None  # of a battery, as a share of the mission
-    swap_slots: Draw | None = None
+    swap_slots: Draw | None = None  # that a swap takes
     failures: Draw | None = None  # expected in a mission, of the whole fleet; each UAV's is for ever
-    link_probability: Draw | None = None
+    link_probability: Draw | None = None  # of a message to pass in a slot
     wind_m_s: Draw | None = None  # in a direction of its own, with a third of it as the deviation
-    silent: Fraction = 0.0  # of the devices: silent in a part of the mission
+    silent: Fraction = 0.0  # share of the devices that is silent in a part of the mission
 
     def changes(self, rng: np.random.Generator, uavs: int, devices: int, slots: int, slot_s: float) -> dict[str, Any]:
         """Draw the fields of a scenario with so many UAVs, devices and slots of ``slot_s`` seconds."""

@@ -21,6 +21,14 @@ class InputError(ValueError):
     Attributes:
         faults: where :func:`all_faults` made the error, the single errors, each without the source.
         source: of these faults.
+
+    Examples:
+        >>> from uavaou import InputError, Scenario
+        >>> try:
+        ...     Scenario.load("papr")
+        ... except InputError as error:
+        ...     print(str(error).partition(";")[0])
+        unknown scenario 'papr'
     """
 
     faults: list[InputError]

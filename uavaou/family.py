@@ -37,25 +37,30 @@ class Family(Strict):
     """A base scenario and what is drawn anew; each field that is not given stays that of the base.
 
     :meth:`load` reads a family, :meth:`draw` makes a member.
+
+    Examples:
+        >>> from uavaou import Family
+        >>> Family.load("any").draw(7).layout
+        'resample'
     """
 
-    name: FolderName = "custom"
-    description: StrictStr = ""
-    base: Annotated[Scenario, BeforeValidator(_base)]  # in a file: a name or a path, or the fields
-    base_share: Fraction = 0.0  # of the draws: the base itself, on new layouts
-    uavs: WholeDraw | None = None
-    devices: WholeDraw | None = None
-    clusters: WholeDraw | None = None  # that the devices lie in; without, they lie anywhere
-    grid_step_m: LengthDraw | None = None  # a slot takes as long for each step as in the base
-    area_m: LengthDraw | None = None  # of a side, rounded to whole grid steps
-    square: Fraction = 1.0  # of the drawn areas have equal sides
-    cds: CdsDraw = CdsDraw(corners=1)
-    altitudes_m: AltitudeDraw | None = None
-    slots: WholeDraw | None = None  # the flight-time budget is in proportion
+    name: FolderName = "custom"  # names the folders of results; the name of the file if left out
+    description: StrictStr = ""  # a line for people
+    base: Annotated[Scenario, BeforeValidator(_base)]  # by name, by path, or its fields
+    base_share: Fraction = 0.0  # share of the draws that are the base itself, on new layouts
+    uavs: WholeDraw | None = None  # U, the number of UAVs
+    devices: WholeDraw | None = None  # I, the number of devices
+    clusters: WholeDraw | None = None  # clusters that the devices lie in; left out: they lie anywhere
+    grid_step_m: LengthDraw | None = None  # delta; a slot takes as long for each step as in the base
+    area_m: LengthDraw | None = None  # a side of the area, rounded to whole grid steps
+    square: Fraction = 1.0  # share of the drawn areas with equal sides
+    cds: CdsDraw = CdsDraw(corners=1)  # where the CDSs lie
+    altitudes_m: AltitudeDraw | None = None  # H_u, the altitudes of the fleet
+    slots: WholeDraw | None = None  # K; the flight-time budget is in proportion
     longest_update_period_slots: WholeDraw | None = None  # the periods are drawn from 1 to it
-    rate_min_bit_s: Draw | None = None
-    rician_factor: Draw | None = None
-    operations: OperationsDraw | None = None
+    rate_min_bit_s: Draw | None = None  # R_min, the rate from which on a device is in range
+    rician_factor: Draw | None = None  # Phi, linear
+    operations: OperationsDraw | None = None  # what missions hold beside the paper's
 
     @classmethod
     def load(cls, source: str | Path | Family) -> Family:

@@ -33,9 +33,9 @@ def _charge(share: Floats) -> Ints:
 class Endurance(StrictMapping):
     """A battery that lasts so long in the air, whatever a UAV does there."""
 
-    model: Literal["endurance"] = "endurance"
-    endurance_s: Positive
-    reserve: Annotated[Fraction, Field(lt=1)] = 0.1  # of a full battery, that stays in it
+    model: Literal["endurance"] = "endurance"  # may be left out
+    endurance_s: Positive  # time in the air with a full battery
+    reserve: Annotated[Fraction, Field(lt=1)] = 0.1  # share of a full battery that stays in it
 
     def slot_energy(self, air_speed_m_s: Floats, slot_length_s: float) -> Ints:
         """The charge that a slot in the air costs, of ``FULL``, elementwise."""
@@ -47,13 +47,13 @@ class RotaryWing(StrictMapping):
     Communication With Rotary-Wing UAV", 2019, eq. 12); the defaults are theirs.
     """
 
-    model: Literal["rotary-wing"]
-    battery_wh: Positive
-    hover_w: Positive = _HOVER_W
-    tip_speed_m_s: Annotated[Number, Field(ge=1e-3)] = 120.0
-    induced_velocity_m_s: Annotated[Number, Field(ge=1e-3)] = 4.03
-    parasite_w_per_m3_s3: NonNegative = 0.00924  # d0 rho s A / 2
-    reserve: Annotated[Fraction, Field(lt=1)] = 0.1
+    model: Literal["rotary-wing"]  # may be left out beside battery_wh
+    battery_wh: Positive  # Wh of a full battery
+    hover_w: Positive = _HOVER_W  # W, to hover
+    tip_speed_m_s: Annotated[Number, Field(ge=1e-3)] = 120.0  # of the rotor's blades
+    induced_velocity_m_s: Annotated[Number, Field(ge=1e-3)] = 4.03  # of the air through the rotor in hover
+    parasite_w_per_m3_s3: NonNegative = 0.00924  # d0 rho s A / 2, in W / (m/s)^3
+    reserve: Annotated[Fraction, Field(lt=1)] = 0.1  # share of a full battery that stays in it
 
     def power_w(self, air_speed_m_s: Floats) -> Floats:
         """The power in flight at air speeds, elementwise."""
@@ -91,9 +91,9 @@ Energy = Annotated[
 class Failure(StrictMapping):
     """A UAV that fails in a slot, until it is repaired before another one, or for ever."""
 
-    uav: Annotated[Whole, Field(ge=0)]
-    slot: PositiveWhole
-    until: PositiveWhole | None = None
+    uav: Annotated[Whole, Field(ge=0)]  # its number, from 0
+    slot: PositiveWhole  # in which it fails, from 1, or a time
+    until: PositiveWhole | None = None  # slot in which it is repaired; left out: never
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -107,9 +107,9 @@ class Silence(StrictMapping):
     In files, ``start`` is called ``from``.
     """
 
-    device: Annotated[Whole, Field(ge=0)]
-    start: Annotated[Whole, Field(ge=0)]
-    until: PositiveWhole | None = None
+    device: Annotated[Whole, Field(ge=0)]  # its number, from 0
+    start: Annotated[Whole, Field(ge=0)]  # slot from which on it is silent; in files it is called `from`
+    until: PositiveWhole | None = None  # slot in which it is heard again; left out: never
 
     @model_validator(mode="before")
     @classmethod
@@ -138,10 +138,10 @@ Silences = Annotated[tuple[Silence, ...], Field(max_length=_MOST_LISTED)]
 class Links(StrictMapping):
     """Which messages pass between UAVs: with a probability, within a range, or in bursts; all that is given holds."""
 
-    probability: Fraction = 1.0
-    range_m: Positive | None = None
+    probability: Fraction = 1.0  # of a message to pass in a slot
+    range_m: Positive | None = None  # farthest distance of two UAVs at which messages pass
     good_slots: Annotated[Number, Field(ge=1)] | None = None  # mean length of a time in which messages pass
-    bad_slots: Annotated[Number, Field(ge=1)] | None = None  # and of one in which none does
+    bad_slots: Annotated[Number, Field(ge=1)] | None = None  # mean length of a time in which none does
 
     @model_validator(mode="after")
     def _whole_bursts(self) -> Self:
@@ -167,10 +167,10 @@ LinksField = Annotated[Links | None, BeforeValidator(_links)]
 class Wind(StrictMapping):
     """Wind that blows towards +x and +y of the earth, constant, or around a mean with a memory from slot to slot."""
 
-    east_m_s: Annotated[Number, Field(ge=-100, le=100)] = 0.0
-    north_m_s: Annotated[Number, Field(ge=-100, le=100)] = 0.0
-    deviation_m_s: Annotated[NonNegative, Field(le=30)] = 0.0  # of each component
-    correlation: Annotated[NonNegative, Field(lt=1)] = 0.9  # from slot to slot
+    east_m_s: Annotated[Number, Field(ge=-100, le=100)] = 0.0  # mean towards the east, without georeference +x
+    north_m_s: Annotated[Number, Field(ge=-100, le=100)] = 0.0  # mean towards the north, without georeference +y
+    deviation_m_s: Annotated[NonNegative, Field(le=30)] = 0.0  # standard deviation of each component
+    correlation: Annotated[NonNegative, Field(lt=1)] = 0.9  # of a component from slot to slot
 
     def mean_m_s(self, bearing_deg: float) -> tuple[float, float]:
         """The mean wind towards +x and +y of a map whose +y points to a bearing."""

@@ -33,10 +33,10 @@ class LineOfSight(Strict):
     Coverage", 2014).
     """
 
-    a: Annotated[Number, Field(gt=0, le=100)]
-    b: Annotated[Number, Field(gt=0, le=100)]
-    loss_los_db: ExcessLoss
-    loss_nlos_db: ExcessLoss
+    a: Annotated[Number, Field(gt=0, le=100)]  # of the buildings, in degrees
+    b: Annotated[Number, Field(gt=0, le=100)]  # of the buildings, in 1 / degree
+    loss_los_db: ExcessLoss  # beyond free space, with a line of sight
+    loss_nlos_db: ExcessLoss  # beyond free space, without one
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

@@ -44,6 +44,12 @@ class Scenario(ScenarioFields):
 
     :meth:`load` reads a scenario, :meth:`replace` changes it. Both validate and raise
     :class:`~uavaou.errors.InputError`, which lists all faults.
+
+    Examples:
+        >>> from uavaou import Scenario
+        >>> scenario = Scenario.load("paper").replace(uavs=2, slot_length_s="10 s")
+        >>> scenario.uavs, scenario.devices
+        (2, 25)
     """
 
     # -- reading and writing -------------------------------------------------------------------------

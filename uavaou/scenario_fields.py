@@ -46,8 +46,8 @@ _BY_DEVICE = (*DEVICE_COLUMNS, "device_names")
 class Range(Strict):
     """Values drawn uniformly between two ends, one for each device: ``{low: 0.2, high: 1}``."""
 
-    low: NonNegative
-    high: Positive
+    low: NonNegative  # least value
+    high: Positive  # largest value
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -59,67 +59,67 @@ class Range(Strict):
 class WholeRange(Range):
     """Whole numbers drawn uniformly between two ends, both included: ``{low: 1, high: 5}``."""
 
-    low: Period
-    high: Period
+    low: Period  # least value
+    high: Period  # largest value
 
 
 class ScenarioFields(Strict):
     """Area, fleet, devices, channel and mission."""
 
-    name: FolderName = "custom"
-    description: str = ""
-    area_x_m: Length
-    area_y_m: Length
-    grid_step_m: Length  # delta
-    uavs: Annotated[PositiveWhole, Field(le=1000)]  # U
-    devices: Annotated[PositiveWhole, Field(le=100_000)]  # I
-    slots: Annotated[Whole, Field(ge=2, le=1_000_000)]  # K
-    slot_length_s: Positive  # tau
-    speed_m_s: Positive  # nu
-    altitudes_m: tuple[Length, ...]  # H_u
-    cds_m: tuple[Point, ...]  # CDS_u
-    flight_time_budget_s: Unbounded  # zeta_max
-    carrier_frequency_hz: Annotated[Number, Field(ge=1)] | None = None  # f_c; beta_0 follows from it
-    reference_gain_db: Decibels | None = None  # beta_0
-    rician_factor: NonNegative  # Phi, linear
-    fading: Literal["rician", "none"] = "rician"
-    noise_power_dbm: Decibels  # sigma^2
-    rate_min_bit_s: Positive | None = None  # R_min
-    bandwidth_hz: Positive | tuple[Positive, ...] | Range  # B_i
-    transmit_power_mw: Positive | tuple[Positive, ...] | Range  # P_i
-    update_period_slots: Period | tuple[Period, ...] | WholeRange  # k_i
-    devices_m: tuple[Point, ...] | None = None
-    layout: Literal["fixed", "resample"] = "fixed"
-    layout_seed: Annotated[Whole, Field(ge=0)] = 0
-    flight_time: Literal["enforce", "ignore"] = "enforce"
-    # Beyond the paper; off by default.
-    georeference: Georeference | None = None
+    name: FolderName = "custom"  # names the folders of results; the name of the file if left out
+    description: str = ""  # a line for people
+    area_x_m: Length  # side of the area along x [Table I]
+    area_y_m: Length  # side of the area along y [Table I]
+    grid_step_m: Length  # delta: a move leads to a neighbour this far away [decision 1]
+    uavs: Annotated[PositiveWhole, Field(le=1000)]  # U, the number of UAVs [Table I]
+    devices: Annotated[PositiveWhole, Field(le=100_000)]  # I, the number of devices [Table I]
+    slots: Annotated[Whole, Field(ge=2, le=1_000_000)]  # K, the length of a mission [Table I]
+    slot_length_s: Positive  # tau, the time step [Table I, repaired]
+    speed_m_s: Positive  # nu, the speed over the ground [Table I]
+    altitudes_m: tuple[Length, ...]  # H_u, one for each UAV, all different [Table I]
+    cds_m: tuple[Point, ...]  # CDS_u: station of each UAV, on the grid [(CDS)]
+    flight_time_budget_s: Unbounded  # zeta_max: time in the air, with climb and landing [(Time)]
+    carrier_frequency_hz: Annotated[Number, Field(ge=1)] | None = None  # f_c, gives beta_0 in free space [decision 8]
+    reference_gain_db: Decibels | None = None  # beta_0: gain at 1 m, in place of f_c [decision 8]
+    rician_factor: NonNegative  # Phi, linear: power in line of sight over scattered power [channel]
+    fading: Literal["rician", "none"] = "rician"  # none: the mean channel in every slot [channel]
+    noise_power_dbm: Decibels  # sigma^2 [Table I]
+    rate_min_bit_s: Positive | None = None  # R_min: a device is in range from this rate on [(Rate)]
+    bandwidth_hz: Positive | tuple[Positive, ...] | Range  # B_i of each device [Table I, repaired]
+    transmit_power_mw: Positive | tuple[Positive, ...] | Range  # P_i of each device [Table I, repaired]
+    update_period_slots: Period | tuple[Period, ...] | WholeRange  # k_i: slots between two updates [Table I]
+    devices_m: tuple[Point, ...] | None = None  # place of each device; drawn uniformly where left out [Table I]
+    layout: Literal["fixed", "resample"] = "fixed"  # resample: what is drawn of devices is new in each mission
+    layout_seed: Annotated[Whole, Field(ge=0)] = 0  # seed of what is drawn of devices on a fixed layout
+    flight_time: Literal["enforce", "ignore"] = "enforce"  # ignore: drops (Time), keeps (CDS) [(Time)]
+    # Places and names; off by default.
+    georeference: Georeference | None = None  # where the area lies on the earth [WGS 84]
     outline_m: Polygon | None = None  # UAVs stay in it, border included
-    no_fly: Zones = None
-    device_names: Names = None
-    uav_names: Names = None
-    # Beyond the paper; what gives its channel stands in no file.
-    path_loss_exponent: PathLossExponent = 2.0  # eta
-    excess_loss_db: ExcessLoss = 0.0
-    line_of_sight: Environment = None
-    antenna_gain_db: Decibels = 0.0  # of both ends together
-    snr_min_db: Decibels | None = None  # in place of R_min
-    sensitivity_dbm: Decibels | None = None  # in place of R_min
-    # Beyond the paper: missions as they really go (docs/operations.md).
-    uplinks_per_slot: PositiveWhole | None = None  # devices that a UAV serves in a slot at most
-    energy: Energy = None
-    swap_time_s: NonNegative | None = None  # at a station, for a full battery; 0 without
-    stations_m: tuple[Point, ...] | None = None  # beside the CDSs, where batteries are swapped
-    failures: Failures | None = None
-    failure_probability_per_slot: Fraction | None = None
-    devices_silent: Silences | None = None
-    links: LinksField = None  # between UAVs; None: what the policy's observation says
-    silence_slots: PositiveWhole | None = None  # without news from which on a UAV is taken as lost
-    wind: Wind | None = None
-    air_speed_max_m_s: Positive | None = None
-    age_limit_s: Positive | None = None
-    device_weights: tuple[NonNegative, ...] | None = None
-    objective: Objective | None = None  # of the reward; None: the paper's
+    no_fly: Zones = None  # UAVs stay out of these
+    device_names: Names = None  # one for each device
+    uav_names: Names = None  # one for each UAV
+    # Radios of other kinds; the defaults are the paper's channel and stand in no file.
+    path_loss_exponent: PathLossExponent = 2.0  # eta; 2 is free space [log-distance model]
+    excess_loss_db: ExcessLoss = 0.0  # X: plants, walls, cables, a margin; at any distance
+    line_of_sight: Environment = None  # none, suburban, urban, dense-urban, or a mapping [Al-Hourani 2014]
+    antenna_gain_db: Decibels = 0.0  # G, of both ends together
+    snr_min_db: Decibels | None = None  # in range from this SNR on, in place of R_min
+    sensitivity_dbm: Decibels | None = None  # in range from this received power on, in place of R_min
+    # Missions as they really go; off by default.
+    uplinks_per_slot: PositiveWhole | None = None  # L: devices that a UAV serves in a slot at most
+    energy: Energy = None  # battery of each UAV, by its endurance or as a rotary wing [Zeng 2019]
+    swap_time_s: NonNegative | None = None  # how long a swap at a station takes; 0 if left out
+    stations_m: tuple[Point, ...] | None = None  # where batteries are swapped, beside the CDSs; on the grid
+    failures: Failures | None = None  # UAVs that fail in a known slot
+    failure_probability_per_slot: Fraction | None = None  # that a UAV fails in a slot, for ever
+    devices_silent: Silences | None = None  # devices that generate nothing for a while
+    links: LinksField = None  # messages between UAVs; left out: what the policy's observation says
+    silence_slots: PositiveWhole | None = None  # without news, after which a UAV is taken as lost; 10 if left out
+    wind: Wind | None = None  # over the area; changes the speed in the air, and so the energy
+    air_speed_max_m_s: Positive | None = None  # moves that need more in the air are not allowed
+    age_limit_s: Positive | None = None  # AoI above it counts as late
+    device_weights: tuple[NonNegative, ...] | None = None  # weight of each device in the objective
+    objective: Objective | None = None  # what the reward counts; left out: the paper's AoU without weights
 
     @property
     def columns(self) -> int:

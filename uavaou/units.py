@@ -14,7 +14,7 @@ _DIGITS = 14  # what a factor adds beyond is rounding noise
 _TIMES = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0}
 # The ending of a field's name -> what it is, and its units: the first is the field's own, each with its factor. The
 # longer endings come first. Units are read as they are spelled here: an M is no m.
-_UNITS: dict[str, tuple[str, dict[str, float]]] = {
+UNITS: dict[str, tuple[str, dict[str, float]]] = {
     "bit_s": ("a rate", {"bit/s": 1.0, "kbit/s": 1e3, "Mbit/s": 1e6, "Gbit/s": 1e9, "bps": 1.0, "kbps": 1e3}),
     "m_s": ("a speed", {"m/s": 1.0, "km/h": 1 / 3.6, "kn": 1852 / 3600, "mph": 0.44704}),
     "s": ("a time", _TIMES),
@@ -47,7 +47,7 @@ def in_own_units(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _converted(name: Any, value: Any, unit: str, slot_s: float | None, depth: int = 0) -> Any:
-    unit = (isinstance(name, str) and _unit_of(name)) or unit
+    unit = (isinstance(name, str) and unit_of(name)) or unit
     if isinstance(value, str):
         return _quantity(value, unit, slot_s) if unit else value
     if depth == _DEEPEST:
@@ -60,10 +60,11 @@ def _converted(name: Any, value: Any, unit: str, slot_s: float | None, depth: in
 
 
 @cache
-def _unit_of(name: str) -> str:
+def unit_of(name: str) -> str:
+    """The key of ``UNITS`` for a field of that name; empty where it has no unit."""
     if name in _IN_SLOTS:
         return "slots"
-    return next((unit for unit in _UNITS if name.endswith(f"_{unit}")), "")
+    return next((unit for unit in UNITS if name.endswith(f"_{unit}")), "")
 
 
 def _holds_text(values: Sequence[Any]) -> bool:
@@ -80,7 +81,7 @@ def _quantity(text: str, unit: str, slot_s: float | None) -> Any:
     found = _TEXT.fullmatch(text)
     if found is None:
         return text
-    kind, units = _UNITS[unit]
+    kind, units = UNITS[unit]
     own = next(iter(units))
     number, given = found.groups()
     if given not in units:

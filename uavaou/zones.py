@@ -34,9 +34,9 @@ class StrictMapping(Strict):
 class Georeference(StrictMapping):
     """Where x = y = 0 lies, and where +y points to; local metres are a transverse Mercator of WGS 84 around it."""
 
-    latitude: Annotated[Number, Field(gt=-90, lt=90)]  # degrees north
-    longitude: Annotated[Number, Field(ge=-180, le=180)]  # degrees east
-    bearing_deg: Annotated[Number, Field(ge=-360, le=360)] = 0.0  # of +y, clockwise from north
+    latitude: Annotated[Number, Field(gt=-90, lt=90)]  # of x = y = 0, degrees north
+    longitude: Annotated[Number, Field(ge=-180, le=180)]  # of x = y = 0, degrees east
+    bearing_deg: Annotated[Number, Field(ge=-360, le=360)] = 0.0  # degrees of +y, clockwise from north
 
 
 def _simple(points: tuple[Point, ...]) -> tuple[Point, ...]:
@@ -83,11 +83,11 @@ Polygon = Annotated[tuple[Point, ...], Field(max_length=_MOST_POINTS), AfterVali
 class Zone(StrictMapping):
     """A polygon that UAVs between floor and ceiling may not fly over, nor nearer to it than the margin."""
 
-    polygon_m: Polygon
-    floor_m: Coordinate | None = None  # None: from the ground on
-    ceiling_m: Coordinate | None = None  # None: without end
-    margin_m: Annotated[NonNegative, Field(le=1e6)] = 0.0
-    name: Name | None = None
+    polygon_m: Polygon  # its corners
+    floor_m: Coordinate | None = None  # lowest altitude that it closes; left out: from the ground on
+    ceiling_m: Coordinate | None = None  # highest altitude that it closes; left out: without end
+    margin_m: Annotated[NonNegative, Field(le=1e6)] = 0.0  # by which it grows
+    name: Name | None = None  # on maps
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

@@ -148,7 +148,7 @@ def evaluation_lines(comparison: Comparison, overrides: Mapping[str, str]) -> li
         if broken:
             lines += ["", f"{name} broke constraints: {broken}"]
     note = "below each mean: its 95 % interval over missions" if episodes > 1 else "one mission alone gives no interval"
-    return [*lines, "", "below each action: what the policy knows in flight (docs/planners.md)", note]
+    return [*lines, "", "below each action: what the policy knows in flight (docs/reference/planners.md)", note]
 
 
 def _information_lines(comparison: Comparison) -> list[str]:

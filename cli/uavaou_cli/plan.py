@@ -250,7 +250,7 @@ def _gap_lines(comparison: Comparison, bound: Bound) -> list[str]:
     head = f"{scenario.name}: {episodes:,} missions, seeds {seed} to {seed + episodes - 1}"
     note = (
         "the expected mean AoU of every policy that does not foresee the channel is at least the bound; knows: what "
-        "the policy reads in flight (docs/planners.md)"
+        "the policy reads in flight (docs/reference/planners.md)"
     )
     if left_out := items(scenario):
         note += f". It is that of the plain model, as {', '.join(left_out)} only take possibilities away"

@@ -69,7 +69,7 @@ def route(
     A policy that reacts to what it hears has no fixed route. It flies 16 simulated missions, and the routes of one of
     them are written: those with the lowest expected mean AoU. Prints what they cost against the policy itself.
 
-    plan.json holds the routes, too: for `uavaou eval --policy`, `uavaou replay` and `uavaou route --policy`. See
+    plan.json holds the routes, too: for `uavaou replay`, and --policy of `uavaou eval` and `uavaou route`. See
     docs/routes.md.
     """
     from uavaou.runs.comparison import planned_scenario

@@ -25,19 +25,27 @@ HiddenSizes = Annotated[tuple[Annotated[PositiveWhole, Field(le=65_536)], ...], 
 class AlgorithmConfig(Strict):
     """What every algorithm's configuration holds: the task as the learner sees it, and the budget.
 
-    An algorithm of your own derives its configuration from this one (docs/own-algorithm.md).
+    An algorithm of your own derives its configuration from this one (docs/how-to/extend.md).
+
+    Examples:
+        >>> from uavaou import AlgorithmConfig
+        >>> class OwnConfig(AlgorithmConfig):
+        ...     learning_rate: float = 3e-4
+        >>> config = OwnConfig(name="own", slots=50_000, missions=16, evaluate_every_slots=10_000)
+        >>> config.observation, config.learning_rate
+        ('local', 0.0003)
     """
 
-    name: str
-    slots: PositiveWhole  # training budget: slots of all missions together
-    missions: Annotated[PositiveWhole, Field(le=65_536)]  # played in parallel
-    processes: PositiveWhole = 1  # that step the missions
-    observation: Observation = "local"
-    collection: Literal["select", "auto"] = "select"
-    reward: Literal["root", "aou", "relative"] = "root"
-    evaluate_every_slots: PositiveWhole  # an evaluation on validation missions, and a checkpoint, this often
-    evaluation_missions: Annotated[PositiveWhole, Field(le=10_000)] = 32
-    worlds: Annotated[PositiveWhole, Field(le=1024)] = 8  # of a family's members, that are trained on side by side
+    name: str  # of the learner
+    slots: PositiveWhole  # budget of a training: slots of all missions together
+    missions: Annotated[PositiveWhole, Field(le=65_536)]  # missions played in parallel
+    processes: PositiveWhole = 1  # processes that step the missions
+    observation: Observation = "local"  # what a UAV sees; mixed: local and shared by turns, of a family
+    collection: Literal["select", "auto"] = "select"  # whether the policy chooses devices, or collects all in range
+    reward: Literal["root", "aou", "relative"] = "root"  # what it learns from
+    evaluate_every_slots: PositiveWhole  # slots between two validations, each with a checkpoint
+    evaluation_missions: Annotated[PositiveWhole, Field(le=10_000)] = 32  # missions of a validation
+    worlds: Annotated[PositiveWhole, Field(le=1024)] = 8  # draws of a family that are trained on side by side
 
     @property
     def depends_on_sizes(self) -> bool:
@@ -81,15 +89,15 @@ class LearnerConfig(AlgorithmConfig):
     adam: ClassVar[dict[str, Any]] = {"fused": True}  # options of the optimizer
     of_policy: ClassVar[tuple[str, ...]] = ("network", "activation", "masks", "pull", "token_width", "selection_bias")
     _learner_arguments: ClassVar[Callable[[Self], dict[str, Any]]]  # of the constructor
-    network: Literal["mlp", "set"] = "mlp"  # set: any number of UAVs and devices, in rows of entities
+    network: Literal["mlp", "set"] = "mlp"  # set: reads rows of entities, and fits any number of UAVs and devices
     hidden: HiddenSizes  # units of each hidden layer; MAPPO: of actor and critic alike
-    activation: Literal["relu", "tanh"]
-    token_width: Annotated[PositiveWhole, Field(le=1024)] = 32  # of network: set: features of a device
-    pull: Annotated[NonNegative, Field(le=1000)] = 0  # of network: set: how sharply devices pull at first; 0: not
-    plan_slots: Count = 0  # of a pull: slots of the search for a plan before a training of 500,000 slots
-    map_plan_slots: Count = 0  # of a pull, where maps vary: slots of the search for the plan of each
+    activation: Literal["relu", "tanh"]  # of the hidden layers
+    token_width: Annotated[PositiveWhole, Field(le=1024)] = 32  # features of a device in a set network
+    pull: Annotated[NonNegative, Field(le=1000)] = 0  # how sharply devices pull at first, of a set network; 0: not
+    plan_slots: Count = 0  # slots of the search for a pull's plan before a training of 500,000 slots
+    map_plan_slots: Count = 0  # slots of the search for a pull's plan of each map, where maps vary
     masks: StrictBool = True  # false: what is not allowed or out of range may be chosen, and the World rejects it
-    selection_bias: Annotated[float, Field(ge=-20, le=20)]  # initial logit or advantage of selecting a device in range
+    selection_bias: Annotated[float, Field(ge=-20, le=20)]  # first logit or advantage of selecting a device in range
 
     @property
     def depends_on_sizes(self) -> bool:
@@ -126,21 +134,21 @@ class IppoConfig(LearnerConfig):
 
     adam: ClassVar[dict[str, Any]] = {"fused": True, "eps": 1e-5}
     name: Literal["mappo", "ippo"] = "ippo"
-    rollout_slots: Annotated[PositiveWhole, Field(le=1_000_000)]  # slots a mission between updates
+    rollout_slots: Annotated[PositiveWhole, Field(le=1_000_000)]  # slots of each mission between updates
     batch_rows: PositiveWhole  # agent steps in a minibatch
-    epochs: Annotated[PositiveWhole, Field(le=1000)]
-    learning_rate: Positive
+    epochs: Annotated[PositiveWhole, Field(le=1000)]  # passes over a rollout
+    learning_rate: Positive  # of Adam, at the beginning
     final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
     critic_learning_rate: Positive  # as a multiple of learning_rate
-    critic_rollouts: Count = 0  # the first of a training, in which the critic alone learns
-    gamma: Fraction
-    gae_lambda: Fraction
-    clip_range: Positive
-    entropy: NonNegative
+    critic_rollouts: Count = 0  # first rollouts of a training, in which the critic alone learns
+    gamma: Fraction  # discount from slot to slot
+    gae_lambda: Fraction  # of generalised advantage estimation
+    clip_range: Positive  # of the ratio of probabilities
+    entropy: NonNegative  # weight of the entropy in the loss, at the beginning
     final_entropy: Fraction = 1.0  # as a fraction of entropy, reached linearly at the end of the budget
-    value_loss: NonNegative
-    max_gradient_norm: Positive
-    advantage_normalization: Literal["none", "rollout", "batch"]
+    value_loss: NonNegative  # weight of the critic's error in the loss
+    max_gradient_norm: Positive  # gradients are clipped to it
+    advantage_normalization: Literal["none", "rollout", "batch"]  # over what advantages get mean 0 and deviation 1
 
     def _learner_arguments(self) -> dict[str, Any]:
         return {
@@ -171,7 +179,7 @@ class MappoConfig(IppoConfig):
 
     of_policy: ClassVar[tuple[str, ...]] = (*IppoConfig.of_policy, "critic_input")
     name: Literal["mappo"] = "mappo"
-    critic_input: Annotated[Literal["global", "local"], BeforeValidator(_one_input)] = "global"
+    critic_input: Annotated[Literal["global", "local"], BeforeValidator(_one_input)] = "global"  # what the critic reads
 
 
 class JointQConfig(LearnerConfig):
@@ -185,13 +193,13 @@ class JointQConfig(LearnerConfig):
     target_update: PositiveWhole  # gradient steps between updates of the target networks
     target_fraction: Annotated[Fraction, Field(gt=0)]  # Polyak step of such an update; 1 copies
     n_step: Annotated[PositiveWhole, Field(le=1000)]  # slots of reward before the bootstrap
-    learning_rate: Positive
+    learning_rate: Positive  # of Adam, at the beginning
     final_learning_rate: Fraction  # as a fraction of learning_rate, reached linearly at the end of the budget
-    gamma: Fraction
-    epsilon_start: Fraction
-    epsilon_end: Fraction
-    epsilon_fraction: Annotated[Fraction, Field(gt=0)]  # of the budget, over which epsilon falls linearly
-    max_gradient_norm: Positive
+    gamma: Fraction  # discount from slot to slot
+    epsilon_start: Fraction  # share of random actions at the beginning
+    epsilon_end: Fraction  # share of random actions at the end
+    epsilon_fraction: Annotated[Fraction, Field(gt=0)]  # share of the budget over which epsilon falls linearly
+    max_gradient_norm: Positive  # gradients are clipped to it
 
     @model_validator(mode="after")
     def _updates_fit_missions(self) -> Self:
@@ -236,8 +244,8 @@ class QmixConfig(JointQConfig):
 
     of_policy: ClassVar[tuple[str, ...]] = (*JointQConfig.of_policy, "mixer_width", "hypernet_width")
     name: Literal["qmix"] = "qmix"
-    mixer_width: Annotated[PositiveWhole, Field(le=4096)]
-    hypernet_width: Annotated[PositiveWhole, Field(le=4096)]
+    mixer_width: Annotated[PositiveWhole, Field(le=4096)]  # hidden units of the mixing network
+    hypernet_width: Annotated[PositiveWhole, Field(le=4096)]  # hidden units of the networks that make its weights
 
 
 def _linear_schedule(start: float, final_fraction: float) -> Callable[[float], float]:

@@ -67,6 +67,17 @@ def register_algorithm(name: str, config: type[AlgorithmConfig], build: Builder,
 
     Raises:
         InputError: the name is taken or misspelt, or ``config`` is not such a class.
+
+    Examples:
+        >>> from stable_baselines3 import PPO
+        >>> from uavaou import AlgorithmConfig, LocalRows, register_algorithm
+        >>> class OwnConfig(AlgorithmConfig):
+        ...     slots: int = 50_000
+        ...     missions: int = 16
+        ...     evaluate_every_slots: int = 10_000
+        >>> def build(config, env, seed, device):
+        ...     return PPO("MlpPolicy", LocalRows(env), seed=seed, device=device)
+        >>> register_algorithm("own-ppo", OwnConfig, build)
     """
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name):
         raise InputError(f"algorithm name {name!r}: expected lower-case letters, digits, '-' and '_'")

@@ -70,6 +70,12 @@ def flatten(
     Raises:
         InputError: an argument has none of these values, or does not divide another that it must divide; or flat rows
             are asked for a family whose draws differ in size.
+
+    Examples:
+        >>> from uavaou import flatten
+        >>> env = flatten("quickstart", missions=4, collection="auto")
+        >>> env.reset().shape == (4 * 2, env.local_size + env.global_size)  # two UAVs
+        True
     """
     compute_with_one_thread()
     family = scenario if isinstance(scenario, Family) else None

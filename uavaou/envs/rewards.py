@@ -12,7 +12,11 @@ from uavaou.arrays import Singles
 from uavaou.world import World
 from uavaou.world.partition import parts_in_flight
 
-REWARDS = ("aou", "root", "relative")
+REWARDS = (
+    "aou",  # -sum_i S_i / (20 I), S_i being the age sum of device i in slots: the paper's, scaled
+    "root",  # -sum_i sqrt(S_i) / (5 I)
+    "relative",  # -sum_i S_i / M, M being the mean that the rule local-greedy-parts leaves on the map in simulation
+)
 _LEAST = 1.0  # slots: the least AoU that a mission is compared with
 _AOU_SCALE = 20.0  # scales the age sum of a patrolled device, in slots, to the order of 1
 _ROOT_SCALE = 5.0

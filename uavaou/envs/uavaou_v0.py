@@ -6,6 +6,14 @@ Agents ``uav_0`` ... act at the same time. An observation is the UAV's local obs
 for a swap of batteries, may only stay and has nothing in range. Infos hold ``action_mask`` in the form that
 ``action_space.sample(mask)`` takes (int8; in ``select`` a tuple: the five moves, then leave and select for each
 device), and in the last slot ``mission``, the mission's metrics.
+
+Examples:
+    >>> from uavaou import uavaou_v0
+    >>> env = uavaou_v0.parallel_env("tiny", collection="auto")
+    >>> observations, infos = env.reset(seed=0)
+    >>> observations, rewards, ends, truncations, infos = env.step(dict.fromkeys(env.agents, 0))  # all stay
+    >>> sorted(rewards)
+    ['uav_0', 'uav_1']
 """
 
 from __future__ import annotations

@@ -248,6 +248,12 @@ class LocalRows(VecEnvWrapper):
     """The local part of the rows that :func:`uavaou.flatten` returns, for learners without a centralised critic.
 
     A UAV can fly the policy of any SB3 algorithm that learns on these rows: they are what it observes.
+
+    Examples:
+        >>> from uavaou import LocalRows, flatten
+        >>> env = flatten("quickstart", missions=4)
+        >>> LocalRows(env).observation_space.shape == (env.local_size,)
+        True
     """
 
     def __init__(self, env: MissionVecEnv) -> None:

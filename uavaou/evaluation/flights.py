@@ -2,7 +2,7 @@
 
 A folder of results holds ``flights.csv.gz`` and, for what changes on the way, ``curves.csv.gz``: the missions of a
 training in order, its validations, and the slots, devices and periods of its evaluation. Both are read with pandas.
-AoU is in units of the slot length tau (``_slots``). docs/studies.md says what each column means.
+AoU is in units of the slot length tau (``_slots``). docs/reference/files.md lists the columns.
 """
 
 from __future__ import annotations
@@ -20,48 +20,53 @@ from uavaou.csv_tables import NUMBER, TEXT, WHOLE, read_table, write_table
 
 BOUND = "bound"  # the policy's name in the one row of a certified bound
 
-KEY = {"job": TEXT, "policy": TEXT, "scenario": TEXT, "seed": WHOLE}  # planners and bounds have no seed
+KEY = {
+    "job": TEXT,  # digest of the configuration that the row is of
+    "policy": TEXT,  # variant, planner or run; bound for a bound
+    "scenario": TEXT,  # flown
+    "seed": WHOLE,  # of the training; planners and bounds have none
+}
 FLIGHTS = KEY | {
     "algorithm": TEXT,  # of a trained policy; of a bound its method
-    "knows": TEXT,
-    "action": TEXT,
+    "knows": TEXT,  # what the policy reads in flight
+    "action": TEXT,  # greedy (the likeliest) or sampled
     "digest": TEXT,  # of a trained policy's weights
     "trained_on": TEXT,  # the scenario or family, named as its folder of results
     "how": TEXT,  # trained (on this very scenario), zero-shot or planner
-    "suite": TEXT,
-    "point": TEXT,
-    "x": NUMBER,
-    "axis": TEXT,  # title, linear, log or category, and yes or no: how the figure of a suite has its points
-    "scale": TEXT,
-    "joined": TEXT,
-    "mission_seed": WHOLE,
-    "mean_aou_slots": NUMBER,
-    "communications": NUMBER,
-    "devices_served": NUMBER,
-    "violations": WHOLE,
-    "flight_time_s": NUMBER,
-    "rejected_rate": NUMBER,
-    "rejected_association": NUMBER,
-    "mean_aoi_slots": NUMBER,  # of a scenario that asks for measures beside AoU, else empty: the age of information,
-    "peak_aoi_slots": NUMBER,  # its largest value,
-    "late_share": NUMBER,  # and the share of time in which it is above age_limit_s
-    "slots": WHOLE,  # from here on of the training, the same in each of its rows
-    "agent_steps": WHOLE,
-    "wall_s": NUMBER,
-    "cpu_s": NUMBER,
-    "best_slots": NUMBER,
-    "commit": TEXT,
-    "processor": TEXT,
+    "suite": TEXT,  # that the mission is of
+    "point": TEXT,  # of the suite
+    "x": NUMBER,  # of the point, on the suite's axis
+    "axis": TEXT,  # title of the suite's axis
+    "scale": TEXT,  # of the axis: linear, log or category
+    "joined": TEXT,  # yes or no: whether a line joins the points in a figure
+    "mission_seed": WHOLE,  # of the mission
+    "mean_aou_slots": NUMBER,  # mean over slots of the devices' summed age sums, in slots
+    "communications": NUMBER,  # transfers that carry at least one update
+    "devices_served": NUMBER,  # devices with at least one communication
+    "violations": WHOLE,  # what the independent checker counts
+    "flight_time_s": NUMBER,  # of all UAVs together
+    "rejected_rate": NUMBER,  # selections of devices that are out of range
+    "rejected_association": NUMBER,  # selections that another UAV with a larger rate wins
+    "mean_aoi_slots": NUMBER,  # age of information, where a scenario asks for measures beside AoU
+    "peak_aoi_slots": NUMBER,  # largest value of it, likewise
+    "late_share": NUMBER,  # share of time in which it is above age_limit_s, likewise
+    "slots": WHOLE,  # of the training; from here on the same in each of its rows
+    "agent_steps": WHOLE,  # of the training: slots times UAVs
+    "wall_s": NUMBER,  # of the training
+    "cpu_s": NUMBER,  # CPU time of the training
+    "best_slots": NUMBER,  # best mean AoU on the validation missions
+    "commit": TEXT,  # of the code that trained or flew
+    "processor": TEXT,  # that it ran on
 }
 CURVES = KEY | {
-    "curve": TEXT,
+    "curve": TEXT,  # training, validation, "validation, sampled", slots, devices or periods
     "x": NUMBER,  # training slots, slot of a mission, device, or period in slots
-    "wall_s": NUMBER,
-    "mean_aou_slots": NUMBER,
-    "low": NUMBER,
-    "high": NUMBER,
-    "communications": NUMBER,
-    "devices_served": NUMBER,
+    "wall_s": NUMBER,  # of the training so far
+    "mean_aou_slots": NUMBER,  # mean of the missions at this point
+    "low": NUMBER,  # lower end of its 95 % interval
+    "high": NUMBER,  # upper end of its 95 % interval
+    "communications": NUMBER,  # mean of the missions at this point
+    "devices_served": NUMBER,  # mean of the missions at this point
 }
 TRAINING, VALIDATION, SAMPLED = "training", "validation", "validation, sampled"
 SLOTS, DEVICES, PERIODS = "slots", "devices", "periods"

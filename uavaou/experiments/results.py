@@ -223,9 +223,10 @@ def read_study(folder: str | Path) -> StudyResults:
         InputError: a file is missing or damaged; the message names the file, and the line and column where there is
             one.
 
-    >>> from uavaou import read_study
-    >>> read_study("results/studies/default").name
-    'default'
+    Examples:
+        >>> from uavaou import read_study
+        >>> read_study("results/studies/default").name
+        'default'
     """
     place = StudyFolder(Path(folder))
     if not place.study.is_file():

@@ -33,7 +33,7 @@ _FIRST_CHUNK = 5000  # proposals; without a time limit, of every chunk
 
 
 class Anneal(RoutePlanner):
-    """Annealed routes, started from the best of the two tours and one flight of the best-first greedy planner.
+    """Annealed routes, started from the best of both tours and one flight of ``best-first``.
 
     With zones there are no tours.
 

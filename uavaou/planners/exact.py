@@ -29,7 +29,7 @@ from uavaou.scenario import Layout, Scenario
 from uavaou.world.coverage import cell_coverage
 from uavaou.world.flight import STEP_OF_MOVE, Flight, neighbours, open_moves
 
-LARGEST = 120_000  # variables; at that size the gap after four minutes is 72 % (docs/planners.md)
+LARGEST = 120_000  # variables; at that size the gap after four minutes is 72 % (results/planners/exact.csv)
 _INTEGRALITY = 1e-6  # a bound this close below an integer is that integer
 
 

@@ -12,14 +12,16 @@ from uavaou.world.flight import UNLIMITED, first_moves, first_step, grid_cells, 
 
 
 class Greedy:
-    """Fly each UAV towards the cell c with the largest
+    """Fly each UAV to where it collects the most age for the way, decided in every slot anew.
+
+    That is the cell c with the largest
 
         sum_i P(R_iu >= R_min at c) A_i / (1 + steps from here to c).
 
-    The choice is made anew in every slot; every device in range is collected. A_i is the true age sum of the device,
-    or 0 if a UAV has it in range in the present slot and so collects it now. Only cells are considered from which the
-    UAV can still return to its CDS. UAVs choose in turn, in the order of their numbers; the devices in range of a
-    chosen cell (without fading) do not count for the next UAV.
+    Every device in range is collected. A_i is the true age sum of the device, or 0 if a UAV has it in range in the
+    present slot and so collects it now. Only cells are considered from which the UAV can still return to its CDS. UAVs
+    choose in turn, in the order of their numbers; the devices in range of a chosen cell (without fading) do not count
+    for the next UAV.
 
     With ``uplinks_per_slot`` some devices in range keep their age. To stay for them counts as a step: it takes a slot,
     as a move to the next cell does. On ``paper`` with 4 and with 1 uplinks that is better on average than to count no
@@ -107,6 +109,9 @@ class Greedy:
 
 
 class BestFirst(Greedy):
-    """Greedy with the largest value of all UAVs first: about half the age of :class:`Greedy` on ``paper``."""
+    """The rule of ``greedy``, in which the UAV with the largest value chooses first.
+
+    That is about half the age of ``greedy`` on ``paper``.
+    """
 
     best_first = True

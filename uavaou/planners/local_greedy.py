@@ -17,7 +17,9 @@ _REACH = 1.0  # lambda, grid steps: the pull of a device falls by 1/e with each
 
 
 class LocalGreedy:
-    """Make the allowed move to the cell c with the largest
+    """Fly each UAV to the devices whose nearest CDS is its own, by its own estimate of their ages.
+
+    It makes the allowed move to the cell c with the largest
 
         sum_i w_ui A_i exp(-d_i(c) / lambda),
 
@@ -95,9 +97,10 @@ class LocalGreedy:
 
 
 class LocalGreedyParts(LocalGreedy):
-    """The rule of :class:`LocalGreedy` with the parts of :func:`uavaou.world.partition.partition` for the nearest CDS.
+    """The rule of ``local-greedy``, in which each UAV serves its part of the map.
 
-    That plan is a function of the map alone, so that it too is told before take-off.
+    The parts of :func:`uavaou.world.partition.partition` take the place of the nearest CDS. That plan is a function of
+    the map alone, so that it too is told before take-off.
     """
 
     def owners(self, world: World, reaches: Bools, alive: Bools) -> Ints:

@@ -22,7 +22,7 @@ _TEMPERATURES = (1.0, 0.1)  # slots of total age
 
 
 class Rolling:
-    """Fly the routes of :class:`~uavaou.planners.anneal.Anneal`, and anneal the slots ahead again in each slot.
+    """Fly the routes of ``anneal``, and anneal the slots ahead again in each slot.
 
     The expected ages start from the true ones after the collections of the slot, which the present channel decides
     before the UAVs move. Beyond the horizon the routes stay as they are; the cost to go accounts for them.

@@ -49,12 +49,13 @@ class RulePlan(Plan):
 
 
 class LocalGreedyTuned(AheadPlanner[RulePlan], LocalGreedyParts):
-    """The rule of :class:`LocalGreedy` with free weights, reaches and shares for each pair of a UAV and a device.
+    """The rule of ``local-greedy`` with numbers of its own for each UAV and device, found before take-off.
 
-    They are found before take-off, by the mean AoU of simulated missions on common draws of fading. The search begins
-    with the numbers of ``local-greedy-parts``, and side by side with those of ``local-greedy`` and with areas of the
-    UAVs, and changes the numbers of single pairs. In flight, each UAV remembers when each device was last in its own
-    range. Several UAVs may serve a device. One that knows of a loss goes on by the rule of ``local-greedy-parts``.
+    They are weights, reaches and shares, found by the mean AoU of simulated missions on common draws of fading. The
+    search begins with the numbers of ``local-greedy-parts``, and side by side with those of ``local-greedy`` and with
+    areas of the UAVs, and changes the numbers of single pairs. In flight, each UAV remembers when each device was last
+    in its own range. Several UAVs may serve a device. One that knows of a loss goes on by the rule of
+    ``local-greedy-parts``.
 
     Args:
         time_limit_s: of the planning.

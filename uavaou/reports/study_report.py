@@ -33,8 +33,8 @@ AoU in slots: the mean over the slots of a mission, in units of the slot length 
 evaluation, which no training and no choice of a checkpoint has seen. Mean AoU: the mean over seeds with Student's 95 %
 interval over seeds; of one seed, and of planners, with a bootstrap interval over missions. IQM: the mean of the middle
 half of all missions, with a stratified bootstrap over seeds and missions. Knows: what a policy reads in flight
-(docs/planners.md); a plan made before take-off may use the whole map. No policy has a mean AoU below the lower bound in
-expectation and without foreseeing the channel."""
+(docs/reference/planners.md); a plan made before take-off may use the whole map. No policy has a mean AoU below the
+lower bound in expectation and without foreseeing the channel."""
 _REPLAY = f"[{STUDY_REPLAY}]({STUDY_REPLAY}) plays one mission of each kept policy, side by side, in a browser."
 _HEAD = ("policy", "knows", "seeds", "mean AoU (slots)", "IQM (slots)", "wall-clock of a training", "violations")
 _SEVERAL_PROCESSORS = """\

@@ -145,9 +145,10 @@ def evaluate(
     Raises:
         InputError: no policy or scenario has the name, or the policy refuses the scenario.
 
-    >>> from uavaou import evaluate
-    >>> evaluate("greedy", "quickstart", episodes=2).violations["association"]
-    0
+    Examples:
+        >>> from uavaou import evaluate
+        >>> evaluate("greedy", "quickstart", episodes=2).violations["association"]
+        0
     """
     scenario = Scenario.load(scenario)
     flown = make_policy(policy, scenario) if isinstance(policy, RunFolder | Path | str) else policy

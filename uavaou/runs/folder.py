@@ -30,12 +30,26 @@ from uavaou.zoo import read_yaml_mapping
 SCHEMA = 1
 _MOST_NAMED = 5  # runs in a hint
 _MOST_VALIDATIONS = 100  # of a later budget: the interval suits the first one
-EPISODE_COLUMNS = ("mission", "slots", "wall_s", "reward_s", "mean_aou_s", "communications", "devices_served")
+EPISODE_COLUMNS = (
+    "mission",  # number of the training mission, from 1
+    "slots",  # training slots of all missions together when it ended
+    "wall_s",  # of the training so far
+    "reward_s",  # of the mission
+    "mean_aou_s",  # of the mission
+    "communications",  # transfers that carry at least one update
+    "devices_served",  # devices with at least one communication
+)
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Everything that a training run is determined by."""
+    """Everything that a training run is determined by.
+
+    Examples:
+        >>> from uavaou import RunConfig
+        >>> RunConfig.load("qmix", "quickstart", seed=1, slots=50_000).slots
+        50000
+    """
 
     scenario: Scenario
     algorithm: AlgorithmConfig
@@ -143,15 +157,15 @@ class RunFolder:
         return place if isinstance(place, RunFolder) else cls(run_path(place))
 
     config = PathIn("config.yaml")  # everything resolved: running it again gives the same run
-    meta = PathIn("meta.json")  # see RunMeta
-    plan = PathIn("plan.json")  # how devices pull at first, where a plan says so; see PullPlan
+    meta = PathIn("meta.json")  # versions, commit, machine, slots, time and the best validation
+    plan = PathIn("plan.json")  # how devices pull at first, where a plan says so
     episodes = PathIn("episodes.csv")  # a row for each training mission
     progress = PathIn("progress.csv")  # what the learner logs
     last = PathIn("checkpoints", "last.safetensors")  # what resuming needs
-    previous = PathIn("checkpoints", "previous.safetensors")  # the ``last`` before: taken where that one is damaged
+    previous = PathIn("checkpoints", "previous.safetensors")  # the last before, for where that one is damaged
     best = PathIn("checkpoints", "best.safetensors")  # the policy that did best on the validation missions
     weights = PathIn("policy.safetensors")  # of a released policy, which has no checkpoints
-    flights = PathIn("flights.csv.gz")  # what was evaluated; see uavaou.evaluation.flights
+    flights = PathIn("flights.csv.gz")  # what was evaluated
     lock = PathIn(LOCK)  # held by the process that writes the run
 
     def __str__(self) -> str:

@@ -154,10 +154,11 @@ def load_run(
     Raises:
         InputError: the folder is no run, holds no checkpoint, was trained on another shape, or needs to know more.
 
-    >>> from uavaou import evaluate, load_run
-    >>> policy = load_run("first-run")
-    >>> evaluate(policy, "quickstart", episodes=2).violations["bounds"]
-    0
+    Examples:
+        >>> from uavaou import evaluate, load_run
+        >>> policy = load_run("first-run")
+        >>> evaluate(policy, "quickstart", episodes=2).violations["bounds"]
+        0
     """
     folder = RunFolder.at(path)
     config = folder.read_config()

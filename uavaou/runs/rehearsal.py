@@ -146,9 +146,10 @@ def rehearse(
     Raises:
         InputError: there is no such scenario or limit, or a file cannot be written.
 
-    >>> from uavaou import rehearse
-    >>> rehearse("tiny", seconds=1, knows="local").served.knows in ("local", "nothing")
-    True
+    Examples:
+        >>> from uavaou import rehearse
+        >>> rehearse("tiny", seconds=1, knows="local").served.knows in ("local", "nothing")
+        True
     """
     rehearsal = _Rehearsal(Scenario.load(scenario), seconds, knows, on_progress)
     return rehearsal.result(folder)

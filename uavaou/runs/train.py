@@ -77,11 +77,12 @@ def train(
             written or has a name that Python could not decode; the weights of ``start`` do not fit; or a loss, a
             reward or a weight is no longer finite. What the last checkpoint holds is kept.
 
-    >>> from uavaou import RunConfig, train
-    >>> config = RunConfig.load("mappo", "quickstart", slots=2000, evaluate_every_slots=1000)
-    >>> outcome = train(config, "first-run")
-    >>> outcome.folder.finished
-    True
+    Examples:
+        >>> from uavaou import RunConfig, train
+        >>> config = RunConfig.load("mappo", "quickstart", slots=2000, evaluate_every_slots=1000)
+        >>> outcome = train(config, "first-run")
+        >>> outcome.folder.finished
+        True
     """
     folder = folder if isinstance(folder, RunFolder) else RunFolder(Path(folder))
     refuse_links(folder.path)

@@ -1,4 +1,4 @@
-"""What a policy reads in flight: each policy says it, and every table shows it (docs/planners.md).
+"""What a policy reads in flight: each policy says it, and every table shows it (docs/reference/planners.md).
 
 Only ``everything`` goes beyond what a fleet could have on board: it is the World itself, with every true age and the
 present channel of every UAV. What is used before take-off does not count: a plan may be made of the whole map.
@@ -8,7 +8,13 @@ from typing import Literal, cast, get_args
 
 from uavaou.errors import InputError, unknown
 
-Knowledge = Literal["nothing", "location", "local", "shared", "everything"]
+Knowledge = Literal[
+    "nothing",  # the clock and the own position: chance, or routes that were planned before take-off
+    "location",  # the own position; the state of the paper
+    "local",  # what a UAV measures itself: allowed moves, devices in range now, when it last collected each one itself
+    "shared",  # also the positions of all UAVs and every true age; with links, what messages told it of them
+    "everything",  # also the present channel of every UAV, and the choices of the UAVs that choose before
+]
 LEVELS: tuple[Knowledge, ...] = get_args(Knowledge)  # each holds those before it
 LIMITS: tuple[Knowledge, ...] = ("local", "shared", "everything")  # that a user may set
 

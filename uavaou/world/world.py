@@ -53,9 +53,9 @@ class MissionMetrics:
     mean_aou_s: Floats  # (N,) s, mean over slots of sum_i sum_n A_i^n[t]
     communications: Ints  # (N,) transfers that carried at least one update
     devices_served: Ints  # (N,) devices with at least one communication
-    flight_time_s: Floats  # (N, U) s
-    rejected_rate: Ints  # (N,)
-    rejected_association: Ints  # (N,)
+    flight_time_s: Floats  # (N, U) s, in the air
+    rejected_rate: Ints  # (N,) selections of devices that are out of range
+    rejected_association: Ints  # (N,) selections that another UAV with a larger rate wins
     device_communications: Ints  # (N, I)
     device_mean_aou_s: Floats  # (N, I) s
 
@@ -78,7 +78,8 @@ class World:
         missions: N.
         seed: mission j has seed ``seed + j``.
 
-    Example:
+    Examples:
+        >>> from uavaou import World
         >>> world = World("tiny", missions=2)
         >>> while not world.done:
         ...     reward = world.step(np.zeros((2, 2), dtype=np.int64))  # all UAVs stay and collect all in range

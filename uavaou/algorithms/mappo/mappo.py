@@ -55,6 +55,12 @@ class MAPPO(SafeSaveLoad, PPO):
         critic_rollouts: the first of a training, in which the critic learns and the actor does not change. A policy
             that is good at first would be ruined by the advantages of a critic that knows nothing.
         ent_coef: a number, or a schedule as ``learning_rate`` and ``clip_range`` may be.
+
+    Examples:
+        >>> from uavaou import MAPPO, flatten
+        >>> model = MAPPO("CentralizedValuePolicy", flatten("tiny", missions=4), n_steps=12, batch_size=24)
+        >>> model.learn(96).num_timesteps  # agent steps
+        96
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"CentralizedValuePolicy": CentralizedValuePolicy}
@@ -312,6 +318,13 @@ class MAPPO(SafeSaveLoad, PPO):
 
 
 class IPPO(MAPPO):
-    """Independent PPO: the same with a critic that reads the local observation."""
+    """Independent PPO: the same with a critic that reads the local observation.
+
+    Examples:
+        >>> from uavaou import IPPO, flatten
+        >>> model = IPPO("CentralizedValuePolicy", flatten("tiny", missions=4), n_steps=12, batch_size=24)
+        >>> model.learn(96).num_timesteps  # agent steps
+        96
+    """
 
     critic_input: ClassVar[str] = "local"

@@ -156,6 +156,12 @@ class VDN(JointQLearning):
     """Value decomposition networks: Q_tot is the sum of the UAVs' utilities (Sunehag et al. 2018, arXiv 1706.05296).
 
     Arguments: :class:`JointQLearning`; ``policy_kwargs`` takes ``state_value_width``, of a value V(s) beside the sum.
+
+    Examples:
+        >>> from uavaou import VDN, flatten
+        >>> model = VDN("JointQPolicy", flatten("tiny", missions=4), learning_starts=24, batch_size=8)
+        >>> model.learn(96).num_timesteps  # agent steps
+        96
     """
 
     mixer: ClassVar[str] = "sum"
@@ -166,12 +172,25 @@ class QMIX(JointQLearning):
 
     Rashid et al. 2018, arXiv 1803.11485. Arguments: :class:`JointQLearning`; ``policy_kwargs`` takes ``mixer_width``
     and ``hypernet_width``.
+
+    Examples:
+        >>> from uavaou import QMIX, flatten
+        >>> model = QMIX("JointQPolicy", flatten("tiny", missions=4), learning_starts=24, batch_size=8)
+        >>> model.learn(96).num_timesteps  # agent steps
+        96
     """
 
     mixer: ClassVar[str] = "monotonic"
 
 
 class IQL(JointQLearning):
-    """Independent Q-learning: every UAV learns the team's return by itself (Tan 1993)."""
+    """Independent Q-learning: every UAV learns the team's return by itself (Tan 1993).
+
+    Examples:
+        >>> from uavaou import IQL, flatten
+        >>> model = IQL("JointQPolicy", flatten("tiny", missions=4), learning_starts=24, batch_size=8)
+        >>> model.learn(96).num_timesteps  # agent steps
+        96
+    """
 
     mixer: ClassVar[str] = "none"
