@@ -14,7 +14,7 @@ from pathlib import Path
 
 from uavaou_cli.tables import aligned, show, wrapped
 
-# What each extra of pyproject.toml is for.
+# What each extra of pyproject.toml is for, but those for work on uavaou itself.
 EXTRAS = {
     "field": "maps and tables of sensors with coordinates",
     "onnx": "export --format onnx",
@@ -24,8 +24,6 @@ EXTRAS = {
     "ray": "study run --engine ray",
     "contrib": "learners of sb3-contrib",
     "torchrl": "learners of TorchRL",
-    "docs": "the documentation site",
-    "dev": "tests and checks of the code",
 }
 
 

@@ -20,7 +20,7 @@ NEEDS = [
     "numba>=0.61",
     'optuna<6,>=4.2; extra == "tune"',
     'mavsdk<5,>=4.1; extra == "link"',
-    'uavaou[tune,link]; extra == "dev"',
+    'uavaou[tune,link]; extra == "ray"',
 ]
 
 
@@ -34,7 +34,7 @@ def test_it_shows_versions_threads_caches_and_extras(shell: Shell) -> None:
 
 def test_every_extra_is_told() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert doctor.EXTRAS.keys() == project["optional-dependencies"].keys()
+    assert doctor.EXTRAS.keys() == project["optional-dependencies"].keys() - {"docs", "dev"}
 
 
 def test_what_is_missing_has_its_line(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,9 +44,9 @@ def test_what_is_missing_has_its_line(shell: Shell, monkeypatch: pytest.MonkeyPa
     lines = shell.done("doctor").splitlines()
     assert [line.split("pip install ")[1] for line in lines if "pip install" in line] == [
         "'uavaou[link]'",
-        "'uavaou[dev]'",
+        "'uavaou[ray]'",
     ]
-    assert lines[lines.index("  link lacks mavsdk<5,>=4.1") + 1] == "  dev lacks mavsdk<5,>=4.1"
+    assert lines[lines.index("  link lacks mavsdk<5,>=4.1") + 1] == "  ray lacks mavsdk<5,>=4.1"
     needs += ["numpy>=2", "highspy>=1.11"]
     assert shell.done("doctor").endswith("To have them:\n  pip install 'numpy>=2' 'highspy>=1.11'\n")
     needs.clear()
