@@ -29,7 +29,7 @@ OTHERS = ("CHANGELOG.md", "docs/reference/glossary.md", "docs/notes")  # of any 
 NO_PROMISE = ("README.md", "CHANGELOG.md", "docs/reference/glossary.md", "docs/notes")  # what a reader can do after it
 # What is not written: words that sell or say that something is easy, and second names for things of the glossary.
 FORBIDDEN = re.compile(
-    r"(?<![\w-])(simply|obviously|of course|basically|easily|effortless(?:ly)?|seamless(?:ly)?|powerful|blazing(?:ly)?"
+    r"(?<![\w-])(simply|very|obviously|of course|basically|easily|effortless(?:ly)?|seamless(?:ly)?|powerful|blazing(?:ly)?"
     r"|cutting-edge|state-of-the-art|leverag(?:e|es|ing)|utili[sz](?:e|es|ed|ing)|drones?|episodes?)(?![\w-])",
     re.IGNORECASE,
 )
