@@ -10,6 +10,7 @@ import pytest
 
 import uavaou
 from tests.cli.commands import Shell
+from uavaou.plain_yaml import parse_yaml
 from uavaou_cli import doctor
 from uavaou_cli.tables import WIDTH
 
@@ -71,3 +72,14 @@ def test_what_does_not_load_is_told(broken: str, told: list[str], tmp_path: Path
     assert "does not load" in ran.stdout
     for line in told:
         assert line.format(tmp_path) in ran.stdout
+
+
+def test_a_report_of_a_bug_asks_for_it() -> None:
+    asked = {}
+    for name in ("bug", "feature"):
+        form = parse_yaml((ROOT / ".github" / "ISSUE_TEMPLATE" / f"{name}.yml").read_text(encoding="utf-8"), name)
+        assert form["name"]
+        assert form["description"]
+        asked[name] = {part["id"]: part for part in form["body"]}
+    assert asked["bug"]["doctor"]["validations"] == {"required": True}
+    assert "`uavaou doctor`" in asked["bug"]["doctor"]["attributes"]["label"]
