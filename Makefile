@@ -9,13 +9,14 @@ RUNS := 5000000
 RUN := $(DEMO)/paper/mappo+slots=$(SLOTS)/seed-0
 PAPER := $(DEMO)/paper/mappo-paper+slots=$(PAPER_SLOTS)/seed-0
 
-.PHONY: help install demo test lint types docs bench results audit fuzz faults lock clean
+.PHONY: help install check demo test fast lint types docs bench results audit fuzz faults lock clean
 
 help:
 	@echo "make demo    train MAPPO, and as the paper has it; evaluate both beside rules; draw the figures (about 3 minutes)"
+	@echo "make check   before a push: lint, types, pages and the fast tests (some minutes)"
 	@echo "make test    run all tests"
 	@echo "make docs    the documentation site, into site/"
-	@echo "make lint    ruff; make types: mypy; make bench: speed, side by side; make results: the numbers of the pages"
+	@echo "make lint    ruff, and the prose of the pages; make types: mypy; make bench: speed, side by side; make results: the numbers of the pages"
 	@echo "make audit   known vulnerabilities of the locked versions; make fuzz: a night of fuzzing"
 	@echo "make faults  every fault at every write of every command and learner (hours); CI plays some of them"
 
@@ -44,15 +45,20 @@ demo: install
 	@$(BIN)/uavaou plot trajectories $(RUN) --out $(DEMO)/figures
 
 # Bytecode is cached even where the environment forbids it: tests start many processes, and each would compile the package.
-test: export PYTHONDONTWRITEBYTECODE =
-test: install
+test fast: export PYTHONDONTWRITEBYTECODE =
+fast: install
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m "not slow"
+
+test: fast
 	$(BIN)/python -m pytest -q -n 4 --dist worksteal -m slow  # many of them wait for other processes
 	@$(BIN)/python -m tests.browser  # the last line says whether the tests in a browser were left out
+
+check: lint types docs fast
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python -m tests.prose
 
 types: $(VENV)/.installed
 	$(BIN)/mypy

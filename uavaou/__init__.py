@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from uavaou.scenario import Scenario as Scenario
     from uavaou.world import World as World
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 _HOMES = {
     "Scenario": "uavaou.scenario",

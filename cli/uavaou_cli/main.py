@@ -21,6 +21,7 @@ from typer.core import TyperGroup
 from uavaou.errors import InputError, nearest, unknown
 from uavaou.runs.interrupt import exit_code, interrupt_at_sigterm, was_interrupt
 from uavaou_cli import (
+    doctor,
     evaluate,
     export,
     fly,
@@ -105,6 +106,7 @@ app.command("export", short_help="Write a trained run for another tool.")(export
 app.command("link", short_help="Fly one UAV by a policy over MAVLink.")(link.link)
 app.command("runs", short_help="List the trainings, what each changed and reached.")(runs.runs)
 app.command("scenarios", short_help="List the scenarios that come with uavaou.")(scenarios.scenarios)
+app.command("doctor", short_help="Show what this installation has and lacks.")(doctor.doctor)
 
 
 def _version(wanted: bool) -> None:

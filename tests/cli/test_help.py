@@ -39,6 +39,7 @@ COMMANDS = {
     "link": "URL --scenario --uav --policy --arm --devices --silence --seed --out",
     "runs": "--out",
     "scenarios": "",
+    "doctor": "",
     "plot": "",
     "plot figures": "RUN --out",
     "plot suite": "FILE --out",

@@ -258,6 +258,7 @@ BOMB = '<!DOCTYPE k [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]><
         ("a.kml", "<kml><Placemark>", "not valid XML"),
         ("a.kml", "<svg/>", "XML of svg: expected KML or GPX"),
         ("a.kmz", zipped("doc.kml", b" " * 300_000_000), "bytes when unpacked"),
+        ("a.kmz", zipped("doc.kml", b"<kml>" + b"<a/>" * 5_000_000), "more than 5,000,000 tags"),
         ("a.kmz", zipped("a.txt", b"x"), "an archive without a KML map or a workbook"),
         ("a.xlsx", zipped("xl/workbook.xml", BOMB.encode()), "a workbook with a DOCTYPE"),
         ("a.xlsx", zipped("xl/workbook.xml", b"<x/>"), "expected a workbook"),

@@ -57,6 +57,7 @@ _UNREAD = {
     "rte": "routes are ignored",
     **{tag: f"{tag} are not read" for tag in ("GroundOverlay", "NetworkLink", "PhotoOverlay")},
 }
+_MOST_TAGS = 5_000_000  # an element takes 100 bytes of memory, and far fewer in a packed file
 _STYLE = {"styleUrl", "visibility", "open"}
 _SHAPES: dict[str, tuple[int, Any]] = {  # the least number of corners, and what makes it of rings of corners
     "Point": (1, shapely.Point),
@@ -71,6 +72,8 @@ def read_xml(reading: Reading, data: bytes) -> None:
     Raises:
         InputError: it names the place, counted from 1, or it is neither, or has a document type.
     """
+    if data.count(b"<") > _MOST_TAGS:
+        raise InputError(f"{reading.path}: more than {_MOST_TAGS:,} tags of XML")
     try:
         root = ElementTree.fromstring(data, ElementTree.XMLParser(target=_NoDoctype()))
     except (SyntaxError, ValueError, LookupError) as error:  # of XML, of the document type, of an encoding

@@ -10,14 +10,14 @@ from typing import Any
 
 from uavaou.threads import threads
 
-_PACKAGES = ("uavaou", "torch", "stable-baselines3", "supersuit", "pettingzoo", "gymnasium", "numpy")
+_PACKAGES = ("uavaou", "torch", "stable-baselines3", "supersuit", "pettingzoo", "gymnasium", "numpy", "numba")
 _NUMBERS = {"family": "cpu family", "model": "model"}  # of a processor: its field in /proc/cpuinfo
 
 
 def describe_machine() -> dict[str, Any]:
     """Versions, commit and machine, the first fields of :class:`~uavaou.runs.folder.RunMeta`."""
     return {
-        "versions": {package: _version(package) for package in _PACKAGES},
+        "versions": {package: installed(package) for package in _PACKAGES},
         "commit": _commit(),
         "python": platform.python_version(),
         "system": platform.platform(),
@@ -27,7 +27,8 @@ def describe_machine() -> dict[str, Any]:
     }
 
 
-def _version(package: str) -> str | None:
+def installed(package: str) -> str | None:
+    """The version of a package that is installed."""
     with suppress(PackageNotFoundError):
         return version(package)
     return None
