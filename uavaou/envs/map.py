@@ -14,7 +14,7 @@ from matplotlib.colors import LogNorm, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MultipleLocator
+from matplotlib.ticker import EngFormatter, MultipleLocator
 from matplotlib.transforms import Affine2D, ScaledTranslation, offset_copy
 from numpy.typing import ArrayLike, NDArray
 
@@ -339,13 +339,13 @@ def _frame_ground(
     figure, axes = _frame()
     draw_ground(axes, scenario)
     draw_coverage(axes, scenario, layout)
-    bar = figure.add_axes((0.86, 0.1, 0.025, 0.82))
+    bar = figure.add_axes((0.845, 0.1, 0.025, 0.82))
     axes.tick_params(labelsize=_FRAME_TEXT)
     axes.xaxis.label.set_size(_FRAME_TEXT)
     axes.yaxis.label.set_size(_FRAME_TEXT)
     shown = add_age_bar(axes, LogNorm(*ages_shown, clip=True), "", cax=bar)
     shown.set_label("age sum of the device (slots); dark: stale", size=_FRAME_TEXT)
-    shown.ax.yaxis.set_major_formatter("{x:,.0f}")
+    shown.ax.yaxis.set_major_formatter(EngFormatter(sep=""))
     shown.ax.tick_params(labelsize=_FRAME_TEXT)
     ground = _pixels(figure)
     ground.flags.writeable = False  # the cache shares it
@@ -357,7 +357,7 @@ def _frame() -> tuple[Figure, Axes]:
     height, width, _ = FRAME_SHAPE
     figure = Figure(figsize=(width / _FRAME_DPI, height / _FRAME_DPI), dpi=_FRAME_DPI, facecolor="white")
     FigureCanvasAgg(figure)
-    return figure, figure.add_axes((0.125, 0.1, 0.72, 0.82))
+    return figure, figure.add_axes((0.125, 0.1, 0.705, 0.82))
 
 
 def _pixels(figure: Figure) -> NDArray[np.uint8]:
