@@ -287,8 +287,8 @@ def main() -> None:
         print("\n".join(report(part, measured)), flush=True)
         kept = {(row["table"], row["name"]): row for row in kept_rows(TABLE, COLUMNS)}
         for m in measured:
-            values = (m.table, m.name, m.unit, m.median, m.lowest, m.highest)
-            kept[m.table, m.name] = dict(zip(COLUMNS, map(str, values), strict=True))
+            values = (m.table, m.name, m.unit, *(f"{value:.6g}" for value in (m.median, m.lowest, m.highest)))
+            kept[m.table, m.name] = dict(zip(COLUMNS, values, strict=True))
         write_rows(TABLE, COLUMNS, kept.values())
     for package in ("benchmarl", "torchrl", "vmas", "gradysim", "stable_baselines3", "torch"):
         print(package, version(package) if find_spec(package) else "is not installed")

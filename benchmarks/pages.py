@@ -29,9 +29,9 @@ PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/notes/speed
 RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
 LEAST = 1.0  # slots: where the other has less, a ratio says nothing
 COMPARED = {  # of the table that benchmarks/compare.py writes: part -> heading, unit
-    "stepping": ("stepping three agents, random actions", "agent steps a second of CPU time"),
-    "training": ("training on `paper`, rollouts and updates", "agent steps a second of CPU time"),
-    "simulating": ("simulating 3 UAVs and 25 devices", "seconds of a mission a second of CPU time"),
+    "stepping": ("stepping three agents, random actions", "agent steps per CPU second"),
+    "training": ("training on `paper`, rollouts and updates", "agent steps per CPU second"),
+    "simulating": ("simulating 3 UAVs and 25 devices", "mission seconds per CPU second"),
     "installs": ("installing into an empty environment", "packages"),
 }
 HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")
@@ -168,15 +168,12 @@ def rates() -> str:
 
 def compared() -> str:
     """This project beside others, by what was measured."""
-    rows, first = [], ""
-    for row in measured(ROOT / "results" / "benchmarks" / "compare.csv"):
-        heading, unit = COMPARED[row["table"]]
-        if heading != first:
-            rows.append((f"**{heading}**", "", ""))
-            first = heading
-        value = float(row["median"])
-        rows.append((row["name"], "pip cannot" if np.isnan(value) else rounded(value), "" if np.isnan(value) else unit))
-    return table(("measured", "median", "unit"), rows)
+    found, rows = measured(ROOT / "results" / "benchmarks" / "compare.csv"), []
+    for part, (heading, unit) in COMPARED.items():
+        own = [row for row in found if row["table"] == part]
+        rows.append((f"**{heading}**", f"*{unit}*"))
+        rows += [(row["name"], rounded(float(row["median"])).replace("nan", "pip cannot")) for row in own]
+    return table(("measured", "median"), rows)
 
 
 def measured(path: Path) -> list[dict[str, str]]:
