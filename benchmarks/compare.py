@@ -285,11 +285,12 @@ def main() -> None:
     for part in chosen:
         measured = PARTS[part]()
         print("\n".join(report(part, measured)), flush=True)
-        kept = {(row["table"], row["name"]): row for row in kept_rows(TABLE, COLUMNS)}
+        rows = {(row["table"], row["name"]): row for row in kept_rows(TABLE, COLUMNS)}
         for m in measured:
+            rows.pop((m.table, m.name), None)  # it comes again, in the order of the others
             values = (m.table, m.name, m.unit, *(f"{value:.6g}" for value in (m.median, m.lowest, m.highest)))
-            kept[m.table, m.name] = dict(zip(COLUMNS, values, strict=True))
-        write_rows(TABLE, COLUMNS, kept.values())
+            rows[m.table, m.name] = dict(zip(COLUMNS, values, strict=True))
+        write_rows(TABLE, COLUMNS, sorted(rows.values(), key=lambda row: list(PARTS).index(row["table"])))
     for package in ("benchmarl", "torchrl", "vmas", "gradysim", "stable_baselines3", "torch"):
         print(package, version(package) if find_spec(package) else "is not installed")
 

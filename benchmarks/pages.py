@@ -172,8 +172,13 @@ def compared() -> str:
     for part, (heading, unit) in COMPARED.items():
         own = [row for row in found if row["table"] == part]
         rows.append((f"**{heading}**", f"*{unit}*"))
-        rows += [(row["name"], rounded(float(row["median"])).replace("nan", "pip cannot")) for row in own]
+        rows += [(row["name"], _amount(float(row["median"]))) for row in own]
     return table(("measured", "median"), rows)
+
+
+def _amount(value: float) -> str:
+    """Whole numbers of packages and large rates are short; what pip could not install has none."""
+    return "pip cannot" if np.isnan(value) else f"{value:,.0f}" if value.is_integer() else rounded(value)
 
 
 def measured(path: Path) -> list[dict[str, str]]:
