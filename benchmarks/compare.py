@@ -273,8 +273,11 @@ def installs() -> list[Measurement]:
 
 
 PARTS: dict[str, Callable[[], list[Measurement]]] = {
-    STEPPING: stepping, TRAINING: training, SIMULATING: simulating, INSTALLS: installs,
-}  # fmt: skip
+    STEPPING: stepping,
+    TRAINING: training,
+    SIMULATING: simulating,
+    INSTALLS: installs,
+}
 
 
 def main() -> None:

@@ -177,8 +177,8 @@ def compared() -> str:
 
 
 def _amount(value: float) -> str:
-    """Whole numbers of packages and large rates are short; what pip could not install has none."""
-    return "pip cannot" if np.isnan(value) else f"{value:,.0f}" if value.is_integer() else rounded(value)
+    """A rate with three digits, or a whole number of packages; what pip could not install has none."""
+    return "pip cannot" if np.isnan(value) else f"{value:.0f}" if value in range(1000) else rounded(value)
 
 
 def measured(path: Path) -> list[dict[str, str]]:
