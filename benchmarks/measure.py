@@ -32,20 +32,26 @@ def exactly(table: str, name: str, unit: str, value: float) -> Measurement:
     return Measurement(table, name, unit, value, value, value)
 
 
-def side_by_side(table: str, contestants: dict[str, tuple[Callable[[], None], int]], repeats: int) -> list[Measurement]:
+def side_by_side(
+    table: str,
+    contestants: dict[str, tuple[Callable[[], None], int]],
+    repeats: int,
+    clock: Callable[[], float] = time.perf_counter,
+) -> list[Measurement]:
     """Agent steps a second of each contestant, each timed ``repeats`` times, in turn, after a run that is not counted.
 
     Args:
         table: the title that the figures stand under.
         contestants: name to (what is timed, the agent steps it makes).
         repeats: timed runs of each.
+        clock: ``time.process_time`` for CPU time, where other work keeps the machine busy.
     """
     seconds: dict[str, list[float]] = {name: [] for name in contestants}
     for _ in range(repeats + 1):
         for name, (work, _) in contestants.items():
-            started = time.perf_counter()
+            started = clock()
             work()
-            seconds[name].append(time.perf_counter() - started)
+            seconds[name].append(clock() - started)
     rates = {name: [steps / taken for taken in seconds[name][1:]] for name, (_, steps) in contestants.items()}
     return [
         Measurement(table, name, "agent steps/s", statistics.median(of), min(of), max(of)) for name, of in rates.items()

@@ -27,9 +27,23 @@ from uavaou.statistics import Interval, interval_over_trainings
 
 ROOT = Path(__file__).resolve().parents[1]
 CARD = "zoo_configs/policies/any-map/README.md"
-PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md", CARD, *reference.PAGES)
+PAGES = (
+    "README.md",
+    "results/README.md",
+    "docs/policies.md",
+    "docs/notes/speed.md",
+    "docs/compare.md",
+    CARD,
+    *reference.PAGES,
+)
 RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
 LEAST = 1.0  # slots: where the other has less, a ratio says nothing
+COMPARED = {  # of the table that benchmarks/compare.py writes: part -> heading, unit
+    "stepping": ("stepping three agents, random actions", "agent steps per CPU second"),
+    "training": ("training on `paper`, rollouts and updates", "agent steps per CPU second"),
+    "simulating": ("simulating 3 UAVs and 25 devices", "mission seconds per CPU second"),
+    "installs": ("installing into an empty environment", "packages"),
+}
 HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")
 
 
@@ -146,6 +160,42 @@ def networks() -> str:
     return table(("agent steps a second", *columns), rows)
 
 
+def rates() -> str:
+    """What the parts of a training do in a second, and what two sizes of network do beside SB3's PPO."""
+    place = ROOT / "results" / "benchmarks"
+    rows: list[tuple[str, str, str]] = []
+    for part, unit, reference in (("training", "products/s", "stock"), ("stepping", "", "supersuit")):
+        held = [row for row in measured(place / f"{part}.csv") if row["unit"] != unit]
+        for title in dict.fromkeys(row["table"] for row in held):
+            own = [row for row in held if row["table"] == title]
+            base = next((float(row["median"]) for row in own if row["name"].startswith(reference)), None)
+            rows.append((f"**{title}**", "", ""))
+            for row in own:
+                rate = float(row["median"])
+                rows.append((row["name"], f"{rate:,.0f}", "" if base is None else rounded(rate / base, 2)))
+    return table(("median of a few runs, in turn", "agent steps a second", "ratio"), rows)
+
+
+def compared() -> str:
+    """This project beside others, by what was measured."""
+    found, rows = measured(ROOT / "results" / "benchmarks" / "compare.csv"), []
+    for part, (heading, unit) in COMPARED.items():
+        own = [row for row in found if row["table"] == part]
+        rows.append((f"**{heading}**", f"*{unit}*"))
+        rows += [(row["name"], _amount(float(row["median"]))) for row in own]
+    return table(("measured", "median"), rows)
+
+
+def _amount(value: float) -> str:
+    """A rate with three digits, or a whole number of packages; what pip could not install has none."""
+    return "pip cannot" if np.isnan(value) else f"{value:.0f}" if value in range(1000) else rounded(value)
+
+
+def measured(path: Path) -> list[dict[str, str]]:
+    """The rows of a table of measurements."""
+    return kept_rows(path, ("table", "name", "unit", "median", "lowest", "highest"))
+
+
 def levels() -> str:
     """When a policy of each level was on disk, and the best one at the end."""
     place = ROOT / "results" / "benchmarks"
@@ -174,6 +224,8 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "unseen": unseen,
     "networks": networks,
     "levels": levels,
+    "rates": rates,
+    "compared": compared,
     **reference.BLOCKS,
 }
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import rehearsals
+from benchmarks import compare, rehearsals
 from benchmarks.__main__ import write
 from benchmarks.endurance import Endurance, repeated, trained
 from benchmarks.environment import scaling, stepping
@@ -27,6 +27,19 @@ def test_stepping_measures_every_contestant() -> None:
         "supersuit stage, 2 processes",
     ]
     assert all(rate.median > 0 for rate in rates)
+
+
+def test_who_is_not_installed_is_left_out_and_its_row_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compare, "find_spec", lambda package: None)
+    monkeypatch.setattr(compare, "TABLE", tmp_path / "compare.csv")
+    monkeypatch.setattr(compare, "PARTS", {"simulating": lambda: compare.simulating(repeats=1)})
+    (tmp_path / "compare.csv").write_text(f"{','.join(compare.COLUMNS)}\nsimulating,other,mission s/s,2.0,2.0,2.0\n")
+    monkeypatch.setattr("sys.argv", ["compare"])
+    compare.main()
+    rows = list(csv.DictReader((tmp_path / "compare.csv").open()))
+    assert [row["name"] for row in rows] == ["other", "uavaou, PettingZoo, one mission"]
+    assert float(rows[0]["median"]) == 2
+    assert float(rows[1]["median"]) > 0
 
 
 def test_scaling_gives_rates_and_exponents() -> None:

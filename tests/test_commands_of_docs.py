@@ -53,7 +53,6 @@ PAGES = (
     "docs/own-field",
     "docs/replay",
     "docs/routes",
-    "docs/speed",
     "docs/studies",
     "docs/suites",
 )

@@ -9,7 +9,6 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-import pandas
 import pytest
 import typer.main
 from PIL import Image
@@ -221,23 +220,6 @@ def test_the_blocks_are_those_of_the_tables(page: str) -> None:
 def test_every_block_stands_on_a_page() -> None:
     text = "".join((ROOT / page).read_text(encoding="utf-8") for page in written.PAGES)
     assert {name for _, name, _ in markdown.BLOCK.findall(text)} == {*written.BLOCKS, "claims:paper"}
-
-
-def test_the_rates_of_the_page_on_speed_are_those_of_the_tables() -> None:
-    rates = {name: pandas.read_csv(ROOT / f"results/benchmarks/{name}.csv") for name in ("training", "stepping")}
-    page = (DOCS / "speed.md").read_text(encoding="utf-8")
-    tables = page[page.index("agent steps a second, medians of three") : page.index("**Limit.**")]
-    cells = [cell.strip() for line in tables.splitlines() if line.startswith("|") for cell in line.split("|")[2:-1]]
-    stated = [number for cell in cells for number in re.findall(r"\d{1,3}(?:,\d{3})+", cell)]
-    assert len(stated) == 20
-    assert set(stated) <= {f"{rate:,.0f}" for table in rates.values() for rate in table["median"]}
-    ratios = re.findall(r"\*{0,2}(\d+\.\d)\*{0,2}", " ".join(cell for cell in cells if "," not in cell))
-    found = set()
-    for _, table in rates["training"].groupby("table"):
-        stock = table[table["name"].str.contains("stock") & table["name"].str.contains("1 process")]
-        found |= {f"{rate / one:.1f}" for one in stock["median"] for rate in table["median"]}
-    assert len(ratios) == 10
-    assert set(ratios) <= found
 
 
 @pytest.mark.parametrize("page", RUNNING)

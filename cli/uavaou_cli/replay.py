@@ -51,6 +51,7 @@ def replay(
     out: Annotated[
         Path | None, option("The file to write. [default: results/<scenario>/replay/<policies>/mission-<seed>]", "FILE")
     ] = None,
+    slots: Annotated[int | None, number("A film ends with slot N. [default: with the mission]", 1)] = None,
     time_limit: Annotated[float | None, seconds("Time limit of planners that plan ahead, in seconds.")] = None,
     knows: Knows = "everything",
     set_: Changes = None,
@@ -67,6 +68,8 @@ def replay(
     names = list(dict.fromkeys(policy))
     refuse_scenarios(names)
     form = _format(format, out)
+    if form == "html" and slots is not None:
+        raise InputError(f"--slots {slots}: is for films (--format gif or mp4); a page holds the whole mission")
     overrides = parse_overrides(set_ or [])
     overrides.only_of_scenario("a policy flies as it is")
     recorded = {name: read_mission(Path(name)) for name in names if _is_recorded(name)}
@@ -83,7 +86,7 @@ def replay(
 
         check_format(form)
     missions = recorded | _fly(flying, flown, overrides, mission_seed, time_limit, knows, quiet)
-    _write(path, form, [missions[name] for name in names], quiet)
+    _write(path, form, [missions[name] for name in names], slots, quiet)
     print(path)
 
 
@@ -145,16 +148,16 @@ def _fly(
     return display.missions(scenario, seed)
 
 
-def _write(path: Path, format: str, missions: Sequence[RecordedMission], quiet: bool) -> None:
+def _write(path: Path, format: str, missions: Sequence[RecordedMission], slots: int | None, quiet: bool) -> None:
     from uavaou.reports.replay.page import by_label, write_replay
 
     labelled = by_label(missions)
     if format == "html":
         write_replay(path, labelled)
         return
-    from uavaou.reports.replay.film import write_film
+    from uavaou.reports.replay.film import film_slots, write_film
 
-    with Display(quiet, missions[0].scenario.slots) as display:
-        for slot in write_film(path, labelled, format):
+    with Display(quiet, film_slots(labelled, slots)) as display:
+        for slot in write_film(path, labelled, format, slots):
             if display.due:
                 display.advance(slot, f"slot {slot:,}", format)

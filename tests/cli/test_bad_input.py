@@ -50,7 +50,7 @@ OPTIONS = {
     "out:blocked knows:name",
     "gap tiny": "time-limit:seconds seed:seed episodes:count",
     "export nowhere --out x": "format:name",
-    "replay greedy": "scenario:name seed:seed format:name time-limit:seconds out:place",
+    "replay greedy": "scenario:name seed:seed format:name slots:count time-limit:seconds out:place",
     "fly tiny": "policy:name seed:seed seconds:seconds knows:name out:blocked",
     "tune --slots 5": "trials:count jobs:count seed:seed algorithm:name space:name out:blocked",
     "tune": "seconds:seconds slots:count",

@@ -28,7 +28,7 @@ COMMANDS = {
     "--altitude --grid-step --slots --replace",
     "fly": "SCENARIO --scenario --policy --seconds --knows --seed --json --out --route --uavs --station --radio --crs "
     "--speed --endurance --interval --within --duration --swap --what-if --set --quiet",
-    "replay": "RUN|POLICY --scenario --seed --format --out --time-limit --knows --set --quiet",
+    "replay": "RUN|POLICY --scenario --seed --format --out --slots --time-limit --knows --set --quiet",
     "plan": "SCENARIO --scenario --planner --time-limit --episodes --seed --out --replace --set --quiet",
     "route": "SCENARIO --scenario --policy --seconds --knows --format --episodes --seed --out --set --quiet",
     "gap": "SCENARIO RUN --scenario --time-limit --bound-limit --certificate --episodes --seed --set --quiet",

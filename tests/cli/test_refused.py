@@ -37,6 +37,7 @@ BAD_INPUTS = [
     ("eval --policy greedy --knows local --scenario tiny", "'greedy' knows everything in flight"),
     ("eval --suite uavs --policy stay --knows local", "a suite says itself what policies know"),
     ("replay greedy --scenario tiny --knows local", "'greedy' knows everything in flight"),
+    ("replay stay --scenario tiny --slots 5", "--slots 5: is for films"),
     ("fly tiny --set algorithm.gamma=1", "only scenario.* can be set here"),
     ("fly tiny --out ''", "--out is empty: expected a path"),
     ("plot suite --out=", "--out is empty: expected a path"),

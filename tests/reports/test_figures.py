@@ -14,7 +14,7 @@ from matplotlib.image import imread
 from tests.synthetic_study import MAPPO, SLOT_S, K, Variant, record, set_to, without, write_study
 from uavaou import read_study
 from uavaou.evaluation.flights import SLOTS, TRAINING, VALIDATION
-from uavaou.reports.figures import _line, _over_time, plot_study
+from uavaou.reports.figures import _has_times, _line, _over_time, plot_study
 from uavaou.reports.scores import best_planner, comparable, in_all_scenarios
 from uavaou_cli.main import main
 
@@ -93,7 +93,10 @@ def test_figures_show_what_the_tables_say(tmp_path: Path, drawn: dict[str, Any])
     np.testing.assert_allclose(reward["lower bound"].get_ydata(), 25.0 * K * SLOT_S)  # on a reversed axis
     np.testing.assert_allclose(reward["best-first"].get_ydata(), 60 * K * SLOT_S, rtol=0.05)
 
-    execution = {line.get_label(): line for line in drawn["out/figure-7-aou-execution"].axes[0].get_lines()}
+    panels = drawn["out/figure-7-aou-execution"].axes  # one for each policy, the best first and in grey in the others
+    assert [len(axes.get_lines()) for axes in panels if axes.get_visible()] == [1, 2, 2, 2]
+    execution = {axes.get_lines()[-1].get_label(): axes.get_lines()[-1] for axes in panels if axes.get_visible()}
+    assert [set(axes.collections) != set() for axes in panels if axes.get_visible()] == [True] * 4
     table = tables.stack("vdn", "paper", "mean_aou_slots", SLOTS)
     np.testing.assert_allclose(execution["VDN"].get_ydata(), table.mean(axis=0))
     assert "lower bound" not in execution  # it bounds the mean over slots, not a slot
@@ -126,6 +129,23 @@ def test_one_seed_and_no_planners_or_bound(tmp_path: Path, drawn: dict[str, Any]
     assert bars == "dot: one device; bar: none (1 seed)"
     assert "missions (1 seed) of 1 scenario" in drawn["out/aou-iqm"].get_supxlabel()
     assert "seeds and" not in drawn["out/performance-profile"].legends[0].get_title().get_text()
+
+
+def test_two_seeds_have_no_band(tmp_path: Path, drawn: dict[str, Any]) -> None:
+    study = write_study(tmp_path / "study", {"mappo": MAPPO}, {}, seeds=2, bound=None)
+    plot_study(study, tmp_path / "out")
+    figure = drawn["out/figure-4-aou"]
+    assert "bands: none (2 seeds)" in figure.legends[0].get_title().get_text()
+    assert "bands: none (2 seeds)" in drawn["out/figure-7-aou-execution"].get_supxlabel()
+    (band,) = figure.axes[0].collections
+    assert band.get_datalim(figure.axes[0].transData).height in (-np.inf, 0)
+
+
+def test_validations_without_times_have_no_line_over_time(tmp_path: Path, drawn: dict[str, Any]) -> None:
+    study = write_study(tmp_path / "study")
+    flat = read_study(study).curves(VALIDATION, "vdn", "paper")[0] | {"wall_s": np.array([7.0, 7.0])}
+    assert not _has_times(flat)
+    assert _has_times(flat | {"wall_s": np.array([7.0])})
 
 
 def test_intervals_say_what_they_are_over(tmp_path: Path, drawn: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from uavaou import InputError, Scenario
 from uavaou.algorithms.registry import load_config
@@ -72,6 +73,11 @@ def write_evaluation(folder: Path, *tables: Flights) -> None:
     Flights.joined(tables).write(folder)
 
 
+def labels_of(figure: Figure) -> set[str]:
+    """What the lines of all panels are called."""
+    return {label for axes in figure.axes for label in axes.get_legend_handles_labels()[1]}
+
+
 # -- figures -------------------------------------------------------------------------------------------
 
 
@@ -99,8 +105,7 @@ def test_runs_of_other_published_settings_have_a_line_and_an_evaluation_of_their
     write_run(tmp_path / "elsewhere").rename(paper)
     plot_runs([own, paper], tmp_path / "out")
     for name in ("figure-4-aou", "figure-7-aou-execution"):
-        labels = {str(line.get_label()).split(" (")[0] for line in drawn[f"out/{name}"].axes[0].get_lines()}
-        assert labels == {"MAPPO", "mappo-paper", "greedy"}
+        assert {label.split(" (")[0] for label in labels_of(drawn[f"out/{name}"])} == {"MAPPO", "mappo-paper", "greedy"}
 
 
 def test_a_training_too_short_for_a_curve_says_so(tmp_path: Path, drawn: dict[str, Any]) -> None:
@@ -136,7 +141,7 @@ def test_all_planners_evaluated_beside_a_run_are_drawn(tmp_path: Path, drawn: di
         folder, evaluated("mappo", 40, seed=0), *(evaluated(name, level) for name, level in others.items())
     )
     plot_runs([folder], tmp_path / "out")
-    labels = {name: set(figure.axes[0].get_legend_handles_labels()[1]) for name, figure in drawn.items()}
+    labels = {name: labels_of(figure) for name, figure in drawn.items()}
     for name in TRAINING_FIGURES | {"aou-wall-clock"}:  # stay's level would leave no room for the others
         assert labels[f"out/{name}"] == {"MAPPO", "greedy", "random"}
     for name in ("figure-7-aou-execution", "figure-8-communications-by-period"):
@@ -149,7 +154,7 @@ def test_intervals_of_a_single_run_are_over_missions(tmp_path: Path, drawn: dict
     plot_runs([folder], tmp_path / "out")
     over = "95 % interval over missions"
     seventh, eighth = (drawn[f"out/figure-{name}"] for name in ("7-aou-execution", "8-communications-by-period"))
-    assert seventh.legends[0].get_title().get_text() == f"bands: {over} (1 seed)\nplanners: {over}"
+    assert seventh.get_supxlabel().endswith(f"bands: {over} (1 seed)\nplanners: {over}")
     assert eighth.legends[0].get_title().get_text() == f"dot: one device; bar: {over} (1 seed)\nplanners: {over}"
     band = seventh.axes[0].collections[0].get_paths()[0].vertices
     slots = own[own["curve"] == flights.SLOTS]

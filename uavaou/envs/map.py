@@ -14,7 +14,7 @@ from matplotlib.colors import LogNorm, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MultipleLocator
+from matplotlib.ticker import EngFormatter, MultipleLocator
 from matplotlib.transforms import Affine2D, ScaledTranslation, offset_copy
 from numpy.typing import ArrayLike, NDArray
 
@@ -34,6 +34,8 @@ AGE_COLOURS = "magma_r"  # perceptually uniform; fresh is light, stale is dark
 
 FRAME_SHAPE = (576, 640, 3)  # (H, W, 3): multiples of 16, as video encoders like them
 _FRAME_DPI = 100
+_FRAME_TEXT = 12  # points: can be read where a frame is shown at 390 pixels
+_FRAME_DEVICE_AREA = (26.0, 130.0)  # square points, of a fresh and of the most stale device
 _TRAIL_SLOTS = 40  # a frame shows the recent past; older slots would hide the map
 _COVERAGE_GREY = "#555555"
 _LONGEST_NAME = 18
@@ -156,7 +158,7 @@ def draw_coverage(axes: Axes, scenario: Scenario, layout: Layout) -> None:
     radius = drawn_radius(scenario, layout)  # (I,) m
     discs = [Circle(tuple(place), float(r)) for place, r in zip(layout.positions, radius, strict=True) if r > 0]
     fill = PatchCollection(discs, facecolor=_COVERAGE_GREY, edgecolor="none", alpha=0.02, zorder=1)
-    rim = PatchCollection(discs, facecolor="none", edgecolor=_COVERAGE_GREY, linewidth=0.4, alpha=0.28, zorder=1)
+    rim = PatchCollection(discs, facecolor="none", edgecolor=_COVERAGE_GREY, linewidth=0.4, alpha=0.18, zorder=1)
     axes.add_collection(fill, autolim=False)
     axes.add_collection(rim, autolim=False)
 
@@ -277,18 +279,27 @@ def _draw_links(axes: Axes, scenario: Scenario, layout: Layout, positions: Float
 
 
 def render_frame(
-    scenario: Scenario, layout: Layout, snapshot: dict[str, Any], trails: Floats | None = None
+    scenario: Scenario,
+    layout: Layout,
+    snapshot: dict[str, Any],
+    trails: Floats | None = None,
+    scale: LogNorm | None = None,
 ) -> NDArray[np.uint8]:
     """The map of one slot as an RGB array of ``FRAME_SHAPE``, uint8.
+
+    A device is darker and larger the more stale its updates are, so that it can be read in grey.
 
     Args:
         scenario, layout: of the mission.
         snapshot: as :meth:`uavaou.world.World.snapshot` gives it.
         trails: positions in slots 1 to T, (T, U, 2) m; those after the snapshot's slot are left out.
+        scale: the colours of the ages, as :func:`age_scale` makes them; without one, those of any mission.
     """
     figure, axes = _frame()
+    scale = scale or age_scale(scenario, layout)
     devices = (layout.positions, layout.bandwidth, layout.transmit_power, layout.update_period)
-    ground = _frame_ground(scenario.model_dump_json(), *(field.tobytes() for field in devices))
+    ages_shown = (float(scale.vmin or 0), float(scale.vmax or 0))
+    ground = _frame_ground(scenario.model_dump_json(), *(field.tobytes() for field in devices), ages_shown)
     figure.figimage(ground, zorder=-10)
     _set_limits(axes, scenario)
     axes.set_axis_off()
@@ -297,24 +308,30 @@ def render_frame(
         _draw_trails(axes, scenario, np.asarray(trails)[: max(snapshot["slot"], 1)])
     _draw_links(axes, scenario, layout, positions, np.asarray(snapshot["collected_by"]))
     ages = np.asarray(snapshot["age_sum"]) / scenario.slot_length_s  # (I,) slots
-    draw_devices(axes, layout, ages, age_scale(scenario, layout))
+    smallest, largest = _FRAME_DEVICE_AREA
+    draw_devices(axes, layout, ages, scale, smallest + (largest - smallest) * np.asarray(scale(ages)))
     _mark_devices(axes, scenario, layout, snapshot)
     if scenario.links is not None and "heard" in snapshot:
         _draw_news(axes, scenario, snapshot)
     if scenario.wind is not None and "wind" in snapshot:
         _draw_wind(axes, np.asarray(snapshot["wind"]))
     _draw_uavs(axes, scenario, snapshot)
-    axes.set_title(f"slot {snapshot['slot']} of {scenario.slots}     AoU {ages.sum():,.0f} slots", fontsize=11)
+    axes.set_title(f"slot {snapshot['slot']} of {scenario.slots}     AoU {ages.sum():,.0f} slots", fontsize=14)
     return _pixels(figure)[..., :3].copy()
 
 
 @lru_cache(maxsize=8)
 def _frame_ground(
-    scenario_json: str, positions: bytes, bandwidth: bytes, transmit_power: bytes, update_period: bytes
+    scenario_json: str,
+    positions: bytes,
+    bandwidth: bytes,
+    transmit_power: bytes,
+    update_period: bytes,
+    ages_shown: tuple[float, float],
 ) -> NDArray[np.uint8]:
     """The part that all frames of a mission share, (H, W, 4); ticks and labels cost more time than the rest.
 
-    The arguments are text and bytes because they are the cache's key.
+    The arguments are text, bytes and numbers because they are the cache's key.
     """
     scenario = Scenario.model_validate_json(scenario_json)
     places, periods = np.frombuffer(positions).reshape(-1, 2), np.frombuffer(update_period, dtype=np.int64)
@@ -322,8 +339,14 @@ def _frame_ground(
     figure, axes = _frame()
     draw_ground(axes, scenario)
     draw_coverage(axes, scenario, layout)
-    bar = figure.add_axes((0.87, 0.09, 0.025, 0.83))
-    add_age_bar(axes, age_scale(scenario, layout), "age sum of the device (slots)", cax=bar)
+    bar = figure.add_axes((0.845, 0.1, 0.025, 0.82))
+    axes.tick_params(labelsize=_FRAME_TEXT)
+    axes.xaxis.label.set_fontsize(_FRAME_TEXT)
+    axes.yaxis.label.set_fontsize(_FRAME_TEXT)
+    shown = add_age_bar(axes, LogNorm(*ages_shown, clip=True), "", cax=bar)
+    shown.set_label("age sum of the device (slots); dark: stale", size=_FRAME_TEXT)
+    shown.ax.yaxis.set_major_formatter(EngFormatter(sep=""))
+    shown.ax.tick_params(labelsize=_FRAME_TEXT)
     ground = _pixels(figure)
     ground.flags.writeable = False  # the cache shares it
     return ground
@@ -334,7 +357,7 @@ def _frame() -> tuple[Figure, Axes]:
     height, width, _ = FRAME_SHAPE
     figure = Figure(figsize=(width / _FRAME_DPI, height / _FRAME_DPI), dpi=_FRAME_DPI, facecolor="white")
     FigureCanvasAgg(figure)
-    return figure, figure.add_axes((0.11, 0.09, 0.74, 0.83))
+    return figure, figure.add_axes((0.125, 0.1, 0.705, 0.82))
 
 
 def _pixels(figure: Figure) -> NDArray[np.uint8]:

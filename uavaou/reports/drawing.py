@@ -11,11 +11,16 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from uavaou.arrays import Floats
 from uavaou.reports import style
+from uavaou.reports.markdown import rounded
 from uavaou.statistics import Band, Interval
 
 Looks = Mapping[str, style.Look]
 
+FEWEST_TRAININGS = 3  # with a band: that of two falls to the axis and says nothing
 OVER_MISSIONS = "95 % interval over missions"
+_PANELS_A_ROW = 2
+_PANEL_IN = 0.95  # height, with its title
+_PANEL_ALPHA = 0.3  # of the band of one line
 _MOST_IN_A_COLUMN = 8  # groups of markers side by side at each period
 _STEPS = [1, 2, 5, 10]  # ticks at multiples that are easy to read
 
@@ -138,19 +143,41 @@ def time_unit(longest_s: float) -> tuple[str, float]:
     return ("h", 3600.0) if longest_s > 2 * 3600 else ("min", 60.0) if longest_s > 120 else ("s", 1.0)
 
 
-def execution_figure(lines: Mapping[str, Line], looks: Looks, slot_length_s: float) -> tuple[Figure, Axes]:
-    """Figure 7: AoU over the slots of a mission; the caller adds the legend."""
-    figure, axes = style.new_axes(height_in=3.0)
-    for turn, (name, line) in enumerate(lines.items()):
-        width, look = 0.8 if style.is_planner(name) else 1.2, looks[name]
-        _draw_line(axes, line, 1.0, look, look.entry, band_alpha(lines), linewidth=width, **_marks(look, line, turn))
+def execution_figure(lines: Mapping[str, Line], looks: Looks, slot_length_s: float, note: str) -> Figure:
+    """Figure 7: AoU over the slots of a mission, a panel for each policy, the lowest first and in grey in the others.
+
+    Args:
+        lines: policy -> its AoU in each slot.
+        looks: of the policies.
+        slot_length_s: tau.
+        note: what the bands are over.
+    """
+    order = sorted(lines, key=lambda name: float(lines[name].y.value.mean()))
+    columns = min(_PANELS_A_ROW, len(order))
+    rows = -(-len(order) // columns)
+    figure = style.new_figure(0.75 + _PANEL_IN * rows)
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    least = lines[order[0]]
+    for axes, name in zip(panels, order, strict=False):
+        if name != order[0]:
+            axes.plot(least.x, least.y.value, color=style.GREY, linewidth=0.5, zorder=1.5)
+        _draw_line(axes, lines[name], 1.0, looks[name], looks[name].label, _PANEL_ALPHA, linestyle="-", linewidth=0.8)
+        mean = rounded(float(lines[name].y.value.mean()), 3)
+        axes.set_title(f"{looks[name].label}: {mean}", fontsize=7, pad=2)
+    for axes in panels[len(order) :]:
+        axes.set_visible(False)
+    for axes in panels[max(0, len(order) - columns) : len(order)]:
+        axes.tick_params(labelbottom=True)  # the lowest of its column
     slots = max(float(line.x[-1]) for line in lines.values())
-    axes.set(xlabel="slot $t$ of the mission", ylabel="AoU (slots)", xlim=(0, slots))
-    _scale_y(axes, np.concatenate([line.y.value for line in lines.values()]), log=True)
-    style.tag_ends(figure, axes, [(looks[name], line.x[-1], line.y.value[-1]) for name, line in lines.items()])
+    panels[0].set_xlim(0, slots)
+    panels[0].xaxis.set_major_locator(MaxNLocator(3, steps=_STEPS))
+    _scale_y(panels[0], np.concatenate([line.y.value for line in lines.values()]), log=True)
     unit, seconds = time_unit(slots * slot_length_s)
-    _axis_above(axes, slot_length_s / seconds, f"mission time ({unit})")
-    return figure, axes
+    grey = f"number: mean over slots; grey: {looks[order[0]].label}" if len(order) > 1 else "number: mean over slots"
+    lasts = f"slot $t$ of the mission, which lasts {rounded(slots * slot_length_s / seconds, 3)} {unit}"
+    figure.supxlabel(f"{lasts}\n{grey}\nbands: {note}", fontsize=7, linespacing=1.3)
+    figure.supylabel("AoU (slots)", fontsize=8)
+    return figure
 
 
 def period_figure(groups: Mapping[str, ByPeriod], looks: Looks) -> tuple[Figure, Axes]:
@@ -192,9 +219,11 @@ def _draw_by_period(axes: Axes, group: ByPeriod, shift: float, look: style.Look)
 def over_seeds(seeds: Sequence[int], alone: str = "none") -> str:
     """What the intervals of algorithms with so many seeds each are over; ``alone`` says it for one seed."""
     counts, parts = sorted({*seeds} or {1}), []
-    if counts[-1] > 1:
+    if counts[-1] >= FEWEST_TRAININGS:
         number = f"{counts[0]} " if len(counts) == 1 else ""
         parts.append(f"95 % interval over {number}seeds")
-    if counts[0] == 1:
+    if 1 in counts:
         parts.append(f"{alone} (1 seed)")
+    if 2 in counts:
+        parts.append("none (2 seeds)")
     return "; ".join(parts)

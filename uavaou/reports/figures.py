@@ -1,9 +1,10 @@
 """The figures of studies and training runs: the paper's 3 to 8, AoU against wall-clock time, aggregates, missions.
 
 Everything is drawn from the tables of a study; no policy is loaded. Training runs are condensed to the same tables, in
-memory. Bands and bars are Student's 95 % intervals over training seeds; those of planners, and in figures 7 and 8 those
-of a single run, are bootstrap intervals over missions. Figures of a study show its best planner and its best rule with
-local information, figures of runs all planners that were evaluated beside them. Ages are in slots.
+memory. Bands and bars are Student's 95 % intervals over three and more training seeds; those of planners, and in
+figures 7 and 8 those of a single run, are bootstrap intervals over missions. Figures of a study show its best planner
+and its best rule with local information, figures of runs all planners that were evaluated beside them. Ages are in
+slots.
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,6 +14,7 @@ from typing import get_args
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from uavaou.algorithms.config import AlgorithmConfig
 from uavaou.algorithms.registry import learner_of
@@ -166,7 +168,8 @@ class _Scenario:
         if shown := sampled if validated else curves:
             for name, measure in _TRAINING_FIGURES.items():
                 figures[name] = self._training_figure(shown, measure, validated)
-        if validations := self._curves(VALIDATION, algorithms):
+        validations = self._curves(VALIDATION, algorithms)
+        if any(all(map(_has_times, runs)) for runs in validations.values()):
             figures["aou-wall-clock"] = self._wall_clock_figure(validations)
         if executed := self._curves(SLOTS, [*algorithms, *self._planners]):
             figures["figure-7-aou-execution"] = self._execution_figure(executed)
@@ -200,11 +203,14 @@ class _Scenario:
 
     def _wall_clock_figure(self, validations: Mapping[str, list[Curve]]) -> Figure:
         """The AoU of each run's latest validation against the time since its training began."""
-        lines = {name: _over_time(runs) for name, runs in validations.items()}
+        timed = {name: runs for name, runs in validations.items() if all(map(_has_times, runs))}
+        untimed = [self._looks[name].label for name in validations if name not in timed]
+        lines = {name: _over_time(runs) for name, runs in timed.items()}
         unit, seconds = drawing.time_unit(max(float(line.x[-1]) for line in lines.values()))
         lines = {name: drawing.Line(line.x / seconds, line.y, line.seeds) for name, line in lines.items()}
         mixed = self._study.on_several_processors(self._scenario)
         note = "\ntrainings on several processors, or not recorded on which" if mixed else ""
+        note += f"\nwithout the times of its validations: {', '.join(untimed)}" if untimed else ""
         figure, axes = self._measure_figure(lines, drawing.VALIDATION_AOU, note)
         axes.set_xlabel(f"wall-clock time of training ({unit})")
         return figure
@@ -231,9 +237,7 @@ class _Scenario:
         for name, runs in executed.items():
             table = self._study.stack(name, self._scenario, "mean_aou_slots", SLOTS)  # (S, K)
             lines[name] = drawing.Line(runs[0]["x"], self._band(table, runs), len(table))
-        figure, axes = drawing.execution_figure(lines, self._looks, tau)
-        style.legend_below(figure, axes, f"bands: {self._over(executed)}")
-        return figure
+        return drawing.execution_figure(lines, self._looks, tau, self._over(executed))
 
     def _period_figure(self, counted: Mapping[str, list[Curve]]) -> Figure:
         """Figure 8: communications of each device against its generation period."""
@@ -250,7 +254,7 @@ class _Scenario:
 
     def _band(self, values: Floats, runs: list[Curve]) -> Band:
         """The mean of several trainings with its interval, or of one with that over its missions."""
-        band = band_over_trainings(values)
+        band = _over_seeds(values)
         return Band(band.value, runs[0]["low"], runs[0]["high"]) if self._of_runs and len(runs) == 1 else band
 
     def _over(self, found: Mapping[str, list[Curve]]) -> str:
@@ -260,6 +264,12 @@ class _Scenario:
             return drawing.over_seeds(seeds)
         planners = f"\nplanners: {drawing.OVER_MISSIONS}" if found.keys() - self._study.algorithms.keys() else ""
         return drawing.over_seeds(seeds, drawing.OVER_MISSIONS) + planners
+
+
+def _over_seeds(values: ArrayLike) -> Band:
+    """The mean of trainings, (S, B), with its interval where there are enough of them."""
+    band, few = band_over_trainings(values), len(np.asarray(values)) < drawing.FEWEST_TRAININGS
+    return Band(band.value, *np.full((2, len(band.value)), np.nan)) if few else band
 
 
 def _too_short(curves: Mapping[str, list[Curve]]) -> bool:
@@ -274,7 +284,7 @@ def _line(runs: list[tuple[Floats, Floats]]) -> drawing.Line:
     grid = runs[0][0]
     grid = grid[(grid >= start) & (grid <= reach)]
     grid = grid if len(grid) else np.array([reach])
-    return drawing.Line(grid, band_over_trainings([np.interp(grid, x, y) for x, y in runs]), len(runs))
+    return drawing.Line(grid, _over_seeds([np.interp(grid, x, y) for x, y in runs]), len(runs))
 
 
 def _one_value_each(x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -292,4 +302,9 @@ def _over_time(runs: list[Curve]) -> drawing.Line:
         run["mean_aou_slots"][np.searchsorted(time, grid, side="right") - 1]
         for run, time in zip(runs, times, strict=True)
     ]
-    return drawing.Line(grid, band_over_trainings(latest), len(runs))
+    return drawing.Line(grid, _over_seeds(latest), len(runs))
+
+
+def _has_times(run: Curve) -> bool:
+    """Whether it was recorded when each validation of a training was; else they all have the time of its end."""
+    return len(run["wall_s"]) == 1 or float(np.ptp(run["wall_s"])) > 0

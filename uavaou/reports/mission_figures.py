@@ -29,7 +29,7 @@ _DEVICE_AREA = (12.0, 75.0)  # square points, of the least and the most collecte
 _LINE_WIDTH = (0.6, 2.4)  # points, of a step flown once and of the one flown most
 _LEGEND_COLUMNS = 4
 _ROUTES = "square: CDS of the UAV; line: route, wider where flown more often"
-_PANELS_A_ROW = 3
+_PANELS_A_ROW = 2  # as many as can be read where a page is 390 pixels wide
 _MOST_PANELS = 12
 _NO_UAV_HAS = (maps.BLACK, "#64748B", "#5C6B1F", "#6D2A6B")  # colours of policies beside a map of UAVs, as on the page
 _PARTS = 40  # of a mission, that a line has a point for
@@ -307,13 +307,12 @@ def _title(mission: RecordedMission, labels: Mapping[str, str], between: str) ->
 def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Figure:
     """One map a mission, with one colour scale and one scale of sizes for all."""
     rows = math.ceil(len(missions) / _PANELS_A_ROW)
-    columns = math.ceil(len(missions) / rows)  # four in two rows of two
+    columns = math.ceil(len(missions) / rows)
     scenario = missions[0].scenario
     shape = (scenario.area_y_m + scenario.grid_step_m) / (scenario.area_x_m + scenario.grid_step_m)
-    width = style.PAGE_WIDTH_IN if columns > 1 else style.COLUMN_WIDTH_IN
-    height = rows * (0.45 + (width - 1.2) / columns * float(np.clip(shape, 0.4, 2))) + 0.83
+    height = rows * (0.45 + (style.COLUMN_WIDTH_IN - 1.2) / columns * float(np.clip(shape, 0.4, 2))) + 0.83
     height += _legend_height(scenario)
-    figure = style.new_figure(height, width_in=width)
+    figure = style.new_figure(height)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     mean_ages = [mission.age_slots.mean(axis=0) for mission in missions]  # (I,) each
     scale = maps.age_scale(scenario, missions[0].recording.layout, np.concatenate(mean_ages))
@@ -324,7 +323,9 @@ def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Fig
         counts = mission.recording.communications.sum(axis=0)  # (I,)
         _draw_map(axes, mission)
         maps.draw_devices(axes, mission.recording.layout, ages, scale, _device_area(counts, most) / 2)
-        axes.set_title(_title(mission, labels, "\n"))
+        axes.set_title(_title(mission, labels, "\n"), fontsize=7)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
     for place, axes in enumerate(panels.ravel()[: len(missions)]):
         axes.label_outer()
         if place + columns >= len(missions):  # the lowest of its column
@@ -334,8 +335,7 @@ def _maps(missions: Sequence[RecordedMission], labels: Mapping[str, str]) -> Fig
     text = "mean age sum of the device (slots)"
     bar = maps.add_age_bar(panels[0, 0], scale, text, ax=panels, fraction=0.03, shrink=0.85)
     style.label_log_axis(bar.ax.yaxis, *bar.ax.get_ylim())
-    between = "; " if columns > 1 else "\n"
-    title = f"{_ROUTES}{between}device: larger with more communications"
+    title = f"{_ROUTES}\ndevice: larger with more communications"
     figure.legend(handles=_fleet_handles(scenario), loc="outside lower center", ncols=4, title=title)
     return figure
 
@@ -345,7 +345,7 @@ def _all_ages(missions: Sequence[RecordedMission], labels: Mapping[str, str], sc
     devices = missions[0].scenario.devices
     strip_in = float(np.clip(0.05 * devices, 0.9, 3.0))
     height = len(missions) * (strip_in + 0.25) + 0.93 + _legend_height(missions[0].scenario)
-    figure = style.new_figure(height, width_in=style.PAGE_WIDTH_IN)
+    figure = style.new_figure(height)
     strips = figure.subplots(len(missions), 1, sharex=True, squeeze=False)[:, 0]
     for axes, mission in zip(strips, missions, strict=True):
         _draw_strip(axes, mission, scale)

@@ -19,6 +19,7 @@ from uavaou.evaluation.flights import FLIGHTS
 from uavaou.experiments.results import StudyResults
 from uavaou.experiments.suite_flights import budget_lines, summary
 from uavaou.reports import style
+from uavaou.reports.drawing import FEWEST_TRAININGS
 from uavaou.runs.released import released_names
 from uavaou.statistics import Interval, interval_over_trainings
 
@@ -169,9 +170,11 @@ def _draw_policy(
 
 
 def _over_seeds(rows: pd.DataFrame) -> Interval:
-    """The mean over training seeds with its interval; of one seed, the interval over its missions."""
-    if len(rows) > 1:
+    """The mean over training seeds, of three and more with its interval; of one seed, that over its missions."""
+    if len(rows) >= FEWEST_TRAININGS:
         return interval_over_trainings(rows["mean_aou_slots"]).within(0)
+    if len(rows) == 2:
+        return Interval(float(rows["mean_aou_slots"].mean()), np.nan, np.nan)
     (one,) = rows["aou"]
     return Interval(*one)
 
@@ -212,4 +215,5 @@ def _meanings(rows: pd.DataFrame) -> list[str]:
     runs = rows.groupby(["point", "policy"]).size()
     several = "seeds; of one seed: over missions" if runs.min() == 1 else "seeds"
     words.append("bars: 95 % interval over " + (several if runs.max() > 1 else "missions"))
+    words += ["two seeds: no bar"] if (runs == 2).any() else []
     return words
