@@ -7,61 +7,22 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from functools import cache
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
+from benchmarks.answers import ANSWERS, draw_gap
 from benchmarks.measure import kept_rows
+from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, minutes, scores, study, suites
 from uavaou.evaluation.flights import VALIDATION
-from uavaou.experiments.results import StudyResults, read_study
-from uavaou.planners import PLANNERS, planner_knowledge
-from uavaou.reports import style
-from uavaou.reports.claims import converged, lower
+from uavaou.planners import planner_knowledge
 from uavaou.reports.markdown import filled, rounded, table, with_interval
-from uavaou.reports.scores import FIXED_RULES, PolicyScores, study_scores
-from uavaou.reports.suite_tables import means, summary
-from uavaou.reports.suites import SuiteTable, read_suites, suites_of_study
-from uavaou.statistics import Interval, interval_over_trainings, ratio_of_trainings
+from uavaou.reports.suite_tables import summary
+from uavaou.statistics import Interval, interval_over_trainings
 
-ROOT = Path(__file__).resolve().parents[1]
 CARD = "zoo_configs/policies/any-map/README.md"
 PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md", "docs/explanation/head.md", CARD)
-RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
 LEAST = 1.0  # slots: where the other has less, a ratio says nothing
 HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")
-STARTS = {"paper": "nothing", "default": "a plan"}  # what the trainings of a study begin with
-RIVALS = ("vdn", "qmix")
-HARDER = {"fading": "10", "rate": "150", "uavs": "3", "devices": "25", "areas": "1,000"}  # suite -> the paper's point
-ANSWERS = {"supported": "MAPPO beats {}", "contradicted": "MAPPO is behind {}"}
-
-
-@cache
-def study(name: str) -> StudyResults:
-    """A committed study."""
-    return read_study(ROOT / "results" / "studies" / name)
-
-
-def scores(name: str) -> dict[str, PolicyScores]:
-    """Policy -> its scores on ``paper`` in a study."""
-    return {one.policy: one for one in study_scores(study(name))["paper"]}
-
-
-@cache
-def suites() -> dict[str, SuiteTable]:
-    """What the released policy has flown, by suite."""
-    return {found.suite: found for found in suites_of_study(study("generalization"))}
-
-
-def flown(suite: str, policy: str) -> pd.DataFrame:
-    """The rows of a policy at the points of a suite."""
-    return suites()[suite].of(policy).set_index("point")
-
-
-def minutes(name: str, variant: str) -> str:
-    """The mean CPU time of a training."""
-    return f"{study(name).trainings(variant, 'paper')['cpu_s'].mean() / 60:.0f} min"
 
 
 def trained(name: str, variant: str, who: str) -> tuple[float, tuple[str, ...]]:
@@ -138,157 +99,6 @@ def released() -> str:
     return table((f"mean AoU of `{RELEASED}`, ratio to", f"`{REFERENCE}`", f"`{RULE}`"), rows)
 
 
-def ages(name: str, variant: str, scenario: str = "paper") -> np.ndarray:
-    """The mean AoU of each training, (S,) slots; (0,) without trainings."""
-    flown = study(name).stack(variant, scenario)
-    return flown.mean(axis=1) if flown.size else np.empty(0)
-
-
-def ratio(name: str, other: str) -> Interval:
-    """MAPPO's mean AoU over that of another learner on ``paper``, over trainings."""
-    return ratio_of_trainings({"": ages(name, "mappo")}, {"": ages(name, other)})
-
-
-def elsewhere(name: str, other: str) -> str:
-    """The same ratio on the other layouts of a study, over layouts."""
-    places = [place for place in study(name).scenarios if place != "paper"]
-    pairs = [(ages(name, "mappo", place), ages(name, other, place)) for place in places]
-    found = [np.log(own.mean() / theirs.mean()) for own, theirs in pairs if own.size and theirs.size]
-    return with_interval(*np.exp(interval_over_trainings(found)).tolist()) + f", {len(found)} layouts" if found else ""
-
-
-def learners() -> str:
-    """MAPPO beside the other learners, from nothing and from a plan."""
-    rows = []
-    for name, start in STARTS.items():
-        for variant in sorted(study(name).algorithms, key=lambda one: float(ages(name, one).mean())):
-            own, here = ages(name, variant), scores(name)[variant].mean
-            beside = "" if variant == "mappo" else with_interval(*ratio(name, variant))
-            rows.append((start, f"`{variant}`", str(len(own)), with_interval(*here), beside, elsewhere(name, variant)))
-    head = ("begins with", "learner", "trainings", "AoU on `paper`, slots", "MAPPO's over it", "on other layouts")
-    return table(head, [(*row[:5], "" if "mappo" in row[1] else row[5]) for row in rows])
-
-
-def beaten() -> str:
-    """Whether MAPPO beats the others, in a line."""
-    told = []
-    for name, start in STARTS.items():
-        there = [other for other in RIVALS if ages(name, other).size]
-        answers = [
-            f"{ANSWERS.get(lower(found), 'no lead over {} is shown').format(other.upper())}: {with_interval(*found)}"
-            for other in there
-            for found in [ratio(name, other)]
-        ]
-        told.append(f"From {start}, {'; '.join(answers)}." if there else f"From {start}, this is not measured yet.")
-    return f"**{' '.join(told)}** Numbers are MAPPO's AoU over the other's."
-
-
-def reached() -> pd.DataFrame:
-    """What is known of each map: the bound, and the lowest mean AoU of each policy, slots."""
-    gap = pd.read_csv(ROOT / "results" / "planners" / "gap.csv")
-    rows = gap[["scenario", "policy", "mean_aou_slots"]].values.tolist()
-    for name, fields in study("default").scenarios.items():
-        place = f"paper+layout_seed={fields['layout_seed']}"
-        rows += [(place, "bound", study("default").bounds[name])] if name in study("default").bounds else []
-        flown = {policy: study("default").stack(policy, name) for policy in (*study("default").planners, "mappo")}
-        rows += [(place, policy, float(each.mean())) for policy, each in flown.items() if each.size]
-    each = pd.DataFrame(rows, columns=["scenario", "policy", "aou"]).pivot_table("aou", "scenario", "policy", "min")
-    bounds = pd.DataFrame(rows, columns=["scenario", "policy", "aou"]).query("policy == 'bound'")
-    each["bound"] = bounds.groupby("scenario")["aou"].max()
-    planners = [name for name in each.columns if name in PLANNERS and name not in FIXED_RULES]
-    each["best"], each["planner"] = each[planners].min(axis=1), each[planners].idxmin(axis=1)
-    each["known"] = each[["best", "mappo"]].min(axis=1)
-    each["layout"] = each.index.str.extract(r"=(\d+)$", expand=False).astype(float).values  # nan of other maps
-    return each.dropna(subset=["bound"]).sort_values("layout", na_position="first")
-
-
-def gap() -> str:
-    """How far each map's best is from the best possible."""
-    rows = [
-        (
-            f"`{name}`" if np.isnan(one["layout"]) else f"`paper`, layout {one['layout']:.0f}",
-            rounded(one["bound"], 4),
-            f"{rounded(one['best'])}, `{one['planner']}`",
-            "" if np.isnan(one["mappo"]) else rounded(one["mappo"]),
-            rounded(one["known"] / one["bound"]),
-        )
-        for name, one in reached().iterrows()
-    ]
-    return table(("map", "bound, slots", "best planner", "`uavaou train`", "lowest over the bound"), rows)
-
-
-def draw_gap() -> None:
-    """Draw what :func:`gap` says of the layouts of ``paper``, as ``results/planners/gap.png``."""
-    found = reached().dropna(subset=["layout"])
-    names = ["bound", "mappo", "local-greedy-tuned", "rolling", "local-greedy-parts", "best-first", "greedy"]
-    with style.house_style():
-        figure, axes = style.new_axes(3.0)
-        looks = style.looks(names)
-        for place, name in zip(np.linspace(-0.3, 0.3, len(names)), names, strict=True):  # side by side
-            look, along = looks[name], np.arange(len(found)) + place
-            axes.plot(along, found[name], look.marker or "_", markersize=4, color=look.colour, label=look.label)
-        axes.set(yscale="log", xlabel="layout of paper", ylabel="mean AoU (slots)")
-        axes.set_xticks(range(len(found)), [f"{layout:.0f}" for layout in found["layout"]])
-        style.label_log_axis(axes.yaxis, *axes.get_ylim())
-        style.legend_below(figure, axes, "the lower bound is certified")
-        style.save(figure, ROOT / "results" / "planners", "gap", quick=True)
-
-
-def closeness() -> str:
-    """How far the lowest known AoU is from the bound, in a line."""
-    found = reached().dropna(subset=["layout"])
-    times = found["known"] / found["bound"]
-    least, most = rounded(times.min()), rounded(times.max())
-    verdict = f"**On `paper`, a factor of {rounded(times.max(), 2)} at most.**"
-    return f"{verdict} The lowest AoU known is {least} to {most} times the certified bound, on {len(found)} layouts."
-
-
-def anywhere() -> str:
-    """How good the released policy is on a map never seen, in a line."""
-    flights = [flown("unseen-layouts", name)["mean_aou_slots"] for name in (RELEASED, REFERENCE, RULE)]
-    beside = [np.exp(interval_over_trainings(np.log(flights[0] / other))) for other in flights[1:]]
-    better = "Better than every rule that needs no search" if max(high for *_, high in beside) < 1 else "No better"
-    told = [f"{with_interval(*found)} of `{other}`" for found, other in zip(beside, (REFERENCE, RULE), strict=True)]
-    return f"**{better}.** On {len(flights[0])} new layouts, `{RELEASED}` has {' and '.join(told)}."
-
-
-def learning() -> str:
-    """How many slots and how much time the trainings of the paper take."""
-    found = study("paper")
-    slots, rows = {}, []
-    for name in found.algorithms:
-        runs = found.curves(VALIDATION, name, "paper")
-        slots[name] = np.array([run["x"][converged(run["mean_aou_slots"]).place] for run in runs])
-    for name in sorted(slots, key=lambda one: float(slots[one].mean())):
-        beside = "" if name == "mappo" else with_interval(*ratio_of_trainings({"": slots["mappo"]}, {"": slots[name]}))
-        mean = with_interval(*interval_over_trainings(slots[name]))
-        rows.append((f"`{name}`", mean, beside, minutes("paper", name), rounded(float(ages("paper", name).mean()))))
-    head = ("from nothing", "slots until it has converged", "MAPPO's over these", "CPU time", "AoU it ends with, slots")
-    return table(head, rows)
-
-
-def harder() -> str:
-    """What the released policy has where one thing is harder than on ``paper``."""
-    rows = []
-    for suite, usual in HARDER.items():
-        own, others = flown(suite, RELEASED), means(suites()[suite], REFERENCE)
-        hardest = own["mean_aou_slots"].idxmax()
-        here, there = (rounded(own["mean_aou_slots"][point]) for point in (usual, hardest))
-        beside = rounded(own["mean_aou_slots"][hardest] / others[hardest], 2)
-        rows.append((suites()[suite].axis, usual, here, hardest, there, beside))
-    head = ("what changes", "on `paper`", "AoU, slots", "at its hardest", "AoU, slots", f"over `{REFERENCE}`")
-    return table(head, rows)
-
-
-def breaks() -> str:
-    """What missions as they really go cost each policy."""
-    (found,) = read_suites([ROOT / "results" / "suites" / "breaks.csv.gz"])
-    names = list(found.rows["policy"].unique())
-    aou = {name: found.of(name).set_index("point")["aou"] for name in names}
-    rows = [(point, *(with_interval(*aou[name][point]) for name in names)) for point in found.points]
-    return table(("mean AoU, slots", *(f"`{name}`" for name in names)), rows)
-
-
 def networks() -> str:
     """The speed of the networks for the same work, agent steps a second."""
     found: dict[str, dict[str, str]] = {}
@@ -325,18 +135,11 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "policies": policies,
     "paper": paper,
     "default": default,
-    "learners": learners,
-    "beaten": beaten,
-    "gap": gap,
-    "closeness": closeness,
-    "anywhere": anywhere,
-    "learning": learning,
-    "harder": harder,
-    "breaks": breaks,
     "released": released,
     "unseen": unseen,
     "networks": networks,
     "levels": levels,
+    **ANSWERS,
 }
 
 
@@ -349,12 +152,12 @@ def main() -> int:
             stale.append(page)
             if "--check" not in sys.argv:
                 (ROOT / page).write_text(now, encoding="utf-8")
-    if "--check" not in sys.argv:
-        draw_gap()
     for page in stale:
         print(f"{page}: its numbers are not those of the tables: make results" if "--check" in sys.argv else page)
     return int(bool(stale) and "--check" in sys.argv)
 
 
 if __name__ == "__main__":
+    if "--check" not in sys.argv:
+        draw_gap()
     sys.exit(main())
