@@ -5,16 +5,19 @@ import tomllib
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
+import numpy as np
 import pandas
 import pytest
 import typer.main
 from PIL import Image
+from stable_baselines3 import PPO
 
 from benchmarks import pages as written
 from tests.documents import PAGES, ROOT, blocks, code_spans, commands, parse
-from uavaou import Family, Scenario
+from uavaou import Family, Scenario, flatten
 from uavaou.algorithms.registry import ENTRY_POINTS
 from uavaou.reports import markdown
 from uavaou_cli.main import app
@@ -164,6 +167,27 @@ def test_a_family_of_your_own(tmp_path: Path) -> None:
     base = Scenario.load("paper").replace(layout="resample")
     own = [draw.replace(name=base.name, description=base.description) == base for draw in draws]
     assert 0.15 < sum(own) / len(own) < 0.45
+
+
+@pytest.mark.slow
+def test_stock_ppo_in_the_page_of_the_pipeline() -> None:
+    (code,) = blocks(DOCS / "pipeline.md", "python")
+    names: dict[str, Any] = {}
+    exec(code.replace("missions=16", "missions=1").replace("100_000", "100"), names)
+    assert type(names["model"]) is PPO
+    assert names["model"]._n_updates == names["model"].n_epochs
+
+
+def test_a_learner_on_an_environment_of_your_own() -> None:
+    (code,) = blocks(DOCS / "composite-actions.md", "python")
+    assert "learn(200_000)" in code
+    env = flatten("tiny", missions=2, seed=0)
+    names: dict[str, Any] = {"vec_env": env, "rows": env.reset()}
+    exec(code.replace("200_000", "200"), names)
+    model, actions = names["model"], names["actions"]
+    assert 200 <= model.num_timesteps < 200 + env.num_envs * env.scenario.slots  # agent steps
+    local = names["rows"][:, : env.row_layout.local_size]
+    np.testing.assert_array_equal(model.predict(local, deterministic=True)[0], actions)
 
 
 def test_own_algorithms_are_the_example_and_have_an_entry_point() -> None:

@@ -125,7 +125,7 @@ class CdsDraw(Strict):
 
 
 class OperationsDraw(Strict):
-    """How often and how much of what docs/explanation/missions.md says missions may hold; on the base itself too."""
+    """How often and how much of what missions hold beside the paper's (docs/operations.md); on the base itself too."""
 
     uplinks_per_slot: WholeDraw | None = None
     endurance: Draw | None = None  # of a battery, as a share of the mission

@@ -105,7 +105,7 @@ class ScenarioFields(Strict):
     antenna_gain_db: Decibels = 0.0  # of both ends together
     snr_min_db: Decibels | None = None  # in place of R_min
     sensitivity_dbm: Decibels | None = None  # in place of R_min
-    # Beyond the paper: missions as they really go (docs/explanation/missions.md).
+    # Beyond the paper: missions as they really go (docs/operations.md).
     uplinks_per_slot: PositiveWhole | None = None  # devices that a UAV serves in a slot at most
     energy: Energy = None
     swap_time_s: NonNegative | None = None  # at a station, for a full battery; 0 without
