@@ -8,35 +8,29 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from functools import cache
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from benchmarks import reference
+from benchmarks.answers import ANSWERS, draw_gap
 from benchmarks.measure import kept_rows
+from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, minutes, scores, study, suites
 from uavaou.evaluation.flights import VALIDATION
-from uavaou.experiments.results import StudyResults, read_study
 from uavaou.planners import planner_knowledge
 from uavaou.reports.markdown import filled, rounded, table, with_interval
-from uavaou.reports.scores import PolicyScores, study_scores
 from uavaou.reports.suite_tables import summary
-from uavaou.reports.suites import SuiteTable, suites_of_study
 from uavaou.statistics import Interval, interval_over_trainings
 
-ROOT = Path(__file__).resolve().parents[1]
 CARD = "zoo_configs/policies/any-map/README.md"
 PAGES = (
     "README.md",
     "results/README.md",
-    "docs/policies.md",
     "docs/notes/speed.md",
     "docs/compare.md",
+    "docs/explanation/head.md",
     CARD,
     *reference.PAGES,
 )
-RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
 LEAST = 1.0  # slots: where the other has less, a ratio says nothing
 COMPARED = {  # of the table that benchmarks/compare.py writes: part -> heading, unit
     "stepping": ("stepping three agents, random actions", "agent steps per CPU second"),
@@ -45,33 +39,6 @@ COMPARED = {  # of the table that benchmarks/compare.py writes: part -> heading,
     "installs": ("installing into an empty environment", "packages"),
 }
 HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")
-
-
-@cache
-def study(name: str) -> StudyResults:
-    """A committed study."""
-    return read_study(ROOT / "results" / "studies" / name)
-
-
-def scores(name: str) -> dict[str, PolicyScores]:
-    """Policy -> its scores on ``paper`` in a study."""
-    return {one.policy: one for one in study_scores(study(name))["paper"]}
-
-
-@cache
-def suites() -> dict[str, SuiteTable]:
-    """What the released policy has flown, by suite."""
-    return {found.suite: found for found in suites_of_study(study("generalization"))}
-
-
-def flown(suite: str, policy: str) -> pd.DataFrame:
-    """The rows of a policy at the points of a suite."""
-    return suites()[suite].of(policy).set_index("point")
-
-
-def minutes(name: str, variant: str) -> str:
-    """The mean CPU time of a training."""
-    return f"{study(name).trainings(variant, 'paper')['cpu_s'].mean() / 60:.0f} min"
 
 
 def trained(name: str, variant: str, who: str) -> tuple[float, tuple[str, ...]]:
@@ -226,6 +193,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "levels": levels,
     "rates": rates,
     "compared": compared,
+    **ANSWERS,
     **reference.BLOCKS,
 }
 
@@ -245,4 +213,6 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    if "--check" not in sys.argv:
+        draw_gap()
     sys.exit(main())

@@ -1,6 +1,6 @@
 """Fly missions as they really go under the checker: ``python -m benchmarks.random_missions [--missions N]``.
 
-Each scenario is a small field, with zones in half of them, and a random combination of the items of docs/operations.md.
+Each scenario is a small field, with zones in half of them, and some of the items of docs/explanation/missions.md.
 Forty missions are flown on each, with random moves and selections, and what the independent checker counts is printed.
 """
 

@@ -45,11 +45,8 @@ ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that r
 PAGES = (
     "README",
     "docs/a-day",
-    "docs/composite-actions",
     "docs/figures",
-    "docs/model",
     "docs/on-board",
-    "docs/operations",
     "docs/own-field",
     "docs/replay",
     "docs/routes",

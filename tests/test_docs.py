@@ -112,7 +112,7 @@ def test_the_citation_states_this_version_and_architecture_every_room() -> None:
     import uavaou
 
     assert f"version: {uavaou.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    text = (DOCS / "explanation" / "architecture.md").read_text(encoding="utf-8")
     for room in (ROOT / "uavaou").iterdir():
         if (room / "__init__.py").is_file():
             assert f"  {room.name}/" in text, room.name

@@ -1,4 +1,4 @@
-"""The ten changes of docs/architecture.md, each made in one copy of the code as the page says, and seen working."""
+"""The ten changes of docs/explanation/architecture.md, each made in one copy of the code and seen working."""
 
 import os
 import re
@@ -13,7 +13,7 @@ import pytest
 
 from tests.documents import ROOT
 
-PAGE = ROOT / "docs" / "architecture.md"
+PAGE = ROOT / "docs" / "explanation" / "architecture.md"
 MOST_FILES = 3
 
 

@@ -1,6 +1,6 @@
 """What a mission may hold beside the paper's: limits of a radio, batteries, losses, links, wind and what matters.
 
-Fields of a scenario that are off by default. docs/operations.md says what each one does in a mission.
+Fields of a scenario that are off by default. docs/explanation/missions.md says what each one does in a mission.
 """
 
 from __future__ import annotations

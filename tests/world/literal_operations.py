@@ -1,4 +1,4 @@
-"""A mission as it really goes, written down sentence by sentence from docs/operations.md, with lists and loops."""
+"""A mission as it really goes, sentence by sentence from docs/explanation/missions.md, with lists and loops."""
 
 import itertools
 import math

@@ -28,7 +28,7 @@ Ints = NDArray[np.int64]
 
 CONSTRAINTS = ("rate", "association", "flight_time", "bounds", "cds", "layout", "ages", "metrics", *ITEMS)
 
-_TIME_SLACK_S = 1e-6  # docs/model.md: flight times are compared with this slack
+_TIME_SLACK_S = 1e-6  # docs/explanation/model.md: flight times are compared with this slack
 _RELATIVE_SLACK = 1e-9  # of rates, SNRs, ages and grid coordinates: far above rounding, far below any real breach
 _LIGHT_M_S = 299_792_458.0
 _AUDITED_EVERY = 64  # slots: in one of so many, the SNRs of all pairs are computed, not only those of collections

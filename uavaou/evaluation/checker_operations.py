@@ -1,4 +1,4 @@
-"""An independent check of what missions hold beside the paper's (docs/operations.md): it replays each item.
+"""An independent check of what missions hold beside the paper's: it replays each item of docs/explanation/missions.md.
 
 It shares no code with the world. From the scenario, the keys of the missions and the positions it derives batteries,
 failures, wind and what UAVs can know, and counts where the world says something else, or did what it may not.

@@ -1,4 +1,9 @@
-"""The random numbers of missions, drawn a second time: SplitMix64 streams (Steele, Lea and Flood, OOPSLA 2014)."""
+"""The random numbers of missions, drawn a second time: SplitMix64 streams (Steele, Lea and Flood, OOPSLA 2014).
+
+Word 2^62 + n of a mission's stream is the key of item n. Of item 1, word t U + u decides whether UAV u fails in slot t.
+Of item 2, words 2 k and 2 k + 1, k = (t U + u) U + v, decide on bursts and on the message from v to u. Of item 3, words
+2 t and 2 t + 1 give the two normals of the wind.
+"""
 
 from __future__ import annotations
 

@@ -78,8 +78,8 @@ missions. Its test figures below chose nothing.
 
 - **Trained on**: {key.scenario} ({scenario.uavs} UAVs, {scenario.devices} devices, {scenario.slots} slots; \
 `config.yaml` has every quantity), {one.slots:,} slots = {one.agent_steps:,} agent steps, seed {key.seed}.
-- **Sees and does**: observation `{algorithm.observation}`, collection `{algorithm.collection}` (docs/model.md says \
-what they hold); {meta.best_action} actions.
+- **Sees and does**: observation `{algorithm.observation}`, collection `{algorithm.collection}` \
+(docs/explanation/model.md says what they hold); {meta.best_action} actions.
 - **Validation**: mean AoU {one.best_slots:.6g} slots.
 - **Evaluation**: mean AoU {mean} slots{between} on {episodes} missions, seeds {EVALUATION_SEED} to \
 {EVALUATION_SEED + episodes - 1}, which no training and no choice has seen; {one.violations} constraint violations. \

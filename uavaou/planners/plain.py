@@ -1,4 +1,4 @@
-"""The plain model: what is left of a scenario without what missions may hold beside the paper's (docs/operations.md).
+"""The plain model: what is left of a scenario without what docs/explanation/missions.md says missions may hold.
 
 Planners that know no more plan for it, and are flown all the same. The bound is its bound, where that is one.
 """

@@ -1,4 +1,4 @@
-"""What a mission holds beside the paper's (docs/operations.md): batteries, losses, wind, links and measures together.
+"""What a mission holds beside the paper's: batteries, losses, wind, links and measures (docs/explanation/missions.md).
 
 All of it is off by default, and then costs nothing: what is off is None.
 """

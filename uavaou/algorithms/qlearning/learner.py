@@ -28,8 +28,12 @@ class JointQLearning(SafeSaveLoad, OffPolicyAlgorithm):
 
     Args:
         policy: ``"JointQPolicy"``, or a subclass of it.
-        env: what :func:`uavaou.flatten` returns, or any ``VecEnv`` with team-major rows ``[local | global]``, one
-            reward for a whole team, missions that end by termination, and a ``row_layout``.
+        env: what :func:`uavaou.flatten` returns, or any ``VecEnv`` of teams (examples/switchboards.py). Its rows
+            ``[local | global]`` are team-major: the agents of team 0, then of team 1, with one global part in a team.
+            Its actions are ``MultiDiscrete`` or ``Discrete``, the same for all agents. The reward is the team's,
+            repeated for each agent. A team ends by termination, and the row returned then is its next mission's first.
+            ``row_layout``, a :class:`~uavaou.world.views.RowLayout`, has the agents of a team as ``uavs`` and names the
+            columns; local ones named ``action_mask``, an option each, may forbid options.
         learning_rate: of Adam, or its schedule.
         gamma: discount factor.
         tau: Polyak step of the target networks; 1 copies.

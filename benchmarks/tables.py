@@ -1,0 +1,42 @@
+"""The committed tables that the numbers of the pages are from, each read once."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import pandas as pd
+
+from uavaou.experiments.results import StudyResults, read_study
+from uavaou.reports.scores import PolicyScores, study_scores
+from uavaou.reports.suites import SuiteTable, suites_of_study
+
+ROOT = Path(__file__).resolve().parents[1]
+RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
+
+
+@cache
+def study(name: str) -> StudyResults:
+    """A committed study."""
+    return read_study(ROOT / "results" / "studies" / name)
+
+
+def scores(name: str) -> dict[str, PolicyScores]:
+    """Policy -> its scores on ``paper`` in a study."""
+    return {one.policy: one for one in study_scores(study(name))["paper"]}
+
+
+@cache
+def suites() -> dict[str, SuiteTable]:
+    """What the released policy has flown, by suite."""
+    return {found.suite: found for found in suites_of_study(study("generalization"))}
+
+
+def flown(suite: str, policy: str) -> pd.DataFrame:
+    """The rows of a policy at the points of a suite."""
+    return suites()[suite].of(policy).set_index("point")
+
+
+def minutes(name: str, variant: str) -> str:
+    """The mean CPU time of a training."""
+    return f"{study(name).trainings(variant, 'paper')['cpu_s'].mean() / 60:.0f} min"
