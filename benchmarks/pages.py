@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -131,11 +132,11 @@ def rates() -> str:
     """What the parts of a training do in a second, and what two sizes of network do beside SB3's PPO."""
     place = ROOT / "results" / "benchmarks"
     rows: list[tuple[str, str, str]] = []
-    for part, unit, reference in (("training", "products/s", "stock"), ("stepping", "", "supersuit")):
+    for part, unit, beside in (("training", "products/s", "stock"), ("stepping", "", "supersuit")):
         held = [row for row in measured(place / f"{part}.csv") if row["unit"] != unit]
         for title in dict.fromkeys(row["table"] for row in held):
             own = [row for row in held if row["table"] == title]
-            base = next((float(row["median"]) for row in own if row["name"].startswith(reference)), None)
+            base = next((float(row["median"]) for row in own if row["name"].startswith(beside)), None)
             rows.append((f"**{title}**", "", ""))
             for row in own:
                 rate = float(row["median"])
