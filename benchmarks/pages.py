@@ -25,7 +25,7 @@ from uavaou.statistics import Interval, interval_over_trainings
 
 ROOT = Path(__file__).resolve().parents[1]
 CARD = "zoo_configs/policies/any-map/README.md"
-PAGES = ("README.md", "results/README.md", "docs/policies.md", "docs/speed.md", CARD)
+PAGES = ("README.md", "results/README.md", "docs/how-to/fly.md", "docs/speed.md", CARD)
 RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
 LEAST = 1.0  # slots: where the other has less, a ratio says nothing
 HEAD = ("who", "mean AoU, slots", "CPU time of a training", "knows in flight")

@@ -25,7 +25,7 @@ HiddenSizes = Annotated[tuple[Annotated[PositiveWhole, Field(le=65_536)], ...], 
 class AlgorithmConfig(Strict):
     """What every algorithm's configuration holds: the task as the learner sees it, and the budget.
 
-    An algorithm of your own derives its configuration from this one (docs/own-algorithm.md).
+    An algorithm of your own derives its configuration from this one (docs/how-to/extend.md).
     """
 
     name: str

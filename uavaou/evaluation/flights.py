@@ -2,7 +2,7 @@
 
 A folder of results holds ``flights.csv.gz`` and, for what changes on the way, ``curves.csv.gz``: the missions of a
 training in order, its validations, and the slots, devices and periods of its evaluation. Both are read with pandas.
-AoU is in units of the slot length tau (``_slots``). docs/studies.md says what each column means.
+AoU is in units of the slot length tau (``_slots``). docs/reference/files.md says what each column means.
 """
 
 from __future__ import annotations
