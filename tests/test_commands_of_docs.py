@@ -85,7 +85,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture
 def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with that training, committed results, and the files that the pages of docs/how-to let the reader save."""
+    """A folder with that training, committed results, and the files that the how-to pages tell the reader to save."""
     monkeypatch.chdir(tmp_path)
     sensors, devices = blocks(HOW_TO / "import.md", "csv")
     saved = {
@@ -135,11 +135,11 @@ REFUSED = re.compile(r"^\| `(uavaou .*?)` \| `(.*?)` \|", re.MULTILINE)
 
 
 @pytest.mark.parametrize("page", sorted(HOW_TO.glob("*.md")), ids=lambda page: page.stem)
-def test_what_can_go_wrong_says_what_the_page_says(
-    page: Path, place: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_can_go_wrong_says_what_the_page_says(page: Path, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Rows of the last table: what is typed, what it says, where dots leave something out."""
     assert main(shlex.split(console(HOW_TO / "import.md")[0], comments=True)[1:]) == 0
+    out = capsys.readouterr().out
+    assert all(shown in out for shown in blocks(HOW_TO / "import.md", "text"))
     _, _, last = page.read_text(encoding="utf-8").partition("## What can go wrong")
     rows = REFUSED.findall(last)
     assert rows

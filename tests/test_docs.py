@@ -199,6 +199,12 @@ def test_own_algorithms_are_the_example_and_have_an_entry_point() -> None:
     assert code in (ROOT / "examples" / "plain_ppo.py").read_text(encoding="utf-8")
 
 
+def test_a_planner_of_your_own(capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = (code for code in blocks(HOW_TO / "extend.md", "python") if "class Oldest" in code)
+    exec(code, {})
+    assert 0 < float(capsys.readouterr().out) < 1000
+
+
 def test_frames_from_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (code,) = blocks(HOW_TO / "replay.md", "python")
