@@ -121,7 +121,7 @@ def test_the_commands_of_a_page(name: str, place: Path, capsys: pytest.CaptureFi
         err = capsys.readouterr().err
         assert code == 0, f"{line}: {err}"
         assert "Traceback" not in err
-        for path in re.findall(r"results/[^\s,;:]+", re.sub(r"<.*?>|\.\.\.", "*", comment)):
+        for path in re.findall(r"results/(?:[^\s,;:]|,(?=\S))+", re.sub(r"<.*?>|\.\.\.", "*", comment)):
             assert list(place.glob(path)), line
         ran += 1
     assert ran
