@@ -26,6 +26,7 @@ CARD = "zoo_configs/policies/any-map/README.md"
 PAGES = (
     "README.md",
     "results/README.md",
+    "docs/how-to/fly.md",
     "docs/notes/speed.md",
     "docs/compare.md",
     "docs/explanation/head.md",

@@ -2,7 +2,7 @@
 
     uavaou --plugin examples/plain_ppo.py train --scenario quickstart --algorithm plain-ppo
 
-docs/own-algorithm.md explains it line by line.
+docs/how-to/extend.md explains it line by line.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""VDN and QMIX on an environment of another kind: any SB3 VecEnv of teams will do (docs/composite-actions.md).
+"""VDN and QMIX on an environment of another kind: any SB3 VecEnv of teams will do (docs/how-to/extend.md).
 
 Three operators sit at a switchboard. Each sees four lamps and sets a switch for every lamp that works, and one of three
 lines to work on: MultiDiscrete([3, 2, 2, 2, 2]). A team earns the share of lamps answered rightly, and nothing while

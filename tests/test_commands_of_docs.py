@@ -28,30 +28,19 @@ LESS = {  # work than the page asks for
     "size": ["--seconds", "2"],
 }
 ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that runs its like
-    "uavaou eval any-map --policy best-first --suite uavs": "tests/experiments",
-    "uavaou plot suite": "tests/experiments",
     "uavaou tune": "tests/experiments",
     "uavaou study run smoke": "tests/experiments",
     "uavaou study run ours.yaml": "the test below",
-    "uavaou eval results/paper*/": "tests/experiments",
-    "uavaou train --continue RUN --resume": "tests/runs/test_start.py",
-    "uavaou replay RUN --out mission.gif": "tests/reports/test_replay.py",
+    "uavaou train --continue": "tests/runs/test_start.py",
+    "uavaou link": "tests/link",
     "uavaou study run paper --engine ray": "tests/experiments/test_study_killed.py",
-    "uavaou plot figures  ": "tests/reports/test_figures.py",
     "uavaou plot figures results/studies/": "tests/reports/test_figures.py",
-    "uavaou replay results/studies/": "tests/reports/test_committed_pages.py",
     "uavaou --plugin": "tests/algorithms/test_registry.py",
 }
+HOW_TO = ROOT / "docs" / "how-to"
 PAGES = (
     "README",
-    "docs/a-day",
-    "docs/figures",
-    "docs/on-board",
-    "docs/own-field",
-    "docs/replay",
-    "docs/routes",
-    "docs/studies",
-    "docs/suites",
+    *(f"docs/how-to/{page.stem}" for page in sorted(HOW_TO.glob("*.md")) if page.stem != "extend"),
 )
 
 
@@ -92,14 +81,18 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture
 def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with that training, committed results, and the scenario of docs/model.md."""
+    """A folder with that training, committed results, and the files that the how-to pages tell the reader to save."""
     monkeypatch.chdir(tmp_path)
-    model = ROOT / "docs" / "model.md"
-    (tmp_path / "valley.yaml").write_text(blocks(model, "yaml")[0], encoding="utf-8")
-    (tmp_path / "valley.csv").write_text(blocks(model, "csv")[0], encoding="utf-8")
-    (tmp_path / "docs" / "gallery").mkdir(parents=True)
-    shutil.copy(ROOT / "docs" / "gallery" / "hundred-devices.yaml", tmp_path / "docs" / "gallery")
-    shutil.copytree(ROOT / "examples" / "field", tmp_path / "examples" / "field")
+    sensors, devices = blocks(HOW_TO / "import.md", "csv")
+    saved = {
+        "sensors.csv": sensors,
+        "sensors.geojson": (ROOT / "examples" / "field" / "sensors.geojson").read_text(encoding="utf-8"),
+        "valley.csv": devices,
+        "valley.yaml": blocks(HOW_TO / "import.md", "yaml")[0],
+        "few.yaml": blocks(HOW_TO / "train.md", "yaml")[0],
+    }
+    for name, content in saved.items():
+        (tmp_path / name).write_text(content, encoding="utf-8")
     shutil.copytree(trained, "results")
     for name in ("studies/paper", "studies/generalization"):
         shutil.copytree(ROOT / "results" / name, tmp_path / "results" / name)
@@ -108,9 +101,11 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 
 @pytest.mark.parametrize("name", PAGES)
 def test_the_commands_of_a_page(name: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    ran = 0
-    for line in console(ROOT / f"{name}.md"):
-        if name == "docs/a-day" and ran == 1:
+    ran, lines = 0, console(ROOT / f"{name}.md")
+    if not any(line.startswith("uavaou import") for line in lines):
+        lines.insert(0, console(HOW_TO / "import.md")[0])  # most pages fly the field of that page
+    for line in lines:
+        if name == "docs/how-to/operate" and ran == 1:
             rest = blocks(ROOT / f"{name}.md", "yaml")[0].replace("6 h", "30 min")
             Path("field/scenario.yaml").write_text(Path("field/scenario.yaml").read_text() + rest)
         if line.startswith(tuple(ELSEWHERE)):
@@ -122,18 +117,42 @@ def test_the_commands_of_a_page(name: str, place: Path, capsys: pytest.CaptureFi
         err = capsys.readouterr().err
         assert code == 0, f"{line}: {err}"
         assert "Traceback" not in err
-        for path in re.findall(r"results/[^\s,;:]+", re.sub(r"<.*?>|\.\.\.", "*", comment)):
+        for path in re.findall(r"results/(?:[^\s,;:]|,(?=\S))+", re.sub(r"<.*?>|\.\.\.", "*", comment)):
             assert list(place.glob(path)), line
         ran += 1
     assert ran
+    if name != "docs/how-to/replay":  # tests/test_docs.py
+        for code in blocks(ROOT / f"{name}.md", "python") if name.startswith("docs/how-to/") else []:
+            if "onboard" not in code:  # tests/onboard
+                exec(code.replace("seconds=10", "seconds=3").replace("episodes=100", "episodes=2"), {})
+
+
+REFUSED = re.compile(r"^\| `(uavaou .*?)` \| `(.*?)` \|", re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", sorted(HOW_TO.glob("*.md")), ids=lambda page: page.stem)
+def test_what_can_go_wrong_says_what_the_page_says(page: Path, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rows of the last table: what is typed, what it says, where dots leave something out."""
+    assert main(shlex.split(console(HOW_TO / "import.md")[0], comments=True)[1:]) == 0
+    out = capsys.readouterr().out
+    assert all(shown in out for shown in blocks(HOW_TO / "import.md", "text"))
+    _, _, last = page.read_text(encoding="utf-8").partition("## What can go wrong")
+    rows = REFUSED.findall(last)
+    assert rows
+    for typed, said in rows:
+        capsys.readouterr()
+        assert main(shlex.split(typed)[1:]) != 0, typed
+        out, err = capsys.readouterr()
+        told = " ".join((out + err).split())
+        assert re.search(".*".join(map(re.escape, said.split("…"))), told), f"{typed}: {told}"
 
 
 def test_a_study_writes_the_card_of_a_training_that_it_takes_over(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(uavaou.runs.train, "train", as_asked)
-    page = ROOT / "docs" / "policies.md"
-    (study,) = blocks(page, "yaml")
+    page = HOW_TO / "study.md"
+    study = blocks(page, "yaml")[1]
     assert "slots: 300000" in study
     assert "`uavaou train --scenario valley.yaml --slots 300000`" in page.read_text(encoding="utf-8")
     Path("ours.yaml").write_text(study.replace("300000", "8000"), encoding="utf-8")
@@ -141,7 +160,7 @@ def test_a_study_writes_the_card_of_a_training_that_it_takes_over(
     (meta,) = place.glob("results/valley*/mappo*/seed-0/meta.json")
     before = meta.read_bytes()
     (line,) = (line for line in console(page) if "ours.yaml" in line)
-    command, _, card = line.partition("# the card: ")
+    command, _, card = line.partition("# ")
     assert main([*shlex.split(command)[1:], "--quiet"]) == 0, capsys.readouterr().err
     assert Path(card).read_text(encoding="utf-8").startswith("# ")
     assert meta.read_bytes() == before  # trained nothing again

@@ -22,6 +22,7 @@ from uavaou.reports import markdown
 from uavaou_cli.main import app
 
 DOCS = ROOT / "docs"
+HOW_TO = DOCS / "how-to"
 pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 
 
@@ -119,9 +120,9 @@ def test_the_citation_states_this_version_and_architecture_every_room() -> None:
 
 
 def test_a_scenario_of_your_own(tmp_path: Path) -> None:
-    page = DOCS / "model.md"
+    page = HOW_TO / "import.md"
     (tmp_path / "valley.yaml").write_text(blocks(page, "yaml")[0], encoding="utf-8")
-    (table,) = blocks(page, "csv")
+    table = blocks(page, "csv")[1]
     (tmp_path / "valley.csv").write_text(table, encoding="utf-8")
     valley = Scenario.load(tmp_path / "valley.yaml")
     assert valley.devices == len(table.strip().splitlines()) - 1
@@ -130,7 +131,7 @@ def test_a_scenario_of_your_own(tmp_path: Path) -> None:
 
 def test_reading_a_study(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(ROOT)
-    for code in blocks(DOCS / "studies.md", "python"):
+    for code in blocks(HOW_TO / "study.md", "python"):
         exec(code, {})
     assert "17.5" in capsys.readouterr().out
 
@@ -139,12 +140,13 @@ def test_a_study_and_a_suite_of_your_own(tmp_path: Path, monkeypatch: pytest.Mon
     from uavaou.experiments.study import Study
     from uavaou.experiments.suite import Suite
 
-    monkeypatch.chdir(tmp_path)  # where the scenario of policies.md lies
+    monkeypatch.chdir(tmp_path)  # where the scenario of the second study lies
     (tmp_path / "valley.yaml").write_text("base: quickstart\n", encoding="utf-8")
-    for page, kind in (("studies", Study), ("suites", Suite), ("policies", Study)):
-        (content,) = blocks(DOCS / f"{page}.md", "yaml")
-        (tmp_path / f"{page}.yaml").write_text(content, encoding="utf-8")
-        assert kind.load(tmp_path / f"{page}.yaml").name == page
+    study, ours, *_ = blocks(HOW_TO / "study.md", "yaml")
+    (batteries,) = blocks(HOW_TO / "evaluate.md", "yaml")
+    for name, kind, content in (("study", Study, study), ("ours", Study, ours), ("batteries", Suite, batteries)):
+        (tmp_path / f"{name}.yaml").write_text(content, encoding="utf-8")
+        assert kind.load(tmp_path / f"{name}.yaml").name == name
 
 
 def test_a_search_space_of_your_own(tmp_path: Path) -> None:
@@ -153,14 +155,14 @@ def test_a_search_space_of_your_own(tmp_path: Path) -> None:
     from uavaou.experiments.search import Search
     from uavaou.experiments.search_space import SearchSpace
 
-    search, space = blocks(DOCS / "tuning.md", "yaml")
-    assert len(SearchSpace.from_dict(yaml.safe_load(space), "tuning.md").dimensions) == 3
+    *_, space, search = blocks(HOW_TO / "study.md", "yaml")
+    assert len(SearchSpace.from_dict(yaml.safe_load(space), "study.md").dimensions) == 3
     (tmp_path / "own.yaml").write_text(search, encoding="utf-8")
     assert Search.load(tmp_path / "own.yaml").trainings == 2 * (16 + 3 * 2 * 3)
 
 
 def test_a_family_of_your_own(tmp_path: Path) -> None:
-    (few,) = (code for code in blocks(DOCS / "model.md", "yaml") if code.startswith("# few.yaml"))
+    (few,) = (code for code in blocks(HOW_TO / "train.md", "yaml") if code.startswith("# few.yaml"))
     (tmp_path / "few.yaml").write_text(few, encoding="utf-8")
     draws = [Family.load(tmp_path / "few.yaml").draw(number) for number in range(60)]
     assert {draw.uavs for draw in draws} == {1, 2, 3, 4}
@@ -171,8 +173,8 @@ def test_a_family_of_your_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_stock_ppo_in_the_page_of_the_pipeline() -> None:
-    (code,) = blocks(DOCS / "pipeline.md", "python")
+def test_stock_ppo_in_the_page_of_learners() -> None:
+    (code,) = (code for code in blocks(HOW_TO / "extend.md", "python") if "model = PPO(" in code)
     names: dict[str, Any] = {}
     exec(code.replace("missions=16", "missions=1").replace("100_000", "100"), names)
     assert type(names["model"]) is PPO
@@ -180,7 +182,7 @@ def test_stock_ppo_in_the_page_of_the_pipeline() -> None:
 
 
 def test_a_learner_on_an_environment_of_your_own() -> None:
-    (code,) = blocks(DOCS / "composite-actions.md", "python")
+    (code,) = (code for code in blocks(HOW_TO / "extend.md", "python") if "model = QMIX(" in code)
     assert "learn(200_000)" in code
     env = flatten("tiny", missions=2, seed=0)
     names: dict[str, Any] = {"vec_env": env, "rows": env.reset()}
@@ -192,15 +194,21 @@ def test_a_learner_on_an_environment_of_your_own() -> None:
 
 
 def test_own_algorithms_are_the_example_and_have_an_entry_point() -> None:
-    (table,) = blocks(DOCS / "own-algorithm.md", "toml")
+    (table,) = blocks(HOW_TO / "extend.md", "toml")
     assert list(tomllib.loads(table)["project"]["entry-points"]) == [ENTRY_POINTS]
-    code, *_ = blocks(DOCS / "own-algorithm.md", "python")
+    code, *_ = blocks(HOW_TO / "extend.md", "python")
     assert code in (ROOT / "examples" / "plain_ppo.py").read_text(encoding="utf-8")
+
+
+def test_a_planner_of_your_own(capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = (code for code in blocks(HOW_TO / "extend.md", "python") if "class Oldest" in code)
+    exec(code, {})
+    assert 0 < float(capsys.readouterr().out) < 1000
 
 
 def test_frames_from_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (code,) = blocks(DOCS / "replay.md", "python")
+    (code,) = blocks(HOW_TO / "replay.md", "python")
     assert code.count("60") == 2
     exec(code.replace("60", "2").replace("slot-2", "slot"), {})
     assert Image.open("slot.png").size == (640, 576)

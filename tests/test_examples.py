@@ -47,7 +47,7 @@ def test_vdn_learns_the_switchboards() -> None:
     assert after > 0.95
 
 
-PAGE = ROOT / "docs" / "own-algorithm.md"
+PAGE = ROOT / "docs" / "how-to" / "extend.md"
 
 
 def program(library: str, needs: str = "") -> str:

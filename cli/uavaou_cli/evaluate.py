@@ -61,7 +61,7 @@ def evaluate(
             values=("greedy", "sample"),
         ),
     ] = None,
-    suite: Annotated[str | None, option("Play every point of a suite; see docs/suites.md.")] = None,
+    suite: Annotated[str | None, option("Play every point of a suite; see docs/how-to/evaluate.md.")] = None,
     time_limit: Annotated[float | None, seconds("Time limit of planners that plan ahead, in seconds.")] = None,
     knows: Knows = "everything",
     out: Annotated[Path | None, option("Write the table of flights, a row for each mission.", "FILE.csv")] = None,

@@ -22,7 +22,7 @@ def export(
     """Write the best policy of a run for another tool.
 
     The folder of onnx holds the network with its masks, the map, and a program that flies a UAV by them without torch
-    and without uavaou (docs/on-board.md).
+    and without uavaou (docs/how-to/export.md).
 
     The zip of Stable-Baselines3 contains pickles. Loading a pickle runs the code in it, so load only files that you
     trust. uavaou itself reads none.

@@ -70,7 +70,7 @@ def route(
     them are written: those with the lowest expected mean AoU. Prints what they cost against the policy itself.
 
     plan.json holds the routes, too: for `uavaou replay`, and --policy of `uavaou eval` and `uavaou route`. See
-    docs/routes.md.
+    docs/how-to/route.md.
     """
     from uavaou.runs.comparison import planned_scenario
     from uavaou.runs.names import flight_folder, scenario_folder

@@ -33,7 +33,7 @@ def test_all_points_of_shipped_suites_are_feasible(name: str) -> None:
 
 
 def test_shipped_suites_are_those_of_the_docs() -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "suites.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "evaluate.md").read_text(encoding="utf-8")
     names = zoo_names("suites")
     assert " ".join(names) == "areas devices fading known-layouts layouts observation paper rate uavs unseen-layouts"
     assert all(f"| `{name}` |" in page for name in names)

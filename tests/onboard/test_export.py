@@ -15,7 +15,7 @@ from uavaou import InputError, World, evaluate, load_run
 from uavaou.onboard.export import FILES, write_policy
 from uavaou.onboard.runner import STEPS
 
-PAGE = ROOT / "docs" / "on-board.md"
+PAGE = ROOT / "docs" / "how-to" / "export.md"
 
 
 class Drone:
@@ -25,7 +25,7 @@ class Drone:
         from runner import Pilot  # type: ignore[import-not-found]  # beside the exported policy
 
         self.world, self.landed = world, False
-        self.others = [Pilot("drone", uav) for uav in range(1, world.scenario.uavs)]
+        self.others = [Pilot("onboard", uav) for uav in range(1, world.scenario.uavs)]
         self.names: dict[str, Any] = {"autopilot": self, "radio": self}
 
     def agreed_start(self) -> float:
@@ -72,13 +72,13 @@ def test_the_worked_example_flies_as_an_evaluation(
     shell: Shell, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    model = ROOT / "docs" / "model.md"
-    Path("valley.yaml").write_text(blocks(model, "yaml")[0].replace("base: paper", "base: paper\nslots: 60"))
-    Path("valley.csv").write_text(blocks(model, "csv")[0])
-    out = shell.done("export any-map --format onnx --scenario valley.yaml --out drone")
+    imported = PAGE.with_name("import.md")
+    Path("valley.yaml").write_text(blocks(imported, "yaml")[0].replace("base: paper", "base: paper\nslots: 60"))
+    Path("valley.csv").write_text(blocks(imported, "csv")[1])
+    out = shell.done("export any-map --format onnx --scenario valley.yaml --out onboard")
     compared, *files = out.splitlines()
     assert compared == "compared with torch: 960 of 960 rows have the same action"
-    assert files == [f"drone/{name}" for name in FILES]
+    assert files == [f"onboard/{name}" for name in FILES]
     (bench,) = blocks(PAGE, "python")
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.delitem(sys.modules, "runner", raising=False)

@@ -17,7 +17,7 @@ PAGES = {
     "replay": ("docs/gallery/paper.html", 160, (1400, 1000, False, False)),
     "replay-phone": ("docs/gallery/hundred-devices.html", 160, (390, 844, True, True)),
 }
-DAY = (2281, (1200, 900, False, False))  # of docs/a-day.md
+DAY = (2281, (1200, 900, False, False))  # of docs/how-to/operate.md
 OWN_FIELD = (60, (1200, 760, False, False))
 
 
@@ -31,10 +31,11 @@ def take(browser: Browser, page: Path, slot: int, window: tuple[int, int, bool, 
 
 
 def fly_a_day(place: Path) -> Path:
-    """Follow docs/a-day.md up to the flight; returns its page."""
-    page = ROOT / "docs" / "a-day.md"
-    imported, _, flown, _ = (line.partition("#")[0].split()[1:] for line in console(page))
-    subprocess.run([sys.executable, "-m", "uavaou", *imported[:-1], str(place / "day-field")], cwd=ROOT, check=True)
+    """Follow docs/how-to/operate.md up to the flight; returns its page."""
+    page = ROOT / "docs" / "how-to" / "operate.md"
+    imported, _, flown, *_ = (line.partition("#")[0].split()[1:] for line in console(page))
+    command = [sys.executable, "-m", "uavaou", *imported[:-1], str(place / "day-field")]
+    subprocess.run(command, cwd=ROOT / "examples" / "field", check=True)
     with open(place / "day-field" / "scenario.yaml", "a", encoding="utf-8") as file:
         file.write(blocks(page, "yaml")[0])
     told = ["day-field/scenario.yaml" if word == "field/scenario.yaml" else word for word in flown]

@@ -201,8 +201,10 @@ def _refuse_too_wide(survey: Survey, path: Path) -> None:
         tried = places[:: len(places) // 200 + 1]
         counts = [(np.linalg.norm((places - each) * narrow, axis=1) < _NEAR_DEGREES).sum() for each in tried]
         x, y = tried[np.argmax(counts)]
+        longitude, latitude = coordinates([far])[0]
+        named = short(far.name) if far.name else f"{latitude:.4f},{longitude:.4f}"
         raise InputError(
-            f"{path}: {far.where.rpartition(', ')[2]} {short(far.name)} lies {km:,.0f} km from the middle of the "
+            f"{path}: {far.where.rpartition(', ')[2]} {named} lies {km:,.0f} km from the middle of the "
             f"{len(places):,} devices; a field is at most {_WIDEST_KM:g} km wide: --within {y:.4f},{x:.4f},10 "
             f"would read {max(counts)} of them, all within 10 km"
         )

@@ -74,7 +74,7 @@ class RoutePlan(Plan):
     routes: Ints  # (K, U, 2) column and row in slots 1 to K
 
     def to_dict(self, scenario: Scenario) -> dict[str, Any]:
-        """Return plain values for a JSON file, with the scenario; ``uavs`` follow from the routes (docs/routes.md)."""
+        """Return plain values for a JSON file, with the scenario; ``uavs`` follow from the routes."""
         uavs = [route.to_dict() for route in fleet_routes(scenario, self.routes)]
         return super().to_dict(scenario) | {"routes": self.routes.swapaxes(0, 1).tolist(), "uavs": uavs}
 
