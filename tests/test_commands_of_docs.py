@@ -14,6 +14,7 @@ import pytest
 import uavaou.runs.train
 from tests.documents import ROOT, blocks, console
 from uavaou import RunConfig
+from uavaou.algorithms import registry
 from uavaou_cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_plans")]
@@ -38,9 +39,9 @@ ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that r
     "uavaou replay RUN --out mission.gif": "tests/reports/test_replay.py",
     "uavaou study run paper --engine ray": "tests/experiments/test_study_killed.py",
     "uavaou plot figures  ": "tests/reports/test_figures.py",
-    "uavaou plot figures results/studies/": "tests/reports/test_figures.py",
+    "uavaou plot figures results/studies/generalization": "tests/reports/test_figures.py",
+    "uavaou plot figures results/studies/paper": "tests/reports/test_figures.py",
     "uavaou replay results/studies/": "tests/reports/test_committed_pages.py",
-    "uavaou --plugin": "tests/algorithms/test_registry.py",
 }
 PAGES = (
     "README",
@@ -56,6 +57,9 @@ PAGES = (
     "docs/speed",
     "docs/studies",
     "docs/suites",
+    "docs/tutorials/algorithm",
+    "docs/tutorials/field",
+    "docs/tutorials/paper",
 )
 
 
@@ -110,9 +114,27 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     return tmp_path
 
 
+def write_files(page: Path) -> None:
+    """What the page says to save: blocks whose first line is a comment with a name, or a header; studies are small."""
+    for code in (*blocks(page, "python"), *blocks(page, "yaml"), *blocks(page, "csv")):
+        name = re.match(r"# (\w+\.\w+)\n", code)
+        few = re.sub(r"^slots: \d+", "slots: 600", re.sub(r"^seeds: \d+", "seeds: 1", code, flags=re.M), flags=re.M)
+        Path(name[1] if name else "mine.csv").write_text(few, encoding="utf-8")
+
+
+@pytest.fixture
+def _registered_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a page registers is gone after its test."""
+    monkeypatch.setattr(registry, "_ALGORITHMS", dict(registry._ALGORITHMS))
+    monkeypatch.setattr(registry, "_PLUGINS", set(registry._PLUGINS))
+
+
+@pytest.mark.usefixtures("_registered_alone")
 @pytest.mark.parametrize("name", PAGES)
 def test_the_commands_of_a_page(name: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ran = 0
+    if name.startswith("docs/tutorials/"):
+        write_files(ROOT / f"{name}.md")
     for line in console(ROOT / f"{name}.md"):
         if name == "docs/a-day" and ran == 1:
             rest = blocks(ROOT / f"{name}.md", "yaml")[0].replace("6 h", "30 min")
