@@ -1,4 +1,4 @@
-"""The first page and the tutorials are short; their Python runs as printed, and so do the public functions' examples."""
+"""The first page and the tutorials are short; their Python runs as printed, and so do the examples of docstrings."""
 
 import doctest
 import re
