@@ -118,7 +118,7 @@ def write_files(page: Path) -> None:
     """What the page says to save: blocks whose first line is a comment with a name, or a header; studies are small."""
     for code in (*blocks(page, "python"), *blocks(page, "yaml"), *blocks(page, "csv")):
         name = re.match(r"# (\w+\.\w+)\n", code)
-        few = re.sub(r"^slots: \d+", "slots: 600", re.sub(r"^seeds: \d+", "seeds: 1", code, flags=re.M), flags=re.M)
+        few = re.sub(r"^slots: \d+", "slots: 4000", re.sub(r"^seeds: \d+", "seeds: 1", code, flags=re.M), flags=re.M)
         Path(name[1] if name else "mine.csv").write_text(few, encoding="utf-8")
 
 
