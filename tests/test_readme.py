@@ -3,6 +3,7 @@
 import doctest
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 
 import uavaou
+from benchmarks import pages as written
 from tests.documents import ROOT, blocks, commands, prose
 from uavaou import InputError, RunConfig, Scenario, evaluate, load_run, read_study, train
 from uavaou.runs.folder import RunFolder
@@ -39,6 +41,15 @@ def test_it_is_short_and_has_three_doors() -> None:
         assert f"(docs/tutorials/{door.name})" in text
         words = re.sub(r"^\|.*$", "", prose(door), flags=re.MULTILINE)
         assert len(words.split()) <= 800, door
+
+
+def test_the_first_page_says_what_the_verdicts_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    claims = written.judge(written.study("paper"))
+    told = {"supported": "beats", "contradicted": "loses to", "partly supported": "is not shown to beat"}
+    for verdict, words in told.items():
+        judged = [replace(one, verdict=verdict) for one in claims]
+        monkeypatch.setattr(written, "judge", lambda study, judged=judged: judged)
+        assert written.verdict().startswith(f"**MAPPO {words} VDN, and {words} QMIX.**")
 
 
 def test_one_page_shows_every_command() -> None:
