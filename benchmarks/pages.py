@@ -83,9 +83,10 @@ def verdict() -> str:
 
     def told(claim: str, supported: str, contradicted: str, otherwise: str) -> tuple[str, str]:
         """What the verdict on a claim is called, and the ratio that it rests on."""
-        words = {"supported": supported, "contradicted": contradicted}.get(found[claim].verdict, otherwise)
-        assert found[claim].estimate is not None, claim
-        return words, "{:.2f} ({:.2f}–{:.2f}) times".format(*found[claim].estimate)
+        judged = found[claim]
+        assert judged.estimate is not None, claim
+        words = {"supported": supported, "contradicted": contradicted}.get(judged.verdict, otherwise)
+        return words, "{:.2f} ({:.2f}–{:.2f}) times".format(*judged.estimate)
 
     fresher, wins = "MAPPO's AoU in execution is lower than", ("beats", "loses to", "is not shown to beat")
     over_vdn, vdn = told(f"{fresher} VDN's", *wins)
