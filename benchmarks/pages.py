@@ -17,7 +17,7 @@ from benchmarks.answers import ANSWERS, draw_gap
 from benchmarks.measure import kept_rows
 from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, minutes, scores, study, suites
 from uavaou.evaluation.flights import VALIDATION
-from uavaou.planners import planner_knowledge
+from uavaou.reports.claims import LOWEST, REDUCED, judge
 from uavaou.reports.markdown import filled, rounded, table, with_interval
 from uavaou.reports.suite_tables import summary
 from uavaou.statistics import Interval, interval_over_trainings
@@ -25,6 +25,7 @@ from uavaou.statistics import Interval, interval_over_trainings
 CARD = "zoo_configs/policies/any-map/README.md"
 PAGES = (
     "README.md",
+    "docs/tutorials/paper.md",
     "results/README.md",
     "docs/how-to/fly.md",
     "docs/notes/speed.md",
@@ -52,16 +53,56 @@ def trained(name: str, variant: str, who: str) -> tuple[float, tuple[str, ...]]:
 def policies() -> str:
     """The table of README."""
     here: Interval = flown("known-layouts", RELEASED)["aou"]["0"]
-    rule = scores("paper")[RULE].mean
     rows = [
         trained("default", "mappo", "MAPPO, as `uavaou train` has it"),
         trained("paper", "mappo", "MAPPO from nothing, as in the paper"),
         trained("paper", "qmix", "QMIX"),
         trained("paper", "vdn", "VDN"),
         (here.value, ("`any-map`, a policy for every map", with_interval(*here, digits=3), "none", "shared")),
-        (rule.value, (f"`{RULE}`, a rule", with_interval(*rule, digits=3), "none", planner_knowledge(RULE))),
     ]
     return table(HEAD, [cells for _, cells in sorted(rows)])
+
+
+def verdict() -> str:
+    """Whether MAPPO wins, in words that follow from the verdicts."""
+    found = {one.claim: one for one in judge(study("paper"))}
+
+    def told(claim: str, supported: str, contradicted: str, otherwise: str) -> tuple[str, str]:
+        """What the verdict on a claim is called, and the ratio that it rests on."""
+        judged = found[claim]
+        assert judged.estimate is not None, claim
+        words = {"supported": supported, "contradicted": contradicted}.get(judged.verdict, otherwise)
+        return words, "{:.2f} ({:.2f}–{:.2f}) times".format(*judged.estimate)
+
+    fresher, wins = "MAPPO's AoU in execution is lower than", ("beats", "loses to", "is not shown to beat")
+    over_vdn, vdn = told(f"{fresher} VDN's", *wins)
+    over_qmix, qmix = told(f"{fresher} QMIX's", *wins)
+    sooner, slots = told(
+        "MAPPO reaches the level of QMIX's trainings sooner than these do",
+        *("learns in fewer slots", "needs more slots", "is not shown to learn in fewer slots"),
+    )
+    over_rule, rule = told(
+        "MAPPO flies fresher than the best rule that knows as much and was searched for this layout before take-off",
+        *("does not beat it", "beats it", "is level with it"),
+    )
+    trainings = len(study("paper").trainings("mappo", "paper"))
+    return (
+        f"**MAPPO {over_vdn} VDN, and {over_qmix} QMIX.**\n"
+        f"It has {vdn} the mean AoU of VDN and {qmix} that of QMIX, over {trainings} trainings each.\n"
+        f"MAPPO {sooner} than QMIX: it reaches QMIX's level in {slots} as many.\n"
+        f"A planner that learns nothing and searches its rule before take-off {over_rule}: MAPPO has {rule} its AoU."
+    )
+
+
+def claims_in_short() -> str:
+    """The paper's claims on the AoU and on learning sooner, each with its ratio and its verdict."""
+    told = [one for one in judge(study("paper")) if one.quote in (LOWEST, REDUCED) or "the level of" in one.claim]
+    rows = [
+        (one.claim, "{:.2f} ({:.2f}–{:.2f})".format(*one.estimate), f"**{one.verdict}**")
+        for one in told
+        if one.estimate
+    ]
+    return table(("claim", "ratio", "verdict"), rows)
 
 
 def paper() -> str:
@@ -187,6 +228,8 @@ def unseen() -> str:
 
 BLOCKS: dict[str, Callable[[], str]] = {
     "policies": policies,
+    "verdict": verdict,
+    "claims-in-short": claims_in_short,
     "paper": paper,
     "default": default,
     "released": released,

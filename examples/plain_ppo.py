@@ -2,7 +2,7 @@
 
     uavaou --plugin examples/plain_ppo.py train --scenario quickstart --algorithm plain-ppo
 
-docs/how-to/extend.md explains it line by line.
+docs/tutorials/algorithm.md explains it.
 """
 
 from __future__ import annotations
