@@ -143,7 +143,7 @@ def test_gap_orders_policies_between_bound_and_random(shell: Shell) -> None:
     names = [line.split()[0] for line in out.splitlines()[4:] if line]
     assert names[0] == "lower"
     assert {"exact", "rolling", "greedy", "random"} < set(names)
-    knows = {line.split()[0]: line.split()[1] for line in out.splitlines()[5:] if line}
+    knows = {line.split()[0]: line.split()[1] for line in out.splitlines()[5:] if " " in line}
     assert (knows["random"], knows["local-greedy"], knows["rolling"]) == ("nothing", "local", "everything")
     assert all(len(line) <= WIDTH for line in out.splitlines())
 
