@@ -123,10 +123,7 @@ RECIPES = {
     "metric": Recipe(
         {
             "uavaou/world/world.py": put(
-                (
-                    "    rejected_rate: Ints  # (N,)\n",
-                    "    rejected_rate: Ints  # (N,)\n    flown_steps: Ints  # (N,)\n",
-                ),
+                ahead("    rejected_rate: Ints  # (N,)", "    flown_steps: Ints  # (N,)\n"),
                 (
                     "            rejected_rate=",
                     "            flown_steps=self.flown.sum(axis=1),\n            rejected_rate=",
@@ -144,10 +141,10 @@ RECIPES = {
         {
             "uavaou/reports/figures.py": put(
                 (
-                    "        if validations := ",
+                    "        validations = self",
                     "        if shown:\n"
                     "            figures['figure-9'] = self._training_figure(shown, drawing.AOU, validated)\n"
-                    "        if validations := ",
+                    "        validations = self",
                 )
             )
         },
