@@ -155,8 +155,11 @@ def test_fleets_swap_in_turns() -> None:
 
 
 def test_a_battery_that_lasts_for_the_mission_has_no_turn() -> None:
-    world = flown(PAPER.replace(energy={"endurance_s": 600}, swap_time_s=60), 30)
-    assert not world.operations.batteries.in_turn(world.slot).any()  # type: ignore[union-attr]
+    for endurance, turns in ((480, [False] * 3), (400, [True, False, False])):
+        world = World(PAPER.replace(energy={"endurance_s": endurance}, swap_time_s=60), 1, 0)
+        for slot in range(28):
+            world.step(np.array([[4, 3, 4] if slot % 2 else [3, 4, 3]]))  # to a cell beside the CDS and back
+        assert world.operations.batteries.in_turn(world.slot)[0].tolist() == turns  # type: ignore[union-attr]
 
 
 def test_a_repaired_uav_has_its_part_again() -> None:
