@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.environment import scaling, stepping
-from benchmarks.measure import Measurement, report, write_rows
+from benchmarks.measure import COLUMNS, Measurement, report, write_rows
 from benchmarks.operations import operations
 from benchmarks.training import STOCK, memory, networks, parts, training
 from uavaou.runs.machine import describe_machine
@@ -65,7 +65,7 @@ def _reference(rows: list[Measurement]) -> str | None:
 def write(path: Path, measured: list[Measurement]) -> None:
     """Write the figures as CSV."""
     rows = [(m.table, m.name, m.unit, m.median, m.lowest, m.highest) for m in measured]
-    write_rows(path, ("table", "name", "unit", "median", "lowest", "highest"), rows)
+    write_rows(path, COLUMNS, rows)
 
 
 if __name__ == "__main__":

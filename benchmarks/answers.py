@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 
-from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, minutes, scores, study, suites
+from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, mean_ratio, minutes, scores, study, suites
 from uavaou.arrays import Floats
 from uavaou.evaluation.flights import VALIDATION
 from uavaou.planners import PLANNERS
@@ -40,8 +40,8 @@ def elsewhere(name: str, other: str) -> str:
     """The same ratio on the other layouts of a study, over layouts."""
     places = [place for place in study(name).scenarios if place != "paper"]
     pairs = [(ages(name, "mappo", place), ages(name, other, place)) for place in places]
-    found = [np.log(own.mean() / theirs.mean()) for own, theirs in pairs if own.size and theirs.size]
-    return with_interval(*np.exp(interval_over_trainings(found)).tolist()) + f", {len(found)} layouts" if found else ""
+    found = [own.mean() / theirs.mean() for own, theirs in pairs if own.size and theirs.size]
+    return with_interval(*mean_ratio(found)) + f", {len(found)} layouts" if found else ""
 
 
 def learners() -> str:
@@ -79,9 +79,9 @@ def reached() -> pd.DataFrame:
         rows += [(place, "bound", study("default").bounds[name])] if name in study("default").bounds else []
         flown = {policy: study("default").stack(policy, name) for policy in (*study("default").planners, "mappo")}
         rows += [(place, policy, float(each.mean())) for policy, each in flown.items() if each.size]
-    each = pd.DataFrame(rows, columns=["scenario", "policy", "aou"]).pivot_table("aou", "scenario", "policy", "min")
-    bounds = pd.DataFrame(rows, columns=["scenario", "policy", "aou"]).query("policy == 'bound'")
-    each["bound"] = bounds.groupby("scenario")["aou"].max()
+    told = pd.DataFrame(rows, columns=["scenario", "policy", "aou"])
+    each = told.pivot_table("aou", "scenario", "policy", "min")
+    each["bound"] = told.query("policy == 'bound'").groupby("scenario")["aou"].max()
     planners = [name for name in each.columns if name in PLANNERS and name not in FIXED_RULES]
     each["best"], each["planner"] = each[planners].min(axis=1), each[planners].idxmin(axis=1)
     each["known"] = each[["best", "mappo"]].min(axis=1)
@@ -133,7 +133,7 @@ def closeness() -> str:
 def anywhere() -> str:
     """How good the released policy is on a map never seen, in a line."""
     flights = [flown("unseen-layouts", name)["mean_aou_slots"] for name in (RELEASED, REFERENCE, RULE)]
-    beside = [np.exp(interval_over_trainings(np.log(flights[0] / other))) for other in flights[1:]]
+    beside = [mean_ratio(flights[0] / other) for other in flights[1:]]
     better = "Better than every rule that needs no search" if max(high for *_, high in beside) < 1 else "No better"
     told = [f"{with_interval(*found)} of `{other}`" for found, other in zip(beside, (REFERENCE, RULE), strict=True)]
     return f"**{better}.** On {len(flights[0])} new layouts, `{RELEASED}` has {' and '.join(told)}."

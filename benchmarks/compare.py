@@ -30,12 +30,11 @@ import numpy as np
 import torch as th
 from stable_baselines3 import PPO
 
-from benchmarks.measure import Measurement, exactly, kept_rows, report, side_by_side, write_rows
+from benchmarks.measure import COLUMNS, Measurement, exactly, kept_rows, report, side_by_side, write_rows
 from uavaou import LocalRows, Scenario, flatten, uavaou_v0
 from uavaou.algorithms.registry import load_config, make_model
 
 TABLE = Path(__file__).resolve().parents[1] / "results" / "benchmarks" / "compare.csv"
-COLUMNS = ("table", "name", "unit", "median", "lowest", "highest")
 OWN = "uavaou"
 STEPPING, TRAINING, SIMULATING, INSTALLS = "stepping", "training", "simulating", "installs"
 SLOTS, MISSIONS, HIDDEN, BATCH_ROWS, EPOCHS = 20, 64, [128, 128], 768, 5

@@ -14,6 +14,8 @@ import pandas as pd
 
 from uavaou.csv_tables import TEXT, read_table, write_table
 
+COLUMNS = ("table", "name", "unit", "median", "lowest", "highest")  # of a table of measurements
+
 
 @dataclass(frozen=True)
 class Measurement:

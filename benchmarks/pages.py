@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks import reference
 from benchmarks.answers import ANSWERS, draw_gap
-from benchmarks.measure import kept_rows
-from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, minutes, scores, study, suites
+from benchmarks.measure import COLUMNS, kept_rows
+from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, mean_ratio, minutes, scores, study, suites
 from uavaou.evaluation.flights import VALIDATION
 from uavaou.reports.claims import LOWEST, REDUCED, judge
 from uavaou.reports.markdown import filled, rounded, table, with_interval
 from uavaou.reports.suite_tables import summary
-from uavaou.statistics import Interval, interval_over_trainings
+from uavaou.statistics import Interval
 
 CARD = "zoo_configs/policies/any-map/README.md"
 PAGES = (
@@ -152,8 +151,7 @@ def released() -> str:
         for other in (REFERENCE, RULE):
             theirs = flown(suite, other)["mean_aou_slots"]
             told = theirs > LEAST
-            value, low, high = np.exp(interval_over_trainings(np.log(own[told] / theirs[told]))).tolist()
-            cells.append(with_interval(value, low, high, digits=2))
+            cells.append(with_interval(*mean_ratio(own[told] / theirs[told]), digits=2))
         rows.append(cells)
     return table((f"mean AoU of `{RELEASED}`, ratio to", f"`{REFERENCE}`", f"`{RULE}`"), rows)
 
@@ -175,7 +173,7 @@ def rates() -> str:
     place = ROOT / "results" / "benchmarks"
     rows: list[tuple[str, str, str]] = []
     for part, unit, beside in (("training", "products/s", "stock"), ("stepping", "", "supersuit")):
-        held = [row for row in measured(place / f"{part}.csv") if row["unit"] != unit]
+        held = [row for row in kept_rows(place / f"{part}.csv", COLUMNS) if row["unit"] != unit]
         for title in dict.fromkeys(row["table"] for row in held):
             own = [row for row in held if row["table"] == title]
             base = next((float(row["median"]) for row in own if row["name"].startswith(beside)), None)
@@ -188,7 +186,7 @@ def rates() -> str:
 
 def compared() -> str:
     """This project beside others, by what was measured."""
-    found, rows = measured(ROOT / "results" / "benchmarks" / "compare.csv"), []
+    found, rows = kept_rows(ROOT / "results" / "benchmarks" / "compare.csv", COLUMNS), []
     for part, (heading, unit) in COMPARED.items():
         own = [row for row in found if row["table"] == part]
         rows.append((f"**{heading}**", f"*{unit}*"))
@@ -199,11 +197,6 @@ def compared() -> str:
 def _amount(value: float) -> str:
     """A rate with three digits, or a whole number of packages; what pip could not install has none."""
     return "pip cannot" if np.isnan(value) else f"{value:.0f}" if value in range(1000) else rounded(value)
-
-
-def measured(path: Path) -> list[dict[str, str]]:
-    """The rows of a table of measurements."""
-    return kept_rows(path, ("table", "name", "unit", "median", "lowest", "highest"))
 
 
 def levels() -> str:

@@ -323,9 +323,9 @@ def described_command(words: str, command: Any) -> str:
     rows = []
     for parameter in command.params:
         names, text = parameter.get_help_record(context)
-        meaning, default = re.match(r"(.*?)\s*(?:\[default: (.*)\])?$", text, re.DOTALL).groups()  # type: ignore[union-attr]
+        meaning, _, default = text.partition("[default: ")
         written = names.partition(" <")[0].replace("|", "&#124;")  # not all readers take a bar in a cell of code
-        rows.append((f"<code>{written}</code>", _safe(meaning), _safe(default or "")))
+        rows.append((f"<code>{written}</code>", _safe(meaning.rstrip()), _safe(default.removesuffix("]"))))
     options = table(("argument or option", "meaning", "default"), rows)
     return f"### {words}\n\n```text\n{synopsis}\n```\n\n{_safe(command.help)}\n\n{options}"
 

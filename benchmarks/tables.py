@@ -5,11 +5,14 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from uavaou.experiments.results import StudyResults, read_study
 from uavaou.reports.scores import PolicyScores, study_scores
 from uavaou.reports.suites import SuiteTable, suites_of_study
+from uavaou.statistics import Interval, interval_over_trainings
 
 ROOT = Path(__file__).resolve().parents[1]
 RELEASED, RULE, REFERENCE = "any-map", "local-greedy-parts", "best-first"
@@ -40,3 +43,8 @@ def flown(suite: str, policy: str) -> pd.DataFrame:
 def minutes(name: str, variant: str) -> str:
     """The mean CPU time of a training."""
     return f"{study(name).trainings(variant, 'paper')['cpu_s'].mean() / 60:.0f} min"
+
+
+def mean_ratio(ratios: ArrayLike) -> Interval:
+    """The geometric mean of the ratios of two policies on some maps, with its interval."""
+    return Interval(*np.exp(interval_over_trainings(np.log(ratios))).tolist())

@@ -169,8 +169,10 @@ class _Scenario:
             for name, measure in _TRAINING_FIGURES.items():
                 figures[name] = self._training_figure(shown, measure, validated)
         validations = self._curves(VALIDATION, algorithms)
-        if any(all(map(_has_times, runs)) for runs in validations.values()):
-            figures["aou-wall-clock"] = self._wall_clock_figure(validations)
+        if timed := {name: runs for name, runs in validations.items() if all(map(_has_times, runs))}:
+            figures["aou-wall-clock"] = self._wall_clock_figure(
+                timed, [name for name in validations if name not in timed]
+            )
         if executed := self._curves(SLOTS, [*algorithms, *self._planners]):
             figures["figure-7-aou-execution"] = self._execution_figure(executed)
         if counted := self._curves(DEVICES, [*algorithms, *self._planners]):
@@ -201,16 +203,15 @@ class _Scenario:
         drawing.label_training(axes, slots)
         return figure
 
-    def _wall_clock_figure(self, validations: Mapping[str, list[Curve]]) -> Figure:
+    def _wall_clock_figure(self, timed: Mapping[str, list[Curve]], untimed: list[str]) -> Figure:
         """The AoU of each run's latest validation against the time since its training began."""
-        timed = {name: runs for name, runs in validations.items() if all(map(_has_times, runs))}
-        untimed = [self._looks[name].label for name in validations if name not in timed]
         lines = {name: _over_time(runs) for name, runs in timed.items()}
         unit, seconds = drawing.time_unit(max(float(line.x[-1]) for line in lines.values()))
         lines = {name: drawing.Line(line.x / seconds, line.y, line.seeds) for name, line in lines.items()}
         mixed = self._study.on_several_processors(self._scenario)
         note = "\ntrainings on several processors, or not recorded on which" if mixed else ""
-        note += f"\nwithout the times of its validations: {', '.join(untimed)}" if untimed else ""
+        left_out = ", ".join(self._looks[name].label for name in untimed)
+        note += f"\nwithout the times of its validations: {left_out}" if untimed else ""
         figure, axes = self._measure_figure(lines, drawing.VALIDATION_AOU, note)
         axes.set_xlabel(f"wall-clock time of training ({unit})")
         return figure

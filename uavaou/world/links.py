@@ -37,6 +37,7 @@ class Knowledge:
         self._devices = scenario.devices
         self._silence = scenario.silence_slots or SILENCE_SLOTS
         self._itself = np.arange(scenario.uavs)
+        self._up: Ints = np.zeros(self._shape, dtype=np.int64)  # nobody is down
 
     @property
     def passes_nothing(self) -> bool:
@@ -68,7 +69,7 @@ class Knowledge:
         if slot <= self._slot:
             return
         self._slot = slot
-        _measure(slot, cells, failed, np.zeros_like(cells[..., 0]) if down is None else down, *self._known()[:3])
+        _measure(slot, cells, failed, self._up if down is None else down, *self._known()[:3])
         if not self.passes_nothing:
             passes, before = self._passing(slot, cells), [known.copy() for known in self._known()]
             _pass_on(passes, failed, before[0], before[1], before[2], before[3], *self._known())

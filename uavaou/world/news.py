@@ -43,7 +43,9 @@ def known_absent(world: World) -> Bools | None:
     """
     operations, failed = world.operations, world.failed
     if operations.knowledge is not None:
-        absent = operations.knowledge.lost(world.slot) | operations.knowledge.down(world.slot)
+        absent = operations.knowledge.lost(world.slot)
+        if operations.batteries is not None:
+            absent |= operations.knowledge.down(world.slot)
     elif operations.losses is not None or operations.batteries is not None:
         absent = operations.absent[:, None] & ~np.eye(failed.shape[1], dtype=np.bool_)
     else:
