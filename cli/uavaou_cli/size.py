@@ -39,7 +39,7 @@ def size(
     scenario: ScenarioName = None,
     scenario_option: ScenarioOption = None,
     uavs: Annotated[str, option("Numbers of UAVs, such as 1-6 or 1,2,4.", "NUMBERS")] = "1-6",
-    target: Annotated[str | None, option("What the fleet must hold, such as 'mean age 10 min'.", "TEXT")] = None,
+    target: Annotated[str | None, option("The mean AoU to hold, of all devices together: 'mean AoU 10 min'.", "TEXT")] = None,
     station: Annotated[
         list[str] | None,
         option("Where UAVs may start: LAT,LON, or X,Y in m where a scenario has no georeference.", "PLACE"),
@@ -162,7 +162,7 @@ def _rows(scenario: Scenario, shown: list[SizedFleet], target_s: float | None, b
     """The table of fleets, with two lines of headings; AoI where the scenario asks for measures."""
     from uavaou.statistics import Interval
 
-    heads = [("UAVs", ""), ("stations", ""), ("m/s", ""), ("in the air", "(min)"), ("mean AoU", "(min)")]
+    heads = [("UAVs", ""), ("stations", "x,y (m)"), ("m/s", ""), ("in the air", "(min)"), ("mean AoU", "(min)")]
     heads += [("interval", "95 %"), ("policy", "")]
     measured = shown[0].information
     heads += [("mean AoI", "(min)"), ("largest", "AoI (min)")] if measured else []

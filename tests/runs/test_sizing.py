@@ -15,7 +15,7 @@ TINY = Scenario.load("tiny")
 
 @pytest.mark.parametrize(
     ("text", "seconds"),
-    [("mean age 10 min", 600), ("10 min", 600), ("age <= 90 s", 90), ("mean AoU below 40 slots", 80), ("1.5 h", 5400)],
+    [("mean AoU 10 min", 600), ("10 min", 600), ("age <= 90 s", 90), ("mean AoU below 40 slots", 80), ("1.5 h", 5400)],
 )
 def test_a_target_is_a_time_or_a_number_of_slots(text: str, seconds: float) -> None:
     assert read_target(text, slot_length_s=2.0) == seconds
@@ -23,7 +23,7 @@ def test_a_target_is_a_time_or_a_number_of_slots(text: str, seconds: float) -> N
 
 @pytest.mark.parametrize("text", ["", "10", "10 kg", "mean age", "-3 min", "0 s", "40 slotz"])
 def test_what_is_no_target_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match=r"--target .*: expected a mean age with its unit"):
+    with pytest.raises(InputError, match=r"--target .*: expected a mean AoU with its unit"):
         read_target(text, 2.0)
 
 

@@ -87,7 +87,7 @@ class SizedFleet:
 
 
 def read_target(text: str, slot_length_s: float) -> float:
-    """The mean AoU in s that a text such as ``mean age 10 min`` or ``40 slots`` means.
+    """The mean AoU in s that a text such as ``mean AoU 10 min`` or ``40 slots`` means.
 
     Raises:
         InputError: it means none.
@@ -100,7 +100,7 @@ def read_target(text: str, slot_length_s: float) -> float:
     else:
         value = in_own_units({"target_s": stated})["target_s"]
     if isinstance(value, MisreadText) or not isinstance(value, int | float) or not 0 < value < float("inf"):
-        raise InputError(f"--target {short(text)}: expected a mean age with its unit, such as 'mean age 10 min'")
+        raise InputError(f"--target {short(text)}: expected a mean AoU with its unit, such as 'mean AoU 10 min'")
     return float(value)
 
 
