@@ -107,13 +107,15 @@ def gap() -> str:
 def draw_gap() -> None:
     """Draw what :func:`gap` says of the layouts of ``paper``, as ``results/planners/gap.png``."""
     found = reached().dropna(subset=["layout"])
-    names = ["bound", "mappo", "local-greedy-tuned", "rolling", "local-greedy-parts", "best-first", "greedy"]
+    names = ["mappo", "local-greedy-tuned", "rolling", "local-greedy-parts", "best-first", "greedy"]
     with style.house_style():
         figure, axes = style.new_axes(3.0)
         looks = style.looks(names)
+        along = np.arange(len(found))
+        axes.hlines(found["bound"], along - 0.4, along + 0.4, color=style.looks(["bound"])["bound"].colour, label="bound")
         for place, name in zip(np.linspace(-0.3, 0.3, len(names)), names, strict=True):  # side by side
-            look, along = looks[name], np.arange(len(found)) + place
-            axes.plot(along, found[name], look.marker or "_", markersize=4, color=look.colour, label=look.label)
+            look = looks[name]
+            axes.plot(along + place, found[name], look.marker or "_", markersize=4, color=look.colour, label=look.label)
         axes.set(yscale="log", xlabel="layout of paper", ylabel="mean AoU (slots)")
         axes.set_xticks(range(len(found)), [f"{layout:.0f}" for layout in found["layout"]])
         style.label_log_axis(axes.yaxis, *axes.get_ylim())
