@@ -110,9 +110,10 @@ def draw_gap() -> None:
     names = ["mappo", "local-greedy-tuned", "rolling", "local-greedy-parts", "best-first", "greedy"]
     with style.house_style():
         figure, axes = style.new_axes(3.0)
-        looks = style.looks(names)
+        looks = style.looks(["bound", *names])
         along = np.arange(len(found))
-        axes.hlines(found["bound"], along - 0.4, along + 0.4, color=style.looks(["bound"])["bound"].colour, label="bound")
+        bound = looks["bound"]
+        axes.hlines(found["bound"], along - 0.4, along + 0.4, color=bound.colour, label=bound.label)
         for place, name in zip(np.linspace(-0.3, 0.3, len(names)), names, strict=True):  # side by side
             look = looks[name]
             axes.plot(along + place, found[name], look.marker or "_", markersize=4, color=look.colour, label=look.label)

@@ -39,7 +39,9 @@ def size(
     scenario: ScenarioName = None,
     scenario_option: ScenarioOption = None,
     uavs: Annotated[str, option("Numbers of UAVs, such as 1-6 or 1,2,4.", "NUMBERS")] = "1-6",
-    target: Annotated[str | None, option("The mean AoU to hold, of all devices together: 'mean AoU 10 min'.", "TEXT")] = None,
+    target: Annotated[
+        str | None, option("The mean AoU to hold, of all devices together: 'mean AoU 10 min'.", "TEXT")
+    ] = None,
     station: Annotated[
         list[str] | None,
         option("Where UAVs may start: LAT,LON, or X,Y in m where a scenario has no georeference.", "PLACE"),
